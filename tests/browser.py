@@ -102,9 +102,9 @@ class Browser:
             elif message.get("sessionId") in self._pages:
                 self._pages[message["sessionId"]].take(message["method"], message["params"])
 
-    def open(self, url, width=1280, height=900, *, dark=False, beside=None, mobile=False):
+    def open(self, url, width=1280, height=900, *, dark=False, next_to=None, mobile=False):
         """A page of this size in its own storage, or in that of the page `beside`; returns when it is loaded."""
-        context = beside.context if beside else self.send("Target.createBrowserContext")["browserContextId"]
+        context = next_to.context if next_to else self.send("Target.createBrowserContext")["browserContextId"]
         target = self.send("Target.createTarget", url="about:blank", browserContextId=context)["targetId"]
         session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         page = self._pages[session] = Page(self, session, target, context)

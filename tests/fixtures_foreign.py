@@ -130,14 +130,14 @@ def write_mat73(path: Path) -> None:
     """As MATLAB writes 7.3: 512 bytes of its header before an HDF5 file, arrays transposed, classes as attributes."""
     import h5py
 
-    told = mat_content()
+    reported = mat_content()
     with h5py.File(path, "w", userblock_size=512) as file:
         group = file.create_group("log", track_order=False)
         group.attrs["MATLAB_class"] = np.bytes_("struct")
-        for name, value in told["log"].items():
+        for name, value in reported["log"].items():
             dataset = group.create_dataset(name, data=value.T, track_times=False)
             dataset.attrs["MATLAB_class"] = np.bytes_("double")
-        text = file.create_dataset("who", data=np.array([[ord(c)] for c in told["who"]], dtype=np.uint16))
+        text = file.create_dataset("who", data=np.array([[ord(c)] for c in reported["who"]], dtype=np.uint16))
         text.attrs["MATLAB_class"] = np.bytes_("char")
     header = b"MATLAB 7.3 MAT-file, made by pmabench, HDF5 schema 1.00 .".ljust(116) + b"\0" * 8 + b"\x00\x02IM"
     with path.open("r+b") as out:

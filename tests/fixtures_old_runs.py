@@ -150,8 +150,8 @@ def make_steps(folder: Path, rng: np.random.Generator) -> None:
 
 def make_sines(folder: Path, rng: np.random.Generator) -> None:
     """Three frequencies with a decimal comma in the name; the fastest with a time jump and a gap."""
-    for clock, told in (("103000", "6,28"), ("103100", "12,56"), ("103200", "18,84")):
-        omega = float(told.replace(",", "."))
+    for clock, reported in (("103000", "6,28"), ("103100", "12,56"), ("103200", "18,84")):
+        omega = float(reported.replace(",", "."))
         t = stamps(0.0, 4.3, rng)
         angle = omega * t
         command = 300e3 * (1 + np.sin(angle))
@@ -159,14 +159,14 @@ def make_sines(folder: Path, rng: np.random.Generator) -> None:
         x = 0.022 + TRUTH["sine_gain"] * 250e3 * np.sin(angle - 0.01 * omega + TRUTH["sine_phase"])
         F = 4.0 + 0.5 * np.sin(angle)
         rows = polled(t, command, P, x, F, rng)
-        if told == "18,84":
+        if reported == "18,84":
             kept = [row.split(",") for row in rows]
             for row in kept[380:]:
                 row[0] = f"{float(row[0]) - 1200:.3f}"
             rows = [",".join(row) for row in (*kept[:200], *kept[215:])]
-        name = f"2026-01-05_{clock}_frq_test_rads-{told}_exp"
+        name = f"2026-01-05_{clock}_frq_test_rads-{reported}_exp"
         notes = f"Frequency response parameters:\n\t- Frequency: {omega:.3f} rad/s\n"
-        write_log(folder / name / f"frq_test_rads-{told}_data.dat", rows, notes)
+        write_log(folder / name / f"frq_test_rads-{reported}_data.dat", rows, notes)
 
 
 def make_pull(folder: Path, rng: np.random.Generator) -> None:

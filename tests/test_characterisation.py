@@ -234,7 +234,7 @@ def test_a_limit_cycle_by_stiction_is_not_called_ultimate(tmp_path):
     assert any("limit cycle" in f.text for f in found.findings)
 
 
-def test_a_single_trial_tells_nothing_that_it_cannot_know(tmp_path):
+def test_a_single_trial_shows_nothing_that_it_cannot_know(tmp_path):
     one = [("sweep.matrix.load", "[6 kg]"), ("sweep.matrix.pressure", "[300 kPa]"), ("sweep.repeat.count", "1")]
     found = analysed(tmp_path, "contraction-relaxation", "mock", settings=one)
     K, F_ce = value_at(found, "K", 300), value_at(found, "F_ce", 300)

@@ -85,7 +85,7 @@ def test_a_muscle_and_a_reduction_of_one_convention(tmp_path):
     assert min(off(analysis, "K", METHODS["x0"]).values()) > 0.3
 
 
-def test_behind_a_slow_regulator_the_measured_pressure_gives_D_and_paper_1_is_told_to_be_high(tmp_path):
+def test_behind_a_slow_regulator_the_measured_pressure_gives_D_and_paper_1_is_reported_as_high(tmp_path):
     analysis = analysed(tmp_path, PROTOCOL, "mock-dmsp", SPECIMEN, [WHOLE_BARS])
     papers, driven = off(analysis, "B_c", METHODS["x0"]), off(analysis, "B_c", DRIVEN)
     assert len(papers) == len(driven) == 6

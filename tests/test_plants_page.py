@@ -116,7 +116,7 @@ def test_the_muscle_with_hysteresis_and_creep_is_what_its_commands_show(folder):
 
 
 @pytest.mark.slow
-def test_the_page_as_it_stands_brings_its_coefficients_back(folder):
+def test_the_page_as_it_is_brings_its_coefficients_back(folder):
     for line in COMMANDS:
         call(line)
     found = estimates()

@@ -19,9 +19,9 @@ def first_cells(text):
     return [name for row in re.findall(r"^\| (.*?) \|", text, re.MULTILINE) for name in re.findall(r"`([^`]+)`", row)]
 
 
-def test_every_plant_is_told_and_can_be_chosen():
-    told = ["contractor" + name if name.startswith("-") else name for name in first_cells(MUSCLES)]
-    assert set(told) - {"plant"} == {*PLANTS, JOINT, PLATFORM}
+def test_every_plant_is_reported_and_can_be_chosen():
+    reported = ["contractor" + name if name.startswith("-") else name for name in first_cells(MUSCLES)]
+    assert set(reported) - {"plant"} == {*PLANTS, JOINT, PLATFORM}
     assert CHOICES["plant"] == (*PLANTS, JOINT, PLATFORM)
 
 
@@ -29,13 +29,13 @@ def test_the_emulators_take_every_plant_with_a_free_end():
     assert set(PRESETS) == set(PLANTS) - {"daerden"}
 
 
-def test_every_option_is_told_once():
-    told = first_cells(OPTIONS)
+def test_every_option_is_reported_once():
+    reported = first_cells(OPTIONS)
     known = {item.name for item in (*fields(Options), *fields(Overrides), *fields(Service))}
-    assert sorted(told) == sorted(known - {"overrides", "numbers", "plant", "preset"})
+    assert sorted(reported) == sorted(known - {"overrides", "numbers", "plant", "preset"})
 
 
-def test_every_fault_and_error_is_told():
+def test_every_fault_and_error_is_reported():
     for item in (*fields(Faults), *fields(SensorError)):
         assert re.search(rf"\b{item.name}\b", OPTIONS), item.name
 

@@ -23,7 +23,7 @@ def judged(entry, analysis=None, **more):
 
 
 @pytest.mark.parametrize(
-    ("expected", "told"),
+    ("expected", "reported"),
     [
         ([[2e5, 6000.0], [4e5, 7600.0]], "6.4 N/mm is 5.9 % below the specimen file's 6.8 N/mm, accepted +-5 % (cr.yaml:7)"),
         ([[3e5, 6080.0]], "6.4 N/mm is 5.3 % above the specimen file's 6.08 N/mm, accepted +-5 % (cr.yaml:7); its "
@@ -33,14 +33,14 @@ def judged(entry, analysis=None, **more):
         (12800.0, "6.4 N/mm is 50 % below the specimen file's 12.8 N/mm, accepted +-5 % (cr.yaml:7)"),
     ],
 )  # fmt: skip
-def test_a_coefficient_is_held_against_the_specimen_file(expected, told):
-    assert judged({"expected": expected}) == ([f"K at pressure 300 kPa: {told}"] if told else [])
+def test_a_coefficient_is_held_against_the_specimen_file(expected, reported):
+    assert judged({"expected": expected}) == ([f"K at pressure 300 kPa: {reported}"] if reported else [])
 
 
 def test_a_value_without_an_interval_is_judged_too():
     K = Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5})
-    (told,) = judged({"expected": [[3e5, 6080.0]]}, Analysis("contraction-relaxation", (), True, (K,)))
-    assert told.endswith("the specimen file's 6.08 N/mm, accepted +-5 % (cr.yaml:7)")
+    (reported,) = judged({"expected": [[3e5, 6080.0]]}, Analysis("contraction-relaxation", (), True, (K,)))
+    assert reported.endswith("the specimen file's 6.08 N/mm, accepted +-5 % (cr.yaml:7)")
 
 
 def test_a_check_is_held_against_its_limit_and_must_be_known():
@@ -112,7 +112,7 @@ def against_static(entry, F_ce=520.0, half=12.0, static=None, specimen="s1", P=3
 
 
 @pytest.mark.parametrize(
-    ("entry", "told"),
+    ("entry", "reported"),
     [
         ({"measure": "of_static", "limit": 0.03}, "4 % above, accepted +-3 %"),
         ({"measure": "of_static", "limit": 0.041}, ""),
@@ -122,31 +122,31 @@ def against_static(entry, F_ce=520.0, half=12.0, static=None, specimen="s1", P=3
         ({"measure": "static_E_n", "limit": 1.4}, ""),
     ],
 )
-def test_force_is_held_against_static_load(entry, told):
+def test_force_is_held_against_static_load(entry, reported):
     assert against_static(entry) == (
-        [f"F_ce at pressure 300 kPa: 520 N against 500 N of static load: {told} (cr.yaml:7)"] if told else []
+        [f"F_ce at pressure 300 kPa: 520 N against 500 N of static load: {reported} (cr.yaml:7)"] if reported else []
     )
 
 
 def test_static_load_is_a_line_between_its_points_and_nothing_outside():
     entry = {"measure": "of_static_by", "limit": 15.0}
     assert against_static(entry, F_ce=410.0, P=2.5e5) == []  # halfway between 300 and 500 N
-    (told,) = against_static(entry, F_ce=370.0, P=2.5e5)
-    assert "370 N against 400 N of static load: 30 N below" in told
-    (told,) = against_static(entry, P=5e5)
-    assert told.startswith("F_ce against static load: the two tests give F_ce at no pressure in common")
+    (reported,) = against_static(entry, F_ce=370.0, P=2.5e5)
+    assert "370 N against 400 N of static load: 30 N below" in reported
+    (reported,) = against_static(entry, P=5e5)
+    assert reported.startswith("F_ce against static load: the two tests give F_ce at no pressure in common")
 
 
 @pytest.mark.parametrize("missing", [{"static": []}, {"specimen": "s2"}])
 def test_a_static_test_that_is_not_there_is_said(missing):
-    (told,) = against_static({"measure": "of_static", "limit": 0.5}, **missing)
-    assert told.startswith("F_ce against static load: no static-load test of this specimen to compare with")
-    assert "accepted +-50 % (cr.yaml:7)" in told
+    (reported,) = against_static({"measure": "of_static", "limit": 0.5}, **missing)
+    assert reported.startswith("F_ce against static load: no static-load test of this specimen to compare with")
+    assert "accepted +-50 % (cr.yaml:7)" in reported
 
 
 def test_a_score_without_an_interval_is_not_accepted():
-    (told,) = against_static({"measure": "static_E_n", "limit": 1.0}, half=None)
-    assert "one has no interval, E_n accepted at most 1 (cr.yaml:7)" in told
+    (reported,) = against_static({"measure": "static_E_n", "limit": 1.0}, half=None)
+    assert "one has no interval, E_n accepted at most 1 (cr.yaml:7)" in reported
 
 
 def test_what_is_withheld_or_refused_is_not_accepted_whatever_the_limits():

@@ -118,7 +118,7 @@ def forces(*methods, kind="contraction-relaxation", pressure=3e5):
     )
 
 
-def test_fits_that_were_asked_for_are_compared_beside_the_primary_one():
+def test_fits_that_were_asked_for_are_compared_next_to_the_primary_one():
     """What everybody gets, the exponentials, are not; 500 +- 4 N of static load, 3 N of each fit."""
     found = compared(
         [
@@ -127,8 +127,12 @@ def test_fits_that_were_asked_for_are_compared_beside_the_primary_one():
         ]
     )
     title = "static load against contraction"
-    told = [(e.method, e.value, e.parts.combined) for e in found.estimates]
-    assert told == [(title, -1.0, 5.0), (f"{title}, joint fit", 10.0, 5.0), (f"{title}, output-error fit", -3.0, 5.0)]
+    reported = [(e.method, e.value, e.parts.combined) for e in found.estimates]
+    assert reported == [
+        (title, -1.0, 5.0),
+        (f"{title}, joint fit", 10.0, 5.0),
+        (f"{title}, output-error fit", -3.0, 5.0),
+    ]
     assert [f.level for f in found.findings] == ["note", "doubt", "note"]
 
 

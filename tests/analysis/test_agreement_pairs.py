@@ -166,7 +166,7 @@ def test_three_half_widths_are_no_chance(pair):
     assert any(compared([one(), two(1 + way * three)]).refusals for way in (1, -1))
 
 
-def test_friction_between_rests_is_told_from_stiffness():
+def test_friction_between_rests_is_distinguished_from_stiffness():
     """K + 2 f / s is 9.17 N/mm at 5 mm: more than K, and no contradiction."""
     found = compared([contraction(), steps()])
     (text,) = [

@@ -95,8 +95,8 @@ def test_the_angles_the_flat_and_the_coefficients_are_those_of_the_print(found_i
             assert value(found, "alpha_b", "logistic-up", name, tip_mass=kg).value == pytest.approx(true, rel=1e-3)
     for row, name, unit in zip(M, "abcd", (np.radians(1), np.radians(1), 1e5, 1), strict=True):
         for power, printed in enumerate(row):
-            told = value(found, "alpha_b", "logistic-loads", f"{name}_{power}").value
-            assert told == pytest.approx(printed * unit, rel=0.01)
+            reported = value(found, "alpha_b", "logistic-loads", f"{name}_{power}").value
+            assert reported == pytest.approx(printed * unit, rel=0.01)
 
 
 def test_powers_of_the_load_interpolate_themselves_and_cubics_do_not(ideal):
@@ -122,7 +122,7 @@ def bench(tmp_path_factory):
     return recorded(tmp_path_factory.mktemp("bench"), "arm-angle", "mock-arm", "arm-30", *settings)
 
 
-def test_friction_is_told_apart_and_intervals_hold_the_truth(bench):
+def test_friction_is_distinguished_and_intervals_hold_the_truth(bench):
     found = reduce([bench])
     assert len(bench.trials) == 6
     for kg in (0.0, 0.4):
@@ -157,22 +157,22 @@ def changed(run, change):
     return replace(run, trials=tuple(trials))
 
 
-def told(run, level):
+def reported(run, level):
     return " / ".join(f.text for f in reduce([run]).findings if f.level == level)
 
 
 def test_what_is_wrong_with_the_angles_is_said(bench):
-    assert "the angle falls where the pressure rises" in told(changed(bench, lambda _, a: -a), "fault")
+    assert "the angle falls where the pressure rises" in reported(changed(bench, lambda _, a: -a), "fault")
     drifting = changed(bench, lambda trial, a: a + 0.02 * (trial.t - trial.t[0]))
-    assert "hold longer" in told(drifting, "doubt")
-    assert "no arc of one curvature" in told(changed(bench, lambda _, a: 1.1 * a), "doubt")
+    assert "hold longer" in reported(drifting, "doubt")
+    assert "no arc of one curvature" in reported(changed(bench, lambda _, a: 1.1 * a), "doubt")
 
     def behind(trial, angle):
         down = next(c.t for c in trial.commands if c.phase == "down")
         return angle - np.radians(1.0) * (trial.t > down)
 
-    assert "smaller than from below" in told(changed(bench, behind), "doubt")
-    assert "bent by 8" in told(changed(bench, lambda _, a: a + np.radians(5)), "note")
+    assert "smaller than from below" in reported(changed(bench, behind), "doubt")
+    assert "bent by 8" in reported(changed(bench, lambda _, a: a + np.radians(5)), "note")
 
 
 def test_the_angle_comes_from_the_displacement_too(bench):

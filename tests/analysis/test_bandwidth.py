@@ -20,7 +20,7 @@ def test_one_lag_and_two_alike_and_a_maximally_flat_pair():
 
 
 @pytest.mark.parametrize("dead", [0.0, 0.05])
-def test_a_step_tells_the_same_without_a_model(dead):
+def test_a_step_shows_the_same_without_a_model(dead):
     t = np.arange(0.0, 6.0, 0.002)
     one = np.where(t > dead, -np.expm1(-(t - dead) / 0.2), 0.0)
     assert of_step(t, one) == pytest.approx(1 / (2 * pi * 0.2), rel=2e-3)
@@ -28,7 +28,7 @@ def test_a_step_tells_the_same_without_a_model(dead):
     assert of_step(t, 1 - (1 + s) * np.exp(-s)) == pytest.approx(sqrt(sqrt(2) - 1) / (2 * pi * 0.1), rel=2e-3)
 
 
-def test_nothing_is_told_of_what_does_not_fall():
+def test_nothing_is_reported_of_what_does_not_fall():
     assert of_model(7000.0, 0.0, 0.0, []) is None
     assert of_model(-7000.0, 100.0, 1.0, [0.1]) is None
     assert of_step(np.arange(0.0, 1.0, 0.002), np.ones(500)) is None

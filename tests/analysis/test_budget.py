@@ -20,7 +20,7 @@ from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.coverage_study import WATCHED, campaign, clopper_pearson, hits, judged, study
 
 
-def told(run: RunData, replays: int = 0) -> dict[tuple[str, float], Estimate]:
+def reported(run: RunData, replays: int = 0) -> dict[tuple[str, float], Estimate]:
     """Symbol and pressure -> primary estimate."""
     found, _ = gather([run])
     assert found is not None
@@ -31,7 +31,7 @@ def told(run: RunData, replays: int = 0) -> dict[tuple[str, float], Estimate]:
 
 @cache
 def right() -> dict[tuple[str, float], Estimate]:
-    return told(campaign(1), 4)
+    return reported(campaign(1), 4)
 
 
 def test_the_lines_add_up_to_the_interval():
@@ -116,7 +116,7 @@ def shrinking(run: RunData, channel: str, by: float, offset: float) -> RunData:
 
 def lines_hold(drifted: RunData, name: str, symbols: tuple[str, ...]) -> None:
     """The line of a drift is worth what the drift did, and at most three times as much."""
-    before, after = told(calm()), told(drifted)
+    before, after = reported(calm()), reported(drifted)
     for symbol in symbols:
         for P in WATCHED:
             (line,) = [s for s in after[symbol, P].budget if s.name == name]

@@ -48,7 +48,7 @@ def test_the_spread_is_the_pooled_standard_deviation():
         ((1.0019, 1.002, 1.0021), 0.002, "note"),
     ],
 )
-def test_a_first_repeat_that_differs_is_told_by_students_t(firsts, mean, level):
+def test_a_first_repeat_that_differs_is_reported_by_students_t(firsts, mean, level):
     """t(0.975, 2) = 4.303: 2 +- 2.5 % is no difference, 2 +- 0.25 % is one."""
     values = [v for first in firsts for v in (10 * first, 9.0, 11.0)]
     found = first_repeat(repeats(np.repeat([0, 1, 2], 3), [0, 1, 2] * 3, values))
@@ -74,7 +74,7 @@ def test_a_drift_is_found_with_its_size_and_none_where_there_is_none():
     assert adjacent is None  # repeats within a tenth of the time say nothing of the whole of it
 
 
-def test_reference_trials_tell_drift_and_are_no_first_repeats():
+def test_reference_trials_show_drift_and_are_no_first_repeats():
     run = contraction_run(rig(), CELLS[:2], repeats=4, seed=5)
     trials = [replace(trial, reference=trial.point["pressure"] == 3e5) for trial in run.trials]
     names = {
@@ -142,7 +142,7 @@ def test_a_spring_that_is_not_straight_does_not_carry_over_to_other_loads():
     assert "does not carry over" in found["text"]
 
 
-def test_a_muscle_that_is_softer_on_the_way_back_is_told():
+def test_a_muscle_that_is_softer_on_the_way_back_is_reported():
     def hysteresis(trial):
         x = trial.channels["displacement"].copy()
         back = next(c.t for c in trial.commands if c.phase in ("relax", "vent"))
@@ -156,12 +156,20 @@ def test_a_muscle_that_is_softer_on_the_way_back_is_told():
 
 def test_checks_become_findings_and_survive_a_file_that_anybody_wrote():
     run = contraction_run(rig(), CELLS[:3], repeats=2, seed=5)
-    told = {"name": "held_out", "value": 0.5, "quantity": "ratio", "level": "doubt", "text": "far"}
-    analysis = Analysis("contraction-relaxation", ("r1",), True, facts={"checks": [told], "a": 1})
+    reported = {"name": "held_out", "value": 0.5, "quantity": "ratio", "level": "doubt", "text": "far"}
+    analysis = Analysis("contraction-relaxation", ("r1",), True, facts={"checks": [reported], "a": 1})
     analysis = with_checks(analysis, kind_of("contraction-relaxation"), [run])
     assert [check.name for check in checks_of(analysis)] == ["held_out", "repeat_spread", "first_repeat"]
     assert next(f.text for f in analysis.findings) == "far"
     assert analysis.facts["a"] == 1
-    odd = [{**told, "value": "x"}, {**told, "quantity": "nonsense"}, {"name": "x"}, 7, None, {**told, "more": 1}, told]
-    assert checks_of(replace(analysis, facts={"checks": odd})) == (Check(**told),)
+    odd = [
+        {**reported, "value": "x"},
+        {**reported, "quantity": "nonsense"},
+        {"name": "x"},
+        7,
+        None,
+        {**reported, "more": 1},
+        reported,
+    ]
+    assert checks_of(replace(analysis, facts={"checks": odd})) == (Check(**reported),)
     assert checks_of(replace(analysis, facts={"checks": "x"})) == ()

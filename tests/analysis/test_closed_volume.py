@@ -45,9 +45,9 @@ def volumes(found, method=TIGHT):
 
 def test_the_volume_is_that_of_the_muscle_from_both_pressures(run):
     found = reduce([run])
-    told = volumes(found)
-    assert {e.at["pressure"] for e in told} == {3e5, 5e5}
-    for e in told:
+    reported = volumes(found)
+    assert {e.at["pressure"] for e in reported} == {3e5, 5e5}
+    for e in reported:
         assert e.value == pytest.approx(true_volume(e.at["contraction"]), rel=1.5e-3)
         assert e.ci95[0] <= true_volume(e.at["contraction"]) <= e.ci95[1]
     assert any("within their intervals" in f.text for f in found.findings)
@@ -141,13 +141,13 @@ def test_the_curve_in_closed_form():
 
 def test_three_diameters_as_the_library_has_them():
     """Row 38: sum of (pi/4)(d - 2 t)^2 h."""
-    told = Diameters(
+    reported = Diameters(
         diameters=("24 mm", "26 mm", "23 mm"), heights=("50 mm", "90 mm", "40 mm"), thickness="1.5 mm",
         uncertainty="0.1 mm",
     )  # fmt: skip
     by_hand = pi / 4 * (21**2 * 50 + 23**2 * 90 + 20**2 * 40) * 1e-9
-    assert told.volume() == pytest.approx(by_hand, rel=1e-12)
-    assert told.half() == pytest.approx(pi / 2 * (21 * 50 + 23 * 90 + 20 * 40) * 0.1 * 1e-9, rel=1e-12)
+    assert reported.volume() == pytest.approx(by_hand, rel=1e-12)
+    assert reported.half() == pytest.approx(pi / 2 * (21 * 50 + 23 * 90 + 20 * 40) * 0.1 * 1e-9, rel=1e-12)
     names = {f"diameter_{i}": d for i, d in ((1, 0.024), (2, 0.026), (3, 0.023))} | {"thickness": 0.0015}
     names |= {f"height_{i}": h for i, h in ((1, 0.05), (2, 0.09), (3, 0.04))}
     assert MODELS["three-cylinder-volume"].evaluate(names)["volume"] == pytest.approx(by_hand, rel=1e-12)

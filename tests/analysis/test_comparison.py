@@ -87,10 +87,10 @@ def test_what_the_method_adds_to_both_drops_out_where_both_were_tested_alike():
 def test_two_campaigns_of_one_muscle_are_beyond_as_often_as_they_should(wrong):
     """100 pairs of 24 trials with the same sensors, and with sensors drawn anew; 31 coefficients each."""
     with ProcessPoolExecutor(2) as executor:
-        told = list(executor.map(partial(reduced, wrong), range(200), chunksize=5))
+        reported = list(executor.map(partial(reduced, wrong), range(200), chunksize=5))
     known = SAME if not wrong else None
     within = []
-    for a, b in zip(told[::2], told[1::2], strict=True):
+    for a, b in zip(reported[::2], reported[1::2], strict=True):
         sides = Side("A", (a,), calibrations=known), Side("B", (replace(b, runs=("r2",)),), calibrations=known)
         within += [d.agrees for d in compare(*sides).differences if not d.term and d.a.symbol != "F_c"]
     print(f"\n{np.mean(within):.4f} of {len(within)}")
@@ -128,10 +128,10 @@ def test_without_an_uncertainty_on_both_sides_there_is_no_e_n():
     table = side(K(6.5, None, 2e5), K(7.0, None, 3e5), name="Serres", run="", kind=PUBLISHED, published=True)
     found = compare(a, table)
     assert [(d.value, d.half, d.score) for d in found.differences] == [(-0.5, None, None), (0.0, None, None)]
-    told = (
+    reported = (
         "no E_n: Serres gives no uncertainty, and E_n needs that of both sides; 2 of its 2 values lie in the interval"
     )
-    assert any(told in f.text for f in found.findings)
+    assert any(reported in f.text for f in found.findings)
     one_bare = compare(side(K(6.0, None)), side(K(9.0, 1.0), name="B", run="r2"))
     assert one_bare.differences[0].score is None
     assert any(f.level == "doubt" and "has no interval on one side" in f.text for f in one_bare.findings)
@@ -150,7 +150,7 @@ def test_two_right_values_are_missed_once_in_twenty():
     assert 0.033 * many < beyond < 0.067 * many  # three standard deviations are 0.017
 
 
-def test_what_is_missing_is_told_and_not_compared():
+def test_what_is_missing_is_reported_and_not_compared():
     a = side(K(6.0, 1.0, 2e5), K(None, None, 3e5))
     b = side(K(6.0, 1.0, 2e5), K(7.0, 1.0, 3e5), name="B", run="r2")
     texts = [f.text for f in compare(a, b).findings]
@@ -165,7 +165,7 @@ def test_what_is_missing_is_told_and_not_compared():
         compare(a, b, ("m", "x"))
 
 
-def test_methods_of_one_analysis_share_their_runs_and_that_is_told():
+def test_methods_of_one_analysis_share_their_runs_and_that_is_reported():
     a = side(K(6.0, 1.0), K(9.0, 1.0, method="other"))
     found = compare(replace(a, name="m"), replace(a, name="other"), ("m", "other"))
     assert found.differences[0].value == -3.0
@@ -180,7 +180,7 @@ def test_tests_of_another_kind_are_compared_only_where_none_is_the_same():
     assert [d.value for d in compare(a, both).differences] == [-0.5]
 
 
-def test_terms_of_a_curve_stand_beside_and_are_not_counted():
+def test_terms_of_a_curve_are_next_to_and_are_not_counted():
     slope = Estimate("K", 5.0, "N/m/Pa", "stiffness per pressure", "m", {}, Parts(0.1), coordinate="slope")
     curve = Curve("K", "line", (replace(slope, coordinate="intercept"), slope), "pressure", (1e5, 5e5), 1.0, 0.0, "m")
     a = side(K(6.0, 1.0))

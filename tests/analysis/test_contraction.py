@@ -287,9 +287,9 @@ def test_a_declared_sensor_lag_is_taken_into_account():
         return replace(trial, channels={**trial.channels, "pressure": pressure})
 
     delayed = replace(run, trials=tuple(late(trial) for trial in run.trials))
-    told = {**run.channels, "pressure": replace(run.channels["pressure"], sensor_lag=0.010)}
+    reported = {**run.channels, "pressure": replace(run.channels["pressure"], sensor_lag=0.010)}
     (found,) = reduce([delayed], {"replays": 0}).facts["form"]["explanations"]
-    right = errors(reduce([replace(delayed, channels=told)], {"replays": 0}), PAPER0, "B_c")
+    right = errors(reduce([replace(delayed, channels=reported)], {"replays": 0}), PAPER0, "B_c")
     # nobody declared it: a pressure 10 ms late costs about 3 % of B, and is found
     assert found["cause"] == "late pressure"
     assert found["size"] == pytest.approx(0.010, abs=5e-4)
@@ -309,7 +309,7 @@ def test_a_muscle_of_another_form_is_doubted():
     assert any(f.level == "doubt" and "the model does not have the form" in f.text for f in analysis.findings)
 
 
-def test_contraction_alone_cannot_tell_friction():
+def test_contraction_alone_cannot_show_friction():
     run = small()
 
     def first(trial: TrialData) -> TrialData:
@@ -360,7 +360,7 @@ def test_overlays_show_the_fitted_muscle_with_the_measured_pressure():
         assert np.abs(misfit[drawn]).mean() < 0.1e-3
 
 
-def test_a_stiffness_from_a_known_force_is_told_only_where_that_is_known():
+def test_a_stiffness_from_a_known_force_is_reported_only_where_that_is_known():
     """One load and one pressure: F_ce and K x stand for one another."""
     run = contraction_run(rig(), [(58.86, 300e3)])
     methods = {e.method: e.value for e in reduce([run]).estimates if e.symbol == "K"}

@@ -41,7 +41,7 @@ SEEDS = int(os.environ.get("SEEDS", "2"))
 
 
 @dataclass(frozen=True)
-class Told:
+class Reported:
     """What the reduction made of one campaign."""
 
     cause: str
@@ -65,7 +65,7 @@ class Told:
         return self.sure and bool(self.names - RIGHT[self.cause])
 
 
-def told(asked: tuple[str, float, int]) -> Told:
+def reported(asked: tuple[str, float, int]) -> Reported:
     """The reduction of a campaign (cause, share of its full size, seed)."""
     cause, size, seed = asked
     run = as_run(campaign(cause, size, seed))
@@ -74,12 +74,12 @@ def told(asked: tuple[str, float, int]) -> Told:
     names = {one["cause"] for one in form["explanations"]} | ({"mass"} if form["wrong_weight"] else set())
     values, withheld = compared(analyses[0], truth(cause, size, seed), slope(cause, size, seed))
     sure = form["state"] in ("sound", "corrected", "doubtful") and all(one["alone"] for one in form["explanations"])
-    return Told(
+    return Reported(
         cause, size * FULL[cause], seed, frozenset(names), sure, not verdicts([run], analyses), values, withheld
     )
 
 
-def table(found: Sequence[Told]) -> str:
+def table(found: Sequence[Reported]) -> str:
     """By cause and amount: campaigns, named right, undecided or withheld, wrong; printed, covered; rms errors [%]."""
     lines = [f"{'cause':14s}{'amount':>9s}{'runs':>5s}{'right':>6s}{'open':>5s}{'wrong':>6s}{'accepted':>9s}"
              f"{'printed':>8s}{'covered':>8s}{'K':>7s}{'F_ce':>7s}{'B_c':>7s}{'B_r':>7s}"]  # fmt: skip
@@ -100,13 +100,13 @@ def rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
 
-def printed(found: Sequence[Told]) -> float:
+def printed(found: Sequence[Reported]) -> float:
     """Share of values that are not withheld."""
     known = sum(len(one.values) for one in found)
     return known / max(1, known + sum(one.withheld for one in found))
 
 
-def covered(found: Sequence[Told]) -> float:
+def covered(found: Sequence[Reported]) -> float:
     """Share of values whose interval holds the truth."""
     return float(np.mean([v.error <= v.half for one in found for v in one.values] or [True]))
 
@@ -126,7 +126,7 @@ def test_causes_are_named_and_corrected_values_are_covered():
     asked = [(cause, size, seed) for seed in range(SEEDS) for cause, size in CASES]
     asked += [("clean", 0.0, seed) for seed in range(SEEDS, 3 * SEEDS)]  # as many as of each cause
     with ProcessPoolExecutor(int(os.environ.get("WORKERS", "1"))) as executor:
-        found = list(executor.map(told, asked))
+        found = list(executor.map(reported, asked))
     print(f"\n{table(found)}\nall: printed {printed(found):.3f}, covered {covered(found):.3f}")
     single = [one for one in found if one.cause != "several"]
     assert sum(one.wrong for one in single) == 0
@@ -147,14 +147,14 @@ def test_causes_are_named_and_corrected_values_are_covered():
     assert all(half <= 1.5 * NARROW[cause] for cause, half in halves.items())
 
 
-def median_half(found: Sequence[Told]) -> float:
+def median_half(found: Sequence[Reported]) -> float:
     """Of K, relative to it."""
     return float(np.median([v.half for one in found for v in one.values if v.symbol == "K"]))
 
 
 @pytest.mark.slow
-def test_three_properties_of_a_muscle_at_once_are_told_apart():
-    one = told(("several", 1.0, 0))
+def test_three_properties_of_a_muscle_at_once_are_distinguished():
+    one = reported(("several", 1.0, 0))
     assert one.right
     assert one.sure
     assert not [v for v in one.values if v.error > 2 * v.half]

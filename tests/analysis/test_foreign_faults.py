@@ -72,8 +72,8 @@ def test_an_error_of_the_displacement_sensor_that_no_test_sees_is_in_the_interva
 def test_no_wrong_name_is_accepted_at_any_amount():
     found = {(*case, seed): said(*case, seed) for case in CASES for seed in range(SEEDS)}
     for (fault, amount, seed), one in found.items():
-        told = ", ".join(sorted(one.names)) or "-"
-        print(f"\n{fault:16s}{amount:10.3g} seed {seed}: {one.state}, accepted {one.accepted}, {told}", end="")
+        reported = ", ".join(sorted(one.names)) or "-"
+        print(f"\n{fault:16s}{amount:10.3g} seed {seed}: {one.state}, accepted {one.accepted}, {reported}", end="")
     assert {case for case, one in found.items() if case[0] in ("eccentric", "backlash") and one.far} == set()
     wrong = {case for case, one in found.items() if one.accepted and one.names - NEAR.get(case[0], set())}
     assert wrong == set()

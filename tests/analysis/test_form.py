@@ -140,9 +140,9 @@ def test_what_nothing_explains_is_withheld_and_the_surface_is_offered() -> None:
     assert analysis.facts["form"]["state"] == "withheld"
     assert withheld(analysis) >= {"F_ce", "K", "B_c", "B_r", "F_c"}
     assert not analysis.curves
-    (told,) = {e.note for e in analysis.estimates if e.symbol == "K" and e.withheld}
-    assert "the cause is unknown" in told
-    assert "pmabench process RUN... --form surface" in told
+    (reported,) = {e.note for e in analysis.estimates if e.symbol == "K" and e.withheld}
+    assert "the cause is unknown" in reported
+    assert "pmabench process RUN... --form surface" in reported
     # what needs no form is reported
     assert any(e.symbol == "t_d" and e.value is not None for e in analysis.estimates)
 
@@ -327,26 +327,26 @@ def test_repeats_that_scatter_are_no_lack_of_form() -> None:
 def test_weights_show_drift_gain_and_zero_of_the_cell() -> None:
     found = readings(gathered(clean()))
     misread = Readings(found.course, found.weight, 1.02 * found.read + 3.0 + 5.0 * found.course)
-    told = weighed(misread)
-    for found_size, true in ((told.drift, 5.0), (told.gain, 0.02), (told.offset, 5.5)):
+    reported = weighed(misread)
+    for found_size, true in ((reported.drift, 5.0), (reported.gain, 0.02), (reported.offset, 5.5)):
         assert found_size is not None
         value, error = found_size
         assert abs(value - true) < 3 * error
         assert error < 0.02 * true
-    assert {one.kind for one in told.found} == {"drift", "gain"}
+    assert {one.kind for one in reported.found} == {"drift", "gain"}
 
 
 @pytest.mark.parametrize(("cause", "size"), [("clean", 1.0), ("cell-drift", 1 / 3), ("gain", 2 / 3), ("mass", 0.7)])
 def test_readings_that_scatter_by_a_pulley_name_the_fault_of_the_cell(cause: str, size: float) -> None:
     """0.5 N of scatter where the weight hangs, 0.1 N where it lies."""
     for seed in (0, 1, 2):
-        told = weighed(read_by_judge(cause, size, seed))
-        names = [one.kind for one in told.found] + (["mass"] if told.wrong else [])
+        reported = weighed(read_by_judge(cause, size, seed))
+        names = [one.kind for one in reported.found] + (["mass"] if reported.wrong else [])
         assert names == {"clean": [], "cell-drift": ["drift"]}.get(cause, [cause])
         if cause == "cell-drift":
-            assert abs(told.found[0].sizes[0]) == pytest.approx(5.0, abs=0.2)
+            assert abs(reported.found[0].sizes[0]) == pytest.approx(5.0, abs=0.2)
         if cause == "gain":
-            assert abs(told.found[0].sizes[0]) == pytest.approx(0.02, abs=2e-3)
+            assert abs(reported.found[0].sizes[0]) == pytest.approx(0.02, abs=2e-3)
 
 
 @pytest.mark.parametrize(("share", "named"), [(3e-4, False), (2e-3, True)])

@@ -102,7 +102,7 @@ def changed(run, change):
     return replace(run, trials=tuple(trials))
 
 
-def test_hysteresis_is_told_with_its_sign(both):
+def test_hysteresis_is_reported_with_its_sign(both):
     """0.5 mm more contraction where it comes from above."""
     run = changed(both, lambda trial, x: x + 0.5e-3 * (trial.point["side"] > 0) * (x > 1e-3))
     found, before = reduce([run]), reduce([both])
@@ -111,7 +111,7 @@ def test_hysteresis_is_told_with_its_sign(both):
     assert value(found, "L", pressure=1e5).value == pytest.approx(mean, abs=1e-6), "the mean of both sides"
 
 
-def test_creep_a_wrong_zero_and_a_wrong_sign_are_told(both):
+def test_creep_a_wrong_zero_and_a_wrong_sign_are_reported(both):
     drifting = reduce([changed(both, lambda _, x: x + 0.2e-3 * (np.arange(len(x)) / 50) * (x > 0.01))])
     assert any("hold longer" in f.text for f in drifting.findings if f.level == "doubt")
     shifted = reduce([changed(both, lambda _, x: x + 1e-3)])
@@ -152,8 +152,8 @@ def test_few_pressures_give_lengths_and_no_coefficients(both):
 
 def test_the_print_is_rounded_by_centimetres():
     """Papers digest, T2.8."""
-    told = [100 * rounding(cm / 100) for cm in TABLE]
-    assert told == pytest.approx([0.18, 0.42, 0.81, 1.40, 3.28], abs=0.005)
+    reported = [100 * rounding(cm / 100) for cm in TABLE]
+    assert reported == pytest.approx([0.18, 0.42, 0.81, 1.40, 3.28], abs=0.005)
 
 
 def test_half_of_a_contraction_in_closed_form():

@@ -72,12 +72,12 @@ def test_a_muscle_of_the_models_form_follows_its_trials():
 def test_the_table_is_what_the_drawn_curves_say():
     """NRMSE of each drawn trial, from the numbers of its figure, which are every third of those that count."""
     analysis = reduced(lambda x: x + 8.0 * x**2)
-    told = {(row["pressure"], round(row["load"])): row["nrmse"] for row in analysis.facts["free_run"]}
+    reported = {(row["pressure"], round(row["load"])): row["nrmse"] for row in analysis.facts["free_run"]}
     for trace in analysis.traces:
         x, model, P = (trace.columns[name] for name in ("displacement", "model", "pressure"))
         ok = np.isfinite(model) & (P >= analysis.facts["knots"][0])
         expected = np.linalg.norm((x - model)[ok]) / np.linalg.norm(x[ok] - x[ok].mean())
-        assert told[trace.marks["pressure"], round(trace.marks["load"])] == pytest.approx(expected, rel=0.03)
+        assert reported[trace.marks["pressure"], round(trace.marks["load"])] == pytest.approx(expected, rel=0.03)
 
 
 def test_a_muscle_that_lags_behind_its_pressure_is_doubted():

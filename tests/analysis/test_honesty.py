@@ -77,8 +77,8 @@ def unexplained(analysis: Analysis) -> list[str]:
     bare = [f"{e.symbol} {dict(e.at)}: no value" for e in estimates if e.value is None and not e.note]
     for e in (e for e in estimates if e.value is not None):
         for name in PARTS:
-            told = f"no {name} part" in e.note or f"no {name} part" in said
-            if getattr(e.parts, name) is None and not told:
+            reported = f"no {name} part" in e.note or f"no {name} part" in said
+            if getattr(e.parts, name) is None and not reported:
                 bare.append(f"{e.symbol} {e.coordinate} {e.method} {dict(e.at)}: {name}")
     return bare
 
@@ -134,7 +134,7 @@ def reads(run: RunData, channel: str, gain: float = 0.0, offset: float = 0.0) ->
     return replace(run, trials=tuple(wrong(trial) for trial in run.trials))
 
 
-def told(run: RunData, channel: str, gain: float = 0.0, offset: float = 0.0) -> RunData:
+def reported(run: RunData, channel: str, gain: float = 0.0, offset: float = 0.0) -> RunData:
     """The run whose record tells this uncertainty of `channel`, and none of any other."""
     channels = {
         name: replace(
@@ -151,7 +151,7 @@ def refuse_unexplained_moves(
     reduce: Callable[[list[RunData]], Analysis], run: RunData, channel: str, gain: float, offset: float
 ) -> int:
     """No value moves beyond its interval when a channel reads wrong by its uncertainty; how many were compared."""
-    base = told(run, channel, gain, offset)
+    base = reported(run, channel, gain, offset)
     right = values(reduce([base]))
     high, low = (values(reduce([reads(base, channel, way * gain, way * offset)])) for way in (1, -1))
     known = right.keys() & high.keys() & low.keys()
@@ -180,9 +180,10 @@ def compare(
 
     Both ways, and the mean of both: where a coefficient bends, they differ.
     """
-    right = values(reduce([told(run, channel, gain, offset)]))
+    right = values(reduce([reported(run, channel, gain, offset)]))
     high, low = (
-        values(reduce([told(reads(run, channel, way * gain, way * offset), channel, gain, offset)])) for way in (1, -1)
+        values(reduce([reported(reads(run, channel, way * gain, way * offset), channel, gain, offset)]))
+        for way in (1, -1)
     )
     count = 0
     for key, e in right.items():
@@ -217,12 +218,12 @@ def test_contraction(channel: str, gain: float, offset: float):
 
 @pytest.mark.parametrize(("channel", "gain", "offset"), [("displacement", GAIN, 0.0), ("displacement", 0.0, 20e-6)])
 def test_the_papers_way(channel: str, gain: float, offset: float):
-    def beside(runs: list[RunData]) -> Analysis:
+    def next_to(runs: list[RunData]) -> Analysis:
         found = contraction.reduce(runs, {"replays": 0})
         return replace(found, estimates=tuple(e for e in found.estimates if e.method == "step-exponential"), curves=())
 
     # the velocity gate of the segments has a little to say here, too: which trials count as moved
-    assert compare(beside, contracting(), channel, gain, offset, {"F_ce", "K", "B_c", "B_r"}, 0.06) > 20
+    assert compare(next_to, contracting(), channel, gain, offset, {"F_ce", "K", "B_c", "B_r"}, 0.06) > 20
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(GAIN, 0.0), (0.0, 1500.0)])
@@ -239,7 +240,7 @@ def test_sines(channel: str):
         assert compare(sine.reduce, run, channel, GAIN, 0.0, {"K", "B", "F_c", "H", "W", "phi"}, 0.03) > 50
         return
     # a run at 300 kPa as read was at 303 kPa when the gauge reads 1 % too little: K is off by the slope of K there
-    found = values(sine.reduce([told(run, "pressure", GAIN)]))
+    found = values(sine.reduce([reported(run, "pressure", GAIN)]))
     there = values(sine.reduce([sines(0.1, 0.5, 1.0, 3.0, pressures=(2.02e5, 3.03e5, 4.04e5))]))
     for symbol, slope in (("K", 1e-3 + 2 * 9.7e-9 * 3e5), ("B", 2.5e-3)):
         (e,) = [e for e in found.values() if e.symbol == symbol and e.method == "sine-harmonic"
@@ -253,7 +254,7 @@ def test_sines(channel: str):
 @pytest.mark.parametrize("channel", ["displacement", "pressure"])
 def test_ultimate_gain(channel: str):
     run = as_run("ultimate-gain", [clean()[0]])
-    (K_u, T_u) = ultimate_gain.reduce([told(run, channel, GAIN)]).estimates
+    (K_u, T_u) = ultimate_gain.reduce([reported(run, channel, GAIN)]).estimates
     # K_u = command per displacement at the edge of stability; time has no scale
     assert K_u.parts.calibration == pytest.approx(GAIN * K_u.value)
     assert T_u.parts.calibration == 0.0
@@ -336,9 +337,9 @@ def test_an_interval_ends_at_0_only_for_what_cannot_be_below():
     assert width.ci95 == (-2.0, 4.0)
 
 
-def test_scales_tell_what_they_do_not_know():
+def test_scales_show_what_they_do_not_know():
     run = contracting()
-    half = told(run, "force", GAIN)
+    half = reported(run, "force", GAIN)
     scales = Scales.of([half])
     assert scales.part({"force": 100.0, "displacement": 100.0}) == pytest.approx(1.0)
     assert scales.lack(("force", "displacement")) == (

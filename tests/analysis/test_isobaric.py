@@ -12,7 +12,7 @@ from pmabench.kinds.isobaric_ramp.reduction import fit, reduce, rubber_force
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import Flag, RunData
 from tests.analysis.driven_runs import recorded
-from tests.analysis.test_honesty import refuse_unexplained_moves, told, unexplained
+from tests.analysis.test_honesty import refuse_unexplained_moves, reported, unexplained
 
 
 def one(analysis, symbol, method, **at):
@@ -96,8 +96,8 @@ def test_the_gap_at_5_bar_is_60_N_and_the_contracting_branch_is_the_lower_one(of
 @pytest.mark.parametrize(("eps", "force"), [(0.0, 1288.0), (0.05, 942.0), (0.10, 700.0)])
 def test_the_mean_curve_at_5_bar_is_the_plants_without_hysteresis(of_paper3, eps, force):
     trace = next(t for t in of_paper3.traces if t.name == "mean-curve-500000")
-    told = np.interp(eps * 0.2, trace.columns["displacement"], trace.columns["force"])
-    assert told == pytest.approx(force, abs=1.0)
+    reported = np.interp(eps * 0.2, trace.columns["displacement"], trace.columns["force"])
+    assert reported == pytest.approx(force, abs=1.0)
 
 
 def test_the_rubber_term_comes_back_from_traction_at_0_bar(of_paper3):
@@ -150,12 +150,12 @@ def with_noise(run: RunData, force: float) -> RunData:
     )
 
 
-def test_a_stretch_that_stays_far_from_the_pole_is_told_to_say_little(paper3):
+def test_a_stretch_that_stays_far_from_the_pole_is_reported_to_say_little(paper3):
     """From -1.9 % on: the slope A B1/B2 is known, A, B1 and B2 are not; the warning says so in words."""
     short = replace(paper3, trials=tuple(t for t in paper3.trials if t.point["pressure"] == 0))
     found = reduce([with_noise(short, 2.0)], {"turn": 2.2e-3})
-    told = [e for e in found.estimates if e.symbol in ("A", "B1", "B2")]
-    assert any(e.value is None and "not identifiable" in e.note for e in told)
+    reported = [e for e in found.estimates if e.symbol in ("A", "B1", "B2")]
+    assert any(e.value is None and "not identifiable" in e.note for e in reported)
     assert any(f.level == "doubt" and "not identifiable" in f.text for f in found.findings)
 
 
@@ -223,9 +223,9 @@ def test_on_a_bench_with_noise_the_gap_the_curve_and_its_slope_still_come_out(no
     """The gap 60 +- 5 N, the rubber's force within 2 % of 600 N, though A and B1 cannot be told any more."""
     found = reduce([noisy])
     assert one(found, "H", "loop-gap", pressure=5e5, speed=0.0).value == pytest.approx(60.0, abs=5.0)
-    told = [e for e in found.estimates if e.method == "mean-curve, local" and e.at["pressure"] == 5e5]
-    assert len(told) == 10
-    for e in told:
+    reported = [e for e in found.estimates if e.method == "mean-curve, local" and e.at["pressure"] == 5e5]
+    assert len(reported) == 10
+    for e in reported:
         eps = e.at["contraction"] / 0.2
         truth = force(eps) if e.symbol == "F" else -(force(eps + 1e-6) - force(eps - 1e-6)) / 4e-7
         assert e.ci95[0] <= truth <= e.ci95[1], (e.symbol, eps)
@@ -317,7 +317,7 @@ def test_a_channel_that_reads_wrong_by_its_uncertainty_moves_no_value_beyond_its
 
 def test_a_gauge_that_reads_wrong_is_in_what_is_given_for_its_pressure(mas):
     """K at 200 kPa by the secant to 400 kPa: 1364 N/m over 200 kPa (plant 5.1), F_ce 1.08 N/kPa; the gauge is 1 % off."""
-    found = reduce([told(mas, "pressure", 0.01)])
+    found = reduce([reported(mas, "pressure", 0.01)])
     assert one(found, "K", "mean-curve", pressure=2e5).parts.calibration == pytest.approx(13.64, rel=0.02)
     assert one(found, "F_ce", "mean-curve", pressure=2e5).parts.calibration == pytest.approx(1.08 * 2.0, rel=0.02)
     # B, the mean of both directions, is 1650 at 200 kPa and 2150 N.s/m at 400 kPa

@@ -71,7 +71,7 @@ def test_other_thresholds_are_methods_of_their_own(own):
     assert analysis.facts["rule"]["force_above"] == 20.0
 
 
-def test_options_are_told_where_they_replace_the_rule(own):
+def test_options_are_reported_where_they_replace_the_rule(own):
     analysis = isometric.reduce(own, {"phases": ["fill"]})
     assert slopes(analysis)[0.0].value == pytest.approx(0.70e-3, rel=0.01)
     assert any("not the rule that the map gives" in finding.text for finding in analysis.findings)

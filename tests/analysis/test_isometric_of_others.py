@@ -111,7 +111,7 @@ def holds(e, truth):
 
 @pytest.mark.parametrize("columns", ["pressure_command, unit: kPa", "ignore"])
 @pytest.mark.parametrize("h", [0.0, 3.0, 12.0])
-def test_of_a_staircase_the_holds_tell_the_line(tmp_path, h, columns):
+def test_of_a_staircase_the_holds_show_the_line(tmp_path, h, columns):
     """The way from hold to hold was taken for a ramp, and only the last: slopes were 3 to 11 % off, with +- 0.4 %."""
     found = campaign(tmp_path, staircase(), h, columns=columns)
     slopes = of(found, "m", "isometric-line")
@@ -147,7 +147,7 @@ def test_an_end_that_is_moved_without_pressure_does_not_give_way(tmp_path):
     assert len([e for e in of(found, "m", "isometric-line") if e.value is not None]) == len(LENGTHS)
 
 
-def test_one_step_up_and_down_tells_no_loop(tmp_path):
+def test_one_step_up_and_down_shows_no_loop(tmp_path):
     course = np.concatenate([np.zeros(300), np.full(600, 500.0), np.zeros(300)])
     found = campaign(tmp_path, course, 0.0, late=0.005)
     assert all(e.value is None and "ramp, or hold at five" in e.note for e in of(found, "H"))

@@ -119,7 +119,7 @@ def test_diameter_angle_and_exponent_come_back_with_intervals_that_hold_them():
         assert np.nanmax(np.abs(S / truth - 1)) < 0.01  # row 37: S curve within 1 %
 
 
-def test_what_cannot_be_told_apart_has_no_value_and_is_said_in_words():
+def test_what_cannot_be_distinguished_has_no_value_and_is_said_in_words():
     """Over 0 to 4 % little but S itself is known: a thin muscle and a thick one draw the same curve."""
     analysis = reduce([run_of(daerden, (0.0, 0.01, 0.02, 0.03, 0.04), noise=3.0, repeats=3)])
     (found,) = values(analysis, "D_0", SECTION).values()
@@ -149,7 +149,7 @@ def test_another_form_than_paper_3_has_no_parameters():
     assert all(e.value is None for e in values(tondu, "D_0", f"{SECTION}, alpha = 2").values())
 
 
-def test_what_the_specimen_tells_narrows_the_others():
+def test_what_the_specimen_shows_narrows_the_others():
     analysis = reduce([run_of(daerden, EPS, repeats=3, noise=3.0)])
     free = values(analysis, "alpha", SECTION)[None].parts.combined
     for name in ("D_0", "theta_0"):
@@ -191,7 +191,7 @@ def test_no_angle_in_the_specimen_no_corrected_force():
     assert values(without, "m", METHOD)
 
 
-def test_hysteresis_between_the_ramps_is_told_with_its_sign():
+def test_hysteresis_between_the_ramps_is_reported_with_its_sign():
     analysis = reduce([run_of(daerden, (0.0, 0.1), lag=8.0)])
     for found in values(analysis, "H", METHOD).values():
         assert found.value == pytest.approx(8.0, abs=0.2)
@@ -219,7 +219,7 @@ def test_both_sides_of_approach_give_the_friction_and_a_mean_that_has_none_of_it
         assert c.parts.repeats < 1.0  # the sides are one repeat, not two that scatter by 60 N
 
 
-def test_the_three_element_model_is_told_where_it_holds_and_doubted_where_not():
+def test_the_three_element_model_is_reported_where_it_holds_and_doubted_where_not():
     """F = 1.08 P - 49 - (5.6 + 1e-3 P + 9.7e-6 P^2) x (papers digest 5.1, kPa and mm)."""
 
     def paper0(P, x):
@@ -263,13 +263,13 @@ def test_muscles_that_are_slack_and_trials_that_lack_something_are_dropped_with_
 def test_flagged_and_missing_samples_do_not_enter():
     run = run_of(daerden, (0.0,))
     clean = values(reduce([run]), "m", METHOD)[0.0].value
-    spoilt = []
+    damaged = []
     for trial in run.trials:
         force, flags = trial.channels["force"].copy(), trial.flags.copy()
         force[500:520], flags[500:520] = 1e6, 4
         force[900:910], flags[900:910] = np.nan, 1
-        spoilt.append(replace(trial, channels={**trial.channels, "force": force}, flags=flags))
-    assert values(reduce([replace(run, trials=tuple(spoilt))]), "m", METHOD)[0.0].value == pytest.approx(
+        damaged.append(replace(trial, channels={**trial.channels, "force": force}, flags=flags))
+    assert values(reduce([replace(run, trials=tuple(damaged))]), "m", METHOD)[0.0].value == pytest.approx(
         clean, rel=1e-6
     )
 
@@ -301,14 +301,14 @@ def test_whatever_the_samples_are_there_are_sentences_and_no_numbers_without_sen
                     replace(t, channels={**t.channels, name: spoil(t.channels[name])}) if i < count else t
                     for i, t in enumerate(run.trials)
                 )
-                told = json.dumps(reduce([replace(run, trials=trials)]).to_dict(), allow_nan=False)
-                assert "traces" in told
+                reported = json.dumps(reduce([replace(run, trials=trials)]).to_dict(), allow_nan=False)
+                assert "traces" in reported
     lengths = (1, 2, 3, 60, 150, 2000, 3000, 5000)
     short = tuple(part(t, slice(n)) for n, t in zip(lengths, full.trials, strict=True))
     json.dumps(reduce([replace(full, trials=short)]).to_dict(), allow_nan=False)
 
 
-def test_nothing_at_all_is_told_as_such():
+def test_nothing_at_all_is_reported_as_such():
     empty = reduce([run_with([])])
     assert empty.estimates == ()
     (found,) = reduce_runs([run_with([])])

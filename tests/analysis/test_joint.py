@@ -95,7 +95,7 @@ def test_forms_that_hold_only_within_the_tested_pressures_are_enough():
     assert constant == pytest.approx(2900.0, rel=1e-3)
 
 
-def test_correlations_are_told():
+def test_correlations_are_reported():
     together = chosen().facts["joint"]["correlation"]
     matrix = np.array(together["matrix"])
     assert matrix.shape == (len(together["of"]), len(together["of"]))
@@ -121,7 +121,7 @@ def test_correlations_are_told():
         "k=line",
     ],
 )
-def test_what_is_no_form_is_told(text: str):
+def test_what_is_no_form_is_reported(text: str):
     with pytest.raises(UsageError, match="form over pressure"):
         asked([text])
 

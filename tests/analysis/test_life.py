@@ -20,10 +20,10 @@ from pmabench.store.analyses.results import Analysis, Estimate, Parts
 from pmabench.store.records import Event
 
 
-def events(*told):
+def events(*reported):
     """(t, kPa) commands, (t, "vent"), or (t, {data})."""
     made = []
-    for seq, (t, what) in enumerate(told):
+    for seq, (t, what) in enumerate(reported):
         if what in ("vent", "end", "prompt"):
             made.append(Event(seq, t, what, {}))
         else:
@@ -47,11 +47,11 @@ def test_a_vent_ends_the_time_at_pressure_and_a_dead_run_counts_to_its_last_even
 
 def test_strokes_of_a_driven_end_are_counted_apart():
     driven = {"output": "displacement", "value": 0.01}
-    told = events(
+    reported = events(
         (0.0, 300.0), (1.0, {**driven, "type": "sine", "cycles": 4}), (2.0, {**driven, "type": "ramp"}),
         (3.0, {**driven, "type": "ramp"}), (4.0, {**driven, "type": "set"}), (5.0, 0.0),
     )  # fmt: skip
-    assert use_of(told) == Use(1, 5.0, 5.0, 3e5)
+    assert use_of(reported) == Use(1, 5.0, 5.0, 3e5)
     odd = {"output": "pressure", "type": "set", "value": "x"}
     assert use_of(events((0.0, odd), (1.0, {**driven, "type": "sine", "cycles": None}))) == Use()
 
@@ -68,11 +68,11 @@ def test_cycles_add_up_in_order_of_time_and_a_specimen_file_may_know_of_more():
 def test_limits_are_the_mean_and_the_moving_range():
     """Mean 10.5, moving range 1: limits 10.5 +- 2.66; 13.2 is beyond, 13.1 is not."""
     base = [10.0, 11.0] * 6
-    told = chart([*base, 13.1, 13.2])
-    assert (told.centre, told.low, told.high) == (10.5, pytest.approx(7.84), pytest.approx(13.16))
-    assert told.beyond == (13,)
-    assert told.shifted is None
-    assert told.first_alarm == 13
+    reported = chart([*base, 13.1, 13.2])
+    assert (reported.centre, reported.low, reported.high) == (10.5, pytest.approx(7.84), pytest.approx(13.16))
+    assert reported.beyond == (13,)
+    assert reported.shifted is None
+    assert reported.first_alarm == 13
     assert chart(base[:4]) is None
     drifted = chart([*base, *[10.9] * 7])
     assert (drifted.beyond, drifted.shifted) == ((), 18)  # the last of the base lies above the centre, too
@@ -82,15 +82,15 @@ def test_limits_are_the_mean_and_the_moving_range():
 def analysis(run, K, half=20.0, kind="contraction-relaxation"):
     at = [{"pressure": P} for P in (2e5, 3e5, 4e5)]
     values = [Estimate("K", K, "N/m", "stiffness", "m", one, Parts(half)) for one in at]
-    beside = [Estimate("K", 1.0, "N/m", "stiffness", "other", at[0], Parts(half))]
+    next_to = [Estimate("K", 1.0, "N/m", "stiffness", "other", at[0], Parts(half))]
     rare = [Estimate("t_d", 0.04, "s", "time", "m"), Estimate("K", None, "N/m", "stiffness", "m", {"pressure": 5e5})]
-    return Analysis(kind, (run,), False, (*values, *beside, *rare), facts={"leak": 0.01})
+    return Analysis(kind, (run,), False, (*values, *next_to, *rare), facts={"leak": 0.01})
 
 
 def test_values_are_followed_by_the_first_method_and_one_place_is_shown():
     life = pasts([row("a", "2026-01-01"), row("b", "2026-02-01"), row("c", "2026-03-01")])
-    told = [analysis("c", 6600.0), analysis("a", 6900.0), analysis("a", 7000.0), analysis("x", 1.0)]
-    series = series_of(told, life)
+    reported = [analysis("c", 6600.0), analysis("a", 6900.0), analysis("a", 7000.0), analysis("x", 1.0)]
+    series = series_of(reported, life)
     assert [(one.first.symbol, one.first.method, len(one.moments)) for one in series] == [
         ("K", "m", 2), ("K", "m", 2), ("K", "m", 2), ("leak", "contraction-relaxation", 2),
     ]  # fmt: skip
@@ -103,7 +103,7 @@ def test_values_are_followed_by_the_first_method_and_one_place_is_shown():
     assert texts[1].startswith("K at 300 kPa: -5.7 % over 20 cycles, 2 values, last against first more than their")
 
 
-def test_runs_that_tell_no_command_are_counted_apart():
+def test_runs_that_show_no_command_are_counted_apart():
     life = pasts([row("a", "2026-01-01"), (*row("b", "2026-02-01")[:-1], Use())])
     assert any(f.text.startswith("1 of them commands no pressure") for f in findings(life, [], []))
     assert not any("of them" in f.text for f in findings(life[:1], [], []))
@@ -114,10 +114,10 @@ def test_reference_trials_that_leave_their_limits_are_doubted_with_the_date():
     moments = tuple((f"2026-01-{i + 1:02}", 10 * i, stroke, f"r/{i}") for i, stroke in enumerate(strokes))
     life = [Past("r", "2026-01-01", "k", "b", "finished", False, Use(), 0)]
     one = References((("load", 255.06), ("pressure", 3e5)), moments)
-    *_, told = findings(life, [], [one])
-    assert told.level == "doubt"
-    assert "reference trial at load 255.1 N, pressure 300 kPa: 13 times" in told.text
-    assert "1 beyond the control limits, first on 2026-01-13 after 120 cycles (r/12)" in told.text
+    *_, reported = findings(life, [], [one])
+    assert reported.level == "doubt"
+    assert "reference trial at load 255.1 N, pressure 300 kPa: 13 times" in reported.text
+    assert "1 beyond the control limits, first on 2026-01-13 after 120 cycles (r/12)" in reported.text
     *_, quiet = findings(life, [], [References(one.point, moments[:12])])
     assert (quiet.level, "all within" in quiet.text) == ("note", True)
 
@@ -129,11 +129,11 @@ def self_test(**leak):
 def test_the_leak_of_self_tests_is_followed_over_the_life():
     life = pasts([row("a", "2026-01-01"), row("b", "2026-02-01")])
     falls = {"a": 10.0, "b": 40.0}
-    told = [
+    reported = [
         leak_of(run, self_test(pressure=1e5, falls=rate, half_width=5.0), simulated=False)
         for run, rate in falls.items()
     ]
-    (leak,) = series_of(told, life)
+    (leak,) = series_of(reported, life)
     assert [(m.cycles, m.estimate.value, m.estimate.parts.combined) for m in leak.moments] == [
         (0, 10.0, 5.0),
         (10, 40.0, 5.0),

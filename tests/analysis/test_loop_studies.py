@@ -26,9 +26,9 @@ def study(method: str, seeds: range) -> dict[str, np.ndarray]:
     for seed in seeds:
         case = Case(seed)
         analysis = WAYS[method](case)
-        told = {e.symbol: e for e in analysis.estimates if e.method == method}
+        reported = {e.symbol: e for e in analysis.estimates if e.method == method}
         for symbol, truth in (("K_u", case.K_u), ("T_u", case.T_u)):
-            e = told[symbol]
+            e = reported[symbol]
             assert e.value is not None, f"seed {seed}: {e.note}"
             assert e.parts.combined is not None
             rows[symbol].append((e.value / truth - 1, e.parts.combined / truth, case.noise))

@@ -28,7 +28,7 @@ def values(found):
     return {u.name: u.value for u in found.unknowns}
 
 
-def told(found):
+def reported(found):
     return " ".join(f"{f.level}: {f.text}" for f in found.findings)
 
 
@@ -135,7 +135,7 @@ def test_section_is_identified_to_a_hundredth_of_its_curve():
     curve, half = found.band({"contraction": EPS})
     assert np.abs(curve - true).max() < 0.01 * true.max()
     assert (np.abs(curve - true) < 2 * half).all()
-    assert "correlated: diameter and braid_angle (+" in told(found)
+    assert "correlated: diameter and braid_angle (+" in reported(found)
 
 
 def test_rubber_term_is_identified_to_a_fiftieth_of_600_newtons():
@@ -242,7 +242,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 # -- what cannot be told -------------------------------------------------------------------------------------------
 
 
-def test_what_only_a_product_tells_is_not_identifiable():
+def test_what_only_a_product_shows_is_not_identifiable():
     """D0^2 l0 is all that the volume says of both."""
     y = volume(EPS, 0.021, 0.19, 25 * DEG, 2.6) * (1 + np.random.default_rng(3).normal(0, 1e-3, len(EPS)))
     found = fit("daerden-volume", "volume", {"contraction": EPS}, y, ["diameter", "length", "alpha"])
@@ -250,11 +250,11 @@ def test_what_only_a_product_tells_is_not_identifiable():
     assert by["diameter"].standard_error is None
     assert by["length"].ci95 is None
     assert by["alpha"].standard_error is not None
-    assert "diameter and length are not identifiable separately" in told(found)
+    assert "diameter and length are not identifiable separately" in reported(found)
     assert by["diameter"].value ** 2 * by["length"].value == pytest.approx(0.021**2 * 0.19, rel=1e-3)
 
 
-def test_what_changes_nothing_is_not_taken_as_unknown_and_told_where_it_is_asked_for():
+def test_what_changes_nothing_is_not_taken_as_unknown_and_reported_where_it_is_asked_for():
     columns = {"contraction": EPS}
     fixed = fixed_of("daerden-force", columns)
     names = list(MODELS["daerden-force"].fitted)
@@ -263,7 +263,7 @@ def test_what_changes_nothing_is_not_taken_as_unknown_and_told_where_it_is_asked
     assert acting(model, "rubber_force", names, {**fixed, **columns}) == ["A", "B1", "B2"]
     y = rubber(EPS, 700, 0.2, 0.05) + np.random.default_rng(4).normal(0, 2, len(EPS))
     found = fit("daerden-force", "rubber_force", columns, y, ["A", "B1", "B2", "alpha"])
-    assert "alpha is not identifiable: it changes nothing at these rows" in told(found)
+    assert "alpha is not identifiable: it changes nothing at these rows" in reported(found)
     assert values(found)["A"] == pytest.approx(700, rel=0.1)
 
 
@@ -272,7 +272,7 @@ def test_an_interval_that_the_data_leave_open_is_said():
     eps = np.linspace(0.1, 0.2, 8)
     y = rubber(eps, 800, 0.22, 0.04) + np.random.default_rng(2).normal(0, 3, len(eps))
     found = fit("daerden-force", "rubber_force", {"contraction": eps}, y, ["A", "B1", "B2"])
-    assert "correlated" in told(found) or "not identifiable" in told(found)
+    assert "correlated" in reported(found) or "not identifiable" in reported(found)
     assert any(u.ci95 is None or None in u.ci95 or u.note for u in found.unknowns)
 
 
@@ -282,13 +282,13 @@ def test_an_end_of_a_domain_is_said():
     found = fit("strand-stretch", "force", {"pressure": P, "contraction": H}, y, ["k_p", "k_s"])
     (k_s,) = (u for u in found.unknowns if u.name == "k_s")
     assert k_s.value == pytest.approx(1, abs=1e-6)
-    assert "k_s ended at the lower end of its domain" in told(found)
+    assert "k_s ended at the lower end of its domain" in reported(found)
 
 
 def test_rows_that_are_not_independent_are_said():
     y = rubber(EPS, 800, 0.22, 0.04) + 20 * np.sin(40 * EPS)
     found = fit("daerden-force", "rubber_force", {"contraction": EPS}, y, ["A", "B1", "B2"])
-    assert "residuals of neighbouring rows are alike" in told(found)
+    assert "residuals of neighbouring rows are alike" in reported(found)
 
 
 def test_a_start_where_nothing_moves_does_not_hold_the_fit():
@@ -313,4 +313,4 @@ def test_as_many_rows_as_unknowns_have_no_interval():
     found = fit("daerden-force", "rubber_force", {"contraction": eps}, rubber(eps, 700, 0.2, 0.05), ["A", "B1", "B2"])
     assert values(found) == pytest.approx({"A": 700, "B1": 0.2, "B2": 0.05}, rel=1e-4)
     assert all(u.ci95 is None for u in found.unknowns)
-    assert "nothing is left to take an interval from" in told(found)
+    assert "nothing is left to take an interval from" in reported(found)

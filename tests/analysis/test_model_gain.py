@@ -82,7 +82,7 @@ def test_the_loop_of_the_bench_comes_back_within_two_percent(analysis: Analysis,
     held(by_model(analysis, [38e-3, 44e-3], kg * 9.80665, kg, 0.002), 0.0955, kg)
 
 
-def test_without_set_points_it_is_told_at_the_rests_of_the_campaign(analysis: Analysis) -> None:
+def test_without_set_points_it_is_reported_at_the_rests_of_the_campaign(analysis: Analysis) -> None:
     """x = (F_ce - F_L) / K at the inner pressures, as 1.08 * 300 - 49 - 58.84 N over 6.773 N/mm."""
     found = by_model(analysis, [], 58.84, 6.0, 0.002)
     rests = sorted({e.at["setpoint"] for e in found.estimates})
@@ -97,7 +97,7 @@ def test_a_plant_without_friction_and_lag_has_no_doubt(tmp_path: Path) -> None:
     assert not [f for f in found.findings if f.level == "doubt"]
 
 
-def test_friction_is_told_as_a_doubt(analysis: Analysis) -> None:
+def test_friction_is_reported_as_a_doubt(analysis: Analysis) -> None:
     (doubt,) = (f.text for f in by_model(analysis, [40e-3], 0.0, 0.0, 0.0).findings if f.level == "doubt")
     assert "dry friction of 6" in doubt or "dry friction of 5.9" in doubt
 
@@ -140,7 +140,7 @@ def test_a_parabola_has_no_kink_and_a_line_with_one_none_elsewhere(P: float) -> 
         assert kink(points, P) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_kink_is_told_and_in_the_interval(analysis: Analysis) -> None:
+def test_a_kink_is_reported_and_in_the_interval(analysis: Analysis) -> None:
     """K falls by 10 N/mm per MPa up to 350 kPa and rises as much above: the slope at 350 kPa is either."""
     smooth = by_model(analysis, [38e-3], 0.0, 0.0, 0.0)
     bent = tuple(
@@ -160,7 +160,7 @@ def refused(analysis: Analysis, *setpoints: float) -> str:
     return str(error.value)
 
 
-def test_what_the_campaign_does_not_tell_is_refused_with_the_reason(analysis: Analysis, campaign: Path) -> None:
+def test_what_the_campaign_does_not_show_is_refused_with_the_reason(analysis: Analysis, campaign: Path) -> None:
     assert "no pressure from 250 to 450 kPa holds 200 mm under 0 N" in refused(analysis, 0.2)
     (without,) = reduce_runs([open_run(campaign)])
     assert "no dead time and no lag of the regulator; process the runs with --regulator" in refused(without, 40e-3)
@@ -178,10 +178,10 @@ def tune(*arguments: str) -> tuple[int, str]:
 def test_on_the_command_line(campaign: Path, tmp_path: Path) -> None:
     code, out = tune("--model", str(campaign), "--setpoint", "30 mm", "--load", "6 kg", "--json")
     assert code == 0
-    told = json.loads(out)
-    values = {e["symbol"]: e["value"] for e in told["ultimate"]}
+    reported = json.loads(out)
+    values = {e["symbol"]: e["value"] for e in reported["ultimate"]}
     assert values == pytest.approx(true(30e-3, 6 * 9.80665, 6.0, 0.0955), rel=0.02)
-    assert {"SIMC PI", "Ziegler-Nichols PID"} <= {s["rule"] for s in told["settings"]}
+    assert {"SIMC PI", "Ziegler-Nichols PID"} <= {s["rule"] for s in reported["settings"]}
     # an analysis folder gives the same, with the sample period told
     made = CliRunner().invoke(main, ["process", str(campaign), "--regulator", "--out", str(tmp_path), "-q"])
     assert made.exit_code == 0, made.output
@@ -191,7 +191,7 @@ def test_on_the_command_line(campaign: Path, tmp_path: Path) -> None:
     assert {e["symbol"]: e["value"] for e in json.loads(out)["ultimate"]} == pytest.approx(values, rel=1e-9)
 
 
-def test_what_was_typed_wrong_is_told(campaign: Path) -> None:
+def test_what_was_typed_wrong_is_reported(campaign: Path) -> None:
     run = str(campaign)
     for arguments, words in (
         (("--model",), "--model takes runs and nothing else"),

@@ -111,14 +111,14 @@ def test_steps_give_the_phase_equations_values(
     assert run.trials[0].point["load"] == pytest.approx(kilograms * 9.81)
     assert run.trials[0].point["mass"] == kilograms + 2.0
     analysis = reduce([run])
-    told = found(analysis)
-    assert told["K_u"].value == pytest.approx(K_u, rel=0.02)
-    assert told["T_u"].value == pytest.approx(T_u, rel=0.02)
+    reported = found(analysis)
+    assert reported["K_u"].value == pytest.approx(K_u, rel=0.02)
+    assert reported["T_u"].value == pytest.approx(T_u, rel=0.02)
     for symbol, truth in (("K_u", K_u), ("T_u", T_u)):
-        low, high = told[symbol].ci95
+        low, high = reported[symbol].ci95
         assert low < truth < high
         assert high - low < 0.1 * truth
-        assert told[symbol].at["setpoint"] == pytest.approx(x)
+        assert reported[symbol].at["setpoint"] == pytest.approx(x)
     assert "friction" not in texts(analysis, "doubt")
     (loop,) = analysis.facts["loops"]
     assert loop["dead_time"] == pytest.approx(0.041, abs=1e-3)
@@ -146,7 +146,7 @@ def free(tmp_path_factory: pytest.TempPathFactory) -> RunData:
     return recorded(tmp_path_factory.mktemp("free"), "mock", 0.03, at("mock", 0.03, 0.0, 2.0, 0.0955, True)[0], **FREE)
 
 
-def test_a_set_point_beside_the_bias_is_taken_by_the_curve_or_refused(free: RunData) -> None:
+def test_a_set_point_next_to_the_bias_is_taken_by_the_curve_or_refused(free: RunData) -> None:
     trial = free.trials[0]
     near = reduce([replace(free, trials=(replace(trial, point={**trial.point, "setpoint": 0.032}),))])
     _, K_u, T_u = at("mock", 0.032, 0.0, 2.0, 0.0955, True)
@@ -177,23 +177,23 @@ def test_what_cannot_be_used_gives_a_reason(free: RunData) -> None:
         assert all(e.value is None for e in analysis.estimates)
 
 
-def test_the_line_after_a_trial_tells_the_same(free: RunData) -> None:
-    told, doubts = measure(free, free.trials[0], None, Quick())
+def test_the_line_after_a_trial_shows_the_same(free: RunData) -> None:
+    reported, doubts = measure(free, free.trials[0], None, Quick())
     assert doubts == []
     found_there = examine(free, free.trials[0])
     assert found_there.loop is not None
-    assert [one.value for one in told] == [ultimate(found_there.loop).gain, ultimate(found_there.loop).period]
+    assert [one.value for one in reported] == [ultimate(found_there.loop).gain, ultimate(found_there.loop).period]
 
 
 def test_tune_prints_the_settings_of_recorded_steps(free: RunData) -> None:
-    told = CliRunner().invoke(main, ["tune", "--steps", free.path])
-    assert told.exit_code == 0, told.output
-    line = told.stdout.splitlines()[0]
+    reported = CliRunner().invoke(main, ["tune", "--steps", free.path])
+    assert reported.exit_code == 0, reported.output
+    line = reported.stdout.splitlines()[0]
     assert re.match(
         r"at setpoint 30 mm, load 0 N, bias .* kPa, mass 2 kg: K_u = 60\.\d+ kPa/mm \+- .* \(open-loop\)", line
     )
     for column in ("Ziegler-Nichols PI", "SIMC PID", "phase margin", "overshoot", "settling"):
-        assert column in " ".join(told.stdout.split())
+        assert column in " ".join(reported.stdout.split())
     data = json.loads(CliRunner().invoke(main, ["tune", "--steps", free.path, "--rule", "SIMC", "--json"]).stdout)
     assert {row["form"] for row in data["settings"]} == {"PI", "PID"}
     assert all(row["margins"]["M_s"] < 2.0 and 0.1 < row["settling"] < 2.0 for row in data["settings"])
@@ -208,9 +208,9 @@ def test_tune_refuses_runs_without_steps(free: RunData, tmp_path: Path) -> None:
         (["--steps", str(tmp_path)], "", 3),
         (["--ku", "7.1 bar/cm", "--tu", "9 s", "--rule", "SIMC"], "SIMC needs the loop itself", 2),
     ):
-        told = CliRunner().invoke(main, ["tune", *args])
-        assert told.exit_code == code, told.output
-        assert says in " ".join(told.output.split())
+        reported = CliRunner().invoke(main, ["tune", *args])
+        assert reported.exit_code == code, reported.output
+        assert says in " ".join(reported.output.split())
 
 
 @pytest.mark.parametrize("late", [-0.4e-3, 0.0, 0.4e-3])

@@ -246,7 +246,7 @@ def test_one_that_does_not_converge_gives_no_value_and_says_so(monkeypatch: pyte
     assert "coefficients of measured-pressure stand" in doubt.text
 
 
-def test_what_the_polish_moves_is_told(monkeypatch: pytest.MonkeyPatch):
+def test_what_the_polish_moves_is_reported(monkeypatch: pytest.MonkeyPatch):
     """A regression whose bias is left in is moved, and the worst ones are named with both values."""
     run = contraction_run(rig("paper0", "ideal"), FEW)
     found, _ = gather([run])
@@ -263,7 +263,7 @@ def test_what_the_polish_moves_is_told(monkeypatch: pytest.MonkeyPatch):
     assert np.abs(errors(analysis, PAPER0, "K", POLISHED)).max() < 1e-4
 
 
-def test_motion_in_pieces_too_short_is_told():
+def test_motion_in_pieces_too_short_is_reported():
     """A sample in 90 ms is flagged: no two segments follow one another."""
     run = contraction_run(rig(), FEW)
 
@@ -308,8 +308,8 @@ def test_process_polishes_where_it_is_asked(tmp_path: Path):
     result = CliRunner().invoke(main, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     (analysis,) = json.loads(result.stdout)["analyses"]
-    told = [e for e in analysis["estimates"] if e["method"] == POLISHED and e["value"] is not None]
-    assert {e["symbol"] for e in told} >= {"F_ce", "K", "B_c"}
+    reported = [e for e in analysis["estimates"] if e["method"] == POLISHED and e["value"] is not None]
+    assert {e["symbol"] for e in reported} >= {"F_ce", "K", "B_c"}
     assert analysis["facts"]["output_error"]["converged"] is True
     frame = pmabench.process(run.path, polish=True).to_frame()
     assert POLISHED in set(frame["method"])

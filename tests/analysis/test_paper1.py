@@ -221,7 +221,7 @@ def test_conventions_must_not_be_mixed_and_are_named():
     assert 1e3 * np.array(strokes) == pytest.approx([24.3, 42.4], abs=0.05)
 
 
-def test_relaxation_is_told_to_be_a_reduction_only():
+def test_relaxation_is_reported_as_a_reduction_only():
     analysis = reduce([single_steps()])
     notes = {e.note for e in analysis.estimates if e.symbol == "B_r" and e.method in METHODS.values()}
     assert all("before the release: a reduction only" in note for note in notes)
@@ -230,7 +230,7 @@ def test_relaxation_is_told_to_be_a_reduction_only():
     assert all(e.value is None and "relax in steps" in e.note for e in driven)
 
 
-def test_the_fit_with_the_measured_pressure_stands_beside_and_agrees_where_the_pressure_is_a_step():
+def test_the_fit_with_the_measured_pressure_is_next_to_and_agrees_where_the_pressure_is_a_step():
     analysis = reduce([single_steps()])
     for symbol in ("K", "B_c"):
         found = of(analysis, symbol, DRIVEN)
@@ -239,7 +239,7 @@ def test_the_fit_with_the_measured_pressure_stands_beside_and_agrees_where_the_p
     assert any("takes the pressure for a step" in f.text for f in analysis.findings)
 
 
-def test_accuracy_is_that_of_paper_1_and_the_residual_stands_beside():
+def test_accuracy_is_that_of_paper_1_and_the_residual_is_next_to():
     """With lines instead of polynomials the ends are missed by what the line through S misses."""
     analysis = reduce([single_steps(orders={"K": 1, "B_c": 1, "B_r": 1})])
     line = next(c for c in analysis.curves if (c.symbol, c.method, c.form) == ("K", METHODS["x0"], "order 1 in z"))
@@ -300,7 +300,7 @@ def test_a_step_below_1_bar_is_dropped_with_the_reason():
     assert all(c.domain[0] >= 1e5 for c in analysis.curves)
 
 
-def test_an_order_that_the_pressures_do_not_bear_is_told():
+def test_an_order_that_the_pressures_do_not_bear_is_reported():
     analysis = reduce([single_steps(PRESSURES[:4], orders={"K": 6})])
     assert any("order 6 through K" in f.text and "needs 7 pressures, there are 4" in f.text for f in analysis.findings)
     assert [c.form for c in analysis.curves if (c.symbol, c.method) == ("K", METHODS["x0"])] == ["line"]
@@ -357,7 +357,7 @@ def test_a_step_that_had_not_come_to_rest_is_doubted():
         {"orders": {"K": 0}}, {"orders": {"K": "many"}}, {"orders": 3},
     ],
 )  # fmt: skip
-def test_a_plan_that_does_not_tell_the_geometry_is_refused_in_a_sentence(change: dict[str, object]):
+def test_a_plan_that_does_not_show_the_geometry_is_refused_in_a_sentence(change: dict[str, object]):
     run = single_steps([3e5])
     asked = {**run.plan["settings"]["reduction"], **change}
     with pytest.raises(InvalidFile, match='the plan\'s "reduction" tells no radius'):
@@ -397,8 +397,8 @@ def test_no_curve_is_negative_anywhere_on_its_domain(stiff: list[float], damp: l
         for outside in (0.5e5, 0.0, 6.5e5):
             with pytest.raises(UsageError, match="means nothing outside"):
                 one.values(np.array(outside))
-    told = {c.symbol for c in curves if c.normalised}
-    assert all(symbol in told or any(symbol in f.text for f in findings) for symbol in ("K", "B_r"))
+    reported = {c.symbol for c in curves if c.normalised}
+    assert all(symbol in reported or any(symbol in f.text for f in findings) for symbol in ("K", "B_r"))
 
 
 def test_the_printed_damping_of_relaxation_would_be_negative_below_its_range():

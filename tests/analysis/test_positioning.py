@@ -174,8 +174,8 @@ def test_without_friction_nothing_hunts_and_no_error_is_left() -> None:
     analysis = reduced(held(28.8, 0.29, 0.03, friction=False))
     assert not any(e.symbol in ("x_pp", "T_c") for e in analysis.estimates)
     assert abs(number(value(analysis, "e_ss"))) < 1e-5
-    (told,) = [f.text for f in analysis.findings if "limit cycle" in f.text]
-    assert told.startswith("no limit cycle at 30 mm")
+    (reported,) = [f.text for f in analysis.findings if "limit cycle" in f.text]
+    assert reported.startswith("no limit cycle at 30 mm")
 
 
 # -- beside the simulation ---------------------------------------------------------------------------------------
@@ -210,8 +210,16 @@ def test_what_friction_kept_from_before_is_where_the_step_begins() -> None:
     after = t - 5.0
     rise = 1e-3 + 30e-3 * np.clip(after, 0, 1)
     x = np.where(after < 3, rise, 30e-3)
-    told = {"t0": 5.0, "t1": float(t[-1]), "setpoint": 0.03, "ended": "time", "K_p": 28.8e6, "T_i": 0.29, "T_d": 0.0}
-    law = {**told, "N": 10.0, "low": 0.0, "high": 6e5, "anti_windup": "clamping", "tracking": None, "start": 0.0}
+    reported = {
+        "t0": 5.0,
+        "t1": float(t[-1]),
+        "setpoint": 0.03,
+        "ended": "time",
+        "K_p": 28.8e6,
+        "T_i": 0.29,
+        "T_d": 0.0,
+    }
+    law = {**reported, "N": 10.0, "low": 0.0, "high": 6e5, "anti_windup": "clamping", "tracking": None, "start": 0.0}
     samples = {"t": t, "displacement": x, "pressure": 0 * t}
     trial = as_trial(samples, {"position": law}, setpoint=0.03, load=0.0, mass=2.0)
     analysis = reduced(trial, model=model())
@@ -223,8 +231,8 @@ def test_what_friction_kept_from_before_is_where_the_step_begins() -> None:
 
 
 def test_the_description_of_a_model_comes_back() -> None:
-    told = model()
-    assert Described.of(told).to_dict() == told
+    reported = model()
+    assert Described.of(reported).to_dict() == reported
 
 
 # -- what is not used --------------------------------------------------------------------------------------------

@@ -96,7 +96,7 @@ def test_without_a_mass_only_ratios_are_known(steps):
     assert "ratios only" in K.note
 
 
-def test_a_mass_that_rings_tells_the_time_between_the_channels_itself(steps):
+def test_a_mass_that_rings_shows_the_time_between_the_channels_itself(steps):
     analysis = recorded_steps.reduce(steps, {"late_by": [-0.03, 0.035]})
     found = [e for e in analysis.estimates if e.symbol in {"K", "B"} and e.value is not None]
     assert len(found) == 4
@@ -223,7 +223,7 @@ DEAD_ENDS = {
 
 @pytest.mark.parametrize("kind", DEAD_ENDS)
 def test_what_a_map_lacks_is_said_with_what_to_write(tmp_path, kind):
-    more, trials, told = DEAD_ENDS[kind]
+    more, trials, reported = DEAD_ENDS[kind]
     t = np.arange(0.0, 10.0, 0.01)
     P = 300 * np.sin(np.pi * t / 10)
     other = 5.0 + np.random.default_rng(1).normal(0, 1e-3, len(t)) if kind == "recorded-step" else 0.9 * P
@@ -236,7 +236,7 @@ def test_what_a_map_lacks_is_said_with_what_to_write(tmp_path, kind):
     )
     runs = runs_of([tmp_path / "a.csv"], tmp_path / "m.yaml", tmp_path / "runs")
     (said,) = verdicts(runs, reduce_runs(runs))
-    assert told in said
+    assert reported in said
 
 
 def test_a_sine_without_a_frequency_in_its_map_is_looked_at(tmp_path):
@@ -299,11 +299,13 @@ def test_a_recorded_pull_test_of_a_lab(tmp_path):
 
 def test_spikes_of_many_files_are_one_doubt_for_each_channel():
     def old(name, *channels):
-        told = [
+        reported = [
             {"level": "doubt", "kind": "spike", "channel": channel, "text": f"{channel}: alone"} for channel in channels
         ]
-        told.append({"level": "doubt", "kind": "dropout", "channel": "force", "text": "force: a cut wire"})
-        return replace(as_run("isometric", []), manifest={"imported": {"folder": "f", "file": name, "findings": told}})
+        reported.append({"level": "doubt", "kind": "dropout", "channel": "force", "text": "force: a cut wire"})
+        return replace(
+            as_run("isometric", []), manifest={"imported": {"folder": "f", "file": name, "findings": reported}}
+        )
 
     found = import_findings([old("a", "pressure"), old("b", "pressure", "force"), old("c", "pressure")])
     assert [f.text for f in found] == [

@@ -152,14 +152,14 @@ def test_one_load_gives_no_stiffness():
     assert [e for e in found.estimates if e.symbol in ("K", "B", "B_c") and e.value is not None] == []
 
 
-def test_a_cell_above_one_hanging_weight_tells_nothing_of_k():
+def test_a_cell_above_one_hanging_weight_shows_nothing_of_k():
     trials = [stepped.step(*levels, mass=8.0, K=K, B=1700.0, seed=n, cell=True) for n in range(2) for levels in LEVELS]
     found = reduced(trials)
     assert not [e for e in found.estimates if e.method == "cell-and-spring"]
     assert any("the force cell tells nothing of K here" in f.text for f in found.findings)
 
 
-def test_a_cell_and_a_spring_alone_tell_nothing_of_k():
+def test_a_cell_and_a_spring_alone_show_nothing_of_k():
     """The force is W + k x, whatever the muscle is."""
     trials = [stepped.step(*levels, mass=8.0, K=K, B=1700.0, spring=3e3, seed=n, cell=True)
               for n in range(2) for levels in LEVELS]  # fmt: skip

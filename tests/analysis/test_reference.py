@@ -41,10 +41,10 @@ def test_the_change_of_stroke_is_that_of_the_numbers_put_in():
 
 
 def test_drift_beyond_the_bound_is_a_doubt_and_less_is_a_note():
-    told = reference_findings([run(trial(0, FIRST), trial(5, FIRST * 1.019), trial(11, FIRST * 0.95, again=True))])
-    assert [one.level for one in told] == ["doubt", "note"]
-    assert "38 mm" in told[0].text
-    assert "-5.00%" in told[0].text
+    reported = reference_findings([run(trial(0, FIRST), trial(5, FIRST * 1.019), trial(11, FIRST * 0.95, again=True))])
+    assert [one.level for one in reported] == ["doubt", "note"]
+    assert "38 mm" in reported[0].text
+    assert "-5.00%" in reported[0].text
 
 
 def test_other_points_are_not_compared_and_flagged_samples_do_not_count():

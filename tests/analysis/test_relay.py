@@ -48,9 +48,9 @@ def values(analysis: Analysis) -> dict[tuple[str, str], float | None]:
 def test_the_fitted_loop_gives_the_phase_equations_values(x: float, T_r: float, same_B: bool) -> None:
     _, K_u, T_u = at(x, Plant51(regulator_lag=T_r, same_B=same_B), mean_B=not same_B)
     found = reduce([as_run("ultimate-gain", [muscle(x=x, regulator_lag=T_r, same_B=same_B)])])
-    told = values(found)
-    assert told["K_u", "relay-fit"] == pytest.approx(K_u, rel=0.03)
-    assert told["T_u", "relay-fit"] == pytest.approx(T_u, rel=0.01)
+    reported = values(found)
+    assert reported["K_u", "relay-fit"] == pytest.approx(K_u, rel=0.03)
+    assert reported["T_u", "relay-fit"] == pytest.approx(T_u, rel=0.01)
     for estimate, truth in zip(found.estimates[:2], (K_u, T_u), strict=True):
         assert estimate.ci95 is not None
         assert estimate.ci95[0] < truth < estimate.ci95[1]
@@ -64,10 +64,10 @@ def test_the_fitted_loop_gives_the_phase_equations_values(x: float, T_r: float, 
 def test_the_describing_function_is_what_its_equation_gives_for_a_linear_loop() -> None:
     """Gain and period of 4 d/(pi sqrt(a^2 - h^2)) on a loop with so much lag that harmonics hardly pass."""
     plant = LinearPlant(1.466e-7, 0.04, (0.0955, 0.247))
-    told = values(reduce([as_run("ultimate-gain", [swing(plant, 0.0, 0.0, hysteresis=[1e-5, 2e-5])])]))
+    reported = values(reduce([as_run("ultimate-gain", [swing(plant, 0.0, 0.0, hysteresis=[1e-5, 2e-5])])]))
     K_u, T_u = theory(1.466e-7, 0.041, 0.0955, 0.247)
-    assert told["K_u", "relay-describing-function"] == pytest.approx(K_u, rel=0.10)
-    assert told["T_u", "relay-describing-function"] == pytest.approx(T_u, rel=0.05)
+    assert reported["K_u", "relay-describing-function"] == pytest.approx(K_u, rel=0.10)
+    assert reported["T_u", "relay-describing-function"] == pytest.approx(T_u, rel=0.05)
 
 
 def test_an_asymmetric_relay_gives_the_static_gain_of_a_linear_loop() -> None:
@@ -88,13 +88,13 @@ def seen_as_stiction(trial: TrialData) -> bool:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_stiction_is_told_from_a_linear_loop(seed: int) -> None:
+def test_stiction_is_distinguished_from_a_linear_loop(seed: int) -> None:
     assert seen_as_stiction(muscle(seed, friction=10.0))
     assert not seen_as_stiction(muscle(seed, same_B=False))
 
 
 @pytest.mark.study
-def test_stiction_is_told_in_20_of_20_and_in_none_of_20_without() -> None:
+def test_stiction_is_reported_in_20_of_20_and_in_none_of_20_without() -> None:
     places = (0.01, 0.02, 0.03, 0.04, 0.06)
     sticky = [muscle(seed, places[seed % 5], friction=10.0, same_B=seed % 2 == 0) for seed in range(20)]
     free = [muscle(seed, places[seed % 5], same_B=seed % 2 == 0) for seed in range(20)]
@@ -115,9 +115,9 @@ def test_a_kink_within_the_swing_is_not_called_stiction() -> None:
 def test_the_mass_that_hangs_is_in_the_fitted_loop() -> None:
     case = next(c for c in (Case(seed, 0.0, "paper0", 0.02) for seed in range(50)) if c.mass == 12.0)
     found = case.relay(2e4)
-    told = values(found)
-    assert told["K_u", "relay-fit"] == pytest.approx(case.K_u, rel=0.03)
-    assert told["T_u", "relay-fit"] == pytest.approx(case.T_u, rel=0.015)
+    reported = values(found)
+    assert reported["K_u", "relay-fit"] == pytest.approx(case.K_u, rel=0.03)
+    assert reported["T_u", "relay-fit"] == pytest.approx(case.T_u, rel=0.015)
     (loop,) = found.facts["loops"]
     assert len(loop["lags"]) == 3
 
@@ -125,10 +125,10 @@ def test_the_mass_that_hangs_is_in_the_fitted_loop() -> None:
 def test_ways_that_disagree_are_doubted_and_held_against_the_fitted_loop() -> None:
     case = Case(3, 0.0, "paper0", 0.03)
     steps, relay = case.stepped(), case.relay(2e4)
-    told = [*steps.estimates, *relay.estimates]
+    reported = [*steps.estimates, *relay.estimates]
     loops = steps.facts["loops"]
-    assert [f.level for f in ways(told, loops)] == ["note"] * 3
-    off = [replace(e, value=e.value * 1.4) if e.method == "relay-fit" else e for e in told]
+    assert [f.level for f in ways(reported, loops)] == ["note"] * 3
+    off = [replace(e, value=e.value * 1.4) if e.method == "relay-fit" else e for e in reported]
     said = ways(off, loops)
     assert "stiction" in next(f.text for f in said if f.level == "doubt" and f.text.startswith("K_u at 30 mm"))
     assert any(f.level == "doubt" and f.text.startswith("relay-fit against the loop of open-loop") for f in said)
@@ -137,9 +137,9 @@ def test_ways_that_disagree_are_doubted_and_held_against_the_fitted_loop() -> No
 def test_both_ways_of_one_set_point_stand_side_by_side() -> None:
     stepped, K_u, _ = clean()
     found = reduce([as_run("ultimate-gain", [stepped, muscle()])])
-    told = values(found)
-    assert told["K_u", "gain-steps"] == pytest.approx(K_u, rel=0.02)
-    assert told["K_u", "relay-fit"] == pytest.approx(K_u, rel=0.03)
+    reported = values(found)
+    assert reported["K_u", "gain-steps"] == pytest.approx(K_u, rel=0.02)
+    assert reported["K_u", "relay-fit"] == pytest.approx(K_u, rel=0.03)
     assert len({entry["rule"] for entry in found.facts["tuning"]}) == len(found.facts["tuning"])
     assert "gain-steps), " in texts(found, "note")
 
@@ -157,18 +157,18 @@ def test_what_cannot_be_used_is_dropped_with_its_reason() -> None:
     found = reduce([as_run("ultimate-gain", [replace(trial, found={"ultimate-gain": one})])])
     assert "needed to see friction" in texts(found, "doubt")
     blind = {name: column for name, column in trial.channels.items() if name != "pressure"}
-    told = values(reduce([as_run("ultimate-gain", [replace(trial, channels=blind)])]))
-    assert told["K_u", "relay-fit"] is None
-    assert told["K_u", "relay-describing-function"] is not None
+    reported = values(reduce([as_run("ultimate-gain", [replace(trial, channels=blind)])]))
+    assert reported["K_u", "relay-fit"] is None
+    assert reported["K_u", "relay-describing-function"] is not None
 
 
 def test_the_shipped_protocol_on_the_simulated_bench_without_friction(tmp_path: Path) -> None:
     """docs/papers.md, row 13: mass over damping is a lag of 1.3 ms beside dead time, regulator and tau."""
     K_u, T_u = theory(0.1466e-6, 0.041, 0.0955, 0.247, 0.0013)
     found = analysed(tmp_path, "ultimate-gain-relay", "mock-linear", settings=[("sweep.repeat.count", "1")])
-    told = values(found)
-    assert told["K_u", "relay-fit"] == pytest.approx(K_u, rel=0.02)
-    assert told["T_u", "relay-fit"] == pytest.approx(T_u, rel=0.01)
+    reported = values(found)
+    assert reported["K_u", "relay-fit"] == pytest.approx(K_u, rel=0.02)
+    assert reported["T_u", "relay-fit"] == pytest.approx(T_u, rel=0.01)
     assert {trace.figure for trace in found.traces} == {"relay"}
 
 

@@ -97,7 +97,7 @@ def test_dry_friction_that_ends_the_swinging_gives_none():
 @pytest.mark.parametrize("friction", [0.0, 4.0])
 @pytest.mark.parametrize("pull", [straight, braided])
 @pytest.mark.parametrize(("before", "after"), [(350e3, 450e3), (450e3, 350e3)])
-def test_the_lag_of_a_damped_motion_holds_what_cannot_be_told_of_it(pull, before, after, friction):
+def test_the_lag_of_a_damped_motion_holds_what_cannot_be_known_of_it(pull, before, after, friction):
     """By one form alone B/K was 8 % off, with an interval of 3 %."""
     trial = rung(pull, before, after, M=40.0, B=lambda P: 700.0 + 1e-3 * P, friction=friction, lag=0.03)
     analysis = reduce([as_run("recorded-step", [trial])])

@@ -160,7 +160,7 @@ def foreign(own, kind, tmp_path, *columns, trials="{by: column}"):
     names = ["t", "p", "x", *columns]
     frame = pd.DataFrame({name: table[FOREIGN[name][0]] * FOREIGN[name][1] for name in names})
     frame.to_csv(tmp_path / "log.csv", index=False)
-    told = {
+    reported = {
         "F": FORCE,
         "p_set": P_SET,
         "x_set": X_SET,
@@ -168,7 +168,7 @@ def foreign(own, kind, tmp_path, *columns, trials="{by: column}"):
         "load": "  load: {is: point, of: load, unit: N}",
         "mass": "  mass: {is: point, of: mass, unit: kg}",
     }
-    text = COLUMNS.format(kind=kind, more="\n".join(told[name] for name in columns), trials=trials)
+    text = COLUMNS.format(kind=kind, more="\n".join(reported[name] for name in columns), trials=trials)
     return back(tmp_path, text, "log.csv")
 
 

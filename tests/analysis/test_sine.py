@@ -68,7 +68,7 @@ def test_ideal_loops_enclose_what_damping_loses() -> None:
         assert number(ideal(), "phi", "sine-harmonic", frequency=frequency) == pytest.approx(phase, rel=1e-3)
 
 
-def test_mean_force_tells_f_ce_though_friction_and_two_dampings_move_it() -> None:
+def test_mean_force_shows_f_ce_though_friction_and_two_dampings_move_it() -> None:
     """At 3 Hz B_r - B_c of 440 N.s/m shifts the mean force by 440 omega A / pi = 13 N: the line over speed ends that."""
     assert number(ideal(), "F", "sine-mean") == pytest.approx(F_CE - K * 0.01, rel=1e-3)
     found = value(analysis_of(BENCH.trials(repeats=2, mean=0.004)), "F_ce", "sine-mean")
@@ -99,7 +99,7 @@ def test_one_trial_of_one_cycle_gives_no_force() -> None:
         assert empty.note == "no repeats part: one trial of one cycle"
 
 
-def test_f_ce_is_told_for_the_set_pressure_where_its_slope_is_known() -> None:
+def test_f_ce_is_reported_for_the_set_pressure_where_its_slope_is_known() -> None:
     """The regulator stands 2 kPa low at both pressures, 1.01 N/kPa."""
     trials = []
     for P in (3e5, 4e5):
@@ -180,8 +180,8 @@ def test_pressure_that_swings_along_is_taken_off() -> None:
     alone = analysis_of(moved.trials())
     assert "give force_per_pressure" in alone.findings[0].text
     assert number(alone, "K", "sine-harmonic") == pytest.approx(K + 1.01e-3 * 1e6, rel=5e-3)
-    told = reduce([as_run("sinusoidal-displacement", moved.trials())], {"force_per_pressure": 1.01e-3})
-    assert number(told, "K", "sine-harmonic") == pytest.approx(K, rel=5e-3)
+    reported = reduce([as_run("sinusoidal-displacement", moved.trials())], {"force_per_pressure": 1.01e-3})
+    assert number(reported, "K", "sine-harmonic") == pytest.approx(K, rel=5e-3)
 
 
 def test_what_cannot_be_used_is_dropped_with_its_reason() -> None:
@@ -212,7 +212,7 @@ def test_what_cannot_be_used_is_dropped_with_its_reason() -> None:
     }
 
 
-def test_one_frequency_cannot_tell_damping_from_friction() -> None:
+def test_one_frequency_cannot_show_damping_from_friction() -> None:
     found = analysis_of([Muscle51().trial(0, 1.0, 11)])
     assert value(found, "B", "sine-harmonic").value is None
     assert "one frequency only" in value(found, "F_c", "sine-harmonic").note
@@ -224,7 +224,7 @@ def test_one_frequency_cannot_tell_damping_from_friction() -> None:
     assert "model" in next(trace for trace in ideal().traces if trace.figure == "loop").columns
 
 
-def test_a_wrong_sign_and_a_bent_sine_are_told() -> None:
+def test_a_wrong_sign_and_a_bent_sine_are_reported() -> None:
     swapped = [
         replace(t, channels={**t.channels, "displacement": 0.02 - t.channels["displacement"]})
         for t in Muscle51().trials()

@@ -23,14 +23,14 @@ def given():
 def trial(index, pressure, frequency, cycles=4, ideal=False, rate=200.0):
     t = np.arange(0.0, cycles / frequency, 1 / max(rate, 60 * frequency))
     values = {**given(), "frequency": np.float64(frequency), "pressure_set": np.float64(pressure)}
-    told = dict(driven_chamber(time=t, **values))
+    reported = dict(driven_chamber(time=t, **values))
     if ideal:
         muscle = {name: values[name] for name in ("diameter", "braid_angle", "alpha", "A", "B1", "B2")}
-        told["pressure"] = np.full(len(t), pressure)
-        told["force"] = daerden_force(pressure=pressure, contraction=told["contraction"], **muscle)["force"]
+        reported["pressure"] = np.full(len(t), pressure)
+        reported["force"] = daerden_force(pressure=pressure, contraction=reported["contraction"], **muscle)["force"]
     mean, amplitude = LENGTH * (LOW + HIGH) / 2, LENGTH * (HIGH - LOW) / 2
     up = np.sin(2 * np.pi * frequency * t) > 0
-    F = told["force"] - np.where(up, 30.0, -30.0)
+    F = reported["force"] - np.where(up, 30.0, -30.0)
     point = {
         "pressure": pressure,
         "frequency": frequency,
@@ -40,7 +40,7 @@ def trial(index, pressure, frequency, cycles=4, ideal=False, rate=200.0):
     }
     about = {"amplitude": amplitude, "frequency": frequency, "cycles": cycles}
     command = Command(100.0 * index, "displacement", "sine", mean, mean, "sine", about)
-    channels = {"displacement": told["contraction"] * LENGTH, "force": F, "pressure": told["pressure"]}
+    channels = {"displacement": reported["contraction"] * LENGTH, "force": F, "pressure": reported["pressure"]}
     return TrialData(
         run="r1", index=index, point=point, repeat=0, reference=False, status="finished", t=t + 100.0 * index,
         channels=channels, flags=np.zeros(len(t), dtype=np.uint16), commands=(command,), found={},
@@ -64,8 +64,8 @@ def one(analysis, symbol, method, side, frequency, pressure=5e5):
 
 @pytest.mark.parametrize(("frequency", "contracting", "expanding"), [(0.1, -2.8e3, 5.6e3), (1.0, -26e3, 60e3)])
 def test_the_pressure_is_low_while_contracting_and_higher_while_expanding(paper3, frequency, contracting, expanding):
-    told = [one(paper3, "P_err", "pressure error", side, frequency) for side in ("contracting", "expanding")]
-    assert told == pytest.approx([contracting, expanding], rel=0.03)
+    reported = [one(paper3, "P_err", "pressure error", side, frequency) for side in ("contracting", "expanding")]
+    assert reported == pytest.approx([contracting, expanding], rel=0.03)
 
 
 def test_the_force_is_worse_while_expanding_with_the_set_pressure_and_mended_by_the_measured_one(paper3):
@@ -80,7 +80,7 @@ def test_the_force_is_worse_while_expanding_with_the_set_pressure_and_mended_by_
     assert "while expanding at 1 Hz and 500 kPa" in sentence
 
 
-def test_an_ideal_source_makes_no_difference_and_none_is_told():
+def test_an_ideal_source_makes_no_difference_and_none_is_reported():
     trials = [trial(0, 3e5, 0.05, ideal=True), trial(1, 5e5, 0.05, ideal=True), trial(2, 5e5, 1.0, 6, ideal=True)]
     found = reduce([as_run("sinusoidal-displacement", trials, {"discard": 2})])
     assert not [f.text for f in found.findings if "ideal source" in f.text]

@@ -120,7 +120,7 @@ def test_one_device_has_no_skew_and_its_own_clock_changes_nothing() -> None:
         (ClockInfo(uncertainty=1e-4, how="host arrivals"), ClockInfo(uncertainty=1e-4, how="host arrivals"), False),
     ],
 )
-def test_times_that_nothing_bounds_are_told(daq: ClockInfo, cell: ClockInfo, doubted: bool) -> None:
+def test_times_that_nothing_bounds_are_reported(daq: ClockInfo, cell: ClockInfo, doubted: bool) -> None:
     """Of two devices, one at least is only said to keep the run's time, or stamps samples as they come in."""
     run = with_clocks(as_run("sinusoidal-displacement", sines()), "force", 1e-4)
     found = sine.reduce([replace(run, clocks={"daq": daq, "cell": cell})])
@@ -176,19 +176,19 @@ def delayed(run: RunData, name: str, first: float, last: float) -> RunData:
     return replace(run, trials=tuple(trials))
 
 
-def told(analysis: Analysis, method: str = "measured-pressure") -> dict[tuple[Any, ...], Estimate]:
+def reported(analysis: Analysis, method: str = "measured-pressure") -> dict[tuple[Any, ...], Estimate]:
     return {(e.symbol, e.coordinate, *sorted(e.at.items())): e for e in analysis.estimates if e.method == method}
 
 
 def test_step_fits_have_the_skew_of_the_pressure_in_every_interval() -> None:
     """What a pressure that is 20 ms late or early, or drifts from one to the other, does is what the part says."""
-    plain = told(contraction.reduce([strokes()]))
+    plain = reported(contraction.reduce([strokes()]))
     off = [
-        told(contraction.reduce([with_clocks(delayed(strokes(), "pressure", first, last), "pressure", 0.02)]))
+        reported(contraction.reduce([with_clocks(delayed(strokes(), "pressure", first, last), "pressure", 0.02)]))
         for first in (0.02, -0.02)
         for last in (0.02, -0.02)
     ]
-    found = told(contraction.reduce([with_clocks(strokes(), "pressure", 0.02)]))
+    found = reported(contraction.reduce([with_clocks(strokes(), "pressure", 0.02)]))
     seen = 0
     for key, e in found.items():
         if e.value is None or plain[key].value is None:
@@ -205,10 +205,10 @@ def test_step_fits_have_the_skew_of_the_pressure_in_every_interval() -> None:
 
 
 def test_dead_times_have_the_skew_itself() -> None:
-    found = told(contraction.reduce([with_clocks(strokes(), "pressure", 0.002)]), "onset")
+    found = reported(contraction.reduce([with_clocks(strokes(), "pressure", 0.002)]), "onset")
     for key, e in found.items():
         assert e.parts.skew == (0.0 if key[1] == "command-to-motion" else 0.002), key
-    late = told(contraction.reduce([with_clocks(strokes(), "pressure", 0.2)]), "onset")
+    late = reported(contraction.reduce([with_clocks(strokes(), "pressure", 0.2)]), "onset")
     for key, e in late.items():
         assert (e.value is None) == (key[1] != "command-to-motion"), key
         assert e.value is not None or "pressure" in e.note
@@ -217,7 +217,7 @@ def test_dead_times_have_the_skew_itself() -> None:
 def test_a_skew_of_100_ms_leaves_no_damping_where_the_pressure_changes() -> None:
     found = contraction.reduce([with_clocks(strokes(), "pressure", 0.1)])
     for symbol in ("B_c", "B_r"):
-        e = told(found)[symbol, "", ("pressure", 300e3)]
+        e = reported(found)[symbol, "", ("pressure", 300e3)]
         assert e.value is None
         assert "may be 100 ms apart" in e.note
     assert any("withheld: pressure, displacement and force may be 100 ms apart" in f.text for f in found.findings)
@@ -225,7 +225,7 @@ def test_a_skew_of_100_ms_leaves_no_damping_where_the_pressure_changes() -> None
 
 def test_a_run_of_steps_on_two_clocks_gives_what_one_clock_gives(tmp_path: Path) -> None:
     run = record(tmp_path, "contraction-relaxation", strokes().trials, ["pressure"])
-    plain, found = told(contraction.reduce([strokes()])), told(contraction.reduce([run]))
+    plain, found = reported(contraction.reduce([strokes()])), reported(contraction.reduce([run]))
     compared = 0
     for key, e in found.items():
         if e.value is not None and plain[key].value is not None:
@@ -235,7 +235,7 @@ def test_a_run_of_steps_on_two_clocks_gives_what_one_clock_gives(tmp_path: Path)
     assert compared >= 5
 
 
-def test_the_dead_time_of_an_identified_loop_is_told_as_far_as_the_clocks_allow() -> None:
+def test_the_dead_time_of_an_identified_loop_is_reported_as_far_as_the_clocks_allow() -> None:
     trial, K_u, _ = clean()
     run = as_run("ultimate-gain", [trial])
     (loop,) = reduce_gain([with_clocks(run, "pressure", 0.002)]).facts["loops"]

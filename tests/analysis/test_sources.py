@@ -43,19 +43,19 @@ def fitted(run: RunData) -> tuple[Pooled, dict[Key, Estimate]]:
     assert found is not None
     pooled = pool(found, {"replays": 0})
     assert pooled is not None
-    told = estimates_of(found, pooled)[0]
-    return pooled, {(e.symbol, e.at.get("pressure", 0.0)): e for e in told if e.value is not None}
+    reported = estimates_of(found, pooled)[0]
+    return pooled, {(e.symbol, e.at.get("pressure", 0.0)): e for e in reported if e.value is not None}
 
 
 @cache
 def base() -> RunData:
     run = campaign(1, ())
-    told = {
+    reported = {
         name: replace(info, offset_uncertainty=OFFSETS[name], gain_uncertainty=GAIN) if name in OFFSETS else info
         for name, info in run.channels.items()
     }
     check = {"channels": {name: {"reading": drift, "drift": drift} for name, drift in DRIFTS.items()}}
-    return replace(run, channels=told, events=(Event(1, 300.0, "zero-check", check),))
+    return replace(run, channels=reported, events=(Event(1, 300.0, "zero-check", check),))
 
 
 DRIFTS = {"pressure": 1500.0, "force": 1.0}
@@ -150,8 +150,8 @@ def ratios(noise: dict[str, float], counts: dict[str, float]) -> dict[Key, float
         rows = list(executor.map(partial(drawn, noise, counts), range(DRAWS), chunksize=10))
     found = {}
     for key in WANTED:
-        values, told = np.array([row[key] for row in rows if key in row]).T
-        found[key] = float(np.sqrt(np.mean(told**2)) / np.std(values, ddof=1))
+        values, reported = np.array([row[key] for row in rows if key in row]).T
+        found[key] = float(np.sqrt(np.mean(reported**2)) / np.std(values, ddof=1))
         print(f"{key[0]:5s}{key[1] / 1e3:5.0f} {found[key]:7.3f}")
     return found
 

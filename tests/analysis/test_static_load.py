@@ -136,7 +136,7 @@ def test_traces_show_points_and_lifts():
         assert trace.marks["set-down"] < trace.marks["lift"]
 
 
-def told_stiffness(*points: tuple[float, float, float]) -> dict[str, object]:
+def reported_stiffness(*points: tuple[float, float, float]) -> dict[str, object]:
     return {"stiffness": {"from": "contraction-relaxation", "points": [list(point) for point in points]}}
 
 
@@ -166,16 +166,16 @@ def of_results(x: float) -> list[TrialData]:
 
 def test_where_the_way_down_is_not_recorded_k_of_another_test_carries_set_down_to_x_0():
     run = replace(study("ideal")[0], trials=tuple(of_results(0.5e-3)))
-    alone, beside = reduce([run]), reduce([run], told_stiffness((2e5, 20e3, 400.0)))
-    assert at(beside, "static-mean") == pytest.approx({P: 1e-3 * P for P in (1e5, 1.5e5, 2e5, 2.5e5, 3e5)})
+    alone, next_to = reduce([run]), reduce([run], reported_stiffness((2e5, 20e3, 400.0)))
+    assert at(next_to, "static-mean") == pytest.approx({P: 1e-3 * P for P in (1e5, 1.5e5, 2e5, 2.5e5, 3e5)})
     assert at(alone, "static-mean")[2e5] == pytest.approx(195.0)
     assert any("process a test of K together" in f.text for f in alone.findings)
-    assert at(beside, "static-lift") == pytest.approx(at(alone, "static-lift")), "the paper's own sides stay as found"
+    assert at(next_to, "static-lift") == pytest.approx(at(alone, "static-lift")), "the paper's own sides stay as found"
 
 
 def test_a_k_that_is_uncertain_widens_f_ce():
     run = replace(study("ideal")[0], trials=tuple(of_results(0.5e-3)))
-    narrow, wide = (reduce([run], told_stiffness((2e5, 20e3, half))) for half in (0.0, 8000.0))
+    narrow, wide = (reduce([run], reported_stiffness((2e5, 20e3, half))) for half in (0.0, 8000.0))
     first, second = (next(e for e in a.estimates if e.method == "static-mean" and e.at) for a in (narrow, wide))
     assert second.value == pytest.approx(first.value)
     assert second.parts.method == pytest.approx(first.parts.method + 2.0, abs=0.05), "half of 8 N/mm times 0.5 mm"
@@ -210,7 +210,7 @@ SLOW = stops([0.2e-3, 1e-3, 3e-3, 8e-3])
     (turning(6e-3), 12e-3, 7.0), (SLOW, 12e-3, 16.0), (turning(1.5e-3), 6e-3, 7.0), (turning(3e-3), 6e-3, 20.0),
     (SLOW, 6e-3, 30.0),
 ])  # fmt: skip
-def test_what_the_ends_of_a_stroke_keep_of_hysteresis_is_told_by_its_loop(after, stroke, widest):
+def test_what_the_ends_of_a_stroke_keep_of_hysteresis_is_reported_by_its_loop(after, stroke, widest):
     """10 N of it, dry friction of 2 N, noise of 0.2 N: the mean of lift and set-down is higher by what is at the ends."""
     rng, s = np.random.default_rng(3), 2.6e-3
     x = np.linspace(0.0, stroke, 2001)

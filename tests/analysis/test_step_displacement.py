@@ -62,10 +62,10 @@ def test_the_pressure_comes_back_as_the_chamber_does(paper3, step, x, conductanc
     eps, theta = x / 0.2, radians(25.0)
     V = pi / 4 * 0.02**2 * 0.2 * (1 / sin(theta) ** 2 - (1 - eps) ** 2.6 / tan(theta) ** 2) * (1 - eps)
     found = reduce([paper3])
-    told = one(found, "tau_p", "step, recovery", step=step)
+    reported = one(found, "tau_p", "step, recovery", step=step)
     tau = V / (1.2 * 287.0 * 293.0 * conductance)
-    assert told.value == pytest.approx(tau, rel=0.12)
-    assert told.ci95[0] <= tau <= told.ci95[1]
+    assert reported.value == pytest.approx(tau, rel=0.12)
+    assert reported.ci95[0] <= tau <= reported.ci95[1]
     assert one(found, "tau_F", "step, recovery", step=step).value == pytest.approx(tau, rel=0.15)
     assert one(found, "P_err", "step, peak", step=step).value * step < 0, "it falls while contracting"
     stiff = one(found, "K", "step, peak", step=step).value

@@ -88,12 +88,12 @@ def test_simc_by_the_half_rule() -> None:
     loop = Loop(2.0, 1.0, (10.0, 2.0, 0.4))
     true = ultimate(loop)
     by_rule = {g.rule.title: g for g in tune(*pair(true.gain, true.period), loop=loop)}
-    told = {e.symbol: e.value for e in by_rule["SIMC PI"].estimates}  # tau_1 = 11, theta = 1 + 1 + 0.4
-    assert told == pytest.approx({"K_p": 11 / (2 * 2 * 2.4), "T_i": 11.0, "K_i": 1 / (2 * 2 * 2.4)})
-    told = {e.symbol: e.value for e in by_rule["SIMC PID"].estimates}  # tau_1 = 10, tau_2 = 2.2, theta = 1.2
+    reported = {e.symbol: e.value for e in by_rule["SIMC PI"].estimates}  # tau_1 = 11, theta = 1 + 1 + 0.4
+    assert reported == pytest.approx({"K_p": 11 / (2 * 2 * 2.4), "T_i": 11.0, "K_i": 1 / (2 * 2 * 2.4)})
+    reported = {e.symbol: e.value for e in by_rule["SIMC PID"].estimates}  # tau_1 = 10, tau_2 = 2.2, theta = 1.2
     series, tau_i, tau_d = 10 / (2 * 2 * 1.2), 8 * 1.2, 2.2
     f = 1 + tau_d / tau_i
-    assert told == pytest.approx(
+    assert reported == pytest.approx(
         {"K_p": series * f, "T_i": tau_i * f, "T_d": tau_d / f, "K_i": series / tau_i, "K_d": series * tau_d}
     )
 

@@ -131,7 +131,7 @@ def test_the_loop_behind_is_identified() -> None:
     assert sorted(loop["lags"])[-2:] == pytest.approx([0.0955, 0.247], rel=0.06)
 
 
-def test_settings_of_every_rule_stand_beside_it() -> None:
+def test_settings_of_every_rule_are_next_to_it() -> None:
     trial, K_u, T_u = clean()
     settings = reduce([as_run("ultimate-gain", [trial])]).facts["tuning"]
     chosen = next(s for s in settings if s["rule"] == "Ziegler-Nichols PI")

@@ -42,8 +42,8 @@ def model(stiffer: float = 0.0) -> dict[str, Any]:
     return Described(replace(IDEAL.muscle, K=harder), IDEAL.regulator, "the preset", (0.0, 1e6)).to_dict()
 
 
-def run(*trials: TrialData, **told: Any) -> RunData:
-    return as_run("validation", trials, {"window": [8.0, 10.0], **told})
+def run(*trials: TrialData, **settings: Any) -> RunData:
+    return as_run("validation", trials, {"window": [8.0, 10.0], **settings})
 
 
 def value(analysis: Analysis, symbol: str, pressure: float, method: str = MEASURED) -> Estimate:
@@ -103,8 +103,8 @@ def test_the_denominator_is_the_measured_contraction() -> None:
     analysis = reduce([run(trial(300e3, off=1e-3), model=model())])
     true = (1.08 * 300 - 49.0) / (5.6 + 0.3 + 9.7e-6 * 300**2) * 1e-3
     assert value(analysis, "e_ss", 300e3).value == pytest.approx(-1e-3 / (true + 1e-3), rel=1e-3)
-    (told,) = [f.text for f in analysis.findings if f.text.startswith(MEASURED)]
-    assert "mean from 8 s to 10 s after the step, over the measured contraction" in told
+    (reported,) = [f.text for f in analysis.findings if f.text.startswith(MEASURED)]
+    assert "mean from 8 s to 10 s after the step, over the measured contraction" in reported
 
 
 def test_what_cannot_be_compared_is_dropped_with_the_reason(trials: tuple[TrialData, ...]) -> None:
@@ -121,8 +121,8 @@ def test_what_cannot_be_compared_is_dropped_with_the_reason(trials: tuple[TrialD
 
 
 def test_a_pressure_beyond_what_is_known_is_doubted(trials: tuple[TrialData, ...]) -> None:
-    told = {**model(), "domain": [250e3, 450e3]}
-    (doubt,) = [f.text for f in reduce([run(*trials, model=told)]).findings if f.level == "doubt"]
+    reported = {**model(), "domain": [250e3, 450e3]}
+    (doubt,) = [f.text for f in reduce([run(*trials, model=reported)]).findings if f.level == "doubt"]
     assert doubt.endswith("at 200 kPa, 500 kPa")
 
 
@@ -149,9 +149,9 @@ def test_a_table_of_forces_is_continued_in_a_sensible_way(
 def test_what_is_not_known_of_the_measured_pressure_is_in_the_interval(trials: tuple[TrialData, ...]) -> None:
     """An offset of 2 kPa moves the contraction of the driven model by dx/dP times that, by the printed polynomials."""
     plain = run(*trials, model=model())
-    told = replace(plain.channels["pressure"], offset_uncertainty=2e3)
+    reported = replace(plain.channels["pressure"], offset_uncertainty=2e3)
     exact = replace(plain.channels["displacement"], gain_uncertainty=1e-9)
-    known = replace(plain, channels={**plain.channels, "pressure": told, "displacement": exact})
+    known = replace(plain, channels={**plain.channels, "pressure": reported, "displacement": exact})
     analysis = reduce([known])
     for P in PRESSURES:
         x = [(1.08 * p - 49.0) / (5.6 + 1e-3 * p + 9.7e-6 * p * p) for p in (P / 1e3, P / 1e3 + 2.0)]

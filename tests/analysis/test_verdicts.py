@@ -26,7 +26,7 @@ def judged(*estimates: Estimate, **accept: float) -> list[str]:
     return verdicts([bench], [Analysis(bench.kind, (bench.id,), True, estimates)])
 
 
-def test_a_wide_interval_is_told_in_units_that_people_use():
+def test_a_wide_interval_is_reported_in_units_that_people_use():
     assert judged(K(677.3), K=0.05) == ["K at pressure 300 kPa, mean 10 mm: interval +-10 %, accepted +-5 %"]
     assert judged(K(67.73), K=0.05) == []
 
@@ -37,8 +37,8 @@ def test_a_value_for_the_whole_campaign_names_no_place():
 
 
 def test_a_value_without_an_interval_is_not_accepted():
-    told = judged(K(None, note="no repeats part: one trial of one cycle"), K=0.05)
-    assert told == [
+    reported = judged(K(None, note="no repeats part: one trial of one cycle"), K=0.05)
+    assert reported == [
         "K at pressure 300 kPa, mean 10 mm: no interval, accepted +-5 %; no repeats part: one trial of one cycle"
     ]
 
@@ -58,12 +58,12 @@ def test_nothing_at_all_is_a_verdict_without_any_acceptance():
     assert verdicts([], [Analysis("isometric", ("r",), False)]) == ["isometric: nothing came out: there is no trial"]
 
 
-def test_a_fault_beside_values_is_no_verdict():
+def test_a_fault_next_to_values_is_no_verdict():
     some = Analysis("isometric", ("r",), False, (K(1.0),), findings=(Finding("fault", "one file is implausible"),))
     assert verdicts([], [some]) == []
 
 
 def test_a_run_of_sines_that_went_slack_gives_nothing():
     slack = as_run("sinusoidal-displacement", [Muscle51(F_ce=60.0).trial(0, 1.0, 11)])
-    (told,) = verdicts([slack], reduce_runs([slack]))
-    assert told.startswith("sinusoidal-displacement: nothing came out: r1/1: the specimen was slack")
+    (reported,) = verdicts([slack], reduce_runs([slack]))
+    assert reported.startswith("sinusoidal-displacement: nothing came out: r1/1: the specimen was slack")

@@ -26,7 +26,7 @@ def record(
     second: Sequence[str],
     *,
     jitter: float = 2e-3,
-    told: dict[str, float] | None = None,
+    reported: dict[str, float] | None = None,
     lag: dict[str, float] | None = None,
 ) -> RunData:
     """The run, read again. `second`: channels of the second device; none: all are of one.
@@ -42,8 +42,8 @@ def record(
     devices = {device: mine for device, mine in devices.items() if mine}
     for device, mine in devices.items():
         writer.open_stream(device, [_column(name, device, (lag or {}).get(name, 0.0)) for name in mine], RATE)
-    if told is not None:
-        writer.event("clock", 0.0, stream="cell", **told)
+    if reported is not None:
+        writer.event("clock", 0.0, stream="cell", **reported)
     for trial in trials:
         about = {"point": dict(trial.point), "repeat": trial.repeat, "reference": False}
         writer.event("trial-begin", float(trial.t[0]), trial=trial.index, **about)
@@ -56,7 +56,7 @@ def record(
                 true = trial.t[rows]
                 clock = true if device == "daq" else (true - OFFSET) / (1 + DRIFT)
                 arrived = None
-                if device == "cell" and told is None:
+                if device == "cell" and reported is None:
                     arrived = round((float(true[-1]) + rng.exponential(jitter)) * 1e9)
                 columns = {name: trial.channels[name][rows] for name in mine}
                 time_ns = np.round(clock * 1e9).astype(np.int64)

@@ -44,7 +44,7 @@ def test_the_heaviest_plate_first_is_not_always_the_way():
     assert stack.text(7.0) == "hanger 1 kg + 2 x 3 kg = 7 kg"
 
 
-def test_plates_that_are_not_told_forbid_only_less_than_the_hanger():
+def test_plates_that_are_not_given_forbid_only_less_than_the_hanger():
     stack = Stack(1.1, [])
     assert stack.can_make(0.0)
     assert stack.can_make(6.37)

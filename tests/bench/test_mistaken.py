@@ -47,7 +47,7 @@ def test_a_specimen_that_is_not_the_simulated_muscle_is_named_with_both_places()
     assert "contractor-30.yaml:9:" in line
 
 
-def test_a_muscle_of_the_same_size_is_told_by_its_forces():
+def test_a_muscle_of_the_same_size_is_reported_by_its_forces():
     """At 300 kPa the published line of the one gives 2.91 * 300 + 44.6 N, that of the other 275 N."""
     (line,) = doubts("mock-serres2009", "mas-20-250-paper0")
     assert "has F_ce 917.6" in line
@@ -61,12 +61,12 @@ def test_a_muscle_of_the_same_size_is_told_by_its_forces():
         ("mock", "contractor-25", "paper0 is MOCK-P0, the specimen MOCK-CONTRACTOR-25"),
     ],
 )
-def test_a_muscle_of_the_same_size_is_told_by_its_serial_number(bench, specimen, says):
+def test_a_muscle_of_the_same_size_is_reported_by_its_serial_number(bench, specimen, says):
     (line,) = doubts(bench, specimen)
     assert says in line
 
 
-def test_a_muscle_of_the_same_length_is_told_by_its_diameter(tmp_path):
+def test_a_muscle_of_the_same_length_is_reported_by_its_diameter(tmp_path):
     text = (FIXTURES / "specimens" / "mas-20-250-paper0.yaml").read_text(encoding="utf-8")
     (tmp_path / "thin.yaml").write_text(text.replace("inner_diameter: 20 mm", "inner_diameter: 10 mm"))
     (line,) = mount(FIXTURES / "benches" / "mock.yaml", tmp_path / "thin.yaml").doubts
@@ -81,8 +81,8 @@ def test_the_record_says_it_and_process_repeats_it(tmp_path):
     (run,) = (tmp_path / "runs").iterdir()
     (doubt,) = json.loads((run / "manifest.json").read_text())["doubts"]
     assert "is MOCK-P0, the specimen MOCK-CONTRACTOR-25" in doubt
-    told = json.loads(CliRunner().invoke(main, ["process", "--json", str(run)]).stdout)
-    findings = [f for f in told["analyses"][0]["findings"] if "the specimen MOCK-CONTRACTOR-25" in f["text"]]
+    reported = json.loads(CliRunner().invoke(main, ["process", "--json", str(run)]).stdout)
+    findings = [f for f in reported["analyses"][0]["findings"] if "the specimen MOCK-CONTRACTOR-25" in f["text"]]
     assert [f["level"] for f in findings] == ["doubt"]
 
 
@@ -97,10 +97,10 @@ def test_check_and_run_say_it(command, tmp_path, monkeypatch):
         "sweep.repeat.count=1",
         *(["--yes"] if command == "run" else []),
     ]
-    told = CliRunner().invoke(main, [command, "contraction-relaxation", *words, *short])
-    assert told.exit_code == 0, told.output
-    assert "mock.yaml:11:42" in told.output
-    assert "the simulated muscle paper0 is 250 mm long" in told.output
+    reported = CliRunner().invoke(main, [command, "contraction-relaxation", *words, *short])
+    assert reported.exit_code == 0, reported.output
+    assert "mock.yaml:11:42" in reported.output
+    assert "the simulated muscle paper0 is 250 mm long" in reported.output
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_range_of_500_N_over_another_calibration(tmp_path, points, says):
 def test_every_simulated_muscle_is_known():
     """Against the plants themselves, which the table must not import."""
     assert set(SIMULATED) == set(PLANTS)
-    for name, told in SIMULATED.items():
+    for name, reported in SIMULATED.items():
         muscle = preset(name).muscle
-        assert getattr(muscle, "length", told.length) == pytest.approx(told.length)
-        assert told.pull is None or float(muscle.F_ce(LOOKED_AT)) == pytest.approx(told.pull)
+        assert getattr(muscle, "length", reported.length) == pytest.approx(reported.length)
+        assert reported.pull is None or float(muscle.F_ce(LOOKED_AT)) == pytest.approx(reported.pull)

@@ -317,7 +317,7 @@ def test_a_bench_takes_the_plant_of_a_file_and_keeps_it(tmp_path):
         ("{plant: short.yaml}", "known for lengths of 150 to 400 mm, not for 120 mm"),
     ],
 )
-def test_a_plant_that_does_not_fit_the_bench_is_told_where_it_is_named(tmp_path, options, sentence):
+def test_a_plant_that_does_not_fit_the_bench_is_reported_where_it_is_named(tmp_path, options, sentence):
     written(tmp_path, MUSCLE)
     written(tmp_path, re.sub(r"(?m)^source: .*\n", "", MUSCLE), "broken.yaml")
     written(tmp_path, DAERDEN, "daerden.yaml")
@@ -347,8 +347,8 @@ def test_a_polynomial_is_refused_just_where_it_falls_too_low(tmp_path_factory, n
             assert values.max() > 1e3, error
             return
         assert lowest < 0.001 + 1e-9, error
-        told = float(re.search(r"K falls to (\S+) N/mm", problem.message)[1])
-        assert told == pytest.approx(lowest, rel=1e-3, abs=1e-6)
+        reported = float(re.search(r"K falls to (\S+) N/mm", problem.message)[1])
+        assert reported == pytest.approx(lowest, rel=1e-3, abs=1e-6)
     else:
         assert lowest >= 0.001 - 1e-6
 
@@ -450,4 +450,4 @@ AIRY = (PLANTS / "paper0-air.yaml").read_text()
 def test_what_a_regulator_that_moves_air_needs(tmp_path, was, becomes, message):
     (tmp_path / "paper0.yaml").write_text((PLANTS / "paper0.yaml").read_text())
     assert was in AIRY
-    assert any(message in told for told in refused(tmp_path, AIRY.replace(was, becomes)))
+    assert any(message in reported for reported in refused(tmp_path, AIRY.replace(was, becomes)))

@@ -45,19 +45,19 @@ def test_the_watch_list_arrives_in_the_records(tmp_path):
     trips = [trip for trip in mount(path, SPECIMEN).bench.trips if trip.kind != "range"]
     line = 1 + path.read_text().splitlines().index("watch:")
 
-    def told(number, channel, kind, action, *, low=None, high=None, delay=0.0, window=0.0):
+    def reported(number, channel, kind, action, *, low=None, high=None, delay=0.0, window=0.0):
         trip = trips[number - 1]
         assert re.search(rf"rig\.yaml:{line + number}:5$", trip.source)
         assert trip == TripRecord(channel, low, high, delay, action, trip.source, kind, window)
 
-    told(1, "pressure", "stale", "vent", delay=0.1)
-    told(2, "pressure", "frozen", "stop", delay=5.0)
-    told(3, "force", "off-range", "vent")
-    told(4, "pressure", "rate", "vent", high=5e6, delay=0.02)
-    told(5, "force", "rate", "warn", high=5e4)
-    told(6, "pressure", "following", "hold", high=60e3, delay=2.0)
-    told(7, "pressure", "burst", "vent", high=60e3, window=0.05)
-    told(8, "force", "slack", "warn", low=1.0, delay=0.1)
+    reported(1, "pressure", "stale", "vent", delay=0.1)
+    reported(2, "pressure", "frozen", "stop", delay=5.0)
+    reported(3, "force", "off-range", "vent")
+    reported(4, "pressure", "rate", "vent", high=5e6, delay=0.02)
+    reported(5, "force", "rate", "warn", high=5e4)
+    reported(6, "pressure", "following", "hold", high=60e3, delay=2.0)
+    reported(7, "pressure", "burst", "vent", high=60e3, window=0.05)
+    reported(8, "force", "slack", "warn", low=1.0, delay=0.1)
     assert len(trips) == 8
 
 
@@ -145,7 +145,7 @@ def test_wrong_valves_and_interlocks_are_refused(tmp_path, changes, says):
     assert says in str(refused(rig(tmp_path, changes)))
 
 
-def test_a_supply_valve_is_left_closed_and_stands_open_in_a_run(tmp_path):
+def test_a_supply_valve_is_left_closed_and_is_open_in_a_run(tmp_path):
     path = rig(
         tmp_path,
         "outputs: {supply_valve: {device: daq, output: isolation_valve, energised: open}}\n"
@@ -295,6 +295,6 @@ def test_a_missing_watchdog_that_is_accepted_says_by_whom(tmp_path):
     assert lack == "no watchdog of daq, accepted by AB on 2026-11-20: hard-wired dump valve"
 
 
-def test_a_specimen_file_that_is_unusable_is_told_with_the_bench(tmp_path):
+def test_a_specimen_file_that_is_unusable_is_reported_with_the_bench(tmp_path):
     error = refused(rig(tmp_path, "nonsense: 1\n"), specimen(tmp_path, "make:", "maker:"))
     assert {problem.path.rsplit("/")[-1] for problem in error.problems} == {"bench.yaml", "specimen.yaml"}

@@ -19,13 +19,13 @@ def story(tmp_path, changes=""):
 
 
 def test_a_bench_that_lacks_nothing_vents_whatever_fails(tmp_path):
-    told = story(tmp_path)
-    assert told["The computer"] == "daq hears nothing and vents by itself after 1 s and opens the dump valve."
-    assert told["Electric power"].startswith("The dump valve opens and the muscle vents")
-    assert "Supply below 650 kPa for 1 s: hold." in told["Compressed air"]
-    assert "daq itself vents after 1 s." in told["Network or cable"]
-    assert "tripped" in told["An interlock"]
-    assert not [text for text in told.values() if any(word.isupper() and len(word) > 3 for word in text.split())]
+    reported = story(tmp_path)
+    assert reported["The computer"] == "daq hears nothing and vents by itself after 1 s and opens the dump valve."
+    assert reported["Electric power"].startswith("The dump valve opens and the muscle vents")
+    assert "Supply below 650 kPa for 1 s: hold." in reported["Compressed air"]
+    assert "daq itself vents after 1 s." in reported["Network or cable"]
+    assert "tripped" in reported["An interlock"]
+    assert not [text for text in reported.values() if any(word.isupper() and len(word) > 3 for word in text.split())]
 
 
 @pytest.mark.parametrize(
@@ -85,22 +85,22 @@ def test_a_bench_in_virtual_time_pressurises_nothing():
 
 
 def test_a_drive_vents_nothing_by_itself():
-    told = dict(failure_story(mount(BENCHES / "festo-sine.yaml", SPECIMEN)))
-    assert "terminal itself vents after 500 ms." in told["Network or cable"]
-    assert "drive itself stops its motion after 500 ms." in told["Network or cable"]
-    assert "The drive's own watchdog ends its motion." in told["The computer"]
+    reported = dict(failure_story(mount(BENCHES / "festo-sine.yaml", SPECIMEN)))
+    assert "terminal itself vents after 500 ms." in reported["Network or cable"]
+    assert "drive itself stops its motion after 500 ms." in reported["Network or cable"]
+    assert "The drive's own watchdog ends its motion." in reported["The computer"]
 
 
 def test_a_bench_with_valves_that_open_in_pulses_says_what_stays_without_a_computer():
     """Both of its devices' watchdogs are missing: the supply stays on and the dumps shut, and the card says so."""
     real = replace(SHIPPED, bench=replace(SHIPPED.bench, realtime=True))
-    told = dict(failure_story(real))["The computer"]
-    assert "THE SUPPLY VALVE STAYS AS IT IS" in told
-    assert "THE DUMP VALVE STAYS AS IT IS" in told
+    reported = dict(failure_story(real))["The computer"]
+    assert "THE SUPPLY VALVE STAYS AS IT IS" in reported
+    assert "THE DUMP VALVE STAYS AS IT IS" in reported
     (device,) = SHIPPED.bench.devices
     guarded = replace(SHIPPED, bench=replace(real.bench, devices=(replace(device, watchdog=1.0),)))
-    told = dict(failure_story(guarded))["The computer"]
-    assert "plant hears nothing and lets go of the supply valve after 1 s" in told
+    reported = dict(failure_story(guarded))["The computer"]
+    assert "plant hears nothing and lets go of the supply valve after 1 s" in reported
 
 
 def test_the_card_of_a_platform_says_what_valves_may_bring_about():

@@ -43,8 +43,8 @@ def bare(folder):
     return possible_motions(driven, min(motions, key=lambda motion: motion.rms))
 
 
-def process(runs, out, pool=None, told=None):
-    many = process_many(tasks_below([runs]), out, pool, told)
+def process(runs, out, pool=None, reported=None):
+    many = process_many(tasks_below([runs]), out, pool, reported)
     write_table(many)
     return many
 
@@ -68,12 +68,12 @@ def test_an_archive_costs_little_more_than_reading_and_fitting(tmp_path, benchma
     folders = [write_run(runs, number) for number in range(count)]
     process(runs / folders[0].name, tmp_path / "warm")
 
-    def told(done, _total, _unchanged):
+    def reported(done, _total, _unchanged):
         if done in (count // 4, count):
             sizes[done] = memory()
 
     loop, loop_cpu, loop_wall = timed(lambda: [bare(folder) for folder in folders])
-    many, cpu, wall = timed(lambda: process(runs, tmp_path / "one", None, told))
+    many, cpu, wall = timed(lambda: process(runs, tmp_path / "one", None, reported))
     again, again_cpu, again_wall = timed(lambda: process(runs, tmp_path / "one"))
     pool, before = None if benchmark.disabled else Processes(2), os.times()
     try:

@@ -45,11 +45,11 @@ def busy(count):
 def line(times):
     """Percentiles of times [s] in ms, as far as there are enough."""
     ms = 1e3 * np.asarray(times)
-    told = f"n={len(ms):5}  median {np.median(ms):7.2f}"
+    reported = f"n={len(ms):5}  median {np.median(ms):7.2f}"
     for part in (99.0, 99.9):
         if len(ms) >= 100 / (100 - part):
-            told += f"  p{part:g} {np.percentile(ms, part):7.2f}"
-    return f"{told}  longest {ms.max():7.2f} ms"
+            reported += f"  p{part:g} {np.percentile(ms, part):7.2f}"
+    return f"{reported}  longest {ms.max():7.2f} ms"
 
 
 def lateness(seconds, *, first):
@@ -102,7 +102,7 @@ def vent_time(folder, *, first):
 
 @pytest.mark.study
 @pytest.mark.parametrize("load", [0, 2, 8])
-def test_beside_busy_processes(benchmark, tmp_path, load):
+def test_next_to_busy_processes(benchmark, tmp_path, load):
     seconds = 1 if benchmark.disabled else 20
     vents = int(os.environ.get("PMABENCH_VENTS", "3" if benchmark.disabled else "100"))
     allowed = not real_time(ENGINE)

@@ -34,9 +34,9 @@ def test_two_workers_give_the_same_bytes(tmp_path, scheduler, monkeypatch):
     bad.write_bytes(bad.read_bytes()[:-30])
     call("process", runs, "--out", tmp_path / "here", code=3)
     monkeypatch.chdir(tmp_path)
-    told = call("process", "runs", "--out", "there", "--cluster", scheduler, code=3).output
-    assert "2 of 2 workers run with MALLOC_TRIM_THRESHOLD_=65536" in told
-    assert f"recorded-step: {RUNS - 1} runs" in told
+    reported = call("process", "runs", "--out", "there", "--cluster", scheduler, code=3).output
+    assert "2 of 2 workers run with MALLOC_TRIM_THRESHOLD_=65536" in reported
+    assert f"recorded-step: {RUNS - 1} runs" in reported
     here, there = (
         {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file() and p.name[0] != "."}
         for out in (tmp_path / "here", tmp_path / "there")

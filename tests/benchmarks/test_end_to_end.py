@@ -31,7 +31,7 @@ RATE = 500.0
 
 
 @pytest.fixture
-def told(monkeypatch):
+def reported(monkeypatch):
     """What the plant is told in a run: moment [s], what, and with which values."""
     calls = []
 
@@ -83,7 +83,7 @@ trials, and a short one, in which what is done once counts for more."""
 
 
 @pytest.mark.parametrize("bench", PLANT)
-def test_recorded_seconds_per_second(tmp_path, request, told, bench):
+def test_recorded_seconds_per_second(tmp_path, request, reported, bench):
     timed = request.config.getoption("benchmark_enable")
     preset_name, *limits = PLANT[bench]
     changes = [("sweep.repeat.count", os.environ.get("PMABENCH_REPEATS", "1"))] + ([] if timed else SHORT)
@@ -92,10 +92,10 @@ def test_recorded_seconds_per_second(tmp_path, request, told, bench):
         short = prepare("contraction-relaxation", bench, "mas-20-250-paper0", [*SHORT, ("sweep.repeat.count", "1")])
         first = run_plan(short.plan, short.mounted, ConfirmedBeforehand(), out=tmp_path / "first")
         reduce_runs([open_run(first.folder)])
-        told.clear()
+        reported.clear()
     begin = time.perf_counter()
     running, outcome = least(lambda: run_plan(prepared.plan, prepared.mounted, ConfirmedBeforehand(), out=tmp_path), 1)
-    calls = list(told)
+    calls = list(reported)
     opening, run = least(lambda: open_run(outcome.folder), 1)
     reducing, (analysis,) = least(lambda: reduce_runs([run]), 1)
     wall = time.perf_counter() - begin
@@ -125,8 +125,8 @@ def test_recorded_seconds_per_second(tmp_path, request, told, bench):
     measured = np.concatenate([trial.channels["displacement"] for trial in run.trials])
     assert np.abs(measured - x[rows]).max() < 15e-6, "the plant alone does the same; noise 2 um"
     if common is not None:
-        told_apart = "it is the same plant; a bristle gives by 10 um, and sticks elsewhere by some of them"
-        assert np.abs(common - x[: len(common)]).max() < 200e-6, told_apart
+        distinguished = "it is the same plant; a bristle gives by 10 um, and sticks elsewhere by some of them"
+        assert np.abs(common - x[: len(common)]).max() < 200e-6, distinguished
     if timed:
         assert whole < most * plant
         assert not (full and bare) or whole < 2.2 * bare, "on an idle machine; up to 2.7 times on a busy one"

@@ -61,15 +61,15 @@ def test_the_guard_starts_fast_and_small(tmp_path, benchmark, name):
         bare = int(done.stdout) * os.sysconf("SC_PAGE_SIZE")
     benchmark.pedantic(lambda: None, rounds=1)
     print(
-        f"\nguard of {name}: listens after {told(listens)}, drivers loaded and asked after {told(opened)} "
-        f"(medians of {starts}, longest in brackets), a bare interpreter {told(alone)}: {min(opened) / min(alone):.1f} "
+        f"\nguard of {name}: listens after {reported(listens)}, drivers loaded and asked after {reported(opened)} "
+        f"(medians of {starts}, longest in brackets), a bare interpreter {reported(alone)}: {min(opened) / min(alone):.1f} "
         f"times, at most {slower}; holds {memory / 1e6:.1f} MB, {memory / bare:.1f} times, at most {larger}"
     )
     assert min(opened) < slower * min(alone)
     assert 0 < memory < larger * bare
 
 
-def told(times):
+def reported(times):
     """Median and longest of times [s]."""
     return f"{1e3 * statistics.median(times):.0f} ms ({1e3 * max(times):.0f})"
 

@@ -53,11 +53,11 @@ def exponentials(found: Campaign) -> dict[tuple[str, float], float]:
             best, _ = curve_fit(rise, t, x, p0=start, bounds=([-1, -1, 0, 1e-3], [1, 1, 1, 5]))
             if number == 0:
                 ends.setdefault(trial.point["pressure"], []).append((samples.load, best[0] + best[1], best[3]))
-    told = {}
+    reported = {}
     for P, steps in ends.items():
         load, x, tau = np.array(steps).T
-        told["B_c", P] = float(-1 / np.polyfit(load, x, 1)[0] * np.median(tau))
-    return told
+        reported["B_c", P] = float(-1 / np.polyfit(load, x, 1)[0] * np.median(tau))
+    return reported
 
 
 def test_24_trials_are_fitted_faster_than_one_by_one(benchmark):
@@ -66,9 +66,9 @@ def test_24_trials_are_fitted_faster_than_one_by_one(benchmark):
     whole, pooled = least(lambda: pool(found, {}), rounds)
     bare, _ = least(lambda: pool(found, {"replays": 0}), rounds)
     alone, papers = least(lambda: exponentials(found), rounds)
-    told = {(e.symbol, e.at["pressure"]): e.value for e in estimates_of(found, pooled)[0] if e.at}
+    reported = {(e.symbol, e.at["pressure"]): e.value for e in estimates_of(found, pooled)[0] if e.at}
     off = [value / SERRES["B_c"](P) - 1 for (_, P), value in papers.items()]
-    ours = [told["B_c", P] / SERRES["B_c"](P) - 1 for _, P in papers]
+    ours = [reported["B_c", P] / SERRES["B_c"](P) - 1 for _, P in papers]
     print(
         f"\n24 trials of {SAMPLES} samples: fit {1e3 * bare:.0f} ms, with replays and intervals {1e3 * whole:.0f} ms,"
         f" curve_fit of every step {1e3 * alone:.0f} ms; B_c off by {100 * min(off):+.0f} to {100 * max(off):+.0f} %"

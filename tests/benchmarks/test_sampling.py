@@ -34,10 +34,10 @@ def test_sampling_at_500_hz(benchmark, how):
     late = times - times[0] - np.arange(len(times)) / RATE
     if how == "absolute":  # by what no later sample is late: a deadline that was missed shifts all after it
         late -= np.minimum.accumulate(late[::-1])[::-1]
-    told = f"{how}: {rate:.2f} Hz ({100 * (rate / RATE - 1):+.3f} %), {missed} deadlines missed and counted, "
-    told += f"{np.count_nonzero(late > 0.5 / RATE)} kept late, "
-    told += f"lateness p50 {1e3 * np.percentile(late, 50):.2f}, p99 {1e3 * np.percentile(late, 99):.2f} ms, "
-    print(told + f"most {1e3 * late.max():.2f} ms")
+    reported = f"{how}: {rate:.2f} Hz ({100 * (rate / RATE - 1):+.3f} %), {missed} deadlines missed and counted, "
+    reported += f"{np.count_nonzero(late > 0.5 / RATE)} kept late, "
+    reported += f"lateness p50 {1e3 * np.percentile(late, 50):.2f}, p99 {1e3 * np.percentile(late, 99):.2f} ms, "
+    print(reported + f"most {1e3 * late.max():.2f} ms")
     benchmark.extra_info.update(rate=rate, missed=missed, p99=float(np.percentile(late, 99)))
     if how == "absolute":
         kept = (len(times) - 1 + missed) / span

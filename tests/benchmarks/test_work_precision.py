@@ -57,7 +57,7 @@ def test_one_step_a_sample_is_enough_in_a_closed_loop():
     assert np.abs(closed_loop(STEP / 4) - fine).max() < 0.1 * MICROMETRE, "a quarter of the step, a sixteenth of it"
 
 
-def test_work_and_precision_beside_solve_ivp(request, monkeypatch):
+def test_work_and_precision_next_to_solve_ivp(request, monkeypatch):
     """The table; what is asserted holds within one run, and of time only where benchmarks are asked for."""
     timed = request.config.getoption("benchmark_enable")
     reference = peer(8.0, "DOP853", 1e-12, 1e-15)

@@ -87,7 +87,7 @@ def test_bytes_are_those_of_the_documents(name):
     assert bytes.fromhex(data) in run.data
 
 
-def test_another_byte_and_an_unused_answer_are_told(tmp_path):
+def test_another_byte_and_an_unused_answer_are_reported(tmp_path):
     """The replay itself: a capture that differs by one byte, and one that is longer than what is done."""
     capture = read("serial-ascii")
     capture.runs[2].data = b"Q\r"

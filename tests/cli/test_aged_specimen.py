@@ -54,29 +54,29 @@ def test_process_refuses_it_with_value_limit_and_line(lab):
 
 def test_compare_finds_the_true_difference(lab):
     analyses = [lab["folder"] / "analyses" / lab[name].name for name in ("aged", "before")]
-    told = json.loads(call("compare", *analyses, "--method", "measured-pressure", "--json").output)
-    K = [d for d in told["differences"] if d["symbol"] == "K" and not d["term"]]
+    reported = json.loads(call("compare", *analyses, "--method", "measured-pressure", "--json").output)
+    K = [d for d in reported["differences"] if d["symbol"] == "K" and not d["term"]]
     assert len(K) == 2
     for d in K:
         assert d["relative"] == pytest.approx(0.04, abs=0.004)
         assert abs(d["difference"] - 0.04 * d["b"]["value"]) < 1.5 * d["half_width"]
         assert d["agrees"] is False
-    same = [d for d in told["differences"] if d["symbol"] in ("B_c", "F_c") and not d["term"]]
+    same = [d for d in reported["differences"] if d["symbol"] in ("B_c", "F_c") and not d["term"]]
     assert all(abs(d["E_n"]) < 1.5 for d in same)
-    assert any("same calibrations" in f["text"] for f in told["findings"])
+    assert any("same calibrations" in f["text"] for f in reported["findings"])
 
 
-def test_history_tells_cycles_values_and_reference_trials(lab):
+def test_history_shows_cycles_values_and_reference_trials(lab):
     page = lab["folder"] / "h.html"
-    told = json.loads(call("history", "MOCK-P0", lab["folder"] / "runs", "--json", "-o", page).output)
-    assert told["specimen"].endswith("MOCK-P0")
+    reported = json.loads(call("history", "MOCK-P0", lab["folder"] / "runs", "--json", "-o", page).output)
+    assert reported["specimen"].endswith("MOCK-P0")
     # 5 cycles before the first trial, 6 trials, and a reference trial before, after the third and at the end
-    assert [(run["cycles_before"], run["cycles"]) for run in told["runs"]] == [(0, 14), (14, 14)]
-    K = next(one for one in told["series"] if one["symbol"] == "K" and one["at"]["pressure"] == 3e5)
+    assert [(run["cycles_before"], run["cycles"]) for run in reported["runs"]] == [(0, 14), (14, 14)]
+    K = next(one for one in reported["series"] if one["symbol"] == "K" and one["at"]["pressure"] == 3e5)
     first, last = (value["value"] for value in K["values"])
     assert last / first == pytest.approx(1.04, abs=0.004)
-    assert any(f["text"].startswith("K at ") and f["level"] == "doubt" for f in told["findings"])
-    (reference,) = told["references"]
+    assert any(f["text"].startswith("K at ") and f["level"] == "doubt" for f in reported["findings"])
+    (reference,) = reported["references"]
     strokes = [moment["stroke"] for moment in reference["strokes"]]
     assert len(strokes) == 6
     assert strokes[-1] / strokes[0] == pytest.approx(1 / 1.04, abs=0.01)
@@ -84,7 +84,7 @@ def test_history_tells_cycles_values_and_reference_trials(lab):
     assert "SIMULATED" in text
     assert "Control chart" in text
     by_file = json.loads(call("history", "mas-20-250-paper0", lab["folder"] / "runs", "--json").output)
-    assert by_file["runs"] == told["runs"]
+    assert by_file["runs"] == reported["runs"]
 
 
 def test_the_latest_analysis_of_a_run_counts_wherever_process_left_it(lab, tmp_path):
@@ -93,7 +93,7 @@ def test_the_latest_analysis_of_a_run_counts_wherever_process_left_it(lab, tmp_p
     shutil.copytree(lab["folder"] / "analyses" / lab["aged"].name, old)
     new = tmp_path / "analyses" / "again"
     shutil.copytree(old, new)
-    told = (new / "contraction-relaxation" / "analysis.json").read_text()
+    reported = (new / "contraction-relaxation" / "analysis.json").read_text()
     for path, at in ((old, 1e9), (new, 2e9)):
         os.utime(path / "contraction-relaxation" / "analysis.json", (at, at))
 
@@ -102,7 +102,7 @@ def test_the_latest_analysis_of_a_run_counts_wherever_process_left_it(lab, tmp_p
         return next(one for one in data["series"] if one["symbol"] == "F_c")["values"]
 
     (before,) = F_c()
-    changed = json.loads(told)
+    changed = json.loads(reported)
     for estimate in changed["estimates"]:
         if estimate["symbol"] == "F_c":
             estimate["value"] += 1.0

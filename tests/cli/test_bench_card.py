@@ -31,14 +31,14 @@ def test_the_card_says_what_the_bench_file_says(tmp_path):
     assert result.exit_code == 0, result.output
     html = out.read_text()
     text = text_of(html)
-    for told in (
+    for reported in (
         "rig 3", "pmabench vent 'rig 3'", "0 kPa to 600 kPa", "below -30 kPa, above 650 kPa", "vent after 4 ms",
         "above 62.5 mm", "pressure down to 0 kPa at 500 kPa/s", "dump valve opens", "look: pressure is below 20 kPa",
         "filled to 50 kPa, vented, below 20 kPa within 2 s", "falls 60 kPa within 50 ms", "daq · e_stop", "MOCK-P",
         "± 1.5 kPa", "closed while energised, open without power", "0 kPa to 600 kPa = 0 to 6 V", "never above",
         "Not a safety function".lower(), hashlib.sha256(path.read_bytes()).hexdigest()[:16],
     ):  # fmt: skip
-        assert told.lower() in text.lower(), told
+        assert reported.lower() in text.lower(), reported
     line = 1 + next(i for i, row in enumerate(path.read_text().splitlines()) if "command: 600 kPa" in row)
     assert f"rig.yaml:{line}:" in text
     assert "SIMULATED" not in text
@@ -51,13 +51,13 @@ def test_the_order_of_the_vent_is_that_of_the_file(tmp_path):
     assert [text.split()[0] for text in vent] == ["pressure", "wait", "pressure", "dump", "look:"]
 
 
-def test_what_is_lacking_and_expired_stands_on_the_card(tmp_path):
+def test_what_is_lacking_and_expired_is_on_the_card(tmp_path):
     path = rig(tmp_path, "devices: {daq: {watchdog: null}}\nhands: {at_pressure: 300 kPa}\n")
     file = tmp_path / "calibrations" / "MOCK-P.yaml"
     file.write_text(file.read_text().replace("date: 2026-11-21", "date: 2019-01-01\nvalid_until: 2020-01-01"))
     text = text_of(render_card(card_of(path)))
-    for told in ("NOTHING VENTS", "no watchdog of daq", "expired calibration of pressure", "2020-01-01", "HAZARD"):
-        assert told in text, told
+    for reported in ("NOTHING VENTS", "no watchdog of daq", "expired calibration of pressure", "2020-01-01", "HAZARD"):
+        assert reported in text, reported
 
 
 def test_without_a_specimen_its_limits_are_left_open(tmp_path):
@@ -90,7 +90,7 @@ def test_a_card_that_cannot_be_written_is_a_sentence(tmp_path, target):
     assert "Traceback" not in result.output
 
 
-def test_a_wrong_bench_is_told_with_its_place(tmp_path):
+def test_a_wrong_bench_is_reported_with_its_place(tmp_path):
     path = rig(tmp_path, old="trip: 650 kPa, ", new="")
     result = CliRunner().invoke(main, ["bench", "card", str(path), "-o", str(tmp_path / "x.html")])
     assert result.exit_code == 3

@@ -70,10 +70,10 @@ def test_every_problem_comes_at_once_with_its_place(tmp_path):
         + "  - plant: paper1\n    preset: ideal\n    pressure: [{at: 1 s, to: 700 kPa}]\n"
         + "  - model: dmsp-40-305\n    plant: paper0\n    stagger: 1 s\n    pressure: [{at: 0 s, to: 6 bar}]\n",
     )
-    told = [(line, message) for line, _, message in found]
+    reported = [(line, message) for line, _, message in found]
 
     def at(line, part):
-        return any(where == line and part in message for where, message in told)
+        return any(where == line and part in message for where, message in reported)
 
     assert at(5, "above zero")
     assert at(9, "neither 0 nor 100 kPa to 600 kPa")
@@ -105,7 +105,7 @@ def test_every_problem_comes_at_once_with_its_place(tmp_path):
         (HEAD.replace("cascade/1", "bench/1") + MUSCLE, 1, "is a bench file"),
     ],
 )
-def test_what_cannot_be_is_told_with_its_place(tmp_path, text, line, part):
+def test_what_cannot_be_is_reported_with_its_place(tmp_path, text, line, part):
     found = problems(tmp_path, text)
     assert any(where == line and part in message for where, _, message in found), found
 
@@ -114,7 +114,7 @@ def test_a_missing_file_and_exit_code_3():
     assert "did you mean" in call("simulate", "paper2", code=3).stderr
 
 
-def test_a_plant_file_of_ones_own_is_a_muscle_and_its_problems_are_told_too(tmp_path):
+def test_a_plant_file_of_ones_own_is_a_muscle_and_its_problems_are_reported_too(tmp_path):
     own = (ROOT / "fixtures" / "plants" / "paper0.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(own)
     chain = HEAD.replace("fce_eval: x0\n", "") + "  - plant: {}\n    pressure: [{{at: 0 s, to: {}}}]\n"
@@ -173,7 +173,7 @@ def test_the_shipped_chain_of_paper_1_gives_the_digests_numbers():
     np.testing.assert_allclose(x / one, expected, atol=3e-4)  # S is printed with four digits in the digest
 
 
-def test_people_are_told_what_is_no_force():
+def test_people_are_shown_what_is_no_force():
     out = call("simulate", "paper1").stdout
     assert out.startswith("SIMULATED")
     assert "that of one muscle" in out
@@ -198,7 +198,9 @@ def at_pace(cost):
         clock.spend(cost)
         return simulate(members, part)
 
-    blocks, elapsed = paced(np.arange(1001) / 100, step, clock, lambda *told: shown.append((clock.now(), *told)))
+    blocks, elapsed = paced(
+        np.arange(1001) / 100, step, clock, lambda *reported: shown.append((clock.now(), *reported))
+    )
     return blocks, elapsed, shown
 
 
@@ -212,7 +214,7 @@ def test_paced_time_is_simulated_time_within_2_percent(cost):
     assert (np.concatenate([block.displacement for block in blocks]) == whole.displacement).all()
 
 
-def test_a_computer_that_does_not_keep_up_is_told(capsys):
+def test_a_computer_that_does_not_keep_up_is_reported(capsys):
     _, elapsed, _ = at_pace(0.08)
     assert elapsed > 11
     show_pace(Ui(), 10.0, elapsed)
@@ -223,8 +225,8 @@ def test_a_computer_that_does_not_keep_up_is_told(capsys):
 
 def test_the_pace_of_a_real_clock(tmp_path):
     (tmp_path / "short.yaml").write_text(HEAD.replace("5 s", "0.4 s") + MUSCLE)
-    told = call("simulate", tmp_path / "short.yaml", "--pace", "--json")
-    data = json.loads(told.stdout)["paced"]
+    reported = call("simulate", tmp_path / "short.yaml", "--pace", "--json")
+    data = json.loads(reported.stdout)["paced"]
     assert data["simulated"] == pytest.approx(0.4)
     assert data["elapsed"] >= 0.4 - 1e-6
     assert json.loads(call("simulate", tmp_path / "short.yaml", "--json").stdout)["paced"] is None
@@ -368,10 +370,10 @@ def test_replay_draws_the_same_without_a_simulation(folder, tmp_path, monkeypatc
 def test_moments_are_chosen(folder, tmp_path):
     call("replay", folder, "--out", tmp_path, "--at", "2 s", "--at", "7.5 s", "-q")
     assert re.findall(r">([\d.]+) s</text>", (tmp_path / "snapshots.svg").read_text()) == ["2.00", "7.50"]
-    told = call("replay", folder, "--at", "17 s", "--at", "x", code=2).stderr
-    assert "outside the simulation, 0 to 16 s" in told
-    assert told.count("--at:") == 2
-    assert "--out FOLDER" in told
+    reported = call("replay", folder, "--at", "17 s", "--at", "x", code=2).stderr
+    assert "outside the simulation, 0 to 16 s" in reported
+    assert reported.count("--at:") == 2
+    assert "--out FOLDER" in reported
 
 
 def damaged(folder, change):
@@ -430,8 +432,8 @@ def test_the_commands_and_the_file_of_the_page_work(tmp_path, monkeypatch):
         call(*shlex.split(command.partition(">")[0], comments=True))
     assert re.findall(r">([\d.]+) s</text>", (tmp_path / "again" / "snapshots.svg").read_text()) == ["2.00"]
     written = {path.name for path in (tmp_path / "chain").iterdir()}
-    told = set(re.findall(r"`([\w-]+\.(?:json|csv|html|svg))`", page.split("## What --out writes")[1]))
-    assert written == told
+    reported = set(re.findall(r"`([\w-]+\.(?:json|csv|html|svg))`", page.split("## What --out writes")[1]))
+    assert written == reported
     (tmp_path / "own.yaml").write_text(re.search(r"```yaml\n(.*?)```", page, re.DOTALL)[1])
     data = json.loads(call("simulate", "own.yaml", "--json").stdout)
     assert [m["name"] for m in data["muscles"]] == ["near", "far"]

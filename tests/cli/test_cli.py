@@ -90,7 +90,7 @@ def test_problems_of_protocol_bench_and_specimen_come_together(tmp_path):
         ("fixtures/maps/aarl-10mm.yaml", {"bench", "protocol", "specimen"}),
     ],
 )
-def test_a_file_of_another_kind_is_told_once_and_nothing_else_of_it(file, said):
+def test_a_file_of_another_kind_is_reported_once_and_nothing_else_of_it(file, said):
     path = ROOT / file
     out = call("check", path, "--bench", path, "--specimen", path, code=3).output
     lines = [line for line in out.splitlines() if " file is expected" in line]

@@ -7,7 +7,7 @@ import pytest
 from tests.calls import call
 
 
-def test_a_closed_muscle_tells_its_volume(tmp_path):
+def test_a_closed_muscle_shows_its_volume(tmp_path):
     """Papers digest 5.5: V from 62.8 cm3 at no contraction, 147.0 cm3 at 18 %."""
     sets = ("--set", "sweep.repeat.count=1", "--set", "trial.speed=6 mm/s", "--set", "prepare.precondition.cycles=0")
     bench = ("--bench", "mock-daerden-closed", "--specimen", "daerden-20-200")
@@ -16,13 +16,13 @@ def test_a_closed_muscle_tells_its_volume(tmp_path):
     events = [json.loads(line) for line in (run / "events.jsonl").read_text().splitlines()]
     searches = [e["data"]["result"] for e in events if e["kind"] == "found"]
     switched = [(e["data"]["valve"], e["data"]["position"], e["t"]) for e in events if e["kind"] == "valve"]
-    told = [(way, result[at]) for result in searches for way, at in (("closed", "shut"), ("open", "opened"))]
+    reported = [(way, result[at]) for result in searches for way, at in (("closed", "shut"), ("open", "opened"))]
     assert len(searches) == 2
-    assert switched == [("isolation_valve", way, pytest.approx(t, abs=1e-3)) for way, t in told]
+    assert switched == [("isolation_valve", way, pytest.approx(t, abs=1e-3)) for way, t in reported]
     call("process", run)
     (found,) = (tmp_path / "analyses").rglob("analysis.json")
-    told = [e for e in json.loads(found.read_text())["estimates"] if e["symbol"] == "V"]
-    ends = [e["value"] for e in told if e["at"]["contraction"] == pytest.approx(0.036)]
+    reported = [e for e in json.loads(found.read_text())["estimates"] if e["symbol"] == "V"]
+    ends = [e["value"] for e in reported if e["at"]["contraction"] == pytest.approx(0.036)]
     assert len(ends) == 4, "two pressures, two methods"
     assert ends == pytest.approx([147.03e-6] * 4, rel=2e-3)
     page = tmp_path / "report.html"

@@ -28,7 +28,7 @@ def folders(tmp_path):
     return [write_analysis(a, tmp_path / name / kind) for name, a in (("one", one), ("two", two))]
 
 
-def test_differences_are_told_with_their_e_n(folders):
+def test_differences_are_reported_with_their_e_n(folders):
     one, two = folders
     text = call("compare", one.parent, two).output
     assert "K: differ by more than their interval at 1 of 3 points; furthest apart at 200 kPa: +0.06 N/mm" in text
@@ -43,8 +43,8 @@ def test_differences_are_told_with_their_e_n(folders):
 
 
 def test_beyond_the_limit_is_exit_6(folders):
-    told = call("compare", *folders, "--accept", "E_n<=1", "-q", code=6).output
-    assert told == "NOT ACCEPTED: K at 200 kPa: E_n +2.12, accepted 1\n"
+    reported = call("compare", *folders, "--accept", "E_n<=1", "-q", code=6).output
+    assert reported == "NOT ACCEPTED: K at 200 kPa: E_n +2.12, accepted 1\n"
     call("compare", *folders, "--accept", "E_n <= 3", "--accept", "difference<=1.5 %")
     call("compare", *folders, "--accept", "difference <= 0.5 %", code=6)
 
@@ -53,10 +53,10 @@ def test_a_published_table_is_the_reference(folders, tmp_path):
     table = tmp_path / "lines.csv"
     table.write_text("# somebody 2009\npressure [bar],K [N/mm]\n2,6.06\n3.5,7.4\n9,9\n")
     data = json.loads(call("compare", folders[0], f"{table}:Somebody 2009", "--json").output)
-    told = {d["at"]["pressure"]: d for d in data["differences"]}
-    assert told[2e5]["difference"] == pytest.approx(0.0)
-    assert told[3.5e5]["difference"] == pytest.approx((7000 + 8008) / 2 - 7400)
-    assert told[3.5e5]["between_points"] == "a"
+    reported = {d["at"]["pressure"]: d for d in data["differences"]}
+    assert reported[2e5]["difference"] == pytest.approx(0.0)
+    assert reported[3.5e5]["difference"] == pytest.approx((7000 + 8008) / 2 - 7400)
+    assert reported[3.5e5]["between_points"] == "a"
     assert data["b"]["name"] == "Somebody 2009"
     assert any("K has no value in A at 900 kPa" in f["text"] for f in data["findings"])
 
@@ -72,8 +72,8 @@ def test_a_catalogue_of_forces_is_compared_with_curves(tmp_path):
     table.write_text("pressure [bar],contraction [mm],force [N]\n1,10,110\n3,10,270\n")
     (curve,) = json.loads(call("compare", folder, table, "--json").output)["curves"]
     assert curve["size"] == pytest.approx((10 / 110 + 30 / 270) / 2)
-    told = call("compare", folder, table, "--accept", "difference<=5 %", code=6).output
-    assert "NOT ACCEPTED: force over pressure at contraction 10 mm: mean size 10 %, accepted 5 %" in told
+    reported = call("compare", folder, table, "--accept", "difference<=5 %", code=6).output
+    assert "NOT ACCEPTED: force over pressure at contraction 10 mm: mean size 10 %, accepted 5 %" in reported
     call("compare", folder, table, "--accept", "difference<=12 %")
     assert "curves have no E_n" in call("compare", folder, table, "--accept", "E_n<=1", code=2).output
 
@@ -106,7 +106,7 @@ def test_names_from_a_file_that_anybody_wrote_are_harmless(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("more", "code", "told"),
+    ("more", "code", "reported"),
     [
         ([], 2, "give B, or --method twice"),
         (["nowhere"], 3, "there is no such folder"),
@@ -118,9 +118,9 @@ def test_names_from_a_file_that_anybody_wrote_are_harmless(tmp_path):
         (["BOTH", "--at", "3 mm"], 2, "no unit of pressure"),
     ],
 )
-def test_what_cannot_be_compared_is_a_sentence(folders, more, code, told):
+def test_what_cannot_be_compared_is_a_sentence(folders, more, code, reported):
     words = [str(folders[1]) if word == "BOTH" else word for word in more]
-    assert told in call("compare", folders[0], *words, code=code).output
+    assert reported in call("compare", folders[0], *words, code=code).output
 
 
 def test_a_table_is_no_first_side_and_a_folder_without_analyses_none(folders, tmp_path):

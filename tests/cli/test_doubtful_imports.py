@@ -40,8 +40,8 @@ def processed(folder, files, more="", code=0):
         table = np.column_stack([file.t, file.pressure, file.force])
         np.savetxt(paths[-1], table, delimiter=",", header="t,p,f", comments="", fmt="%.8g")
     (folder / "map.yaml").write_text(MAP + more)
-    told = call("import", *paths, "--map", folder / "map.yaml", "--out", folder / "runs", "--json").stdout
-    runs = [entry["run"] for entry in json.loads(told)["runs"]]
+    reported = call("import", *paths, "--map", folder / "map.yaml", "--out", folder / "runs", "--json").stdout
+    runs = [entry["run"] for entry in json.loads(reported)["runs"]]
     said = call("process", *runs, "--out", folder / "out", code=code).output
     return json.loads((folder / "out" / "isometric" / "analysis.json").read_text()), said
 

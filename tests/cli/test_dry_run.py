@@ -36,8 +36,8 @@ def no_device(monkeypatch):
 
 @pytest.mark.parametrize("bench", FIVE)
 def test_a_bench_with_devices_is_run_without_opening_one(bench, no_device):
-    told = json.loads(check("contraction-relaxation", "--bench", bench, *OF, *SHORT, "--simulate", "--json").stdout)
-    simulated = told["simulated"]
+    reported = json.loads(check("contraction-relaxation", "--bench", bench, *OF, *SHORT, "--simulate", "--json").stdout)
+    simulated = reported["simulated"]
     assert (simulated["status"], simulated["exit_code"]) == ("finished", 0)
     assert "reference plant 5.1" in simulated["muscle"]
     muscle = rig().muscle
@@ -54,10 +54,10 @@ def test_trials_that_cannot_lift_are_named_and_dropped(tmp_path):
     cannot, hardly = sum(margin <= 6 for margin in point), sum(6 < margin < 12 for margin in point)  # F_c = 6 N
     assert (cannot, hardly) == (45, 1)
     out = tmp_path / "moving.yaml"
-    told = json.loads(
+    reported = json.loads(
         check("contraction-relaxation", "--bench", "labjack", *OF, "--drop-idle", "-o", out, "--json").stdout
     )
-    assert (len(told["idle"]["trials"]), len(told["idle"]["doubtful"]), told["trials"]) == (90, 2, 176)
+    assert (len(reported["idle"]["trials"]), len(reported["idle"]["doubtful"]), reported["trials"]) == (90, 2, 176)
     left = json.loads(check(out, "--bench", "labjack", *OF, "--plan", "--json").stdout)
     assert left["trials"] == 84
     assert not left["idle"]["trials"]
@@ -82,12 +82,12 @@ def test_without_expected_coefficients_the_type_is_simulated_and_says_so(tmp_pat
         "--set",
         "sweep.matrix.pressure=[500 kPa]",
     ]
-    told = json.loads(check(*words, *sweep, "--simulate", "--json").stdout)["simulated"]
-    assert "type MAS-20 of the library" in told["muscle"]
-    (trial,) = told["predicted"]
+    reported = json.loads(check(*words, *sweep, "--simulate", "--json").stdout)["simulated"]
+    assert "type MAS-20 of the library" in reported["muscle"]
+    (trial,) = reported["predicted"]
     assert trial["highest"]["displacement"] == pytest.approx(0.25 * 0.195, rel=0.05)  # 255 N, less half of the loop
-    assert [other["force"] for other in told["others"]] == [0.8, 1.2]
-    weak, strong = (other["contraction"] for other in told["others"])
+    assert [other["force"] for other in reported["others"]] == [0.8, 1.2]
+    weak, strong = (other["contraction"] for other in reported["others"])
     assert weak < trial["highest"]["displacement"] < strong
 
 
@@ -96,10 +96,10 @@ def test_intervals_of_the_plan_are_predicted_and_more_trials_make_them_narrower(
     halves = []
     for count in (1, 4):
         sweep = ["--set", "sweep.matrix.load=[6 kg, 11 kg, 16 kg]", "--set", f"sweep.repeat.count={count}"]
-        told = json.loads(
+        reported = json.loads(
             check("contraction-relaxation", "--bench", "labjack", *OF, *sweep, "--simulate", "--json").stdout
         )
-        found = {(one["symbol"], one["pressure"]): one for one in told["simulated"]["intervals"]}
+        found = {(one["symbol"], one["pressure"]): one for one in reported["simulated"]["intervals"]}
         assert found["K", 400e3]["value"] == pytest.approx(rig().muscle.K(400e3), rel=0.01)
         halves.append(found["K", 400e3]["half"])
     assert halves[1] == pytest.approx(0.5 * halves[0], rel=0.05)

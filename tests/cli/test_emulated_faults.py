@@ -19,7 +19,7 @@ def written():
     return Written(served, 9.81, 2.0)
 
 
-def told(happenings):
+def reported(happenings):
     return [(round(item.after, 9), dict(item.wanted)) for item in happenings]
 
 
@@ -49,7 +49,7 @@ def fault(kind, value=None, count=-1):
     ],
 )
 def test_typed_lines(written, line, expected):
-    assert told(written.of_line(line)) == expected
+    assert reported(written.of_line(line)) == expected
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_typed_lines(written, line, expected):
         ("plant brust", 'did you mean "burst"'),
     ],
 )
-def test_lines_that_mean_nothing_are_told(written, line, why):
+def test_lines_that_mean_nothing_are_reported(written, line, why):
     with pytest.raises(ValueError, match=why):
         written.of_line(line)
 
@@ -82,7 +82,7 @@ def test_a_file_and_a_typed_line_say_the_same(written, tmp_path):
         "  - {load: 6 kg}\n"
     )
     lines = ("fault regulator lost 20 % for 2 s after 1 s", "plant burst for 500 ms", "load 6 kg")
-    assert told(written.of_file(path)) == [item for line in lines for item in told(written.of_line(line))]
+    assert reported(written.of_file(path)) == [item for line in lines for item in reported(written.of_line(line))]
 
 
 def test_every_problem_of_a_file_comes_with_its_place(written, tmp_path):

@@ -41,8 +41,10 @@ def lab(tmp_path_factory):
     settings = "{sweep.matrix.load: [6 kg], sweep.matrix.pressure: [200 kPa], sweep.repeat.count: 1}"
     (folder / "campaign.yaml").write_text(f"{campaign}runs:\n  - protocol: protocol.yaml\n    set: {settings}\n")
     (folder / "wrong.yaml").write_text(f"schema: pmabench.protocol/1\nkind: {name}\n")
-    told = call("run", folder / "protocol.yaml", *bench(folder), *SMALL, "--yes", "--out", folder / "runs", "--json")
-    run = json.loads(told.stdout)["run"]
+    reported = call(
+        "run", folder / "protocol.yaml", *bench(folder), *SMALL, "--yes", "--out", folder / "runs", "--json"
+    )
+    run = json.loads(reported.stdout)["run"]
     call("process", run, "--out", folder / "analysis", code=6)
     made = closed(folder / "named", rows=20, operator=HOSTILE, protocol=HOSTILE, source=HOSTILE, bench=HOSTILE)
     (made / f"{HOSTILE}.txt").write_text("x")

@@ -66,11 +66,11 @@ def test_a_lab_passes_check_and_holds_no_value_of_the_shipped_muscle(
     answers = LABS[lab]
     answered(tmp_path / "by-options", answers)
     monkeypatch.chdir(tmp_path / "by-options")
-    told = json.loads(
+    reported = json.loads(
         call("check", *FILES, "--json", code=0 if "daq" not in answers or answers["daq"] == "none" else 3)
     )
-    assert told["trials"] >= 4
-    assert told["unconfirmed"]
+    assert reported["trials"] >= 4
+    assert reported["unconfirmed"]
     text = "".join(text for name, text in contents(Path()).items() if not name.startswith("schemas"))
     for word in ("MOCK", "paper0", "55.6 kg", "??"):
         assert word not in text, word
@@ -113,13 +113,13 @@ def test_an_interrupted_init_goes_on_where_it_was(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("key", ["never_above", "supply", "dump_valve"])
 def test_what_protects_the_muscle_is_never_derived(key: str, tmp_path: Path) -> None:
-    told = answered(tmp_path / "lab", {name: value for name, value in LABJACK.items() if name != key}, code=2)
-    assert f"--answer {key}=..." in told
+    reported = answered(tmp_path / "lab", {name: value for name, value in LABJACK.items() if name != key}, code=2)
+    assert f"--answer {key}=..." in reported
     assert not (tmp_path / "lab").exists()
 
 
 @pytest.mark.parametrize(
-    ("answer", "told"),
+    ("answer", "reported"),
     [
         ("supply=800 kPa, relief 700 kPa", "must open below the muscle's 700 kPa"),
         ("inner_diameter=20", "is no length with a unit"),
@@ -128,9 +128,9 @@ def test_what_protects_the_muscle_is_never_derived(key: str, tmp_path: Path) -> 
         ("sensors=pressure 0 V..10 V = 0 kPa..1 MPa", "displacement is missing"),
     ],
 )
-def test_an_answer_that_cannot_be_is_refused_with_what_was_expected(answer: str, told: str, tmp_path: Path) -> None:
+def test_an_answer_that_cannot_be_is_refused_with_what_was_expected(answer: str, reported: str, tmp_path: Path) -> None:
     words = [word for key, value in LABJACK.items() for word in ("--answer", f"{key}={value}")]
-    assert told in call("init", str(tmp_path / "lab"), *words, "--answer", answer, code=2)
+    assert reported in call("init", str(tmp_path / "lab"), *words, "--answer", answer, code=2)
     assert not (tmp_path / "lab").exists()
 
 
@@ -152,8 +152,8 @@ def test_every_unconfirmed_value_is_refused_on_a_real_bench_and_none_on_a_simula
     for name, keys in places.items():
         for key in keys:
             Path(name).write_text(cleared[name].replace("to_confirm: []", f"to_confirm: [{key}]"))
-            told = call("run", *FILES, "--yes", code=3)
-            assert f'nobody has confirmed "{key}"' in told
+            reported = call("run", *FILES, "--yes", code=3)
+            assert f'nobody has confirmed "{key}"' in reported
         Path(name).write_text(cleared[name])
     Path("bench.yaml").write_text(cleared["bench.yaml"].replace(reviewed, ""))
     assert "who read them over" in call("run", *FILES, "--yes", code=3)
@@ -184,8 +184,8 @@ def test_no_limit_is_set_that_nobody_asked_for_and_the_file_shows_how(
 
 def test_a_register_map_is_copied(tmp_path: Path) -> None:
     answers = MUSCLE | {"daq": "modbus", "address": f"192.168.0.10, {MAP}", "dump_valve": "dump_valve closed"}
-    told = answered(tmp_path / "lab", answers, code=3)  # the shipped map is of a regulator: it measures no force
-    assert "no input" in told or "force" in told
+    reported = answered(tmp_path / "lab", answers, code=3)  # the shipped map is of a regulator: it measures no force
+    assert "no input" in reported or "force" in reported
 
 
 def test_a_shipped_bench_is_copied_with_like(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,7 +218,7 @@ def test_a_folder_that_is_not_empty_is_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
-def test_where_nothing_can_be_written_that_is_told(tmp_path: Path) -> None:
+def test_where_nothing_can_be_written_that_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     assert "no lab folder can be written here" in answered(tmp_path / "file" / "lab", MUSCLE, code=7)
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]

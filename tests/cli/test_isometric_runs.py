@@ -82,8 +82,8 @@ def test_the_contractor_of_paper_2_gives_its_dead_band_by_three_rules(tmp_path):
         assert e["value"] == pytest.approx(45e3, abs=2e3)
         assert e["ci95"][0] <= 45e3 <= e["ci95"][1]
         assert e["ci95"][1] - e["ci95"][0] < 8e3
-    (told,) = [f["text"] for f in analysis["findings"] if f["text"].startswith("corrected force")]
-    residuals = re.findall(r"([\d.]+) N", told)
+    (reported,) = [f["text"] for f in analysis["findings"] if f["text"].startswith("corrected force")]
+    residuals = re.findall(r"([\d.]+) N", reported)
     assert float(residuals[0]) < 0.1 * float(residuals[1])
 
 

@@ -81,15 +81,15 @@ def test_everything_that_is_wrong_comes_at_once_with_the_nearest_name():
         "eval", "tondu-lopez", "--set", "presure=3 bar", "--set", "contraction=10", "--set", "k=x",
         "--over", "radius=1 mm..2 mm by 0.3 mm", "--set", "braid_angle=3 kPa", code=2,
     )  # fmt: skip
-    for told in (
+    for reported in (
         'did you mean "pressure"?', '10 needs a unit', '"x" is no number', "in whole steps", '"kPa" is no unit of angle',
     ):  # fmt: skip
-        assert told in result.stderr.replace('"10" is no ratio with a unit', "10 needs a unit"), told
+        assert reported in result.stderr.replace('"10" is no ratio with a unit', "10 needs a unit"), reported
     assert result.stdout == ""
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "reported"),
     [
         (
             ("dmsp-40-305", "--set", "pressure=0.5 bar"),
@@ -120,9 +120,9 @@ def test_everything_that_is_wrong_comes_at_once_with_the_nearest_name():
         (("tondu-lopez", "--csv", "--json"), "not both"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_sentence(options, told):
+def test_what_cannot_be_is_refused_in_a_sentence(options, reported):
     result = call("eval", *options, code=2)
-    assert told in (result.stdout if "--json" in options else result.stderr)
+    assert reported in (result.stdout if "--json" in options else result.stderr)
     assert result.stdout == "" or "--json" in options
 
 
@@ -144,8 +144,8 @@ def test_every_command_of_the_page_works():
 def test_the_page_of_models_names_each_once_under_its_family():
     rows = re.findall(r"^\| ([a-zA-Z -]+) \| (`.*`) \|$", (DOCS / "models.md").read_text(), re.MULTILINE)
     named = {(family, name) for family, names in rows for name in re.findall(r"`([a-z0-9-]+)`", names)}
-    told = {item for item in named if item[0] in {model.family for model in MODELS.values()}}
-    assert told == {(model.family, model.name) for model in MODELS.values()}
+    reported = {item for item in named if item[0] in {model.family for model in MODELS.values()}}
+    assert reported == {(model.family, model.name) for model in MODELS.values()}
 
 
 def test_the_example_in_python_gives_what_the_page_says():

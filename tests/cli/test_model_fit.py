@@ -90,7 +90,7 @@ def test_an_analysis_folder_is_a_table(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "options", "code", "told"),
+    ("text", "options", "code", "reported"),
     [
         ("P [bar],force [N]\n1,x\n2,y\n3,4\n", (), 3, 't.csv:2:3  force: "x" is no number'),
         ("P [bar],force [N]\n1,2\n-2,5\n3,4\n", (), 3, "t.csv:3:1  P: -200 kPa is outside the model's domain"),
@@ -115,11 +115,11 @@ def test_an_analysis_folder_is_a_table(tmp_path):
         ("P [bar],force [N]\n", (), 3, "holds no table"),
     ],
 )
-def test_what_cannot_be_is_told_in_a_sentence(tmp_path, text, options, code, told):
+def test_what_cannot_be_is_reported_in_a_sentence(tmp_path, text, options, code, reported):
     table = tmp_path / "t.csv"
     table.write_text(text)
     result = call("tondu-lopez", str(table), *options, code=code)
-    assert told in result.stderr
+    assert reported in result.stderr
     assert result.stdout == ""
 
 
@@ -138,7 +138,7 @@ def test_a_fit_that_does_not_converge_has_the_exit_code_of_a_failed_verdict(monk
     assert "fault: the fit did not converge" in result.stdout
 
 
-def test_what_the_rows_do_not_tell_is_left_where_it_is_and_said(tmp_path):
+def test_what_the_rows_do_not_show_is_left_where_it_is_and_said(tmp_path):
     table = tmp_path / "t.csv"
     table.write_text("P [bar],force [N]\n" + "".join(f"{p},{250 * p + p % 2}\n" for p in range(1, 7)))
     result = call("tondu-lopez", str(table), "--set", "braid_angle=25 deg", "--json")

@@ -29,8 +29,8 @@ def test_a_controlled_platform_overshoots_as_another_program_says(chain, oversho
     """0.15 deg [0.01, 0.38] and 6.15 deg there, with an integral gain that is a sixth lower."""
     found = table("platform", "--step", "10 deg, 0 deg at 1 s", "--chain", chain, "--for", "3 s", "--every", "2 ms")
     assert overshoot[0] <= math.degrees(max(found["phi"])) - 10 <= overshoot[1]
-    told = call("simulate", "platform", "--step", "10 deg, 0 deg at 1 s", "--chain", chain, "--for", "3 s").output
-    assert "steepest goal 10 deg, steepest tilt 1" in told
+    reported = call("simulate", "platform", "--step", "10 deg, 0 deg at 1 s", "--chain", chain, "--for", "3 s").output
+    assert "steepest goal 10 deg, steepest tilt 1" in reported
 
 
 def test_a_driven_joint_has_the_gap_of_its_hysteresis():

@@ -117,7 +117,7 @@ def test_table_and_csv_hold_the_same_values():
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "reported"),
     [
         (("paper9", "--step", "1 bar at 0 s"), "paper0"),
         (("paper0",), "nothing is commanded"),
@@ -144,9 +144,9 @@ def test_table_and_csv_hold_the_same_values():
         (("paper0", "--kind", "perfect", "--step", "1 bar at 0 s"), "ideal, bench"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_sentence(options, told):
+def test_what_cannot_be_is_refused_in_a_sentence(options, reported):
     result = call(*options, code=2)
-    assert told in result.stderr
+    assert reported in result.stderr
     assert result.stdout == ""
 
 

@@ -33,19 +33,21 @@ def test_tab_completes_in_a_shell():
 
 
 def test_help_shows_each_command_once_in_five_sections():
-    told = CliRunner().invoke(main, ["--help"]).stdout
+    reported = CliRunner().invoke(main, ["--help"]).stdout
     names = [name for section in SECTIONS.values() for name in section]
     assert len(SECTIONS) == 5
     assert len(names) == len(set(names)) <= MOST_NAMES
-    assert [told.index(f"\n{title}:\n") for title in SECTIONS] == sorted(told.index(f"\n{t}:\n") for t in SECTIONS)
-    assert all(f"\n  {name} " in told for name in names)
-    assert all(len(line) <= 80 for line in told.splitlines())
+    assert [reported.index(f"\n{title}:\n") for title in SECTIONS] == sorted(
+        reported.index(f"\n{t}:\n") for t in SECTIONS
+    )
+    assert all(f"\n  {name} " in reported for name in names)
+    assert all(len(line) <= 80 for line in reported.splitlines())
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_each_help_ends_with_an_example_whose_options_exist(name):
-    told = CliRunner().invoke(main, [name, "--help"])
-    assert (told.exit_code, f"pmabench {name}" in told.stdout.split("Example", 1)[-1]) == (0, True)
+    reported = CliRunner().invoke(main, [name, "--help"])
+    assert (reported.exit_code, f"pmabench {name}" in reported.stdout.split("Example", 1)[-1]) == (0, True)
     command = main.get_command(click.Context(main), name)
     typed = shlex.split(EXAMPLES[name])
     while isinstance(command, click.Group):
@@ -87,8 +89,8 @@ def test_list_names_files_of_this_folder_and_shipped_ones(tmp_path, monkeypatch)
     rows = {row["name"]: row for row in json.loads(done.stdout)["files"]}
     assert (rows["rig.yaml"]["title"], rows["rig.yaml"]["from"]) == ("our rig", "here")
     assert (rows["mock"]["title"], rows["mock"]["from"]) == ("mock bench, weights, MAS-20-250 of paper 0", "shipped")
-    told = CliRunner().invoke(main, ["list", "-q"]).stdout.splitlines()
-    assert {"mock", "contraction-relaxation", "demo", "paper0", "mas-20-250-paper0", "aarl-10mm"} <= set(told)
+    reported = CliRunner().invoke(main, ["list", "-q"]).stdout.splitlines()
+    assert {"mock", "contraction-relaxation", "demo", "paper0", "mas-20-250-paper0", "aarl-10mm"} <= set(reported)
 
 
 def test_a_run_is_found_by_the_end_of_its_name_where_no_other_ends_so(tmp_path, monkeypatch):

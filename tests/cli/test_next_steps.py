@@ -71,12 +71,12 @@ def test_after_a_takeover_the_bench_is_tripped_and_the_lines_lead_on(lab):
         run.send_signal(signal.SIGSTOP)
         time.sleep(1.5)
         run.send_signal(signal.SIGCONT)
-        _, told = run.communicate(timeout=60)
-    assert run.returncode in {4, 5}, told
+        _, reported = run.communicate(timeout=60)
+    assert run.returncode in {4, 5}, reported
     (folder,) = Path("runs").iterdir()
-    assert "the bench is now tripped" in told
-    reset = next(line for line in told.splitlines() if "--reset" in line).partition("pmabench ")[2]
-    resume = next(line for line in told.splitlines() if "--resume" in line).partition("pmabench ")[2]
+    assert "the bench is now tripped" in reported
+    reset = next(line for line in reported.splitlines() if "--reset" in line).partition("pmabench ")[2]
+    resume = next(line for line in reported.splitlines() if "--resume" in line).partition("pmabench ")[2]
     assert reset == "vent rig.yaml --reset --operator NAME --because TEXT"
     assert shlex.split(resume) == ["run", "--resume", str(folder)]
     refused = pmabench(*shlex.split(resume), "--yes", "-q")
@@ -128,14 +128,14 @@ def test_continue_says_what_happened_and_asks_first(tmp_path, monkeypatch):
     words = ["run", "contraction-relaxation", "--bench", "mock", *SPECIMEN[:2], *SHORT]
     CliRunner().invoke(main, words, input="")
     (folder,) = Path("runs").iterdir()
-    told = CliRunner().invoke(main, ["continue"])
-    assert told.exit_code == 0
-    assert told.stderr.splitlines()[0].startswith(
+    reported = CliRunner().invoke(main, ["continue"])
+    assert reported.exit_code == 0
+    assert reported.stderr.splitlines()[0].startswith(
         f"SIMULATED  ABORTED  contraction-relaxation, runs/{folder.name[-4:]}: "
     )
-    assert all(len(line) <= 80 for line in told.stderr.splitlines()[:3])
-    assert "0 of 1 trials are done" in told.stderr
-    assert f"not done; later:  pmabench run --resume {folder}" in told.stderr
+    assert all(len(line) <= 80 for line in reported.stderr.splitlines()[:3])
+    assert "0 of 1 trials are done" in reported.stderr
+    assert f"not done; later:  pmabench run --resume {folder}" in reported.stderr
     assert len(list(Path("runs").glob("2*"))) == 1
     again = CliRunner().invoke(main, ["continue", "--yes"])
     assert again.exit_code == 0, again.output
@@ -148,15 +148,15 @@ def test_an_interrupted_run_names_how_to_go_on(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("pmabench.cli.run._somebody", lambda _mounted: True)
     words = ["run", "contraction-relaxation", "--bench", "mock", *SPECIMEN[:2], *SHORT]
-    told = CliRunner().invoke(main, words, input="")
+    reported = CliRunner().invoke(main, words, input="")
     (folder,) = Path("runs").iterdir()
-    assert told.exit_code == 130
-    end = told.stdout.splitlines()
-    assert "SIMULATED  ABORTED  contraction-relaxation: 0 of 1 trial, " in told.stdout
+    assert reported.exit_code == 130
+    end = reported.stdout.splitlines()
+    assert "SIMULATED  ABORTED  contraction-relaxation: 0 of 1 trial, " in reported.stdout
     assert end[-1] == "next    pmabench continue"
     assert f"record  runs/{folder.name[-4:]} " in end[-2]
     assert all(len(line) <= 80 for line in end[1:])
-    assert "tripped" not in told.output
+    assert "tripped" not in reported.output
     again = CliRunner().invoke(main, ["run", "--resume", str(folder), "--yes"])
     assert again.exit_code == 0, again.output
     assert "SIMULATED  FINISHED  contraction-relaxation: 1 of 1 trial, " in again.stdout

@@ -52,8 +52,8 @@ def test_a_run_that_the_guard_vented_says_so(tmp_path):
 def test_process_lists_what_notes_leave_out(tmp_path):
     small = ["--set", "sweep.matrix.load=[6 kg]", "--set", "sweep.matrix.pressure=[200 kPa, 300 kPa, 400 kPa]"]
     bench = ["--bench", "mock", "--specimen", "mas-20-250-paper0", "--yes"]
-    told = call("run", "contraction-relaxation", *bench, *small, "--out", tmp_path / "runs", "--json").stdout
-    folder = json.loads(told)["run"]
+    reported = call("run", "contraction-relaxation", *bench, *small, "--out", tmp_path / "runs", "--json").stdout
+    folder = json.loads(reported)["run"]
     before = json.loads(call("process", folder, "--out", tmp_path / "before", "--json", code=6).stdout)
     call("note", folder, "--exclude", 2, "--because", "the table was hit", "--operator", "B. Ito")
     after = json.loads(call("process", folder, "--out", tmp_path / "after", "--json", code=6).stdout)

@@ -50,14 +50,14 @@ def test_bad_files_are_one_sentence_and_leave_nothing(tmp_path, content, says):
         (lambda path: os.mkfifo(path), "is not a file"),
     ],
 )
-def test_what_is_no_file_of_data_is_told_whatever_its_name(tmp_path, name, make, says):
+def test_what_is_no_file_of_data_is_reported_whatever_its_name(tmp_path, name, make, says):
     make(tmp_path / name)
     text = call("import", tmp_path / name, "--map", OLD / "isometric.yaml", "--out", tmp_path / "o", code=3).output
     assert f"{tmp_path / name}  {says}" in text
     assert len(text.splitlines()) == 1
 
 
-def test_a_name_that_fits_no_form_is_still_told(tmp_path):
+def test_a_name_that_fits_no_form_is_still_reported(tmp_path):
     first = sorted((OLD / "isometric").glob("*.csv"))[0]
     other = tmp_path / "other.csv"
     other.write_bytes(first.read_bytes())

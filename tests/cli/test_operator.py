@@ -19,14 +19,14 @@ def terminal():
 
 def asked(fd, blocks):
     """Ask; before each look at the keyboard a block of bench time passes, and `blocks` type then."""
-    told, passed = [], []
+    reported, passed = [], []
 
     def wait():
         passed.append(len(passed))
         blocks[min(len(passed), len(blocks)) - 1]()
 
-    answer = InLines(told.append, fd).ask("Put 6 kg on.", {"pressure": 5100.0}, wait)
-    return answer, told, len(passed)
+    answer = InLines(reported.append, fd).ask("Put 6 kg on.", {"pressure": 5100.0}, wait)
+    return answer, reported, len(passed)
 
 
 def test_the_bench_is_watched_while_a_person_thinks_and_only_the_word_counts(terminal):
@@ -34,11 +34,11 @@ def test_the_bench_is_watched_while_a_person_thinks_and_only_the_word_counts(ter
     types = [
         lambda text=text: os.write(write, text) if text else None for text in (b"", b"", b"", b"done\n", b"CLEAR\n")
     ]
-    answer, told, passed = asked(read, types)
+    answer, reported, passed = asked(read, types)
     assert (answer, passed) == ("clear", 5)
-    assert "Put 6 kg on." in told[0]
-    assert "5.1 kPa" in told[0]
-    assert '"done" does not count' in told[1]
+    assert "Put 6 kg on." in reported[0]
+    assert "5.1 kPa" in reported[0]
+    assert '"done" does not count' in reported[1]
 
 
 def test_what_was_typed_before_the_question_is_no_answer(terminal):

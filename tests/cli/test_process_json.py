@@ -119,8 +119,8 @@ def test_process_prints_strict_json_and_nothing_else(runs, tmp_path):
     result = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=False, timeout=280)
     assert result.returncode in (0, 6), result.stderr
     assert result.stderr == ""
-    told = strict(result.stdout)
-    assert {reduction_of(run) for run in runs} <= {analysis["kind"] for analysis in told["analyses"]}
+    reported = strict(result.stdout)
+    assert {reduction_of(run) for run in runs} <= {analysis["kind"] for analysis in reported["analyses"]}
     for path in tmp_path.rglob("analysis.json"):
         strict(path.read_text(encoding="utf-8"))
 
@@ -168,8 +168,8 @@ def test_broken_runs_of_every_kind_are_strict_json_without_a_warning(runs, fault
             broken = replace(run, trials=some)
             analyses = reduce_runs([broken])
             reasons = verdicts([broken], analyses)
-            told = [plain(analysis.to_dict()) for analysis in analyses]
-            strict(json.dumps([told, reasons], allow_nan=False))
+            reported = [plain(analysis.to_dict()) for analysis in analyses]
+            strict(json.dumps([reported, reasons], allow_nan=False))
             for analysis in analyses:
                 assert all(e.value is None or math.isfinite(e.value) for e in analysis.estimates), run.kind
                 values = [e.value for e in analysis.estimates if e.value is not None]

@@ -35,8 +35,8 @@ def archive(tmp_path_factory):
     lab = tmp_path_factory.mktemp("lab")
     for number in range(RUNS):
         write_run(lab / "runs" / ("2018" if number % 2 else "2019"), number)
-    told = json.loads(call("process", lab / "runs", "--json").stdout)
-    return lab, told
+    reported = json.loads(call("process", lab / "runs", "--json").stdout)
+    return lab, reported
 
 
 @pytest.fixture
@@ -60,8 +60,8 @@ def test_the_analysis_of_a_run_of_a_folder_is_that_of_the_run_alone(archive, tmp
 
 
 def test_each_run_is_its_own_analysis_and_the_table_has_what_is_behind_each(archive):
-    lab, told = archive
-    assert (told["computed"], told["unchanged"], told["failed"]) == (RUNS, 0, [])
+    lab, reported = archive
+    assert (reported["computed"], reported["unchanged"], reported["failed"]) == (RUNS, 0, [])
     with (lab / "analyses" / "each" / "all-runs.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["K [N/mm]"]]
     assert len(rows) == RUNS
@@ -76,7 +76,7 @@ def test_each_run_is_its_own_analysis_and_the_table_has_what_is_behind_each(arch
     assert table.schema.field("K [N/mm]").metadata == {b"quantity": b"stiffness", b"unit": b"N/mm"}
     assert [k for k in table.column("K [N/mm]").to_pylist() if k] == [float(row["K [N/mm]"]) for row in rows]
     kept = json.loads((lab / "analyses" / "each" / "all-runs.json").read_text())
-    assert kept["runs"] == told["runs"]
+    assert kept["runs"] == reported["runs"]
 
 
 def test_one_run_named_alone_gives_the_same_analysis(archive, tmp_path):
@@ -92,10 +92,10 @@ def test_one_run_named_alone_gives_the_same_analysis(archive, tmp_path):
 def test_two_processes_give_the_same_bytes_and_one_bad_run_stops_no_other(archive, lab):
     bad = next((lab / "runs" / "2018").iterdir())
     (bad / "manifest.json").write_bytes((bad / "manifest.json").read_bytes()[:-20])
-    told = call("process", lab / "runs", "--jobs", "2", code=3).output
-    assert "1 run could not be processed:" in told
-    assert "manifest.json  is damaged or was changed" in told
-    assert str(lab / "analyses" / "each" / "all-runs.csv") in told
+    reported = call("process", lab / "runs", "--jobs", "2", code=3).output
+    assert "1 run could not be processed:" in reported
+    assert "manifest.json  is damaged or was changed" in reported
+    assert str(lab / "analyses" / "each" / "all-runs.csv") in reported
     whole, here = files_of(archive[0] / "analyses" / "each"), files_of(lab / "analyses" / "each")
     analyses = {name: content for name, content in whole.items() if "/" in name and bad.name not in name}
     assert {name: content for name, content in here.items() if "/" in name} == analyses
@@ -118,17 +118,17 @@ def test_only_what_changed_is_computed_again(lab, monkeypatch):
     assert "had not changed" not in call("process", lab / "runs").output
     worked = counted(monkeypatch)
     before = files_of(lab / "analyses" / "each")
-    told = call("process", lab / "runs").output
-    assert f"{RUNS} had not changed and were not computed again" in told
+    reported = call("process", lab / "runs").output
+    assert f"{RUNS} had not changed and were not computed again" in reported
     assert worked == []
     assert files_of(lab / "analyses" / "each") == before
 
     run = sorted((lab / "runs" / "2019").iterdir())[0]
     place = f"2019/{run.name}"
     call("note", run, "it slipped", "--exclude", "1", "--because", "slipped", "--operator", "A")
-    told = json.loads(call("process", lab / "runs", "--json", code=6).stdout)
+    reported = json.loads(call("process", lab / "runs", "--json", code=6).stdout)
     assert worked == [place]
-    (entry,) = [entry for entry in told["runs"] if entry["run"] == run.name]
+    (entry,) = [entry for entry in reported["runs"] if entry["run"] == run.name]
     assert entry["excluded"][0]["because"] == "slipped"
     assert "nothing came out" in entry["verdicts"][0]
 
@@ -192,7 +192,7 @@ def test_a_stream_that_was_changed_in_place_is_not_taken_for_unchanged(lab):
     assert "was changed after it was written" in call("process", lab / "runs", code=3).output
 
 
-def test_an_error_in_the_program_is_told_with_its_run_and_stops_no_other(lab, monkeypatch):
+def test_an_error_in_the_program_is_reported_with_its_run_and_stops_no_other(lab, monkeypatch):
     from pmabench.kinds.recorded_step import reduction as recorded_steps
 
     reduce = recorded_steps.reduce
@@ -204,9 +204,9 @@ def test_an_error_in_the_program_is_told_with_its_run_and_stops_no_other(lab, mo
         return reduce(runs, options)
 
     monkeypatch.setattr(recorded_steps, "reduce", broken)
-    told = json.loads(call("process", lab / "runs", "--json", code=1).stdout)
-    assert len(told["runs"]) == RUNS - 1
-    (failed,) = told["failed"]
+    reported = json.loads(call("process", lab / "runs", "--json", code=1).stdout)
+    assert len(reported["runs"]) == RUNS - 1
+    (failed,) = reported["failed"]
     assert failed["error"].startswith(str(bad))
     assert "please report it: ZeroDivisionError: float division by zero" in failed["error"]
 
@@ -263,20 +263,20 @@ def test_options_that_do_not_fit_are_refused(archive, options, says):
     assert says in call("process", run, *options, code=2).output
 
 
-def test_what_is_no_run_is_told_among_the_others(lab):
+def test_what_is_no_run_is_reported_among_the_others(lab):
     (lab / "readme.txt").write_text("words")
-    told = call("process", "--each", lab / "runs", lab / "readme.txt", lab / "nowhere", code=3).output
-    assert f"{lab / 'readme.txt'}  is not a run folder" in told
-    assert f"{lab / 'nowhere'}  is not a run folder: there is no such folder" in told
-    assert f"recorded-step: {RUNS} runs" in told
+    reported = call("process", "--each", lab / "runs", lab / "readme.txt", lab / "nowhere", code=3).output
+    assert f"{lab / 'readme.txt'}  is not a run folder" in reported
+    assert f"{lab / 'nowhere'}  is not a run folder: there is no such folder" in reported
+    assert f"recorded-step: {RUNS} runs" in reported
 
 
 def test_text_that_a_spreadsheet_or_a_terminal_would_act_on_is_inert(tmp_path):
     closed(tmp_path / "runs", specimen={"type": "=HYPERLINK(1)", "serial": "\x1b[2J"}, kind="\x1b]0;x\x07none")
     write_run(tmp_path / "runs", 1)
-    told = call("process", tmp_path / "runs", code=3).output
-    assert "\x1b" not in told
-    assert "no reduction for runs of kind" in told
+    reported = call("process", tmp_path / "runs", code=3).output
+    assert "\x1b" not in reported
+    assert "no reduction for runs of kind" in reported
     entry = json.loads((tmp_path / "analyses" / "each" / "all-runs.json").read_text())["runs"][0]
     rows, numbers = table_rows([entry | {"specimen": "=HYPERLINK(1)", "verdicts": ["@SUM(1)"]}])
     text = csv_text(rows, list(numbers))

@@ -119,7 +119,7 @@ def test_what_the_scales_may_be_off_is_in_the_intervals(runs, tmp_path):
     assert compared > 20
 
 
-def test_a_long_hold_tells_the_creep_and_the_stiffness_at_full_length(runs, tmp_path):
+def test_a_long_hold_shows_the_creep_and_the_stiffness_at_full_length(runs, tmp_path):
     """c_x: 0.4 % of the contraction with each time constant, between 1 and 30 s; K at no contraction and 500 kPa."""
     prepared = prepare("real-muscle-holds", "mock-real-actuator", "dmsp-20-250-real", [])
     outcome = run_plan(prepared.plan, prepared.mounted, ConfirmedBeforehand(), out=tmp_path / "holds")

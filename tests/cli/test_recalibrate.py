@@ -38,9 +38,9 @@ ONE_PERCENT = {
 
 
 def file(folder, **changes):
-    told = ONE_PERCENT | changes
-    path = folder / f"{told['id']}.yaml"
-    path.write_text(LENGTH.format(**told))
+    reported = ONE_PERCENT | changes
+    path = folder / f"{reported['id']}.yaml"
+    path.write_text(LENGTH.format(**reported))
     return path
 
 
@@ -53,14 +53,14 @@ def run(tmp_path_factory):
     return write_run(tmp_path_factory.mktemp("lab") / "runs", 3)
 
 
-def changed(told):
-    return {(c["symbol"], bool(c["at"])): c for c in told["changes"]}
+def changed(reported):
+    return {(c["symbol"], bool(c["at"])): c for c in reported["changes"]}
 
 
 def test_a_scale_one_percent_larger_changes_strokes_and_nothing_that_rests_on_time(run, tmp_path):
     before = tree(run)
-    told = json.loads(call("recalibrate", run, "--calibration", file(tmp_path), "--json").stdout)
-    found = changed(told)
+    reported = json.loads(call("recalibrate", run, "--calibration", file(tmp_path), "--json").stdout)
+    found = changed(reported)
     stroke, slope, K, B = (found[name, True] for name in ("X", "dP/dx", "K", "B"))
     assert stroke["after"]["value"] == pytest.approx(1.01 * stroke["before"]["value"], rel=1e-12)
     assert stroke["difference"] == pytest.approx(0.01 * stroke["before"]["value"], rel=1e-9)
@@ -69,20 +69,20 @@ def test_a_scale_one_percent_larger_changes_strokes_and_nothing_that_rests_on_ti
         assert coefficient["after"]["value"] == pytest.approx(coefficient["before"]["value"], rel=1e-6)
     x = stroke["before"]["value"]
     assert stroke["half_width"] == pytest.approx(hypot(0.001 * x, 0.002 * 1.01 * x), rel=1e-9)
-    assert told["channels"][0]["sentence"] == "displacement: calibration C-2 instead of C-1"
+    assert reported["channels"][0]["sentence"] == "displacement: calibration C-2 instead of C-1"
     assert tree(run) == before
-    (folder,) = told["folders"]
+    (folder,) = reported["folders"]
     analysis = json.loads((run.parents[1] / folder / "analysis.json").read_text())
     assert analysis["findings"][0]["text"].startswith("recalibrated after the fact, displacement: calibration C-2")
     again = json.loads(call("recalibrate", run, "--calibration", file(tmp_path), "--json").stdout)
-    assert again["folders"] != told["folders"]
-    assert again["changes"] == told["changes"]
+    assert again["folders"] != reported["folders"]
+    assert again["changes"] == reported["changes"]
 
 
 def test_a_report_names_both_calibrations_who_when_why_and_every_change(run, tmp_path):
     asked = ("--because", "wrong <b>gauge</b>", "--operator", "A. Meyer", "--out", tmp_path / "a", "--json")
-    told = json.loads(call("recalibrate", run, "--calibration", file(tmp_path), *asked).stdout)
-    who = told["recalibration"]
+    reported = json.loads(call("recalibrate", run, "--calibration", file(tmp_path), *asked).stdout)
+    who = reported["recalibration"]
     assert (who["operator"], who["because"]) == ("A. Meyer", "wrong <b>gauge</b>")
     analysis = read_analysis(tmp_path / "a" / "recorded-step")
     content = content_of([analysis], [open_run(run)])
@@ -97,7 +97,7 @@ def test_a_report_names_both_calibrations_who_when_why_and_every_change(run, tmp
     assert content.deviations[0] == f"R1: recalibrated on {who['at'][:16].replace('T', ' ')} UTC {said}"
     (table,) = [t for t in content.sections[0].tables if t.caption.startswith("What the recalibration changed")]
     shown = [[cell.text for cell in row] for _, rows in table.groups for row in rows]
-    assert len(shown) == len(told["changes"])
+    assert len(shown) == len(reported["changes"])
     (stroke,) = [row for row in shown if row[1] == "X"]
     assert stroke[4:6] == ["40.00", "40.40"]
     assert stroke[-1] == "+1.00"
@@ -116,22 +116,22 @@ def test_odd_facts_of_a_recalibration_make_no_trouble(run, odd):
 
 
 def test_the_same_calibration_changes_nothing(run, tmp_path):
-    told = json.loads(
+    reported = json.loads(
         call(
             "recalibrate", run, "--calibration", file(tmp_path, high="100 mm"), "--out", tmp_path / "a", "--json"
         ).stdout
     )
-    known = [c for c in told["changes"] if c["before"]["value"] is not None]
+    known = [c for c in reported["changes"] if c["before"]["value"] is not None]
     assert len(known) >= 5
     assert all(abs(c["difference"]) <= 1e-7 * abs(c["before"]["value"]) for c in known)
-    assert all(c["difference"] is None for c in told["changes"] if c not in known)
+    assert all(c["difference"] is None for c in reported["changes"] if c not in known)
 
 
 def test_a_pressure_that_is_late_moves_the_dead_time_by_as_much(run, tmp_path):
     out = ("--out", tmp_path / "a", "--json")
-    told = changed(json.loads(call("recalibrate", run, "--skew", "pressure=4 ms", *out).stdout))
-    assert told["t_d", False]["difference"] == pytest.approx(-0.004, abs=1e-9)
-    assert told["X", True]["difference"] == 0.0
+    reported = changed(json.loads(call("recalibrate", run, "--skew", "pressure=4 ms", *out).stdout))
+    assert reported["t_d", False]["difference"] == pytest.approx(-0.004, abs=1e-9)
+    assert reported["X", True]["difference"] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_a_pressure_that_is_late_moves_the_dead_time_by_as_much(run, tmp_path):
         (("--skew", "pressure=2"), 2, "is no time with a unit"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_told_and_leaves_nothing_behind(run, tmp_path, options, code, says):
+def test_what_cannot_be_is_reported_and_leaves_nothing_behind(run, tmp_path, options, code, says):
     asked = [file(tmp_path, **option) if isinstance(option, dict) else option for option in options]
     assert says in call("recalibrate", run, *asked, "--out", tmp_path / "out", code=code).output
     assert not (tmp_path / "out").exists()

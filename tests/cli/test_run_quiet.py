@@ -20,8 +20,8 @@ def test_a_run_that_does_not_finish_says_why(tmp_path):
     files = shutil.copytree(Path(__file__).parents[2] / "fixtures", tmp_path / "fixtures")
     bench = files / "benches" / "low.yaml"
     bench.write_text("include: mock.yaml\nname: low\nlimits: {contraction: {trip: 5 %, action: vent}}\n")
-    told = ["--bench", bench, *BENCH[2:]]
-    done = call("run", "contraction-relaxation", *told, *SMALL, "--out", tmp_path / "runs", code=5)
+    reported = ["--bench", bench, *BENCH[2:]]
+    done = call("run", "contraction-relaxation", *reported, *SMALL, "--out", tmp_path / "runs", code=5)
     (line,) = done.stderr.splitlines()
     assert line.startswith("tripped: displacement ")
     assert line.endswith("; vent confirmed")

@@ -32,16 +32,16 @@ def late_report(folder, **changes):
 
 
 @pytest.mark.timeout(60)
-def test_verify_tells_what_was_added_from_what_is_damaged(touched):
+def test_verify_shows_what_was_added_from_what_is_damaged(touched):
     text = call("runs", "verify", touched).stdout
     assert text.splitlines()[0] == f"{touched}: whole, 2 added, 1 late"
     assert "  .DS_Store: was added after the run was closed\n" in text
     assert "  tube: was added after the run was closed; it is a FIFO\n" in text
     assert "  run.late/guard.json: came after the run was closed; no seal protects it\n" in text
-    told = json.loads(call("runs", "verify", touched, "--json").stdout)
-    assert told["runs"] == {str(touched): []}
-    assert len(told["added"][str(touched)]) == 2
-    assert told["late"] == {str(touched): ["guard.json"]}
+    reported = json.loads(call("runs", "verify", touched, "--json").stdout)
+    assert reported["runs"] == {str(touched): []}
+    assert len(reported["added"][str(touched)]) == 2
+    assert reported["late"] == {str(touched): ["guard.json"]}
     both = call("runs", "verify", touched, f"{touched}.late").stdout
     assert both == text, "runs/* names the late folder too"
     (touched / "plan.json").unlink()
@@ -113,8 +113,8 @@ def test_process_and_report_take_the_sealed_part_and_say_so(tmp_path):
     assert sentence in call("process", *everything, "--out", tmp_path / "text", code=6).stdout
     many = call("process", tmp_path / "runs", "--out", tmp_path / "many", code=6).stdout
     assert "2 added and 1 late files since it was closed, not used" in many
-    told = call("report", *everything, "-o", tmp_path / "page.html")
-    assert sentence in told.stderr
+    reported = call("report", *everything, "-o", tmp_path / "page.html")
+    assert sentence in reported.stderr
     assert sentence in (tmp_path / "page.html").read_text()
 
 

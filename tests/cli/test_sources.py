@@ -17,7 +17,7 @@ def lab(tmp_path_factory):
     return lab
 
 
-def test_a_folder_of_analyses_stands_for_all_in_it(lab, tmp_path):
+def test_a_folder_of_analyses_means_all_in_it(lab, tmp_path):
     one, two = sorted((lab / "analyses").iterdir())
     call("report", lab / "analyses", "-o", tmp_path / "folder.html")
     call("report", one / "recorded-step", two / "recorded-step", "-o", tmp_path / "each.html")
@@ -28,19 +28,19 @@ def test_a_folder_of_analyses_stands_for_all_in_it(lab, tmp_path):
 
 
 def test_among_runs_a_folder_of_analyses_is_skipped_and_that_is_said(lab, tmp_path):
-    told = call("report", *(lab / "runs").iterdir(), lab / "analyses", "-o", tmp_path / "a.html")
-    assert "analyses: holds analyses, skipped" in told.stderr
+    reported = call("report", *(lab / "runs").iterdir(), lab / "analyses", "-o", tmp_path / "a.html")
+    assert "analyses: holds analyses, skipped" in reported.stderr
 
 
 def test_two_analyses_of_one_run_are_not_one_report(lab, tmp_path):
     one = sorted((lab / "analyses").iterdir())[0] / "recorded-step"
     shutil.copytree(one, tmp_path / "again" / "recorded-step")
-    told = call("report", one, tmp_path / "again", "-o", tmp_path / "a.html", code=2)
-    assert "are analyses of the same runs: give one of the two" in told.output
+    reported = call("report", one, tmp_path / "again", "-o", tmp_path / "a.html", code=2)
+    assert "are analyses of the same runs: give one of the two" in reported.output
 
 
 @pytest.mark.parametrize("command", [("report",), ("recalibrate", "--skew", "pressure=1 ms")])
-def test_a_folder_of_runs_is_told_from_a_run(lab, tmp_path, command):
+def test_a_folder_of_runs_is_distinguished_from_a_run(lab, tmp_path, command):
     target = ("-o", tmp_path / "a.html") if command[0] == "report" else ()
-    told = call(*command, lab / "runs", *target, code=3)
-    assert "is a folder of runs: name those in it, for instance with /*" in told.output
+    reported = call(*command, lab / "runs", *target, code=3)
+    assert "is a folder of runs: name those in it, for instance with /*" in reported.output

@@ -32,9 +32,9 @@ def needed():
 def test_a_run_that_may_not_fit_is_refused_before_it_begins(disk, tmp_path):
     count, out = needed(), tmp_path / "not" / "yet"
     asked = disk(2 * count - 1)
-    told = call("run", "contraction-relaxation", *MOCK, *SMALL, "--yes", "--out", out, code=7).output
-    assert "are free, and" in told
-    assert "twice what the run may record" in told
+    reported = call("run", "contraction-relaxation", *MOCK, *SMALL, "--yes", "--out", out, code=7).output
+    assert "are free, and" in reported
+    assert "twice what the run may record" in reported
     assert asked[-1] == tmp_path, "where the folder would be made"
     assert not out.exists()
 

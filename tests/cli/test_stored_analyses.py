@@ -66,8 +66,8 @@ def test_nothing_is_computed_twice_and_the_bytes_are_the_same(lab, reduced):
     run, computed = the_run(lab), lab / "computed.html"
     call("report", run, "--fresh", "-o", computed)
     assert len(reduced) == 1
-    told = call("report", run, "-o", lab / "stored.html")
-    assert (told.stderr, len(reduced)) == ("", 1)
+    reported = call("report", run, "-o", lab / "stored.html")
+    assert (reported.stderr, len(reduced)) == ("", 1)
     assert (lab / "stored.html").read_bytes() == computed.read_bytes()
     for form, name in (("json", "a.json"), ("latex", "a.tex")):
         call("export", run, "--format", form, "-o", lab / f"fresh-{name}", "--fresh")
@@ -149,8 +149,8 @@ def test_other_options_are_not_used_and_the_user_is_informed(lab, reduced):
     run, place = the_run(lab), record_of(lab).parent
     options = {"recorded-step": {"mass": 7.85}}
     made_from.keep(place, made_from.key_of([run], options), [run], options, [place / "recorded-step"])
-    told = call("report", run, "-o", lab / "r.html").stderr
-    assert f"{place} was made with other options (mass): it is not used" in told
+    reported = call("report", run, "-o", lab / "r.html").stderr
+    assert f"{place} was made with other options (mass): it is not used" in reported
     assert len(reduced) == 1
 
 
@@ -175,7 +175,7 @@ def test_a_damaged_analysis_is_not_used_and_the_user_is_informed(lab, reduced, d
         content["analyses"] = {"recorded-step": made_from.stamp(analysis.parent)}
         record.write_text(json.dumps(content))
         why = "analysis.json"
-    told = call("report", run, "-o", lab / "r.html").stderr
-    assert why in told
-    assert "it is not used, and its runs are processed again" in told
+    reported = call("report", run, "-o", lab / "r.html").stderr
+    assert why in reported
+    assert "it is not used, and its runs are processed again" in reported
     assert len(reduced) == 1

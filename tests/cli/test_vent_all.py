@@ -21,7 +21,7 @@ class Bench:
         return {"port": 1} if self._guard else {}
 
 
-def told(name):
+def reported(name):
     return Vented(name, "here", "confirmed", ("set pressure: sent",), 0.0)
 
 
@@ -34,7 +34,7 @@ def test_a_bench_that_hangs_holds_no_other_up(monkeypatch):
         if station.name == "live":
             vented.set()
         assert vented.wait(PATIENCE), "the bench in use waited for the dead one"
-        return told(station.name)
+        return reported(station.name)
 
     monkeypatch.setattr(vent, "_vent", one)
     found = [(Bench("dead", guard=False), {}), (Bench("live", guard=True), {})]
@@ -46,7 +46,7 @@ def test_what_fails_is_raised_after_all_others_were_vented(monkeypatch, capsys):
     def one(_ui, station, _saved, _began):
         if station.name == "a":
             raise DeviceError("plant", "its driver cannot be loaded")
-        return told(station.name)
+        return reported(station.name)
 
     monkeypatch.setattr(vent, "_vent", one)
     with pytest.raises(DeviceError, match="cannot be loaded"):

@@ -26,9 +26,9 @@ def test_every_call_comes_out_as_the_page_says(client, tmp_path):
     if client.program and shutil.which(client.program) is None:
         pytest.skip(f"not run: no {client.program}")
     states = {result.call: (result.state, result.why) for result in run(client, tmp_path)}
-    told = {name: state for state, names in rows()[client.what].items() for name in names}
+    reported = {name: state for state, names in rows()[client.what].items() for name in names}
     assert {name: why for name, (state, why) in states.items() if state == DISAGREES} == {}
-    assert {name: state for name, (state, _why) in states.items()} == told
+    assert {name: state for name, (state, _why) in states.items()} == reported
 
 
 def test_the_page_names_the_calls_of_every_script():

@@ -47,8 +47,8 @@ def test_a_package_of_somebody_else_is_found_by_its_name_when_it_is_installed(tm
     assert listed["example"]["can"][:3] == ["samples", "set-points", "ramps and sines"]
     bench = str(EXAMPLE / "bench.yaml")
     done = typed("conformance", "example", "--bench", bench, "--check", "valves", "--check", "imports", "--json")
-    told = json.loads(done.stdout)
-    assert (done.returncode, [check["verdict"] for check in told["checks"]]) == (0, [PASSED, PASSED])
+    reported = json.loads(done.stdout)
+    assert (done.returncode, [check["verdict"] for check in reported["checks"]]) == (0, [PASSED, PASSED])
 
 
 def test_the_exit_code_says_that_a_check_failed():
@@ -70,8 +70,12 @@ def test_who_answers_is_asked_without_a_bench_file():
         def probed(*more):
             return CliRunner().invoke(main, ["bench", "probe", "--driver", DRIVER, "--address", address, *more])
 
-        told = json.loads(probed("--option", "rate=100 Hz", "--json").stdout)["devices"]["device"]
-        assert (told["model"], told["simulated"], told["verified"]) == ("emulated EX-2", True, "emulator only")
+        reported = json.loads(probed("--option", "rate=100 Hz", "--json").stdout)["devices"]["device"]
+        assert (reported["model"], reported["simulated"], reported["verified"]) == (
+            "emulated EX-2",
+            True,
+            "emulator only",
+        )
         assert not emulator.log.of("set")
         wrong = probed("--option", "rat=100 Hz")
         assert (wrong.exit_code, 'did you mean "rate"?' in wrong.stderr) == (4, True)

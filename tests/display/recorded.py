@@ -88,7 +88,7 @@ class Recorded:
 
     def __init__(self, parent, points, name="run", **manifest):
         self.points = points
-        told = {
+        reported = {
             "kind": "contraction-relaxation",
             "simulated": True,
             "specimen": {"type": "MAS-20", "serial": "TEST-1"},
@@ -99,7 +99,7 @@ class Recorded:
             "bench.json": json.dumps(BENCH).encode(),
             "specimen.yaml": SPECIMEN.encode(),
         }
-        self.writer = RunWriter.create(parent, name, told | manifest, snapshots)
+        self.writer = RunWriter.create(parent, name, reported | manifest, snapshots)
         self.writer.open_stream("daq", COLUMNS, RATE)
         self.t = 0.0
         self.rows = 0

@@ -144,15 +144,15 @@ def test_without_a_terminal_there_are_plain_lines(folder, ends):
     link = Link(ours)
     link.send({"ask": {"id": 1, "text": "Put 6 kg on.", "words": ["clear"]}})
     link.send({"log": "half way"})
-    told = ""
-    while "half way" not in told:
-        told += child.stderr.readline()
+    reported = ""
+    while "half way" not in reported:
+        reported += child.stderr.readline()
     link.close()
-    told += child.stderr.read()
+    reported += child.stderr.read()
     assert child.wait(PATIENCE) == 0
     child.stderr.close()
-    assert "SIMULATED contraction-relaxation" in told
-    assert "asked: Put 6 kg on. (no terminal here: it cannot be answered)" in told
+    assert "SIMULATED contraction-relaxation" in reported
+    assert "asked: Put 6 kg on. (no terminal here: it cannot be answered)" in reported
 
 
 # -- at a terminal --------------------------------------------------------------------------------------------------------
@@ -190,19 +190,19 @@ class AtTerminal:
     def press(self, keys):
         os.write(self.master, keys.encode())
 
-    def told(self):
+    def reported(self):
         """Messages that came to the program."""
         lines = self.log.read_text().splitlines() if self.log.exists() else []
         return [json.loads(line) for line in lines]
 
-    def until_told(self, message):
-        def told():
+    def until_reported(self, message):
+        def reported():
             if select.select([self.master], [], [], 0)[0]:
                 with suppress(OSError):
                     self.seen += os.read(self.master, 65536)
-            return message in self.told()
+            return message in self.reported()
 
-        until(told)
+        until(reported)
 
     def keyboard(self):
         """Whether the terminal reads lines with echo, as a shell wants it."""
@@ -231,28 +231,28 @@ def test_answers_keys_and_notes_arrive_and_the_terminal_is_given_back(terminal):
     terminal.press("cleat\n")
     terminal.drawn('"cleat" does not count')
     terminal.press("CLEAR\n")
-    terminal.until_told({"answer": {"id": 1, "text": "clear"}})
+    terminal.until_reported({"answer": {"id": 1, "text": "clear"}})
     terminal.press("r")
-    terminal.until_told({"key": "r"})
+    terminal.until_reported({"key": "r"})
     terminal.press("nhiss at the [fitting]\n")
-    terminal.until_told({"note": "hiss at the [fitting]"})
+    terminal.until_reported({"note": "hiss at the [fitting]"})
     terminal.press("v")
-    terminal.until_told({"key": "v"})
+    terminal.until_reported({"key": "v"})
     terminal.drawn("[/dev/ttyUSB0] says [/]")
     terminal.press("\x1a\x13")  # Ctrl-Z and Ctrl-S do nothing
     terminal.press("q")
-    terminal.until_told({"over": True})
+    terminal.until_reported({"over": True})
     terminal.process.wait(PATIENCE)
     assert terminal.keyboard()
-    assert not [m for m in terminal.told() if m.get("key") not in (None, "r", "v", "q")]
+    assert not [m for m in terminal.reported() if m.get("key") not in (None, "r", "v", "q")]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL])
 def test_however_the_display_ends_the_terminal_is_given_back(terminal, number):
     terminal.drawn("measured pressure")
     assert not terminal.keyboard()
-    os.kill(terminal.told()[0]["pid"], number)
-    terminal.until_told({"over": True})
+    os.kill(terminal.reported()[0]["pid"], number)
+    terminal.until_reported({"over": True})
     terminal.process.wait(PATIENCE)
     terminal.drawn("\x1b[?1049l")
     assert terminal.keyboard()
@@ -260,9 +260,9 @@ def test_however_the_display_ends_the_terminal_is_given_back(terminal, number):
 
 def test_ctrl_c_is_not_the_displays(terminal):
     terminal.drawn("measured pressure")
-    os.kill(terminal.told()[0]["pid"], signal.SIGINT)
+    os.kill(terminal.reported()[0]["pid"], signal.SIGINT)
     terminal.press("clear\n")
-    terminal.until_told({"answer": {"id": 1, "text": "clear"}})
+    terminal.until_reported({"answer": {"id": 1, "text": "clear"}})
 
 
 @pytest.mark.parametrize("terminal", [("die",)], indirect=True)

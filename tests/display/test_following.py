@@ -81,7 +81,7 @@ def test_a_trial_gets_its_line_from_all_of_its_samples_or_late(live, tmp_path):
     assert waiting.lines == whole.lines
 
 
-def test_a_damaged_line_of_the_journal_is_told_and_nothing_after_it_believed(live):
+def test_a_damaged_line_of_the_journal_is_reported_and_nothing_after_it_believed(live):
     path = live.folder / "events.jsonl"
     raw = path.read_bytes()
     at = raw.index(b'"kind":"trial-end"')
@@ -214,7 +214,7 @@ def test_what_the_operators_keys_bring_about_is_shown(live):
         ("new-kind", {"a": 1.23456789, "b": None}, " ", "new-kind: a 1.235, b None"),
     ],
 )
-def test_events_are_told_with_a_sign(live, kind, data, sign, words):
+def test_events_are_reported_with_a_sign(live, kind, data, sign, words):
     live.writer.event(kind, 61.0, **data)
     line = shown(read(live.folder)).splitlines()[-1]
     assert line.rstrip() == f"   1:01 {sign:<2} {words}"

@@ -30,14 +30,14 @@ def trial():
     return TrialData("r", 0, {"contraction": 0.0}, 0, False, "finished", t, channels, flags, commands, {})
 
 
-def told(this):
+def reported(this):
     run = RunData("r", "r", "isometric-pressurisation", "running", True, {}, {"settings": {}}, (), {}, 100.0, ())
     numbers, doubts = measure(run, this, EXPECTED, Quick())
     return {number.symbol: number for number in numbers}, doubts
 
 
 def test_slope_threshold_gap_and_force_at_the_top():
-    numbers, doubts = told(trial())
+    numbers, doubts = reported(trial())
     assert doubts == []
     assert numbers["m"].value == pytest.approx(1e-3, rel=1e-3)
     assert numbers["p_0"].value == pytest.approx(45e3, abs=1.5e3)
@@ -48,13 +48,13 @@ def test_slope_threshold_gap_and_force_at_the_top():
 
 def test_a_slack_muscle_and_a_trial_cut_short_are_said():
     slack = trial()
-    _, doubts = told(replace(slack, channels={**slack.channels, "force": np.zeros(len(slack.t))}))
+    _, doubts = reported(replace(slack, channels={**slack.channels, "force": np.zeros(len(slack.t))}))
     assert "slack: up to 500 kPa" in doubts[0]
-    numbers, doubts = told(replace(trial(), status="failed"))
+    numbers, doubts = reported(replace(trial(), status="failed"))
     assert doubts == ["the trial is failed"]
     assert numbers["m"].value is None
 
 
-def test_contractions_and_speeds_are_told_in_their_units():
+def test_contractions_and_speeds_are_reported_in_their_units():
     assert point_text({"contraction": -0.002, "side": 1.0}) == "contraction -2 mm, side 1"
     assert point_text({"speed": 0.01, "upper": 0.02}) == "speed 10 mm/s, upper 20 mm"

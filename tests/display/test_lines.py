@@ -81,7 +81,7 @@ def test_what_speaks_against_a_trial_is_said(tmp_path, change, doubt):
     run = Recorded(tmp_path, [(LIGHT, P)])
     run.trial(0, **change)
     (line,) = lines_of(run.close())
-    assert any(doubt in told for told in line.doubts), line.doubts
+    assert any(doubt in reported for reported in line.doubts), line.doubts
 
 
 def test_a_limit_that_was_reached_is_a_doubt_of_its_trial_only(tmp_path):
@@ -106,7 +106,7 @@ def test_repeats_count_more_than_the_prediction(tmp_path):
     assert any("above its repeats" in doubt for doubt in lines[4].doubts)
 
 
-def test_without_a_prediction_the_repeats_stand_beside(tmp_path, monkeypatch):
+def test_without_a_prediction_the_repeats_are_next_to(tmp_path, monkeypatch):
     monkeypatch.setattr("tests.display.recorded.SPECIMEN", "schema: pmabench.specimen/1\n")
     run = Recorded(tmp_path, [(LIGHT, P)] * 2)
     run.trial(0)

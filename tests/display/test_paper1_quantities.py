@@ -12,14 +12,14 @@ from pmabench.display.verdicts import measure
 from tests.analysis.test_paper1 import single_steps, table
 
 
-def test_each_direction_tells_its_stroke_and_time_constant():
+def test_each_direction_shows_its_stroke_and_time_constant():
     run = single_steps([3e5])
     S = table("K")(3e5)
-    told = [{m.symbol: m.value for m in measure(run, trial, None, Quick())[0]} for trial in run.trials]
-    assert set(told[0]) == {"x_max", "tau", "K"}
-    assert set(told[1]) == {"x_max", "tau"}
-    assert told[0]["K"] == pytest.approx(S, rel=1e-4)
-    for values, symbol in zip(told, ("B_c", "B_r"), strict=True):
+    reported = [{m.symbol: m.value for m in measure(run, trial, None, Quick())[0]} for trial in run.trials]
+    assert set(reported[0]) == {"x_max", "tau", "K"}
+    assert set(reported[1]) == {"x_max", "tau"}
+    assert reported[0]["K"] == pytest.approx(S, rel=1e-4)
+    for values, symbol in zip(reported, ("B_c", "B_r"), strict=True):
         assert values["x_max"] == pytest.approx(65.9e-3, abs=0.05e-3)
         assert values["tau"] == pytest.approx(table(symbol)(3e5) / S, rel=3e-3)
     assert not any(measure(run, trial, None, Quick())[1] for trial in run.trials)

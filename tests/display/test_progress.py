@@ -9,8 +9,8 @@ from tests.display.recorded import BASELINE, HOLD, LENGTH, plan
 POINTS = [(58.86, 3e5)] * 10
 
 
-def events(*told):
-    return [Event(number, t, kind, data) for number, (t, kind, data) in enumerate(told)]
+def events(*reported):
+    return [Event(number, t, kind, data) for number, (t, kind, data) in enumerate(reported)]
 
 
 def command(t, index, phase, value):
@@ -27,23 +27,23 @@ def trial(index, start, pace=1.0):
     ]
 
 
-def taken(progress, told):
-    for event in events(*told):
+def taken(progress, reported):
+    for event in events(*reported):
         progress.take(event)
     return progress
 
 
 @pytest.mark.parametrize("pace", [1.0, 1.5, 0.5])
 def test_after_half_of_the_trials_half_of_the_time_is_left(pace):
-    told = [entry for index in range(5) for entry in trial(index, index * pace * LENGTH, pace)]
+    reported = [entry for index in range(5) for entry in trial(index, index * pace * LENGTH, pace)]
     data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
-    progress = taken(Progress(data), told)
+    progress = taken(Progress(data), reported)
     now = 5 * pace * LENGTH
     assert progress.done(now) == pytest.approx(0.5)
     assert progress.left(now) == (pytest.approx(now), True)
 
 
-def test_inside_a_step_time_counts_and_stands_still_at_its_end():
+def test_inside_a_step_time_counts_and_does_not_move_at_its_end():
     progress = taken(Progress(plan(POINTS)), trial(0, 3.0)[:2])
     half, end, late = (progress.done(3.0 + BASELINE + since) for since in (HOLD / 2, HOLD, 10 * HOLD))
     assert half == pytest.approx((3.0 + BASELINE + HOLD / 2) / (3.0 + 10 * LENGTH))
@@ -52,8 +52,8 @@ def test_inside_a_step_time_counts_and_stands_still_at_its_end():
 
 def test_the_operators_time_does_not_count():
     def left(hands):
-        told = [(0.0, "prompt", {"phase": "load"}), (hands, "answer", {}), *trial(0, hands + 3.0)]
-        return taken(Progress(plan(POINTS)), told).left(hands + 3.0 + LENGTH)
+        reported = [(0.0, "prompt", {"phase": "load"}), (hands, "answer", {}), *trial(0, hands + 3.0)]
+        return taken(Progress(plan(POINTS)), reported).left(hands + 3.0 + LENGTH)
 
     assert left(0.0) == (pytest.approx(9 * LENGTH), True)
     assert left(500.0) == (pytest.approx(9 * LENGTH), True)
@@ -65,15 +65,15 @@ def test_while_the_operator_is_asked_nothing_goes_on():
     assert progress.left(1000.0) == (pytest.approx(3.0 + 10 * LENGTH), False)
 
 
-def test_in_a_pause_the_time_left_stands_still_and_the_pause_does_not_count_afterwards():
+def test_in_a_pause_the_time_left_does_not_move_and_the_pause_does_not_count_afterwards():
     data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
     progress = taken(Progress(data), [*trial(0, 0.0), (LENGTH, "pause", {})])
     before = progress.left(LENGTH)
     assert before == (pytest.approx(9 * LENGTH), True)
     assert progress.left(LENGTH + 600.0) == before
     on = LENGTH + 600.0
-    told = [(on, "goes-on", {}), *trial(1, on)]
-    assert taken(progress, told).left(on + LENGTH) == (pytest.approx(8 * LENGTH), True)
+    reported = [(on, "goes-on", {}), *trial(1, on)]
+    assert taken(progress, reported).left(on + LENGTH) == (pytest.approx(8 * LENGTH), True)
 
 
 def test_a_run_that_goes_on_takes_its_pace_from_what_it_has_done_itself():
@@ -87,22 +87,22 @@ def test_a_run_that_goes_on_takes_its_pace_from_what_it_has_done_itself():
 
 def test_a_trial_that_is_done_twice_does_not_make_the_pace_slower():
     data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
-    told = [*trial(0, 0.0), *trial(1, LENGTH), *trial(1, 2 * LENGTH)]
-    assert taken(Progress(data), told).left(3 * LENGTH) == (pytest.approx(8 * LENGTH), True)
+    reported = [*trial(0, 0.0), *trial(1, LENGTH), *trial(1, 2 * LENGTH)]
+    assert taken(Progress(data), reported).left(3 * LENGTH) == (pytest.approx(8 * LENGTH), True)
 
 
 def test_a_trial_that_is_begun_again_takes_the_pointer_back():
-    told = [*trial(0, 0.0), *trial(1, 10.0), (20.0, "trial-begin", {"trial": 0})]
-    assert taken(Progress(plan(POINTS)), told).done(20.0) == pytest.approx(3.0 / (3.0 + 10 * LENGTH))
+    reported = [*trial(0, 0.0), *trial(1, 10.0), (20.0, "trial-begin", {"trial": 0})]
+    assert taken(Progress(plan(POINTS)), reported).done(20.0) == pytest.approx(3.0 / (3.0 + 10 * LENGTH))
 
 
-def test_steps_of_the_same_kind_are_told_apart_by_their_order():
+def test_steps_of_the_same_kind_are_distinguished_by_their_order():
     """Preconditioning sets the same output in the same phase again and again."""
     step = {"phase": "precondition", "output": "pressure"}
     hold = {"step": "hold", "phase": "precondition", "duration": 2.0}
     steps = [part for value in (4e5, 0.0, 4e5, 0.0) for part in ({"step": "set", "value": value, **step}, hold)]
-    told = [command(2.0 * k, None, "precondition", 0.0) for k in range(3)]
-    assert taken(Progress({"steps": steps}), told).done(5.0) == pytest.approx(5.0 / 8.0)
+    reported = [command(2.0 * k, None, "precondition", 0.0) for k in range(3)]
+    assert taken(Progress({"steps": steps}), reported).done(5.0) == pytest.approx(5.0 / 8.0)
 
 
 def test_a_search_is_one_step_however_much_it_commands():
@@ -126,6 +126,6 @@ def test_a_search_is_one_step_however_much_it_commands():
 @pytest.mark.parametrize(
     "data", [{}, {"steps": None}, {"steps": [{"step": "later"}]}, {"steps": [{"phase": 1}]}, {"steps": 3}]
 )
-def test_a_plan_that_cannot_be_read_tells_nothing(data):
+def test_a_plan_that_cannot_be_read_shows_nothing(data):
     progress = taken(Progress(data), trial(0, 0.0))
     assert (progress.done(1.0), progress.left(1.0)) == (0.0, None)

@@ -30,7 +30,7 @@ def trial(point, t=(), channels=None, found=None, status="finished"):
     return TrialData("r", 0, point, 0, False, status, t, channels or {}, np.zeros(len(t), np.uint16), (), found or {})
 
 
-def told(kind, this, expected=EXPECTED, **settings):
+def reported(kind, this, expected=EXPECTED, **settings):
     numbers, doubts = measure(run(kind, **settings), this, expected, Quick())
     return {number.symbol: number for number in numbers}, doubts
 
@@ -40,7 +40,7 @@ def found(lift, down):
 
 
 def test_a_static_load_is_lifted_and_set_down():
-    numbers, doubts = told("static-load", trial({"load": 280.0}, found=found(309e3, 293e3)))
+    numbers, doubts = reported("static-load", trial({"load": 280.0}, found=found(309e3, 293e3)))
     assert doubts == []
     assert (numbers["mean"].value, numbers["half"].value) == (301e3, 8e3)
     assert numbers["mean"].expected == pytest.approx(300e3)  # F_ce = 280 N there
@@ -55,7 +55,7 @@ def test_a_static_load_is_lifted_and_set_down():
     ],
 )
 def test_what_a_static_load_lacks_is_said(result, doubt):
-    _, doubts = told("static-load", trial({"load": 280.0}, found=result))
+    _, doubts = reported("static-load", trial({"load": 280.0}, found=result))
     assert doubt in doubts
 
 
@@ -79,7 +79,7 @@ def sine(K, B, frequency=1.0, amplitude=5e-3, mean=10e-3):
 
 
 def test_a_sine_gives_stiffness_and_damping_at_its_frequency():
-    numbers, doubts = told("sinusoidal-displacement", sine(7000.0, 1850.0), discard=1)
+    numbers, doubts = reported("sinusoidal-displacement", sine(7000.0, 1850.0), discard=1)
     assert doubts == []
     assert numbers["K"].value == pytest.approx(7000.0, rel=1e-6)
     assert numbers["B"].value == pytest.approx(1850.0, rel=1e-6)
@@ -93,18 +93,18 @@ def test_a_sine_that_is_none_and_one_that_is_too_small_are_doubted():
     x = good.channels["displacement"]
     square = replace(good, channels={**good.channels, "displacement": 10e-3 + 5e-3 * np.sign(x - 10e-3)})
     small = replace(good, channels={**good.channels, "displacement": 10e-3 + 0.5 * (x - 10e-3)})
-    assert any("the displacement is no sine" in doubt for doubt in told("sinusoidal-displacement", square)[1])
-    assert any("amplitude 2.5 mm, asked for 5 mm" in doubt for doubt in told("sinusoidal-displacement", small)[1])
+    assert any("the displacement is no sine" in doubt for doubt in reported("sinusoidal-displacement", square)[1])
+    assert any("amplitude 2.5 mm, asked for 5 mm" in doubt for doubt in reported("sinusoidal-displacement", small)[1])
 
 
 def test_a_sine_that_cannot_be_used_says_why():
-    numbers, doubts = told("sinusoidal-displacement", replace(sine(7e3, 1e3), status="failed"))
+    numbers, doubts = reported("sinusoidal-displacement", replace(sine(7e3, 1e3), status="failed"))
     assert numbers["K"].value is None
     assert doubts == ["the trial is failed"]
 
 
 def test_a_search_without_levels_has_no_ultimate_gain():
-    numbers, doubts = told("ultimate-gain", trial({"setpoint": 0.03}))
+    numbers, doubts = reported("ultimate-gain", trial({"setpoint": 0.03}))
     assert (numbers["K_u"].value, doubts) == (None, ["no levels of gain are recorded"])
 
 

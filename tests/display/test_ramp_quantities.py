@@ -29,7 +29,7 @@ def ramp(sign=1.0, status="finished"):
     return TrialData("r", 0, point, 0, False, status, t, channels, np.zeros(len(t), np.uint16), commands, {})
 
 
-def told(trial):
+def reported(trial):
     settings = {"discard": 1, "turn": 0.001}
     run = RunData("r", "r", "isobaric-ramp", "running", True, {}, {"settings": settings}, (), {}, 200.0, ())
     numbers, doubts = measure(run, trial, EXPECTED, Quick())
@@ -37,7 +37,7 @@ def told(trial):
 
 
 def test_a_ramp_gives_stiffness_and_the_gap_of_its_branches():
-    numbers, doubts = told(ramp())
+    numbers, doubts = reported(ramp())
     assert doubts == []
     assert numbers["K"].value == pytest.approx(7000.0, rel=1e-6)
     assert numbers["H"].value == pytest.approx(12.0 + 3200.0 * 0.01, rel=1e-6)
@@ -46,11 +46,11 @@ def test_a_ramp_gives_stiffness_and_the_gap_of_its_branches():
 
 
 def test_what_is_wrong_with_a_ramp_is_said():
-    assert told(ramp(status="failed"))[1] == ["the trial is failed"]
+    assert reported(ramp(status="failed"))[1] == ["the trial is failed"]
     upside_down = ramp()
     channels = {**upside_down.channels, "force": 500.0 - upside_down.channels["force"]}
     assert any(
-        "upper one" in doubt for doubt in told(type(upside_down)(**{**vars(upside_down), "channels": channels}))[1]
+        "upper one" in doubt for doubt in reported(type(upside_down)(**{**vars(upside_down), "channels": channels}))[1]
     )
 
 

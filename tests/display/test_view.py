@@ -82,10 +82,10 @@ def test_hostile_text_stays_text(tmp_path):
     run.writer.event("prompt", run.t, text=HOSTILE, phase="x", demands="vented")
     state = poll(run)
     assert state.prompt == HOSTILE
-    told = rendered(screen(state, 100, 40), 100, color=True)
-    assert len(told) == 40
-    assert not [line for line in told if ESCAPES.search(line)]
-    assert any("[/dev/ttyUSB0] [/] [bold]" in line for line in told)
+    reported = rendered(screen(state, 100, 40), 100, color=True)
+    assert len(reported) == 40
+    assert not [line for line in reported if ESCAPES.search(line)]
+    assert any("[/dev/ttyUSB0] [/] [bold]" in line for line in reported)
     for item in state.fresh:
         assert not ESCAPES.search(plain_line(item, 2))
         assert "\x1b" not in plain_line(item, 2)
@@ -105,16 +105,16 @@ def test_a_mark_colours_itself_only(running):
     """An `ok` is green, the numbers beside it are not; an alarm marks sign and value, not the line."""
     state = poll(running)
     state.channels["pressure"].value = 700e3
-    told = rendered(screen(state, 100, 30), 100, color=True)
-    (row,) = [line for line in told if "ok" in line and "31.59" in line]
+    reported = rendered(screen(state, 100, 30), 100, color=True)
+    (row,) = [line for line in reported if "ok" in line and "31.59" in line]
     assert row.index("\x1b[0m") < row.index("31.59")
-    (pressure,) = [line for line in told if "pressure    " in line]
+    (pressure,) = [line for line in reported if "pressure    " in line]
     assert "\x1b[1;37;41m!!\x1b[0mpressure" in pressure
 
 
 def test_only_the_sixteen_colours_are_used(running):
-    told = "".join(rendered(screen(poll(running), 100, 30), 100, color=True))
-    assert not re.search(r"\x1b\[[0-9;]*(?:38|48);", told)
+    reported = "".join(rendered(screen(poll(running), 100, 30), 100, color=True))
+    assert not re.search(r"\x1b\[[0-9;]*(?:38|48);", reported)
 
 
 def test_a_terminal_without_unicode_gets_ascii(running):
@@ -201,5 +201,5 @@ def test_a_curve_leaves_out_what_is_no_number_and_what_was_not_recorded():
     assert curve(t[:0], y[:0], (0.0, 1.0), (0.0, 1.0), (3, 2)) == ["   ", "   "]
 
 
-def test_the_keys_are_told_in_full_on_80_columns():
+def test_the_keys_are_reported_in_full_on_80_columns():
     assert len(LINKED) <= 80

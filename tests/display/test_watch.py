@@ -30,10 +30,10 @@ def ended(tmp_path):
     return run.close()
 
 
-def test_a_run_that_has_ended_is_told_in_plain_lines(ended):
-    told = pmabench(ended)
-    assert told.exit_code == 0
-    lines = told.output.splitlines()
+def test_a_run_that_has_ended_is_reported_in_plain_lines(ended):
+    reported = pmabench(ended)
+    assert reported.exit_code == 0
+    lines = reported.output.splitlines()
     assert lines[0] == "SIMULATED contraction-relaxation, MAS-20 TEST-1: first"
     assert lines[1] == "0:00 armed: rig"
     trials = [line for line in lines if line.startswith("trial ")]
@@ -43,19 +43,19 @@ def test_a_run_that_has_ended_is_told_in_plain_lines(ended):
     assert trials[0].endswith("; ok")
     assert trials[1].endswith("; DOUBT: x_inf 30% above expected (24.6 mm)")
     assert lines[-1] == "finished; 2 of 2 trials, 1 in doubt; 5,200 rows; vent confirmed"
-    assert "\x1b" not in told.output
+    assert "\x1b" not in reported.output
 
 
 def test_json_is_one_object(ended):
-    told = json.loads(pmabench(ended, "--json").output)
-    assert (told["schema"], told["status"], told["rows"]) == ("pmabench.watch/1", "finished", 5200)
-    assert [trial["doubts"] for trial in told["trials"]] == [[], ["x_inf 30% above expected (24.6 mm)"]]
-    assert told["trials"][0]["numbers"][1]["value"] == pytest.approx(0.25, rel=1e-3)
+    reported = json.loads(pmabench(ended, "--json").output)
+    assert (reported["schema"], reported["status"], reported["rows"]) == ("pmabench.watch/1", "finished", 5200)
+    assert [trial["doubts"] for trial in reported["trials"]] == [[], ["x_inf 30% above expected (24.6 mm)"]]
+    assert reported["trials"][0]["numbers"][1]["value"] == pytest.approx(0.25, rel=1e-3)
 
 
-def test_quiet_tells_how_it_ended_only(ended):
-    told = pmabench(ended, "-q").output
-    assert told == "finished; 2 of 2 trials, 1 in doubt; 5,200 rows; vent confirmed\n"
+def test_quiet_shows_how_it_ended_only(ended):
+    reported = pmabench(ended, "-q").output
+    assert reported == "finished; 2 of 2 trials, 1 in doubt; 5,200 rows; vent confirmed\n"
 
 
 def test_of_a_folder_the_newest_run_is_meant(ended, tmp_path):
@@ -69,10 +69,10 @@ def test_of_a_folder_the_newest_run_is_meant(ended, tmp_path):
 @pytest.mark.parametrize(("name", "why"), [("nowhere", "there is no such run"), ("empty", "holds no run")])
 def test_what_is_no_run_is_said(tmp_path, name, why):
     (tmp_path / "empty").mkdir()
-    told = pmabench(tmp_path / name)
-    assert told.exit_code == 3
-    assert why in told.output
-    assert "--wait" in told.output
+    reported = pmabench(tmp_path / name)
+    assert reported.exit_code == 3
+    assert why in reported.output
+    assert "--wait" in reported.output
 
 
 def test_it_waits_follows_and_ends_by_itself(tmp_path):
@@ -141,9 +141,9 @@ def test_the_run_after_a_session_and_the_next_of_a_campaign_are_watched_too(tmp_
             run.trial(0)
             run.trial(1)
             run.close()
-        told = watching.communicate(timeout=60)[0].splitlines()
-    heads = [line for line in told if "TEST-1: " in line]
-    ends = [line.partition(" trials")[0] for line in told if line.startswith("finished; ")]
+        reported = watching.communicate(timeout=60)[0].splitlines()
+    heads = [line for line in reported if "TEST-1: " in line]
+    ends = [line.partition(" trials")[0] for line in reported if line.startswith("finished; ")]
     assert [line[-1] for line in heads] == ["1", "2"]
     assert ends == ["finished; 0 of 0", "finished; 2 of 2", "finished; 2 of 2"]
     assert watching.returncode == 0

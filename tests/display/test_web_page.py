@@ -219,7 +219,7 @@ def test_it_comes_back_without_a_gap(browser, run):
 def test_eight_pages_next_to_each_other_none_hangs(browser, run):
     with served(run.folder.parent) as server, written(run):
         pages = [browser.open(server.link())]
-        pages += [browser.open(server.link(), beside=pages[0]) for _ in range(7)]
+        pages += [browser.open(server.link(), next_to=pages[0]) for _ in range(7)]
         for page in pages:
             browser.send("Target.activateTarget", targetId=page.target)
             page.wait("document.querySelector('#trial').textContent === 'trial 2 of 3'", within=10.0)

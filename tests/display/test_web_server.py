@@ -389,8 +389,10 @@ def test_what_the_view_does_not_need_is_not_in_its_memory(run, closed):
     run.end(1)
     if closed:
         run.close()
-    told = subprocess.run([sys.executable, "-c", READ, run.folder], capture_output=True, text=True, check=True).stdout
-    assert told.splitlines() == [f"{run.rows} 2", ""]  # 50 MB each
+    reported = subprocess.run(
+        [sys.executable, "-c", READ, run.folder], capture_output=True, text=True, check=True
+    ).stdout
+    assert reported.splitlines() == [f"{run.rows} 2", ""]  # 50 MB each
 
 
 def test_a_closed_run_that_was_read_is_let_go(run):

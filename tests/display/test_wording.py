@@ -19,7 +19,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(
-    ("kind", "data", "told", "level"),
+    ("kind", "data", "reported", "level"),
     [
         ("session", {"skipped": {}, "shortened": []}, "session", "info"),
         (
@@ -56,8 +56,8 @@ WRONG = {
         ),
     ],
 )
-def test_what_an_event_says(kind, data, told, level):
-    assert event_text(Event(1, 2.0, kind, data)) == (told, level)
+def test_what_an_event_says(kind, data, reported, level):
+    assert event_text(Event(1, 2.0, kind, data)) == (reported, level)
 
 
 def test_every_coordinate_with_a_unit_is_shown_with_it():

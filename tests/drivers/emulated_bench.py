@@ -29,9 +29,9 @@ def own_bench(tmp_path, name, *changes, session=False):
         text = re.sub(rf"(127\.0\.0\.1:|_port: ){old}\b", rf"\g<1>{new}", text)
     text = re.sub(r"/tmp/pmabench-[\w-]+/", f"{tmp_path / 'ports'}/", text)
     path.write_text(text if session else re.sub(r"\nsession:.*(\n[ #].*)*", "", text))
-    for beside in ("calibrations", "registers"):
-        if not (tmp_path / beside).exists():
-            (tmp_path / beside).symlink_to(folder / beside)
+    for next_to in ("calibrations", "registers"):
+        if not (tmp_path / next_to).exists():
+            (tmp_path / next_to).symlink_to(folder / next_to)
     return path
 
 

@@ -86,10 +86,10 @@ def test_taken_back_in_time_it_gives_the_same_again():
 
 
 @pytest.mark.parametrize("option", [{"hysteresis": 3.0}, {"fce_eval": "x0"}])
-def test_an_option_that_it_has_no_use_for_is_told(option):
+def test_an_option_that_it_has_no_use_for_is_reported(option):
     own = {"plant": "paper0-air", **option}
-    ((place, told),) = problems(record(**own), own)
+    ((place, reported),) = problems(record(**own), own)
     assert place == ("options",)
-    assert "no use for it" in told
+    assert "no use for it" in reported
     given = {"plant": "paper0-air", "conductance_fill": 1e-7, "polytropic": 1.0, "natural_frequency": 3.0}
     assert not list(problems(record(**given), given))

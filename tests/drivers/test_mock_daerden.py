@@ -95,8 +95,8 @@ def test_it_needs_a_driven_end(free_end):
         ("real", {"hysteresis": 3.0}),
     ],
 )
-def test_an_option_that_a_plant_has_no_use_for_is_told_at_its_place(plant, option):
+def test_an_option_that_a_plant_has_no_use_for_is_reported_at_its_place(plant, option):
     own = {"plant": plant, "free_end": "actuator", **option}
-    ((place, told),) = problems(record(actuator=True, **own), own)
+    ((place, reported),) = problems(record(actuator=True, **own), own)
     assert place == ("options",)
-    assert told.startswith(f"option {next(iter(option))}: the plant {plant}")
+    assert reported.startswith(f"option {next(iter(option))}: the plant {plant}")

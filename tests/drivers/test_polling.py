@@ -70,7 +70,7 @@ class Still:
 
 
 @pytest.mark.parametrize("once", [False, True])
-def test_ticks_that_fail_are_told_once_they_have_failed_for_a_quarter_of_a_second_without_a_good_one(once):
+def test_ticks_that_fail_are_reported_once_they_have_failed_for_a_quarter_of_a_second_without_a_good_one(once):
     clock, wrong = Still(), DeviceError("gauge", "no answer")
     cycle = polling.Cycle("test", lambda: None, clock)
     for clock.time, failure in ((0.0, wrong), (0.2, None), (0.24, wrong), (0.49, wrong)):
@@ -89,7 +89,7 @@ def test_ticks_that_fail_are_told_once_they_have_failed_for_a_quarter_of_a_secon
     cycle.refuse("gauge", once=once)
 
 
-def test_a_thread_that_has_ended_against_its_will_is_told():
+def test_a_thread_that_has_ended_against_its_will_is_reported():
     cycle = polling.Cycle("test", lambda: None, Still())
     cycle.broken = ZeroDivisionError("division by zero")
     with pytest.raises(DeviceError, match="stepping broke off: division by zero"):

@@ -246,7 +246,7 @@ def test_a_dead_device_answers_the_second_way_neither(client, plant):
 
 
 @realtime
-def test_a_lost_link_is_told_and_found_again(client, plant):
+def test_a_lost_link_is_reported_and_found_again(client, plant):
     plant.inject("lost")
     said = eventually(lambda: failing(lambda: client.write("pressure", 0.0)))
     assert "link lost" in said
@@ -317,7 +317,7 @@ def test_questions_that_make_no_sense_do_not_end_the_plant(client, plant):
 
 
 @realtime
-def test_a_program_whose_samples_another_one_takes_is_told_so(client, plant):
+def test_a_program_whose_samples_another_one_takes_is_reported_so(client, plant):
     """Two programs with states of their own do not see one another's locks, and share the plant."""
     client.start(100.0)
     eventually(lambda: len(client.collect().time))

@@ -105,10 +105,10 @@ def _child(job: Mapping[str, Any], mount: Any) -> int:
     os.setsid()
     os.environ["PMABENCH_STATE"] = job["state"]
     os.chdir(job.get("cwd", "."))
-    told = os.open(job["told"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    reported = os.open(job["told"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(told, 1)
-    os.dup2(told, 2)
+    os.dup2(reported, 1)
+    os.dup2(reported, 2)
     if "fails" in job:
         whole = writer.RunWriter.append
 
@@ -120,7 +120,7 @@ def _child(job: Mapping[str, Any], mount: Any) -> int:
         writer.RunWriter.append = append
 
     def say(**what: Any) -> None:
-        os.write(told, json.dumps({"t": time.monotonic(), **what}).encode() + b"\n")
+        os.write(reported, json.dumps({"t": time.monotonic(), **what}).encode() + b"\n")
 
     bench = replace(mount, bench=CompiledBench.from_json(json.dumps(job["bench"])))
     try:

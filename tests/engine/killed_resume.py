@@ -73,17 +73,17 @@ def main() -> None:
         place, before = out / str(len(chains)), None
         while True:
             at = random.randrange(1, writes // 3 if kind == "contraction-relaxation" else 2 * writes // 3)
-            told = _child(prepared, place, before, at)
-            if told.get("folder"):
-                before = told["folder"]
-            if told["code"] is not None:
+            reported = _child(prepared, place, before, at)
+            if reported.get("folder"):
+                before = reported["folder"]
+            if reported["code"] is not None:
                 break
             done += 1
         chains.append(
             {
                 "last": before,
-                "killed_at_the_end": told.get("nothing_left", False),
-                "end": [told["code"], told.get("why", "")],
+                "killed_at_the_end": reported.get("nothing_left", False),
+                "end": [reported["code"], reported.get("why", "")],
             }
         )
     sys.stdout.write(json.dumps({"chains": chains, "kills": done, "writes": writes}) + "\n")
@@ -99,10 +99,10 @@ def _child(prepared: Any, out: Path, before: str | None, at: int | None) -> dict
     with os.fdopen(read) as pipe:
         lines = [json.loads(line) for line in pipe]
     _, status = os.waitpid(pid, 0)
-    told: dict[str, Any] = {"code": None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)}
+    reported: dict[str, Any] = {"code": None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)}
     for line in lines:
-        told |= line
-    return told
+        reported |= line
+    return reported
 
 
 def _run(prepared: Any, out: Path, before: str | None, at: int | None, tell: int) -> int:

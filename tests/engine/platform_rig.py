@@ -25,7 +25,7 @@ class Watched(MockBench):
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
-        self.told: list[tuple[float, str, bool]] = []
+        self.reported: list[tuple[float, str, bool]] = []
         """Time [s], valve and position of everything that was switched."""
         self.course: list[tuple[float, float, float]] = []
         """Time [s], phi and psi [rad] whenever samples were collected."""
@@ -40,7 +40,7 @@ class Watched(MockBench):
 
     def switch(self, output: str, *, on: bool) -> None:
         """Noted."""
-        self.told.append((self._clock.now(), output, on))
+        self.reported.append((self._clock.now(), output, on))
         super().switch(output, on=on)
 
     def collect(self) -> Block:

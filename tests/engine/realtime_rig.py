@@ -101,15 +101,15 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         self.plant, self.folder, self.kind, self.bench = plant, folder, kind, made
         self.state = folder / "state"
-        self.told = folder / f"told-{time.monotonic_ns()}"
+        self.reported = folder / f"told-{time.monotonic_ns()}"
         self._forks = forks
-        job = {"state": str(self.state), "told": str(self.told), "out": str(folder / "runs"), "kind": kind, **job}
+        job = {"state": str(self.state), "told": str(self.reported), "out": str(folder / "runs"), "kind": kind, **job}
         self.began = time.monotonic()
         self.pid = forks.run(bench=json.loads(made.to_json()), **job)
 
     def lines(self) -> list[dict[str, Any]]:
         """What the run has said so far."""
-        text = self.told.read_text() if self.told.exists() else ""
+        text = self.reported.read_text() if self.reported.exists() else ""
         return [json.loads(line) for line in text.split("\n")[:-1] if line.startswith("{")]
 
     def said(self, what: str) -> Any:

@@ -211,7 +211,7 @@ def test_a_limit_that_holds_keeps_the_next_command_back_until_it_is_over():
     )
 
 
-def test_a_command_that_was_held_back_is_told_when_it_is_sent():
+def test_a_command_that_was_held_back_is_reported_when_it_is_sent():
     """The force is off by 500 N from 3.5 s on and right again at 5.5 s: what was due at 4 s comes then."""
     hold = limit("range", "force", high=130.0, action="hold")
     steps = (Set("a", "pressure", 1e5), Hold("a", 1.0), Set("b", "pressure", 1.2e5), Hold("b", 1.0))
@@ -226,10 +226,10 @@ def test_a_command_that_was_held_back_is_told_when_it_is_sent():
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Acquisition, "_act", act)
         events = execute(limited(hold, errors={"force": {"offset": 500.0, "at": 3.5}}), steps).events
-    told = [t for kind, t, _ in events if kind == "command"]
-    assert told[0] == free[0]
+    reported = [t for kind, t, _ in events if kind == "command"]
+    assert reported[0] == free[0]
     assert free[1] < 5.0
-    assert 5.5 <= told[1] < 5.6
+    assert 5.5 <= reported[1] < 5.6
 
 
 def keys(*typed):
@@ -359,7 +359,7 @@ def test_a_stream_that_fails_to_stop_spoils_neither_the_vent_nor_the_record(monk
     assert "it does not stop" in outcome.why
 
 
-def test_the_cause_is_told_not_what_failed_after_it(monkeypatch):
+def test_the_cause_is_reported_not_what_failed_after_it(monkeypatch):
     def broken(self):
         raise RuntimeError("it does not stop")
 

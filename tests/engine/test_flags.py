@@ -52,45 +52,45 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 @given(cuts=st.lists(st.integers(0, 6), max_size=6))
 def test_each_sample_has_the_flag_that_is_true(name, cuts):
-    periods, told = CASES[name]
-    assert flags(periods, cuts) == told
+    periods, reported = CASES[name]
+    assert flags(periods, cuts) == reported
 
 
 @given(data=st.data())
-def test_polls_at_absolute_deadlines_are_told_apart_from_missing_ones(data):
+def test_polls_at_absolute_deadlines_are_distinguished_from_missing_ones(data):
     """Any polls late by less than 0.9 periods or missing, one of either kind followed by two in time."""
-    periods, told, k = [0.0, 1.0], [0, 0], 1
+    periods, reported, k = [0.0, 1.0], [0, 0], 1
     for kind, late in data.draw(st.lists(st.tuples(st.sampled_from("ml"), st.floats(0.55, 0.9)), max_size=8)):
         k += 2 if kind == "m" else 1
         periods += [k + (0.0 if kind == "m" else late), k + 1.0, k + 2.0]
-        told += [G if kind == "m" else L, 0, 0]
+        reported += [G if kind == "m" else L, 0, 0]
         k += 2
     cuts = data.draw(st.lists(st.integers(0, len(periods)), max_size=10))
-    assert flags(periods, cuts) == told
+    assert flags(periods, cuts) == reported
 
 
 @given(stalls=st.lists(st.tuples(st.integers(5, 30), st.floats(1.0, 12.0)), max_size=6), data=st.data())
 def test_polls_of_a_computer_that_stalls_are_missing_only_where_they_were_not_made_up(stalls, data):
     """The rule of `drivers` at 200 Hz: four deadlines are made up at once, 0.03 periods apart; older ones are missed."""
-    periods, told, k = [0.0], [0], 0
+    periods, reported, k = [0.0], [0], 0
     for even, stall in stalls:
         periods += [k + i + 1.0 for i in range(even)]
-        told += [0] * even
+        reported += [0] * even
         k += even
         now, lost = k + 1 + stall, max(0, int(stall) - 4)
         periods.append(now)
         k += 1
-        told.append(G if lost else L)
+        reported.append(G if lost else L)
         k += lost
         while now + 0.03 > k + 1:
             now, k = now + 0.03, k + 1
             periods.append(now)
-            told.append(L if now - k > 0.5 else 0)
+            reported.append(L if now - k > 0.5 else 0)
     periods += [k + 1.0, k + 2.0]
-    told += [0, 0]
+    reported += [0, 0]
     found = flags(periods, data.draw(st.lists(st.integers(0, len(periods)), max_size=10)))
-    assert [bool(f & G) for f in found] == [bool(f & G) for f in told]
-    assert sum(bool(f & L) for f in found) == pytest.approx(sum(bool(f & L) for f in told), abs=len(stalls))
+    assert [bool(f & G) for f in found] == [bool(f & G) for f in reported]
+    assert sum(bool(f & L) for f in found) == pytest.approx(sum(bool(f & L) for f in reported), abs=len(stalls))
 
 
 @pytest.mark.parametrize("off", [0.98, 0.9999, 1.0001, 1.02])

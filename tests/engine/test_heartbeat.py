@@ -80,14 +80,14 @@ def test_nothing_that_was_there_before_is_collected_again_during_a_run_in_real_t
 def test_what_the_second_pair_of_eyes_finds_latches_only_as_it_does_elsewhere(made, error, latches):
     """A full disk or a lost device vents; only a limit latches the bench, whichever thread meets it."""
     acquisition, slow, _ = made
-    told = []
-    acquisition.on_trip = lambda why, latches: told.append((why, latches))
+    reported = []
+    acquisition.on_trip = lambda why, latches: reported.append((why, latches))
 
     def collect():
         raise error
 
     slow.collect = collect
     until = time.monotonic() + 10.0
-    while not told and time.monotonic() < until:
+    while not reported and time.monotonic() < until:
         time.sleep(0.01)
-    assert told == [(str(error), latches)]
+    assert reported == [(str(error), latches)]

@@ -26,7 +26,7 @@ SI_PER_UNIT = {"pressure": 1000e3 / 65535, "displacement": 1e-3}
 class Judge:
     """A device without physics that decodes by itself whatever it is told; its displacement moves at random."""
 
-    told: list[tuple[str, float]] = []
+    reported: list[tuple[str, float]] = []
 
     def __init__(self, device, clock):
         self.device, self.clock = device, clock
@@ -64,7 +64,7 @@ class Judge:
         pass
 
     def write(self, output, value):
-        self.told.append((output, value * SI_PER_UNIT[output]))
+        self.reported.append((output, value * SI_PER_UNIT[output]))
         self.holds[output] = value
 
     def read_back(self, output):
@@ -73,9 +73,9 @@ class Judge:
     def follow(self, output, segment):
         unit = SI_PER_UNIT[output]
         for value in (segment.origin, segment.origin - segment.amplitude, segment.origin + segment.amplitude):
-            self.told.append((output, value * unit))
+            self.reported.append((output, value * unit))
         if segment.kind == "ramp":
-            self.told.append((output, segment.target * unit))
+            self.reported.append((output, segment.target * unit))
         self.holds[output] = segment.target if segment.kind == "ramp" else segment.origin
 
     def halt(self, output):
@@ -285,7 +285,7 @@ TALLY = {"tried": 0, "run": 0, "refused": 0}
 def test_nothing_outside_the_limits_reaches_the_device(protocol):
     kind, changes = protocol
     TALLY["tried"] += 1
-    Judge.told.clear()
+    Judge.reported.clear()
     mounted = BENCHES[BENCHES_OF[kind]]
     try:
         document, model = read_protocol(ROOT / "protocols" / f"{kind}.yaml", changes)
@@ -293,7 +293,7 @@ def test_nothing_outside_the_limits_reaches_the_device(protocol):
     except PmaError as error:
         TALLY["refused"] += 1
         assert "--set" in str(error) or ".yaml:" in str(error), "refused without a place"
-        assert not Judge.told
+        assert not Judge.reported
         return
     least, most = (end + slip for end, slip in zip(REACH.get(BENCHES_OF[kind], (0, 0)), (-1e-8, 1e-8), strict=True))
     allowed = {"pressure": (PRESSURE[0], MOST.get(BENCHES_OF[kind], PRESSURE[1])), "displacement": (least, most)}
@@ -304,9 +304,9 @@ def test_nothing_outside_the_limits_reaches_the_device(protocol):
     TALLY["run"] += 1
     outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None)
     assert outcome.exit_code in {0, 5, 6}, outcome.why
-    for output, value in Judge.told:
+    for output, value in Judge.reported:
         assert allowed[output][0] <= value <= allowed[output][1], f"{output} was commanded to {value}"
-    assert ("pressure", 0.0) in Judge.told[-3:], "did not vent"
+    assert ("pressure", 0.0) in Judge.reported[-3:], "did not vent"
 
 
 def test_the_generator_makes_both_kinds(record_property):
@@ -321,6 +321,6 @@ def test_the_judge_would_notice():
     assert document.data == {"a": 1}
     judge = Judge(BENCHES["weights"].bench.devices[0], None)
     judge.write("pressure", 65535.0)
-    output, value = Judge.told[-1]
+    output, value = Judge.reported[-1]
     assert output == "pressure"
     assert not PRESSURE[0] <= value <= PRESSURE[1]

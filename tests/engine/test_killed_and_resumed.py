@@ -36,10 +36,10 @@ def killed(folder, kills, kind):
 def test_each_trial_is_finished_once_and_in_order(chains, record_property):
     record_property("cases", chains["kills"])
     assert chains["kills"] >= KILLS
-    for told in chains["chains"]:
-        assert told["end"][0] == 0, told["end"]
-        chain = open_chain(Path(told["last"]))
-        end = "interrupted" if told["killed_at_the_end"] else "finished"
+    for reported in chains["chains"]:
+        assert reported["end"][0] == 0, reported["end"]
+        chain = open_chain(Path(reported["last"]))
+        end = "interrupted" if reported["killed_at_the_end"] else "finished"
         assert [run.status for run in chain] == ["interrupted"] * (len(chain) - 1) + [end]
         finished = [trial.index for run in chain for trial in run.trials if trial.status == "finished"]
         assert finished == list(range(20)), f"{len(chain)} runs: {finished}"
@@ -53,10 +53,10 @@ def test_each_trial_is_finished_once_and_in_order(chains, record_property):
 @pytest.mark.study  # on demand: `make reliability PART=resume`
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "contraction-relaxation"])
 def test_each_trial_of_other_kinds_is_finished_once_and_in_order(kind, tmp_path):
-    told = killed(tmp_path, 4, kind)
-    assert told["kills"] >= 4
+    reported = killed(tmp_path, 4, kind)
+    assert reported["kills"] >= 4
     trials = len(prepare(kind, *KINDS[kind]).plan.trials)
-    for one in told["chains"]:
+    for one in reported["chains"]:
         assert one["end"][0] == 0, one["end"]
         chain = open_chain(Path(one["last"]))
         finished = [trial.index for run in chain for trial in run.trials if trial.status == "finished"]
@@ -64,8 +64,8 @@ def test_each_trial_of_other_kinds_is_finished_once_and_in_order(kind, tmp_path)
 
 
 def test_the_kills_lie_everywhere(chains):
-    counts = [len(open_chain(Path(told["last"]))) for told in chains["chains"]]
-    whole = sum(not told["killed_at_the_end"] for told in chains["chains"])
+    counts = [len(open_chain(Path(reported["last"]))) for reported in chains["chains"]]
+    whole = sum(not reported["killed_at_the_end"] for reported in chains["chains"])
     assert sum(counts) - whole == chains["kills"]
     assert max(counts) > 2
 
@@ -88,7 +88,7 @@ def test_what_has_changed_is_refused_by_name_and_can_be_accepted(chains, tmp_pat
 
 def test_a_run_that_another_one_goes_on_after_is_not_gone_on_with_again(chains):
     """Its trials would be done twice; the run to go on after is named, whichever of the chain is given."""
-    long = max((open_chain(Path(told["last"])) for told in chains["chains"]), key=len)
+    long = max((open_chain(Path(reported["last"])) for reported in chains["chains"]), key=len)
     made = prepare("contraction-relaxation", "mock", "mas-20-250-paper0", SETTINGS)
     for run in long[:-1]:
         with pytest.raises(InvalidFile, match="done twice") as refused:

@@ -121,8 +121,8 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_a_bench_that_is_not_safe_for_both_is_refused_at_its_place(name, tmp_path):
-    text, told = WRONG[name]
-    with pytest.raises(InvalidFile, match=f"(?s){told}") as caught:
+    text, reported = WRONG[name]
+    with pytest.raises(InvalidFile, match=f"(?s){reported}") as caught:
         mount(bench(tmp_path, text=text), SPECIMEN)
     assert all(problem.line > 0 for problem in caught.value.problems)
 
@@ -133,7 +133,7 @@ def test_a_real_bench_of_two_muscles_says_how_to_add_a_session(tmp_path):
     assert "zeros: {pressure_1: {most: 5 kPa}}" in said
 
 
-def test_several_problems_are_told_at_once(tmp_path):
+def test_several_problems_are_reported_at_once(tmp_path):
     text = "vents: [pressure_2, pressure_1]\nlimits:\n  pressure_2: {trip: 710 kPa}\n  angle: {trip_low: null}\n"
     with pytest.raises(InvalidFile) as caught:
         mount(bench(tmp_path, text=text), SPECIMEN)

@@ -52,7 +52,7 @@ def test_p_alone_leaves_the_error_that_it_must():
     assert 1e-3 - rows[-1][0] == pytest.approx(1e-3 / (1 + 1e7 * 1.5e-7), rel=1e-3)
 
 
-def test_it_stays_inside_its_range_and_tells_how_long_it_was_at_the_end():
+def test_it_stays_inside_its_range_and_shows_how_long_it_was_at_the_end():
     loop = law(setpoint=1.0)
     assert {command for _, command in run(loop, plant())} == {1e5}
     assert loop.result()["saturated"] == 1.0
@@ -71,8 +71,8 @@ def test_without_a_signal_it_ends_and_holds_its_last_command(values):
 
 
 def test_what_cannot_be_is_refused():
-    for wrong, told in (({"duration": 0.0}, "duration"), ({"setpoint": nan}, "set-point"), ({"K_p": -1.0}, "K_p")):
-        with pytest.raises(ValueError, match=told):
+    for wrong, reported in (({"duration": 0.0}, "duration"), ({"setpoint": nan}, "set-point"), ({"K_p": -1.0}, "K_p")):
+        with pytest.raises(ValueError, match=reported):
             law(**wrong)
 
 

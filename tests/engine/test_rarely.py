@@ -74,7 +74,7 @@ def test_a_limit_that_is_crossed_within_a_block_ends_the_run_at_the_same_sample(
     assert [trial.t[-1] for trial in blocks.trials] == [trial.t[-1] for trial in single.trials]
 
 
-def test_a_command_that_stands_is_sent_once(tmp_path, monkeypatch):
+def test_a_command_that_is_unchanged_is_sent_once(tmp_path, monkeypatch):
     """A relay sends as many commands as it switches, whichever way it is run."""
     sent = []
 

@@ -96,9 +96,9 @@ def test_it_is_in_no_fit_and_compared_with_the_first(chain):
     assert analysis.facts["trials_used"] == TRIALS
     left_out = {one.trial for one in analysis.dropped if "reference trial" in one.reason}
     assert left_out == {run.trials[0].name for run in chain[1:]}
-    told = [one for one in analysis.findings if "done again when the run went on" in one.text]
-    assert [one.level for one in told] == ["note", "note"]
-    assert all(run.trials[0].name in one.text for run, one in zip(chain[1:], told, strict=True))
+    reported = [one for one in analysis.findings if "done again when the run went on" in one.text]
+    assert [one.level for one in reported] == ["note", "note"]
+    assert all(run.trials[0].name in one.text for run, one in zip(chain[1:], reported, strict=True))
 
 
 def test_the_load_of_the_reference_trial_is_on_and_then_that_of_the_next(made):

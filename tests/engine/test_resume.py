@@ -53,7 +53,7 @@ def ended(steps):
 @pytest.mark.parametrize("kind", BENCHES)
 @EXAMPLES
 @given(data=st.data())
-def test_each_trial_that_is_left_stands_once_in_order(kind, data):
+def test_each_trial_that_is_left_is_there_once_in_order(kind, data):
     plan = plan_of(kind)
     indices = begun(plan.steps)
     done = data.draw(st.sets(st.sampled_from(indices)))
@@ -125,7 +125,7 @@ def test_the_specimen_is_prepared_before_the_first_trial_and_no_ramp_jumps(kind,
             where[step.output] = step.mean
 
 
-def test_a_session_is_told_to_be_none_to_go_on_with(tmp_path):
+def test_a_session_is_said_to_be_none_to_go_on_with(tmp_path):
     session = ensure(mounted("mock-session"), ConfirmedBeforehand(), tmp_path / "runs").in_session["run"]
     with pytest.raises(InvalidFile, match="of kind session without trials: .* run the protocol again"):
         sources(tmp_path / "runs" / session)

@@ -83,9 +83,9 @@ def test_a_vent_succeeds_whatever_the_owner_does(owner, forks, lab, tmp_path, re
             TIMES[owner].append(assert_safe_since(plant, moment))
             assert TIMES[owner][-1] < GENEROUS
             assert done.returncode == 0, done
-            told = json.loads(done.stdout)["benches"]
-            assert [(item["bench"], item["result"]) for item in told] == [(bench.name, "confirmed")]
-            assert way is None or told[0]["way"] == way
+            reported = json.loads(done.stdout)["benches"]
+            assert [(item["bench"], item["result"]) for item in reported] == [(bench.name, "confirmed")]
+            assert way is None or reported[0]["way"] == way
             for pid in (guard["pid"], run.pid):
                 if "stopped" in owner:
                     os.kill(pid, signal.SIGCONT)

@@ -174,9 +174,9 @@ def test_a_burst_in_a_loop_that_commands_at_every_sample_is_found():
 
 
 def test_the_lowest_command_counts_for_as_long_as_a_pressure_may_follow_it():
-    told = commands((0.0, 4e5), (1.0, 1e5), (2.0, 3e5), (2.5, 2e5), (5.0, 3e5))
+    reported = commands((0.0, 4e5), (1.0, 1e5), (2.0, 3e5), (2.5, 2e5), (5.0, 3e5))
     at = np.array([0.5, 1.5, 2.0 + SETTLES - 0.01, 2.0 + SETTLES + 0.01, 5.0 + SETTLES - 0.01, 5.0 + SETTLES + 0.01])
-    assert told.lowest("pressure", at[3:]).tolist() == [2e5, 2e5, 3e5]
+    assert reported.lowest("pressure", at[3:]).tolist() == [2e5, 2e5, 3e5]
     assert Commanded().lowest("pressure", at[:1]).tolist() == [math.inf]
 
 
@@ -227,14 +227,14 @@ def test_a_device_clock_that_is_far_ahead_hides_no_silence():
     assert len(watch.silent(1.25)) == 1
 
 
-def test_a_missing_channel_and_an_empty_block_tell_nothing():
+def test_a_missing_channel_and_an_empty_block_show_nothing():
     watch = Watch([limit("range", high=1.0)])
     assert watch.look(T[:1], {"force": np.array([5.0])}) == []
     assert watch.look(T[:0], {"pressure": np.zeros(0)}) == []
     assert watch.look_once(0.0, {"force": 5.0}) == []
 
 
-def test_the_first_that_ends_the_run_is_the_last_that_is_told():
+def test_the_first_that_ends_the_run_is_the_last_that_is_reported():
     warn, stop = limit("range", high=2e5, action="warn"), limit("range", high=4e5, action="stop")
     watch = Watch([stop, warn, limit("range", high=6e5)], [CHANNEL])
     found = watch.look(T, {"pressure": np.linspace(0.0, 8e5, len(T))})

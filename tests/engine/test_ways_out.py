@@ -143,16 +143,16 @@ def test_every_way_out_vents_and_is_recorded(cause, kind, forks, lab, folder):
         for name in ("lost", "hang", "nan", "burst", "e_stop"):
             plant.clear(name)
         eventually(lambda: plant.state()["pressure"] < 5e3)  # what a burst hid comes back and has to leave
-    told = run.lines()
+    reported = run.lines()
     if code < 0:  # the last of several signals came when the run was over, vented and closed
-        assert "others" in cause or "again" in cause, told
+        assert "others" in cause or "again" in cause, reported
         assert open_run(run.said("folder")).status == status
         return
-    assert (run.said("status"), code) == (status, code), told
-    assert code in codes, told
-    assert why in run.said("why"), told
+    assert (run.said("status"), code) == (status, code), reported
+    assert code in codes, reported
+    assert why in run.said("why"), reported
     if vented is not None:
-        assert run.said("vent") == vented, told
+        assert run.said("vent") == vented, reported
     if cause in {"disk full", "file size limit", "record fails"}:
         assert open_run(run.said("folder")).status != "finished"
         return

@@ -73,25 +73,25 @@ def test_every_bad_cell_comes_at_once_with_its_place(write):
     ]  # fmt: skip
 
 
-def test_a_decimal_comma_is_told(write):
+def test_a_decimal_comma_is_reported(write):
     assert "has a decimal comma" in problems(write("P [kPa];F [N]\n1,5;2\n"), (0, "pressure"))[0][2]
     assert "a decimal comma? write a point" in problems(write("P [kPa],F [N]\n1,5,2\n"))[0][2]
 
 
-def test_rows_of_another_length_and_heads_that_come_twice_are_told(write):
+def test_rows_of_another_length_and_heads_that_come_twice_are_reported(write):
     found = problems(write("P [kPa],F [N],F [N]\n1,2\n1,2,3,4\n"))
     assert [line for line, _, _ in found] == [1, 2, 3]
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [("", "holds no table"), ("# only words\n", "holds no table"), ("P [kPa]\n", "holds no table")],
 )
-def test_what_is_no_table_is_told(write, text, told):
-    assert told in problems(write(text))[0][2]
+def test_what_is_no_table_is_reported(write, text, reported):
+    assert reported in problems(write(text))[0][2]
 
 
-def test_other_encodings_and_missing_files_are_told(write, tmp_path):
+def test_other_encodings_and_missing_files_are_reported(write, tmp_path):
     assert "UTF-8" in problems(write("P [µbar],F\n1,2\n", "latin-1"))[0][2]
     assert "cannot be read" in problems(tmp_path / "none.csv")[0][2]
     assert "cannot be read" in problems(tmp_path)[0][2]

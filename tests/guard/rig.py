@@ -35,7 +35,7 @@ class Rig:
 
     def __init__(self, device: DeviceRecord, clock: Any) -> None:
         self.device, self.clock = device, clock
-        self.told: list[tuple[Any, ...]] = []
+        self.reported: list[tuple[Any, ...]] = []
         self.at: dict[str, Callable[[float], float]] = {}
         """What each output holds over bench time [device units]."""
         self.on: dict[str, bool] = {}
@@ -56,7 +56,7 @@ class Rig:
             raise DeviceError(self.device.name, wrong)
         elif wrong is not None:
             raise wrong
-        self.told.append((what, *how))
+        self.reported.append((what, *how))
 
     def open(self) -> Identity:
         self._note("open")
@@ -134,7 +134,7 @@ class Rig:
 
     def values(self, *kinds: str) -> list[tuple[Any, ...]]:
         """What it was told of some kinds."""
-        return [told for told in self.told if told[0] in kinds]
+        return [reported for reported in self.reported if reported[0] in kinds]
 
 
 class Quiet(Rig):
@@ -217,5 +217,5 @@ def armed(made: CompiledBench | None = None, **options: Any) -> tuple[Guard, Rig
     """The same, armed, and nothing noted yet."""
     guard, rig = opened(made, **options)
     guard.arm("run")
-    rig.told.clear()
+    rig.reported.clear()
     return guard, rig

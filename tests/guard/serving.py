@@ -103,7 +103,7 @@ class Serving:
         assert "error" not in self.ask(link, "open")
         assert "error" not in self.ask(link, "arm", run="")
         assert self.guard.state is State.RUNNING
-        self.rig.told.clear()
+        self.rig.reported.clear()
         return link
 
     def until_over(self, within: float = 5.0) -> None:

@@ -84,7 +84,7 @@ def test_the_same_bench_through_json_is_refused_too():
 def test_a_sound_bench_is_armed_in_order():
     guard, rig = opened()
     guard.arm("run")
-    assert rig.told[1:] == [
+    assert rig.reported[1:] == [
         ("arm_watchdog", 1.0), ("level", "in0"), ("write", "p", 0.0), ("read_back", "p"), ("write", "x", 0.0),
         ("read_back", "x"), ("switch", "v", True), ("held",),
     ]  # fmt: skip
@@ -92,10 +92,10 @@ def test_a_sound_bench_is_armed_in_order():
     assert guard.run == "run"
 
 
-@pytest.mark.parametrize("told", [0.0, 2.0, math.nan, -1.0])
-def test_a_watchdog_that_says_another_time_is_not_armed(told):
+@pytest.mark.parametrize("reported", [0.0, 2.0, math.nan, -1.0])
+def test_a_watchdog_that_says_another_time_is_not_armed(reported):
     guard, rig = opened()
-    rig.promised = told
+    rig.promised = reported
     with pytest.raises(DeviceError, match="watchdog says"):
         guard.arm()
     assert rig.values("write") == []
@@ -164,12 +164,12 @@ def test_before_the_proof_only_low_pressure_passes():
 
 
 @pytest.mark.parametrize("driver", ["tests.guard.rig:Nothing", "no_such:Rig"])
-def test_a_driver_that_is_none_is_told(driver):
+def test_a_driver_that_is_none_is_reported(driver):
     with pytest.raises(DeviceError, match="cannot be loaded"):
         Guard(bench(DeviceRecord("dac", driver)), VirtualClock()).open()
 
 
-def test_a_class_that_is_no_device_is_told():
+def test_a_class_that_is_no_device_is_reported():
     with pytest.raises(DeviceError, match="does not implement"):
         Guard(bench(DeviceRecord("dac", f"{__name__}:NoDevice")), VirtualClock()).open()
 
@@ -184,5 +184,5 @@ def test_devices_that_are_open_are_closed_when_another_does_not_open():
     guard = Guard(bench(devices=(DEVICE, other)), VirtualClock())
     with pytest.raises(DeviceError, match="other: no answer"):
         guard.open()
-    assert Rig.made["dac"].told == [("open",), ("close",)]
+    assert Rig.made["dac"].reported == [("open",), ("close",)]
     assert guard.devices == {}

@@ -27,7 +27,9 @@ def test_a_bench_that_nobody_used_is_vented_and_stays_free():
     where = station()
     vent = vent_directly(BENCH, where, "test")
     assert vent.result == "confirmed"
-    assert [told for told in Rig.made["dac"].told if told[0] in {"halt", "write", "switch"}][:3] == SAFE_COMMANDS
+    assert [reported for reported in Rig.made["dac"].reported if reported[0] in {"halt", "write", "switch"}][
+        :3
+    ] == SAFE_COMMANDS
     assert where.latched() == ""
 
 
@@ -59,8 +61,8 @@ def test_a_vent_is_confirmed_by_a_gauge_on_a_link_that_only_measures():
     split = replace(BENCH, devices=(replace(DEVICE, channels=()), gauge))
     where = station(what="tripped", why="burst")
     assert vent_directly(split, where, "test").confirmed
-    assert ("open",) in Rig.made["gauge"].told
-    assert not [told for told in Rig.made["gauge"].told if told[0] in {"halt", "write", "switch"}]
+    assert ("open",) in Rig.made["gauge"].reported
+    assert not [reported for reported in Rig.made["gauge"].reported if reported[0] in {"halt", "write", "switch"}]
 
 
 def test_a_folder_that_cannot_be_written_hinders_no_vent():

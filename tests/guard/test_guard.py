@@ -19,19 +19,19 @@ class Recording:
     broken: tuple[str, ...] = ()
 
     def __init__(self, device, clock):
-        self.told: list[tuple[str, str, float]] = []
+        self.reported: list[tuple[str, str, float]] = []
         self.holds: dict[str, float] = {}
 
     def open(self):
         return Identity("test", "recording", "1", "0", simulated=True)
 
     def close(self):
-        self.told.append(("close", "", 0.0))
+        self.reported.append(("close", "", 0.0))
 
     def write(self, output, value):
         if output in self.broken:
             raise DeviceError("dac", "does not answer", output)
-        self.told.append(("write", output, value))
+        self.reported.append(("write", output, value))
         self.holds[output] = value
 
     def read_back(self, output):
@@ -41,7 +41,7 @@ class Recording:
         ends = [segment.origin - abs(segment.amplitude), segment.origin + abs(segment.amplitude)]
         if segment.kind == "ramp":
             ends.append(segment.target)
-        self.told.extend(("follow", output, end) for end in ends)
+        self.reported.extend(("follow", output, end) for end in ends)
 
 
 class OneBroken(Recording):
@@ -76,8 +76,8 @@ def armed(made=None):
     return guard
 
 
-def told(guard):
-    return guard.devices["dac"].told
+def reported(guard):
+    return guard.devices["dac"].reported
 
 
 def test_arming_drives_every_output_to_its_safe_value_first():
@@ -86,20 +86,20 @@ def test_arming_drives_every_output_to_its_safe_value_first():
     with pytest.raises(LimitRefused, match="disarmed"):
         guard.set("pressure", 1000.0)
     guard.arm()
-    assert told(guard) == [("write", "pressure", 0.0)]
+    assert reported(guard) == [("write", "pressure", 0.0)]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 600e3 + 1, -1.0, 1e308])
 def test_a_value_outside_is_refused_and_nothing_is_sent(value):
     guard = armed()
-    before = list(told(guard))
+    before = list(reported(guard))
     with pytest.raises(LimitRefused):
         guard.set("pressure", value)
     with pytest.raises(LimitRefused):
         guard.ramp("pressure", 0.0, value, 1000.0)
     with pytest.raises(LimitRefused):
         guard.sine("pressure", value, 10.0, 1.0, 1.0)
-    assert told(guard) == before
+    assert reported(guard) == before
 
 
 def test_the_limit_and_who_set_it_are_named():
@@ -122,13 +122,13 @@ def test_a_sine_is_checked_at_its_crests():
 def test_the_value_that_the_device_gets_lies_inside_after_rounding(value, slope, offset, resolution):
     record = output(slope=slope, offset=offset, resolution=resolution)
     guard = armed(bench(record, safe_state=()))
-    told(guard).clear()
+    reported(guard).clear()
     try:
         guard.set("pressure", value)
     except LimitRefused:
-        assert not told(guard)
+        assert not reported(guard)
         return
-    sent = told(guard)[-1][2] * slope + offset
+    sent = reported(guard)[-1][2] * slope + offset
     assert -resolution * abs(slope) - 1e-3 <= sent <= 600e3 * (1 + 2e-9)
     assert sent <= value + 1e-6 * (abs(value) + 2 * resolution * abs(slope)) + 1e-3, "rounded away from the safe side"
 
@@ -153,7 +153,7 @@ def test_no_sequence_of_hostile_commands_gets_past(commands):
         except LimitRefused:
             continue
     slope = 600e3 / 4095
-    for _, _, raw in told(guard):
+    for _, _, raw in reported(guard):
         assert -1e-3 <= raw * slope <= 600e3 * (1 + 1e-8)
 
 
@@ -190,7 +190,7 @@ def test_the_vent_is_confirmed_by_the_measured_pressure():
     guard.set("pressure", 300e3)
     vent = guard.safe_state(falling(guard, [200e3, 50e3, 10e3]))
     assert vent.confirmed
-    assert told(guard)[-1] == ("write", "pressure", 0.0)
+    assert reported(guard)[-1] == ("write", "pressure", 0.0)
     assert guard.state is State.SAFE
 
 
@@ -207,7 +207,7 @@ def test_a_measurement_that_fails_does_not_stop_the_vent():
         raise DeviceError("adc", "does not answer")
 
     assert guard.safe_state(measure).result == "commanded"
-    assert told(guard)[-1] == ("write", "pressure", 0.0)
+    assert reported(guard)[-1] == ("write", "pressure", 0.0)
 
 
 def test_a_failed_action_does_not_stop_the_next():
@@ -218,7 +218,7 @@ def test_a_failed_action_does_not_stop_the_next():
     guard.state = State.RUNNING
     vent = guard.safe_state(dict)
     assert vent.result == "failed"
-    assert told(guard)[-1] == ("write", "pressure", 0.0)
+    assert reported(guard)[-1] == ("write", "pressure", 0.0)
 
 
 def test_after_the_safe_state_nothing_is_commanded_and_a_second_call_only_repeats_it():
@@ -243,7 +243,7 @@ def test_a_driver_that_is_not_there_is_a_device_error():
         Guard(bench(devices=(record,)), VirtualClock()).open()
 
 
-def test_a_driven_end_starts_where_it_stands():
+def test_a_driven_end_starts_where_it_is():
     guard = armed(bench(output("displacement", rate=1e5), output()))
     with pytest.raises(LimitRefused, match="cannot jump"):
         guard.ramp("displacement", 300e3, 0.0, 1e4)

@@ -77,8 +77,8 @@ def test_it_serves_an_engine_vents_when_it_is_gone_and_leaves_nothing_behind(pro
     assert Station("program").read("bench")["name"] == "program"
     assert Station("program").read("state")["devices"] == ["127.0.0.1:9 unit 1"]
     rig = Rig.made["dac"]
-    assert [told for told in rig.values("write") if told[1] == "p"][-1] == ("write", "p", 0.0)
-    assert rig.told[-1] == ("close",)
+    assert [reported for reported in rig.values("write") if reported[1] == "p"][-1] == ("write", "p", 0.0)
+    assert rig.reported[-1] == ("close",)
     assert rig.values("disarm_watchdog"), "the vent was confirmed"
 
 
@@ -94,7 +94,7 @@ def test_it_ends_cleanly_where_the_engine_says_so(program):
     assert Station("program").latched() == ""
 
 
-def test_a_bench_that_is_taken_is_told(program):
+def test_a_bench_that_is_taken_is_reported(program):
     Station("program").folder.mkdir(parents=True)
     other = Station("program")
     other.take()

@@ -35,7 +35,7 @@ def test_each_pressure_has_its_own_limit():
         guard.set("pressure_2", 500e3)
     with pytest.raises(LimitRefused, match="pressure_2"):
         guard.ramp("pressure_2", 0.0, 500e3, 50e3)
-    assert [told[1] for told in rig.values("write", "follow")] == ["pressure_1"]
+    assert [reported[1] for reported in rig.values("write", "follow")] == ["pressure_1"]
 
 
 def test_a_pair_without_a_trip_on_its_second_muscle_is_not_armed():
@@ -48,9 +48,9 @@ def test_the_safe_state_sends_both_down_before_it_asks_or_waits_for_anything():
     guard, rig = armed(PAIR)
     guard.set("pressure_1", 300e3)
     guard.set("pressure_2", 300e3)
-    rig.told.clear()
+    rig.reported.clear()
     vent = guard.safe_state(lambda: dict.fromkeys(NAMES, 5e3))
-    assert rig.told[:3] == [("write", "pressure_1", 0.0), ("write", "pressure_2", 0.0), ("switch", "v", False)]
+    assert rig.reported[:3] == [("write", "pressure_1", 0.0), ("write", "pressure_2", 0.0), ("switch", "v", False)]
     assert vent.confirmed
     assert vent.actions[-2:] == (
         "confirm pressure_1: 5 kPa, below 20 kPa",

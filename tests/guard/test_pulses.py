@@ -45,7 +45,7 @@ AIMS = {"pressure_1": 250e3, "pressure_2": 250e3, "tilt": 0.1}
 def test_pulses_go_to_the_device_as_they_are():
     guard, rig = armed(PULSED)
     guard.steer(AIMS, {"fill_1": 0.00734, "exhaust_2": 0.02})
-    assert rig.told == [("pulse", "f1", 0.00734), ("pulse", "e2", 0.02)]
+    assert rig.reported == [("pulse", "f1", 0.00734), ("pulse", "e2", 0.02)]
 
 
 def test_while_armed_the_supply_is_on_and_all_other_valves_are_shut():
@@ -77,7 +77,7 @@ def test_what_is_outside_is_refused_and_nothing_is_opened(name):
     guard, rig = armed(PULSED)
     with pytest.raises(LimitRefused, match=says):
         guard.steer(aims, {"fill_2" if "fill_1" in pulses else "fill_1": 0.01} | pulses)
-    assert rig.told == []
+    assert rig.reported == []
 
 
 def test_a_valve_opens_after_its_counterpart_has_shut_and_not_before():
@@ -89,7 +89,7 @@ def test_a_valve_opens_after_its_counterpart_has_shut_and_not_before():
     guard.steer(AIMS, {"exhaust_2": 0.005})
     guard.clock.wait_until(0.005)
     guard.steer(AIMS, {"exhaust_1": 0.005})
-    assert [told[1] for told in rig.told] == ["f1", "e2", "e1"]
+    assert [reported[1] for reported in rig.reported] == ["f1", "e2", "e1"]
 
 
 def test_before_the_bench_is_proven_aims_are_low():
@@ -103,7 +103,10 @@ def test_nothing_opens_once_the_safe_state_has_begun():
     guard, rig = armed(PULSED)
     vent = guard.safe_state(lambda: dict.fromkeys(PRESSURES, 5e3))
     assert vent.confirmed
-    assert [told for told in rig.told if told[0] == "switch"][:2] == [("switch", "s", False), ("switch", "d", False)]
+    assert [reported for reported in rig.reported if reported[0] == "switch"][:2] == [
+        ("switch", "s", False),
+        ("switch", "d", False),
+    ]
     with pytest.raises(LimitRefused, match="the bench is safe"):
         guard.steer(AIMS, {"fill_1": 0.005})
 
@@ -112,7 +115,7 @@ def test_supervision_asks_for_the_valves_that_stay_as_they_were_switched():
     guard, rig = armed(PULSED)
     for number in range(20):
         guard.supervision.look(0.5 * number)
-    assert {told[1] for told in rig.values("is_on")} == {"s", "d"}
+    assert {reported[1] for reported in rig.values("is_on")} == {"s", "d"}
 
 
 UNSAFE = {

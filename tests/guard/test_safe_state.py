@@ -28,16 +28,16 @@ def advance(guard, seconds, latest=None):
 def test_actions_go_out_in_the_declared_order_and_the_outcome_says_each():
     guard, rig = armed()
     guard.set("pressure", 300e3)
-    rig.told.clear()
+    rig.reported.clear()
     vent = guard.safe_state(lambda: LOW, why="test")
-    assert rig.told[:3] == [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
-    assert rig.told[3:] == [("read_back", "p"), ("is_on", "v")], "nothing is asked before all was commanded"
+    assert rig.reported[:3] == [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert rig.reported[3:] == [("read_back", "p"), ("is_on", "v")], "nothing is asked before all was commanded"
     assert vent.actions == ("stop displacement: sent", "set pressure: sent", "open dump_valve: sent",
                             "confirm pressure: 5 kPa, below 20 kPa")  # fmt: skip
     assert (vent.result, guard.state, guard.why) == ("confirmed", State.SAFE, "test")
 
 
-def test_a_safe_ramp_begins_where_the_output_stands_not_where_its_last_ramp_ends():
+def test_a_safe_ramp_begins_where_the_output_is_not_where_its_last_ramp_ends():
     guard, rig = armed(bench(safe_state=(RAMP, *SAFE)))
     guard.ramp("pressure", 0.0, 600e3, 10e3)
     guard.clock.wait_until(guard.clock.now() + 3.0)
@@ -68,7 +68,7 @@ def test_courses_are_the_closed_forms():
 def test_a_ramp_is_waited_for_and_a_hold_too():
     guard, rig = armed(bench(safe_state=(RAMP, SafeAction("hold", "", 0.0, 2.0), *SAFE[1:])))
     guard.set("pressure", 200e3)
-    rig.told.clear()
+    rig.reported.clear()
     guard.begin_safe()
     assert advance(guard, 1.9) is None
     assert rig.values("write", "switch") == []
@@ -84,7 +84,7 @@ def test_a_ramp_that_fails_goes_over_the_second_way_and_nothing_waits_for_it():
     guard, rig = armed(bench(safe_state=(RAMP, *SAFE)))
     guard.set("pressure", 200e3)
     rig.wrong["follow"] = "no answer"
-    rig.told.clear()
+    rig.reported.clear()
     guard.begin_safe()
     guard.step_safe({})
     assert rig.values("write", "switch") == [("write", "p", 0.0), ("switch", "v", False)]
@@ -99,7 +99,7 @@ def test_hurry_leaves_out_waits_and_nothing_else():
     guard.set("pressure", 200e3)
     guard.begin_safe()
     guard.step_safe({})
-    rig.told.clear()
+    rig.reported.clear()
     guard.begin_safe(hurry=True)
     guard.step_safe({})
     commands = rig.values("write", "halt", "switch")
@@ -109,7 +109,7 @@ def test_hurry_leaves_out_waits_and_nothing_else():
 
 def test_commands_are_sent_again_while_the_confirmation_is_waited_for():
     guard, rig = armed()
-    rig.told.clear()
+    rig.reported.clear()
     guard.begin_safe()
     for _ in range(9):
         assert advance(guard, 0.1, {"pressure": 200e3}) is None
@@ -154,11 +154,11 @@ def test_an_action_that_fails_goes_over_the_second_way_where_there_is_one(call):
     guard.begin_safe()
     while (vent := advance(guard, 0.001, LOW)) is None:
         assert time.monotonic() < deadline
-    told = next(text for text in vent.actions if {"write": "set", "switch": "open", "halt": "stop"}[call] in text)
+    reported = next(text for text in vent.actions if {"write": "set", "switch": "open", "halt": "stop"}[call] in text)
     if call == "halt":
-        assert told == "stop displacement: failed (dac.displacement: no answer)" or "no answer" in told
+        assert reported == "stop displacement: failed (dac.displacement: no answer)" or "no answer" in reported
     else:
-        assert told.endswith("sent over the second way")
+        assert reported.endswith("sent over the second way")
         assert rig.values("rescue") == [("rescue", {"write": "p", "switch": "v"}[call], 0.0)]
 
 
@@ -205,7 +205,7 @@ def test_after_the_safe_state_only_the_safe_state_passes(tripped):
     guard.set("pressure", 300e3)
     guard.safe_state(lambda: LOW, tripped=tripped)
     assert guard.state is (State.TRIPPED if tripped else State.SAFE)
-    rig.told.clear()
+    rig.reported.clear()
     for command in (
         lambda: guard.set("pressure", 0.0),
         lambda: guard.set("pressure", 100e3),
@@ -217,9 +217,9 @@ def test_after_the_safe_state_only_the_safe_state_passes(tripped):
     ):
         with pytest.raises(LimitRefused):
             command()
-    assert rig.told == []
+    assert rig.reported == []
     guard.begin_safe(tripped=True)
-    assert rig.told == [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert rig.reported == [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
     guard.step_safe({})
     assert guard.state is State.TRIPPED
 
@@ -237,7 +237,7 @@ def test_the_valves_open_for_hands_and_close_again():
     guard, rig = armed()
     guard.valves(closed=False)
     guard.valves(closed=True)
-    assert rig.told == [("switch", "v", False), ("switch", "v", True)]
+    assert rig.reported == [("switch", "v", False), ("switch", "v", True)]
 
 
 def test_the_watchdog_is_let_go_only_where_the_bench_is_confirmed_to_be_safe():
@@ -274,17 +274,20 @@ def test_a_call_that_hangs_is_not_waited_for_and_the_vent_goes_round_it():
         with pytest.raises(DeviceError, match="has not answered yet"):
             guard.set("pressure", 300e3)
         guard.begin_safe(tripped=True)
-        while not [told for told in rig.values("rescue") if told[1] == "p"]:
+        while not [reported for reported in rig.values("rescue") if reported[1] == "p"]:
             guard.step_safe({})
             assert time.monotonic() - begin < 5.0
-        while not [told for told in rig.values("rescue") if told[1] == "v"]:
+        while not [reported for reported in rig.values("rescue") if reported[1] == "v"]:
             guard.step_safe({})
             assert time.monotonic() - begin < 5.0
         while guard.step_safe(LOW) is None:
             assert time.monotonic() - begin < 5.0
     finally:
         released.set()
-    assert [told for told in rig.told if told[0] == "rescue"] == [("rescue", "p", 0.0), ("rescue", "v", 0.0)]
+    assert [reported for reported in rig.reported if reported[0] == "rescue"] == [
+        ("rescue", "p", 0.0),
+        ("rescue", "v", 0.0),
+    ]
     deadline = time.monotonic() + 5.0
     while rig.values("write")[-1:] != [("write", "p", 0.0)]:
         assert time.monotonic() < deadline, "what was commanded last is the safe value"
@@ -335,9 +338,9 @@ def test_devices_that_answer_are_vented_while_another_one_hangs_in_its_opening(m
     began = time.monotonic()
     opening = threading.Thread(target=guard.open)
     opening.start()
-    while "dac" not in Rig.made or len(Rig.made["dac"].told) < 4:
+    while "dac" not in Rig.made or len(Rig.made["dac"].reported) < 4:
         assert time.monotonic() - began < 5.0
-    assert Rig.made["dac"].told == [("open",), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert Rig.made["dac"].reported == [("open",), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
     assert opening.is_alive(), "it did not wait for the one that hangs"
     opening.join()
     released.set()
@@ -348,7 +351,7 @@ def test_devices_that_answer_are_vented_while_another_one_hangs_in_its_opening(m
 def test_a_device_of_several_actions_without_a_safe_start_is_only_opened():
     guard = Guard(bench(safe_state=(RAMP, *SAFE)), RealClock(), threads=True, forgiving=True)
     guard.open()
-    assert Rig.made["dac"].told == [("open",)]
+    assert Rig.made["dac"].reported == [("open",)]
     guard.close()
 
 
@@ -366,7 +369,7 @@ def test_a_rate_that_is_none_or_too_high_is_refused(rate):
     guard, rig = armed()
     with pytest.raises(LimitRefused, match="cannot be ramped"):
         guard.ramp("displacement", 0.0, 10e-3, rate)
-    assert rig.told == []
+    assert rig.reported == []
 
 
 @pytest.mark.parametrize(
@@ -376,7 +379,7 @@ def test_a_sine_that_is_none_is_refused(frequency, cycles):
     guard, rig = armed()
     with pytest.raises(LimitRefused, match="a sine needs"):
         guard.sine("pressure", 1e5, 1e4, frequency, cycles)
-    assert rig.told == []
+    assert rig.reported == []
 
 
 def test_a_sine_that_moves_too_fast_is_refused():
@@ -385,7 +388,7 @@ def test_a_sine_that_moves_too_fast_is_refused():
         guard.sine("displacement", 0.0, 0.0 + 10e-3, 1.0, 1.0) if False else guard.sine(
             "displacement", 5e-3, 5e-3, 1.0, 1.0
         )
-    assert rig.told == []
+    assert rig.reported == []
 
 
 def test_streams_hands_and_what_would_be_sent():
@@ -405,7 +408,7 @@ def test_streams_hands_and_what_would_be_sent():
             ask()
 
 
-def test_an_empty_block_tells_nothing_new():
+def test_an_empty_block_shows_nothing_new():
     guard, rig = armed()
     rig.collect = lambda: type("Empty", (), {"time": [], "columns": {}})()
     guard.collect("dac")
@@ -433,9 +436,9 @@ def test_each_device_is_asked_for_what_it_has_and_no_other():
     guard, rig = opened(made, threads=True)
     assert "reader" not in guard.devices
     guard.arm()
-    assert ("switch", "s", True) in Rig.made["island"].told, "the supply stands open in a run"
+    assert ("switch", "s", True) in Rig.made["island"].reported, "the supply stands open in a run"
     guard.links.feed_watchdogs()
-    rig.told.clear()
+    rig.reported.clear()
     guard.valves(closed=False, only="dump_valve")
     assert rig.values("switch") == [("switch", "v", False)]
     assert len(Rig.made["island"].values("switch")) == 1
@@ -477,11 +480,11 @@ def test_a_safe_state_of_unknown_outputs_is_no_hindrance_where_nobody_answers():
         bench(safe_state=(SafeAction("set", "nothing", 0.0, 0.2), *SAFE)), RealClock(), threads=True, forgiving=True
     )
     guard.open()
-    assert Rig.made["dac"].told == [("open",), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert Rig.made["dac"].reported == [("open",), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
     guard.close()
 
 
-def test_a_channel_whose_name_tells_no_unit_is_shown_in_si():
+def test_a_channel_whose_name_shows_no_unit_is_shown_in_si():
     guard, _ = armed(bench(safe_state=(SafeAction("confirm", "unheard_of", 2.0, 1.0),)))
     assert guard.safe_state(lambda: {"unheard_of": 1.5}).actions[0].startswith("confirm unheard_of: 1.5")
 
@@ -521,15 +524,15 @@ def test_a_device_that_carries_out_nothing_is_left_to_its_watchdog_and_asked_aga
     advance(guard, 0.01, HIGH)
     advance(guard, 0.01, HIGH)
     assert not guard.feeds
-    assert rig.told[-1] == ("close",)
+    assert rig.reported[-1] == ("close",)
     gone = guard.clock.now()
     while Rig.made["dac"] is rig:
         assert advance(guard, 0.05, HIGH) is None
     assert 1.5 <= guard.clock.now() - gone < 2.5, "its watchdog of 1 s had its time"
     again = Rig.made["dac"]
-    assert again.told == [("open",), ("start", 20.0)]
+    assert again.reported == [("open",), ("start", 20.0)]
     vent = until_over(guard, 0.5, LOW)
-    assert ("write", "p", 0.0) in again.told or vent.confirmed
+    assert ("write", "p", 0.0) in again.reported or vent.confirmed
     assert 'set pressure: failed ("pressure" was commanded to 0 kPa and the device holds 300 kPa' in "".join(
         vent.actions
     )
@@ -566,7 +569,7 @@ def test_a_pressure_that_does_not_fall_is_no_effect_and_one_that_falls_is():
     for _ in range(3):
         advance(guard, 0.1, HIGH)
     assert not guard.feeds
-    assert rig.told[-1] == ("close",)
+    assert rig.reported[-1] == ("close",)
     guard, rig = armed(slow)
     guard.begin_safe()
     for step in range(60):
@@ -580,7 +583,7 @@ def test_a_device_without_a_watchdog_keeps_its_line_and_gets_the_commands_again(
     rig.ignores = "both ways"
     guard.begin_safe()
     vent = until_over(guard, 0.1, HIGH)
-    assert len([told for told in rig.values("write") if told[1] == "p"]) >= 2
+    assert len([reported for reported in rig.values("write") if reported[1] == "p"]) >= 2
     assert not rig.values("close")
     assert vent.result == "failed"
 

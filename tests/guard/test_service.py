@@ -210,7 +210,7 @@ def test_a_command_that_is_acknowledged_and_not_carried_out_is_noticed():
         assert "was commanded to 300 kPa and the device holds 0 kPa" in serving.service._ended["why"]
 
 
-def test_a_bench_that_does_what_it_was_told_is_left_alone(monkeypatch):
+def test_a_bench_that_does_what_it_was_asked_is_left_alone(monkeypatch):
     monkeypatch.setattr(process, "SILENCE", 60.0)  # this test is not about a machine that is busy
     monkeypatch.setattr(process, "LOST_TIME", 60.0)
     with Serving(threads=True) as serving:
@@ -262,7 +262,7 @@ def serving_on(serving, within=15.0):
         assert time.monotonic() < until
 
 
-def test_a_guard_that_is_told_to_end_vents_first():
+def test_a_guard_that_is_asked_to_end_vents_first():
     with Serving() as serving:
         serving.armed()
         serving.service._note_signal(15, None)
@@ -274,23 +274,23 @@ def test_a_guard_that_is_told_to_end_vents_first():
 def test_a_latched_bench_is_made_safe_again_and_refused():
     with Serving(latch="burst, yesterday") as serving:
         link = serving.link()
-        told = serving.ask(link, "open")["error"]
-        assert told["type"] == "LimitRefused"
-        assert "burst, yesterday" in told["text"]
+        reported = serving.ask(link, "open")["error"]
+        assert reported["type"] == "LimitRefused"
+        assert "burst, yesterday" in reported["text"]
         assert outputs_of(serving.rig) == SAFE_COMMANDS
         assert "cannot be armed" in serving.ask(link, "arm", run="")["error"]["text"]
         assert outputs_of(serving.rig) == SAFE_COMMANDS
         serving.until_over()
 
 
-def test_a_latched_bench_whose_device_does_not_answer_tells_both():
+def test_a_latched_bench_whose_device_does_not_answer_shows_both():
     device = replace(DEVICE, options={"wrong": {"open": "does not answer at COM7"}})
     with Serving(bench(device), latch="burst, yesterday") as serving:
-        told = serving.ask(serving.link(), "open")["error"]
-        assert told["type"] == "LimitRefused"
-        assert "burst, yesterday" in told["text"]
-        assert "--reset" in told["text"]
-        assert "does not answer at COM7" in told["text"]
+        reported = serving.ask(serving.link(), "open")["error"]
+        assert reported["type"] == "LimitRefused"
+        assert "burst, yesterday" in reported["text"]
+        assert "--reset" in reported["text"]
+        assert "does not answer at COM7" in reported["text"]
     with Serving(bench(device)) as serving:
         assert serving.ask(serving.link(), "open")["error"]["text"] == "does not answer at COM7"
 
@@ -311,7 +311,7 @@ def test_a_vent_from_somebody_else_is_answered_at_once_and_when_it_is_over():
         assert serving.ask(other, "vent", who="me")["vent"]["result"] == "confirmed"
 
 
-def test_the_first_cause_is_the_one_that_is_told():
+def test_the_first_cause_is_the_one_that_is_reported():
     with Serving() as serving:
         engine = serving.armed()
         serving.ask(serving.link(), "vent", who="me")
@@ -326,7 +326,7 @@ def test_only_one_engine_is_served():
         engine, other = serving.armed(), serving.link()
         assert "has an engine already" in serving.ask(other, "set", name="pressure", value=1e5)["error"]["text"]
         assert "error" not in serving.ask(engine, "set", name="pressure", value=1e5)
-        assert [told for told in outputs_of(serving.rig) if told[-1] != 0.0] == [("write", "p", 666.0)]
+        assert [reported for reported in outputs_of(serving.rig) if reported[-1] != 0.0] == [("write", "p", 666.0)]
         other.close()
         serving.service.turn()
         assert serving.guard.state is State.RUNNING
@@ -384,7 +384,7 @@ def test_a_command_that_was_sent_too_long_ago_is_not_carried_out(at):
      {"do": "collect", "device": [], "seen": {}}, {"do": "stream", "name": "dac", "rate": "fast"},
      {"do": "collect", "device": "dac", "seen": {"x": "y"}}, {"do": "open"}, {"do": "arm", "run": ""}],
 )  # fmt: skip
-def test_an_engines_mistake_is_told_to_it_and_commands_nothing(message):
+def test_an_engines_mistake_is_reported_to_it_and_commands_nothing(message):
     with Serving() as serving:
         link = serving.armed()
         answer = serving.say(link, encode({"at": time.monotonic(), **message}, ASKS))
@@ -412,8 +412,8 @@ def test_a_lost_engine_finds_what_happened_in_its_run(tmp_path):
         link.close()
         ended_by(serving, "the engine has gone")
         assert list(tmp_path.iterdir()) == []
-        told = json.loads((Path(f"{tmp_path}.late") / "guard.json").read_text())
-        assert (told["cause"], told["vent"]["result"]) == ("the engine has gone", "confirmed")
+        reported = json.loads((Path(f"{tmp_path}.late") / "guard.json").read_text())
+        assert (reported["cause"], reported["vent"]["result"]) == ("the engine has gone", "confirmed")
 
 
 def test_what_the_engine_says_it_measured_counts_only_where_the_guard_cannot_measure():
@@ -446,7 +446,7 @@ def test_an_error_in_every_turn_does_not_end_the_guard(monkeypatch):
         ended_by(serving, "the engine has gone")
 
 
-def test_a_state_that_cannot_be_written_is_told_and_ends_no_vent(monkeypatch):
+def test_a_state_that_cannot_be_written_is_reported_and_ends_no_vent(monkeypatch):
     def full(*_args, **_data):
         raise RecordError("disk full")
 
@@ -584,10 +584,10 @@ def legal_set(message, state):
     )
 
 
-def judge(told):
+def judge(reported):
     """Whether what reached the device lies inside its limits, decoded here again."""
     most = {"p": 600e3 / OUTPUT.scale.slope, "x": 50.0}
-    for kind, output, *how in (call for call in told if call[0] in {"write", "follow"}):
+    for kind, output, *how in (call for call in reported if call[0] in {"write", "follow"}):
         if kind == "write":
             assert -1e-6 <= how[0] <= most[output] * (1 + 1e-8), (output, how)
         elif kind == "follow":
@@ -627,12 +627,12 @@ def test_an_engine_that_lies_commands_nothing_illegal_and_the_guard_survives(rec
                     raw = encode({**message, "at": message["at"] - rng.uniform(0.6, 1e6)}, ASKS)
                 else:
                     kept = kept or raw
-                before, state = len(serving.rig.told), serving.guard.state
+                before, state = len(serving.rig.reported), serving.guard.state
                 link.sendall(raw)
                 if raw != encode(message, ASKS):
                     link.shutdown(socket.SHUT_WR)
                 answer = serving.say(link, b"") if way >= 0.05 else drained(serving, link)
-                judge(serving.rig.told[before:])
+                judge(serving.rig.reported[before:])
                 if way >= 0.05:
                     assert answer is not None
                     tally["refused" if "error" in answer else "done"] += 1
@@ -640,12 +640,12 @@ def test_an_engine_that_lies_commands_nothing_illegal_and_the_guard_survives(rec
                         tally["legal"] += 1
                         assert "error" not in answer, (message, answer)
                         assert serving.rig.values("write"), "a legal command was blocked"
-                    if len(serving.rig.told) > 1000:
-                        serving.rig.told.clear()
+                    if len(serving.rig.reported) > 1000:
+                        serving.rig.reported.clear()
                 else:
                     tally["broken"] += 1
                     break
-            judge(serving.rig.told)
+            judge(serving.rig.reported)
             if done < count:
                 serving.until_over()
                 assert outputs_of(serving.rig)[-3:] == SAFE_COMMANDS, "its engine was lost, and it vented"
@@ -672,7 +672,7 @@ def test_an_engine_that_leaves_a_safe_bench_is_not_lost():
         assert serving.guard.state is State.SAFE
 
 
-def test_only_what_streams_is_told_and_only_what_is_open_counts_as_measured():
+def test_only_what_streams_is_reported_and_only_what_is_open_counts_as_measured():
     from pmabench.bench.interface import DeviceRecord, ValveRecord
     from tests.guard.rig import CHANNEL, Plain
 
@@ -786,5 +786,5 @@ def test_a_drivers_own_kind_of_device_error_reaches_the_engine_as_one():
     with Serving() as serving:
         link = serving.armed()
         serving.rig.wrong["write"] = Unanswered("dac", "gave no answer", "p")
-        told = serving.ask(link, "set", name="pressure", value=1e5)["error"]
-        assert told == {"type": "DeviceError", "device": "dac", "channel": "p", "text": "gave no answer"}
+        reported = serving.ask(link, "set", name="pressure", value=1e5)["error"]
+        assert reported == {"type": "DeviceError", "device": "dac", "channel": "p", "text": "gave no answer"}

@@ -65,13 +65,13 @@ def test_every_cut_of_a_state_latches():
         assert station.latched(), length
 
 
-def test_a_state_that_cannot_be_written_is_told(monkeypatch):
+def test_a_state_that_cannot_be_written_is_reported(monkeypatch):
     station = Station("x")
     with pytest.raises(RecordError, match="the state of the bench is not kept"):
         station.note("armed")
 
 
-def test_a_folder_that_cannot_be_made_is_told(monkeypatch, tmp_path):
+def test_a_folder_that_cannot_be_made_is_reported(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("PMABENCH_STATE", str(tmp_path / "file"))
     with pytest.raises(DeviceError, match="set PMABENCH_STATE"):

@@ -128,10 +128,10 @@ def test_what_the_bench_does_not_allow_is_refused_with_its_place():
         "record": ("[pressure_1, angle, torque]", 'lacks "pressure_2"'),
     }
     with pytest.raises(InvalidFile) as caught:
-        compiled(*((name, text) for name, (text, _told) in wrong.items()))
+        compiled(*((name, text) for name, (text, _reported) in wrong.items()))
     assert len(caught.value.problems) == len(wrong)
-    for _text, told in wrong.values():
-        assert told in str(caught.value)
+    for _text, reported in wrong.values():
+        assert reported in str(caught.value)
 
 
 def test_a_free_joint_and_a_bench_of_one_muscle_are_refused():

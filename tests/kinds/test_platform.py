@@ -139,7 +139,7 @@ def tripped(name, seed, folder=None):
     outcome, bench = run(steps(attitude), out=folder, seed=seed, faults=faults, errors=errors)
     assert (outcome.status, outcome.exit_code, outcome.vent.result) == ("tripped", 5, "confirmed"), outcome.why
     assert re.search(says, outcome.why)
-    switched = [(t, valve) for t, valve, on in bench.told if not on and t > 0.5]
+    switched = [(t, valve) for t, valve, on in bench.reported if not on and t > 0.5]
     assert [valve for _, valve in switched[:2]] == ["supply_valve", "dump_valve"]
     assert switched[0][0] == switched[1][0]
     assert max(bench.plant.state[4:7]) < 20e3 + NOISE

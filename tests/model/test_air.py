@@ -147,7 +147,7 @@ def test_a_leak_empties_a_shut_muscle_and_is_made_up_for_by_an_open_one():
     assert plant.advance(3.0, np.array([3.0])).P[0] == pytest.approx(P * math.exp(-0.4), rel=1e-6)
 
 
-def test_ideal_has_no_air_unless_told():
+def test_ideal_has_no_air_unless_asked():
     assert preset("daerden", "ideal").air is None
     assert preset("daerden", "ideal", Overrides(conductance_fill=1e-7)).air is not None
     assert preset("daerden", "bench", Overrides(conductance_fill=0.0, conductance_vent=0.0)).air is None

@@ -17,8 +17,8 @@ FILES = sorted((Path(__file__).parents[2] / "fixtures" / "plants").glob("*.yaml"
 
 def through_json(setup, **changes):
     muscle = replace(setup.muscle, **changes)
-    told = Described(muscle, setup.regulator, "where it is from", (1e5, 5e5), setup.air)
-    assert Described.of(json.loads(json.dumps(told.to_dict()))) == told
+    reported = Described(muscle, setup.regulator, "where it is from", (1e5, 5e5), setup.air)
+    assert Described.of(json.loads(json.dumps(reported.to_dict()))) == reported
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -50,10 +50,10 @@ def test_a_muscle_of_which_no_field_is_as_it_is_by_itself_comes_back():
 def test_a_plan_of_an_earlier_version_is_still_read():
     """It told neither a name nor what muscles have had since."""
     setup = preset("paper0", "bench")
-    told = Described(setup.muscle, setup.regulator, "preset paper0", (0.0, 1e7)).to_dict()
+    reported = Described(setup.muscle, setup.regulator, "preset paper0", (0.0, 1e7)).to_dict()
     for name in ("name", "tau_r", "diameter", "braid_angle"):
-        told.pop(name, None)
-    assert Described.of(told).muscle == replace(setup.muscle, name="preset paper0")
+        reported.pop(name, None)
+    assert Described.of(reported).muscle == replace(setup.muscle, name="preset paper0")
 
 
 def test_its_plant_is_that_of_the_setup_with_the_air_too():
@@ -61,8 +61,8 @@ def test_its_plant_is_that_of_the_setup_with_the_air_too():
     x = {}
     for name in ("paper0", "paper0-air"):
         setup = preset(name, "bench")
-        told = Described(setup.muscle, setup.regulator, name, (0.0, 1e7), setup.air)
-        plants = Described.of(told.to_dict()).plant(20.0, 2.0), setup.free(20.0, 2.0)
+        reported = Described(setup.muscle, setup.regulator, name, (0.0, 1e7), setup.air)
+        plants = Described.of(reported.to_dict()).plant(20.0, 2.0), setup.free(20.0, 2.0)
         x[name] = []
         for plant in plants:
             plant.command(constant(0.0, 3e5))

@@ -91,7 +91,7 @@ def test_what_the_actuator_cannot_do_is_refused(waves):
         driven().move(waves)
 
 
-def test_it_stalls_above_its_force_and_goes_on_when_told():
+def test_it_stalls_above_its_force_and_goes_on_when_asked():
     plant = driven(actuator=Actuator(force=200.0), pressure=300e3)
     plant.move(constant(0.0, 30e-3))
     plant.advance(1.0)

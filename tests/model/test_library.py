@@ -73,7 +73,7 @@ def test_arrays_give_what_single_values_give(name):
             assert float(column[row]) == pytest.approx(float(alone[output]), rel=1e-6, abs=small[output])
 
 
-def test_all_that_is_wrong_is_told_at_once():
+def test_all_that_is_wrong_is_reported_at_once():
     with pytest.raises(OutsideDomain) as caught:
         MODELS["tondu-lopez"].evaluate({"pressure": -1.0, "radius": 0.0, "k": math.nan})
     assert [refusal.name for refusal in caught.value.refusals] == ["pressure", "radius", "k"]

@@ -110,13 +110,13 @@ def test_the_output_is_a_number_inside_its_range_whatever_comes_in(K_p, T_i, T_d
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "reported"),
     [
         ({"K_p": 0.0}, "K_p"), ({"K_p": nan}, "K_p"), ({"T_i": 0.0}, "T_i"), ({"T_d": -1.0}, "T_d"),
         ({"N": 0.0}, "N must"), ({"low": 1.0, "high": 1.0}, "range"), ({"low": 1.0}, "at the start"),
         ({"anti_windup": "none"}, "anti-windup"), ({"tracking": 0.0}, "tracking"),
     ],
 )  # fmt: skip
-def test_what_no_controller_can_have_is_refused(wrong, told):
-    with pytest.raises(ValueError, match=told):
+def test_what_no_controller_can_have_is_refused(wrong, reported):
+    with pytest.raises(ValueError, match=reported):
         PID(**{"K_p": 1.0, **wrong})

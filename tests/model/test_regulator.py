@@ -251,7 +251,7 @@ def test_settled_is_said_only_where_nothing_comes_after(damping):
     assert settled.argmax() < 2 * np.flatnonzero(off > 0.1)[-1] + 100
 
 
-def test_a_lag_beside_an_equal_pole_is_the_limit():
+def test_a_lag_next_to_an_equal_pole_is_the_limit():
     """0.1 y' = exp(-s / 0.1) - y from 0: y = (s / 0.1) exp(-s / 0.1)."""
     found, t = answer(Trace(0.0, 0.0, decay=1e5, lag=0.1), 0.0, 0.0, 0.1), np.linspace(0, 1, 100)
     np.testing.assert_allclose(found.values(t), 1e5 * t / 0.1 * np.exp(-t / 0.1), atol=2.0)

@@ -22,16 +22,16 @@ def reference(friction, h, speed, drive, linear, mass):
     def slope(t, y):
         return [y[1], (push + rate * t - K * y[0] - B * y[1] - float(friction.values(np.array(max(y[1], 0.0))))) / mass]
 
-    def stands(t, y):
+    def is_there(t, y):
         return y[1] if t > 1e-9 else 1.0
 
     def changes(t, y):
         return y[1] - friction.knee
 
-    stands.terminal = changes.terminal = True
-    stands.direction = -1
+    is_there.terminal = changes.terminal = True
+    is_there.direction = -1
     while t < h:
-        found = solve_ivp(slope, (t, h), y, "DOP853", events=(stands, changes), rtol=1e-12, atol=1e-16)
+        found = solve_ivp(slope, (t, h), y, "DOP853", events=(is_there, changes), rtol=1e-12, atol=1e-16)
         assert found.success
         t, y = float(found.t[-1]), found.y[:, -1]
         if len(found.t_events[0]):

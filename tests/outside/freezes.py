@@ -41,7 +41,7 @@ def freeze(length: float, number: int, folder: Path, *, pending: bool = False) -
         _must_end(result, device, going, began, over)
         if length > 2 * WATCHDOG and result.by != "watchdog":
             result.wrong.append("the device's watchdog did not end during the freeze: the test has not tested anything")
-        if result.by == "watchdog" and not result.wrong and "watchdog" not in _told(going.record):
+        if result.by == "watchdog" and not result.wrong and "watchdog" not in _reported(going.record):
             result.wrong.append("the record does not say that the device's watchdog had ended")
     return result
 
@@ -82,7 +82,7 @@ def _must_end(result: Result, device: Regulator, going: Run, began: float, over:
         result.wrong.append(f"exit code {outcome['exit_code']}, status {outcome['status']}")
 
 
-def _told(record: Path) -> str:
+def _reported(record: Path) -> str:
     """What the record says of how the run went; the files that say what the bench is are left out."""
     files = [
         path for path in record.iterdir() if path.suffix in {".json", ".jsonl"} and path.stem not in {"bench", "plan"}

@@ -243,10 +243,10 @@ class Run:
         """Its outcome: the object of `--json` with `exit_code`; what it said otherwise under `why`."""
         out, err = self.said(within)
         try:
-            told = json.loads(out)
+            reported = json.loads(out)
         except ValueError:
-            told = {}
-        return {"status": "none", "why": f"{out}{err}", **told, "exit_code": self.process.returncode}
+            reported = {}
+        return {"status": "none", "why": f"{out}{err}", **reported, "exit_code": self.process.returncode}
 
     def kill(self, *who: str) -> None:
         """SIGKILL; all that is left where nobody is named."""

@@ -17,15 +17,15 @@ def plan(tmp_path, accept, text=TEXT, bench=None):
     return make_plan(path, mounted() if bench is None else bench)[0]
 
 
-def test_every_limit_stands_in_the_plan_with_its_line(tmp_path):
+def test_every_limit_is_in_the_plan_with_its_line(tmp_path):
     accept = plan(
         tmp_path,
         "  K: {relative_interval: 2 %, of_specimen: 5 %}\n  F_c: {of_specimen: 20 %}\n  drift: {at_most: 1 %}\n  R2: {at_least: 0.9}",
     ).accept
     line = TEXT.count("\n") + 3
     assert accept["K"] == 0.02
-    told = [(entry["what"], entry["measure"], entry["limit"], entry["place"]) for entry in accept["limits"]]
-    assert told == [
+    reported = [(entry["what"], entry["measure"], entry["limit"], entry["place"]) for entry in accept["limits"]]
+    assert reported == [
         ("K", "relative_interval", 0.02, f"mine.yaml:{line}"),
         ("K", "of_specimen", pytest.approx(0.05), f"mine.yaml:{line}"),
         ("F_c", "of_specimen", pytest.approx(0.2), f"mine.yaml:{line + 1}"),
@@ -47,7 +47,7 @@ def test_a_limit_against_static_load_is_a_share_a_force_or_a_score(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("accept", "told"),
+    ("accept", "reported"),
     [
         ("  K: {}", "says no limit; expected relative_interval or of_specimen"),
         ("  K: {at_most: 3 %}", "K has no at_most; expected relative_interval or of_specimen"),
@@ -62,10 +62,10 @@ def test_a_limit_against_static_load_is_a_share_a_force_or_a_score(tmp_path):
         ("  F_ce: {static_E_n: 0}", "greater than 0"),
     ],
 )
-def test_what_cannot_be_judged_is_refused(tmp_path, accept, told):
+def test_what_cannot_be_judged_is_refused(tmp_path, accept, reported):
     with pytest.raises(InvalidFile, match="mine.yaml:") as caught:
         plan(tmp_path, accept)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_a_kind_without_checks_says_so(tmp_path):

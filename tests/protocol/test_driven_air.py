@@ -40,8 +40,8 @@ def test_the_peak_is_that_of_the_driven_chamber(frequency):
     given |= {"frequency": np.float64(frequency), "polytropic": np.float64(1.4)}
     times = np.linspace(0.0, 4 / frequency, 2000)
     expected = float(driven_chamber(time=times, **given)["pressure"].max())
-    told = peak(5e5, path(), 1 / frequency, TUBE, Supply(1e-7, 0.5e-7, 101325.0), 101325.0)
-    assert told - 5e5 == pytest.approx(expected - 5e5, rel=0.02)
+    reported = peak(5e5, path(), 1 / frequency, TUBE, Supply(1e-7, 0.5e-7, 101325.0), 101325.0)
+    assert reported - 5e5 == pytest.approx(expected - 5e5, rel=0.02)
 
 
 def test_a_closed_volume_is_the_polytropic_law():
@@ -49,7 +49,7 @@ def test_a_closed_volume_is_the_polytropic_law():
     assert closed == pytest.approx(201325.0 * (152.0 / 40.9) ** 1.4 - 101325.0, rel=2e-3)
 
 
-def test_3_hz_over_the_full_stroke_at_5_bar_is_refused_and_what_would_go_is_told():
+def test_3_hz_over_the_full_stroke_at_5_bar_is_refused_and_what_would_go_is_reported():
     with pytest.raises(InvalidFile) as caught:
         planned("sinusoidal-displacement-paper3", "mock-daerden", "daerden-20-200", *FORCED)
     (problem,) = caught.value.problems
@@ -61,11 +61,11 @@ def test_3_hz_over_the_full_stroke_at_5_bar_is_refused_and_what_would_go_is_told
 
 @pytest.mark.parametrize("change", [("sweep.concat.0.zip.amplitude", "[18 mm]"), ("sweep.concat.0.zip.frequency", "[2.2 Hz]"),
                                     ("sweep.concat.0.zip.pressure", "[450 kPa]")])  # fmt: skip
-def test_what_is_told_as_allowed_is(change):
+def test_what_is_said_to_be_allowed_is(change):
     assert planned("sinusoidal-displacement-paper3", "mock-daerden", "daerden-20-200", *FORCED, change).trials
 
 
-def test_a_bench_that_does_not_tell_its_regulator_counts_as_closed_unless_it_is_slow(tmp_path):
+def test_a_bench_that_does_not_show_its_regulator_counts_as_closed_unless_it_is_slow(tmp_path):
     shutil.copytree(ROOT / "fixtures" / "benches", tmp_path / "benches")
     bench = tmp_path / "benches" / "mock-daerden.yaml"
     kept = [line for line in bench.read_text().splitlines() if not line.startswith("air: {conductance")]

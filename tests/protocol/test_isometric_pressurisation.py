@@ -45,7 +45,7 @@ def moves_and_ramps(steps):
     return moves, ramps
 
 
-def test_the_driven_end_stands_still_while_the_pressure_ramps():
+def test_the_driven_end_does_not_move_while_the_pressure_ramps():
     """Paper 3: fixed position, slow pressurisation."""
     found = plan(("sweep.matrix.contraction", "[0 %, 8 %]"), ("sweep.repeat.count", "1"))
     moves, ramps = moves_and_ramps(found.steps)

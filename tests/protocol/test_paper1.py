@@ -88,7 +88,7 @@ def test_below_1_bar_is_refused_with_the_reason():
         plan(("sweep.matrix.pressure", "[0.5 bar, 1 bar]"))
 
 
-def test_all_that_does_not_fit_is_told_at_once():
+def test_all_that_does_not_fit_is_reported_at_once():
     with pytest.raises(InvalidFile) as caught:
         plan(
             ("sweep.matrix.pressure", "[0.9 bar]"), ("trial.relax.by", "50 kPa"), ("trial.relax.then", "10 kPa"),
@@ -96,10 +96,10 @@ def test_all_that_does_not_fit_is_told_at_once():
             ("accept", "{F_ce: {relative_interval: 5 %}}"),
             specimen=SPECIMENS / "mas-20-250-paper0.yaml",
         )  # fmt: skip
-    told = str(caught.value)
+    reported = str(caught.value)
     for words in ("below 100 kPa", '"by"', "relaxes to 0 kPa", "cannot be combined", "takes F_ce as known", '"mass"'):
-        assert words in told, words
-    assert '"braid_angle"' in told
+        assert words in reported, words
+    assert '"braid_angle"' in reported
 
 
 def test_without_the_reduction_steps_of_relaxation_are_needed():

@@ -144,15 +144,15 @@ def test_simc_of_an_analysis_takes_its_loop(tmp_path):
     k_g, dead, lags = 2e-7, 0.041, [0.27, 0.095]
     folder = ultimate(tmp_path / "u", (0.03, 60e6, 0.36))
     assert "SIMC needs the dead time and the lags" in refused((GAINS, str(folder)), SIMC)
-    told = json.loads((folder / "analysis.json").read_text())
-    told["facts"]["loops"] = [{"at": {"setpoint": 0.03, "load": 0.0}, "gain": k_g, "dead_time": dead, "lags": lags}]
-    (folder / "analysis.json").write_text(json.dumps(told))
+    reported = json.loads((folder / "analysis.json").read_text())
+    reported["facts"]["loops"] = [{"at": {"setpoint": 0.03, "load": 0.0}, "gain": k_g, "dead_time": dead, "lags": lags}]
+    (folder / "analysis.json").write_text(json.dumps(reported))
     (one, *_) = loops(plan("positioning-pi", (GAINS, str(folder)), SIMC))
     assert (one.parameters["K_p"], one.parameters["T_i"]) == pytest.approx(skogestad_pi(k_g, dead, lags))
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "reported"),
     [
         ([SIMC], "these gains are taken as they stand"),
         ([SIMC, (GAINS, "{K_u: 60 kPa/mm, T_u: 0.35 s}")], "SIMC needs the dead time and the lags of the loop"),
@@ -164,14 +164,14 @@ def test_simc_of_an_analysis_takes_its_loop(tmp_path):
         ([(GAINS, "model"), ("controller.output", "[0 kPa, 200 kPa]")], "no pressure from 0 to 200 kPa holds 30 mm under 0 N"),
     ],
 )  # fmt: skip
-def test_what_a_rule_needs_and_is_not_known_is_told(settings, told):
+def test_what_a_rule_needs_and_is_not_known_is_reported(settings, reported):
     message = refused(*settings)
-    assert told in message
+    assert reported in message
     assert "--set" in message or ".yaml:" in message
 
 
 @pytest.mark.parametrize(
-    ("setting", "told"),
+    ("setting", "reported"),
     [
         ((GAINS, "{K_p: 0 kPa/mm, T_i: 1 s}"), "must be above zero"),
         ((GAINS, "{K_p: 20 kPa/mm}"), "a PI controller needs T_i"),
@@ -199,9 +199,9 @@ def test_what_a_rule_needs_and_is_not_known_is_told(settings, told):
         (("model.regulator", "{dead_time: 40 ms, dead_band: 1 kPa}"), "dead band"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_refused_with_its_place(setting, told):
+def test_what_is_wrong_is_refused_with_its_place(setting, reported):
     message = refused(setting)
-    assert told in message
+    assert reported in message
     assert "--set" in message or ".yaml:" in message
 
 
@@ -241,14 +241,14 @@ def fitted(folder: Path, **change: float | None) -> Path:
 
 def test_a_fitted_model_is_carried_as_numbers_with_its_source(tmp_path):
     compiled = plan("validation", ("model.coefficients", str(fitted(tmp_path))))
-    told = json.loads(compiled.to_json())["settings"]["model"]
-    assert told["source"] == "analysis of r7"
-    assert told["domain"] == [2e5, 3e5]
-    assert told["friction"] == {"F_s": 6.0, "F_c": 6.0, "speed": 1e-3}
-    assert (told["regulator"]["dead_time"], told["regulator"]["lag"]) == (0.04, 0.0955)
+    reported = json.loads(compiled.to_json())["settings"]["model"]
+    assert reported["source"] == "analysis of r7"
+    assert reported["domain"] == [2e5, 3e5]
+    assert reported["friction"] == {"F_s": 6.0, "F_c": 6.0, "speed": 1e-3}
+    assert (reported["regulator"]["dead_time"], reported["regulator"]["lag"]) == (0.04, 0.0955)
     from pmabench.model.presets import Described
 
-    muscle = Described.of(told).muscle
+    muscle = Described.of(reported).muscle
     assert muscle.K(2.5e5) == pytest.approx(6480.5)
     assert muscle.F_ce(2.5e5) == pytest.approx(221.0)
     assert muscle.F_ce(0.0) == 0.0
@@ -268,13 +268,13 @@ def test_a_plant_file_is_a_model_too_and_is_carried_as_numbers(tmp_path):
     path = tmp_path / "muscle.yaml"
     path.write_text((ROOT / "fixtures" / "plants" / "paper0.yaml").read_text())
     for kind, friction, lag in (("", 0.0, 0.0), (" ideal", 0.0, 0.0), (" bench", 10.0, 0.0955)):
-        told = plan("validation", ("model.coefficients", f"{path}{kind}")).settings["model"]
-        assert told["source"].startswith(f"plant file {path}, {kind.strip() or 'ideal'}: ")
-        assert (told["friction"]["F_s"], told["regulator"]["lag"]) == (friction, lag)
-        assert told["domain"] == [0.0, 6e5]
+        reported = plan("validation", ("model.coefficients", f"{path}{kind}")).settings["model"]
+        assert reported["source"].startswith(f"plant file {path}, {kind.strip() or 'ideal'}: ")
+        assert (reported["friction"]["F_s"], reported["regulator"]["lag"]) == (friction, lag)
+        assert reported["domain"] == [0.0, 6e5]
         from pmabench.model.presets import Described
 
-        assert Described.of(told).muscle.K(3e5) == pytest.approx(1e3 * (5.6 + 0.3 + 0.873))
+        assert Described.of(reported).muscle.K(3e5) == pytest.approx(1e3 * (5.6 + 0.3 + 0.873))
     path.write_text(path.read_text().replace("K:", "K: -1 N/mm  #"))
     assert f"{path}:" in refused(("model.coefficients", str(path)), protocol="validation")
     absent = refused(("model.coefficients", "absent.yaml"), protocol="validation")

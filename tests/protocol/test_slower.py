@@ -10,7 +10,7 @@ from tests.cli.test_cli import call
 CHECK = ["check", "contraction-relaxation", "--bench", "wires", "--specimen", "mas-20-250-paper0"]
 
 
-def told(*more):
+def reported(*more):
     """Device -> protocol's rate, device's rate, file and line of each, of what `check` warns of."""
     found = {}
     for line in call(*CHECK, *more, "--quiet").stdout.splitlines():
@@ -28,7 +28,7 @@ def line_of(path, text):
 
 
 def test_each_device_that_is_slower_is_named_with_both_places():
-    found = told()
+    found = reported()
     protocol, bench = (find_file(*what) for what in (("protocol", CHECK[1]), ("bench", CHECK[3])))
     registers = bench.parent / "registers" / "pressure-regulator.yaml"
     rates = {device: (asked, gives) for device, (asked, gives, *_) in found.items()}
@@ -46,11 +46,11 @@ def test_each_device_that_is_slower_is_named_with_both_places():
 
 @pytest.mark.parametrize(("rate", "slow"), [("100 Hz", {"load_cell"}), ("50 Hz", set())])
 def test_a_rate_that_a_device_gives_is_not_warned_of(rate, slow):
-    assert set(told("--set", f"sample_rate={rate}")) == slow
+    assert set(reported("--set", f"sample_rate={rate}")) == slow
 
 
 def test_a_channel_that_is_not_recorded_is_not_warned_of():
-    assert set(told("--set", "record=[pressure, displacement]")) == {"regulator", "gauge"}
+    assert set(reported("--set", "record=[pressure, displacement]")) == {"regulator", "gauge"}
 
 
 def test_a_stream_timed_by_the_device_is_asked_for_its_most_over_all_channels():

@@ -48,9 +48,9 @@ def write_run(parent, ready, gate):
 def attempt(parent, call, error, number):
     """One run with the `number`-th `call` failing."""
     parent.mkdir()
-    (entry, gate), (told, ready) = os.pipe(), os.pipe()
+    (entry, gate), (reported, ready) = os.pipe(), os.pipe()
     pid = forked(lambda: write_run(parent, ready, entry))
-    os.read(told, 1)
+    os.read(reported, 1)
     log = parent.with_suffix(".strace")
     places = [argument for name in _files(parent) for argument in ("-P", str(name))]
     inject = f"inject={call}:error={error}:when={number}"
@@ -64,7 +64,7 @@ def attempt(parent, call, error, number):
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     tracer.wait(10)
     tracer.stderr.close()
-    for pipe in (entry, gate, told, ready):
+    for pipe in (entry, gate, reported, ready):
         os.close(pipe)
     failed = "(INJECTED)" in log.read_text()
     how = OUTCOMES.get(status, f"ended with {status}")

@@ -123,16 +123,16 @@ def look(parent, entries, cut_at):
     newest = entries[-1][2] if entries else 0
     wrong = []
     for run in range(max(0, newest - 2), newest + 2):
-        told = [entry for entry in entries if entry[2] == run]
-        kinds = {entry[1] for entry in told}
+        reported = [entry for entry in entries if entry[2] == run]
+        kinds = {entry[1] for entry in reported}
         folder = parent / f"run-{run}"
         if not (folder / MANIFEST).exists():
             if CREATED in kinds:
                 wrong.append(f"{folder.name}: its folder is gone")
             continue
-        before = told[: max(0, len(told) - GONE_ON)]
+        before = reported[: max(0, len(reported) - GONE_ON)]
         sure = max((entry[3] for entry in before if entry[0] <= cut_at - SURVIVES), default=0)
-        most = told[-1][3] if CLOSED in kinds or CLOSING in kinds else 10**9
+        most = reported[-1][3] if CLOSED in kinds or CLOSING in kinds else 10**9
         if CLOSED in kinds:
             sure = most
         try:

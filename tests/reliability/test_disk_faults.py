@@ -59,23 +59,23 @@ def what_is_wrong(folder, how, most):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("call", "error"), CALLS, ids=lambda value: str(value))
-def test_a_call_that_fails_is_told_or_nothing_is_missing(tmp_path, record_property, call, error):
+def test_a_call_that_fails_is_reported_or_nothing_is_missing(tmp_path, record_property, call, error):
     if shutil.which("strace") is None or not _traceable():
         pytest.skip("not run: strace (to let calls of the operating system fail)")
     program = [sys.executable, "-m", "tests.reliability.faulty_writer"]
     command = [*program, str(tmp_path), call, error, "1", str(STEP)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=280)
     assert done.returncode == 0, done.stderr
-    told = [json.loads(line) for line in done.stdout.splitlines()]
+    reported = [json.loads(line) for line in done.stdout.splitlines()]
     wrong = []
-    for entry in told:
+    for entry in reported:
         found = list(what_is_wrong(Path(entry["parent"]) / "run", entry["how"], 400))
         if call in ("fsync", "fdatasync") and entry["failed"] and entry["how"] != "told":
             found.append("a sync failed and nobody was told")
         wrong += [f"{call} {entry['number']}: {what}" for what in found]
-    record_property("cases", len(told))
-    assert told[0]["failed"]
-    assert (told[-1]["failed"], told[-1]["how"]) == (False, "finished")
+    record_property("cases", len(reported))
+    assert reported[0]["failed"]
+    assert (reported[-1]["failed"], reported[-1]["how"]) == (False, "finished")
     assert not wrong, "\n".join(wrong)
 
 
@@ -91,11 +91,11 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_written(record_property):
         command = [*ISOLATED, sys.executable, "-m", "tests.reliability.test_disk_faults", str(folder), str(FULL)]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    told = [json.loads(line) for line in done.stdout.splitlines()]
-    record_property("cases", len(told))
-    assert len(told) == FULL + 1
-    assert [entry for entry in told if entry["wrong"]] == []
-    assert all(entry["told"] for entry in told)
+    reported = [json.loads(line) for line in done.stdout.splitlines()]
+    record_property("cases", len(reported))
+    assert len(reported) == FULL + 1
+    assert [entry for entry in reported if entry["wrong"]] == []
+    assert all(entry["told"] for entry in reported)
 
 
 def fill_disks(folder, count):
@@ -109,7 +109,7 @@ def fill_disks(folder, count):
     for number in range(count):
         subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "none", place], check=True)
         (place / "filled").write_bytes(bytes(rng.randrange(0, 800_000)))
-        rows, told, size = 0, 0, rng.randint(200, 3000)
+        rows, reported, size = 0, 0, rng.randint(200, 3000)
         try:
             writer = begin(place)
             try:
@@ -120,17 +120,19 @@ def fill_disks(folder, count):
             finally:
                 writer.close("error", "the disk is full")
         except RecordError as error:
-            told = error.exit_code
+            reported = error.exit_code
         wrong = list(what_is_wrong(place / "run", "told", rows))
-        print(json.dumps({"case": number, "told": told == 7, "wrong": wrong}), flush=True)
+        print(json.dumps({"case": number, "told": reported == 7, "wrong": wrong}), flush=True)
         subprocess.run(["umount", place], check=True)
     subprocess.run(["mount", "-t", "tmpfs", "-o", "ro", "none", place], check=True)
-    told = 0
+    reported = 0
     try:
         begin(place)
     except RecordError as error:
-        told = error.exit_code if "Read-only file system" in str(error) else 0
-    print(json.dumps({"case": "read-only", "told": told == 7, "wrong": [str(p) for p in place.iterdir()]}), flush=True)
+        reported = error.exit_code if "Read-only file system" in str(error) else 0
+    print(
+        json.dumps({"case": "read-only", "told": reported == 7, "wrong": [str(p) for p in place.iterdir()]}), flush=True
+    )
     subprocess.run(["umount", place], check=True)
 
 

@@ -24,7 +24,7 @@ def test_a_file_that_cannot_grow_fails_the_run(tmp_path, record_property):
     for number in range(CASES):
         limit = rng.choice((rng.randrange(1, FOR_SEAL), rng.randrange(FOR_SEAL, 5 * FOR_SEAL)))
         parent = tmp_path / f"{number}"
-        rows, told = 0, ""
+        rows, reported = 0, ""
         with _FileSizeLimit(limit):
             try:
                 writer = begin(parent)
@@ -36,8 +36,8 @@ def test_a_file_that_cannot_grow_fails_the_run(tmp_path, record_property):
                 finally:
                     writer.close("error", "the record failed")
             except RecordError as error:
-                told = "told" if error.exit_code == 7 and "File too large" in str(error) else str(error)
-        wrong += [f"limit {limit}: {what}" for what in what_is_wrong(parent / "run", told or "said nothing", rows)]
+                reported = "told" if error.exit_code == 7 and "File too large" in str(error) else str(error)
+        wrong += [f"limit {limit}: {what}" for what in what_is_wrong(parent / "run", reported or "said nothing", rows)]
         if (parent / "run" / MANIFEST).exists() and open_run(parent / "run").status == "finished":
             wrong.append(f"limit {limit}: is finished")
         seal = read_seal(parent / "run") if limit >= FOR_SEAL else None

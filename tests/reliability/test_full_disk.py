@@ -26,10 +26,10 @@ SPARE = 60
 def ended(request):
     """What each run left whose disk, a small tmpfs, was filled at an instant; `greedy`: whatever is freed is taken."""
     need_tmpfs()
-    return request.param, _told(request.param, "tmpfs", *INSTANTS, "greedy trial-begin", "greedy vent", "state")
+    return request.param, _reported(request.param, "tmpfs", *INSTANTS, "greedy trial-begin", "greedy vent", "state")
 
 
-def _told(*arguments):
+def _reported(*arguments):
     with fast_folder() as folder:
         program = [sys.executable, "-m", "tests.reliability.test_full_disk", str(folder), *arguments]
         state = {**os.environ, "PMABENCH_STATE": str(folder / "state")}
@@ -37,7 +37,7 @@ def _told(*arguments):
             [*ISOLATED, *program], cwd=ROOT, env=state, capture_output=True, text=True, check=False, timeout=240
         )
     assert done.returncode == 0, done.stderr
-    return {told["instant"]: told for told in map(json.loads, done.stdout.splitlines())}
+    return {reported["instant"]: reported for reported in map(json.loads, done.stdout.splitlines())}
 
 
 @pytest.mark.timeout(240 + SPARE)
@@ -45,51 +45,51 @@ def test_it_is_sealed_with_the_cause_and_the_result_of_the_vent(ended, record_pr
     bench, runs = ended
     record_property("cases", len(runs))
     assert len(runs) == len(INSTANTS) + 3
-    for instant, told in runs.items():
-        assert told["sealed"], (bench, instant, told)
-        assert told["damage"] == [], (bench, instant)
-        assert told["end"]["vent"]["result"] == "confirmed", (bench, instant)
-        assert told["listed"] == [told["status"], told["why"]], (bench, instant)
+    for instant, reported in runs.items():
+        assert reported["sealed"], (bench, instant, reported)
+        assert reported["damage"] == [], (bench, instant)
+        assert reported["end"]["vent"]["result"] == "confirmed", (bench, instant)
+        assert reported["listed"] == [reported["status"], reported["why"]], (bench, instant)
         if instant != "seal":
-            assert (told["status"], told["exit_code"]) == ("error", 7), (bench, instant, told)
-            assert told["why"].startswith("cannot write"), (bench, instant)
-            assert told["why"].count("No space left on device") == 1, (bench, instant, told["why"])
-        assert told["hidden"] == [], (bench, instant)
+            assert (reported["status"], reported["exit_code"]) == ("error", 7), (bench, instant, reported)
+            assert reported["why"].startswith("cannot write"), (bench, instant)
+            assert reported["why"].count("No space left on device") == 1, (bench, instant, reported["why"])
+        assert reported["hidden"] == [], (bench, instant)
 
 
 @pytest.mark.timeout(240 + SPARE)
 def test_a_disk_that_is_full_only_when_the_seal_is_written_costs_nothing(ended):
-    told = ended[1]["seal"]
-    assert (told["status"], told["exit_code"], told["why"]) == ("finished", 0, "")
+    reported = ended[1]["seal"]
+    assert (reported["status"], reported["exit_code"], reported["why"]) == ("finished", 0, "")
 
 
 @pytest.mark.timeout(240 + SPARE)
 def test_the_last_events_are_there_where_nobody_takes_their_room(ended):
-    for instant, told in ended[1].items():
+    for instant, reported in ended[1].items():
         if not instant.startswith("greedy"):
-            assert told["events"][-1] == "end", instant
-            assert "vent" in told["events"], instant
+            assert reported["events"][-1] == "end", instant
+            assert "vent" in reported["events"], instant
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(240 + SPARE)
 def test_the_room_holds_on_ext4_too():
     need_loop_mounts()
-    runs = _told("mock", "ext4", *INSTANTS, "greedy vent")
-    for instant, told in runs.items():
-        assert told["sealed"], told
-        assert told["end"]["vent"]["result"] == "confirmed", instant
-        assert told["damage"] == [], instant
+    runs = _reported("mock", "ext4", *INSTANTS, "greedy vent")
+    for instant, reported in runs.items():
+        assert reported["sealed"], reported
+        assert reported["end"]["vent"]["result"] == "confirmed", instant
+        assert reported["damage"] == [], instant
 
 
 @pytest.mark.timeout(SPARE)
 def test_a_run_without_room_for_its_end_does_not_begin():
     need_tmpfs()
-    told = _told("mock", "tmpfs", "before")["before"]
-    assert told["error"].startswith("cannot write")
-    assert "No space left on device" in told["error"]
-    assert told["left"] == []
-    assert told["commanded"] == 0
+    reported = _reported("mock", "tmpfs", "before")["before"]
+    assert reported["error"].startswith("cannot write")
+    assert "No space left on device" in reported["error"]
+    assert reported["left"] == []
+    assert reported["commanded"] == 0
 
 
 # -- in a process of its own, which may mount -----------------------------------------------------------------------

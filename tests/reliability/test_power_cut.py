@@ -22,9 +22,9 @@ def test_a_power_cut_at_any_instant_loses_at_most_two_seconds(record_property):
         command = [*ISOLATED, sys.executable, "-m", "tests.reliability.power_cuts", str(folder), str(CUTS), "20261121"]
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    told = [json.loads(line) for line in done.stdout.splitlines()]
-    wrong = [what for entry in told for what in entry["wrong"]]
-    record_property("cases", len(told))
-    record_property("failures", sum(bool(entry["wrong"]) for entry in told))
-    assert len(told) == CUTS
+    reported = [json.loads(line) for line in done.stdout.splitlines()]
+    wrong = [what for entry in reported for what in entry["wrong"]]
+    record_property("cases", len(reported))
+    record_property("failures", sum(bool(entry["wrong"]) for entry in reported))
+    assert len(reported) == CUTS
     assert not wrong, "\n".join(wrong[:10])

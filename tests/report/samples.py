@@ -267,7 +267,7 @@ def run(kind: str, simulated: bool = True, **manifest) -> RunData:
         )
         for i, P in enumerate((150e3, 200e3))
     )
-    told = {
+    reported = {
         "protocol": f"{kind}, MAS-20-250",
         "source": "paper 0",
         "bench": "mock bench",
@@ -290,7 +290,7 @@ def run(kind: str, simulated: bool = True, **manifest) -> RunData:
         kind=kind,
         status="finished",
         simulated=simulated,
-        manifest={**told, **manifest},
+        manifest={**reported, **manifest},
         plan=accept,
         events=(answer,),
         channels={"pressure": channel},

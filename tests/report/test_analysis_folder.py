@@ -85,7 +85,7 @@ def changed(folder, change):
         lambda d: d.update(facts=7),
     ],
 )
-def test_a_changed_analysis_is_told_in_one_sentence(tmp_path, change):
+def test_a_changed_analysis_is_reported_in_one_sentence(tmp_path, change):
     folder = write_analysis(samples.static_load(), tmp_path)
     changed(folder, change)
     with pytest.raises(InvalidFile) as failure:
@@ -94,7 +94,7 @@ def test_a_changed_analysis_is_told_in_one_sentence(tmp_path, change):
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000])
-def test_what_is_no_analysis_is_told(tmp_path, content):
+def test_what_is_no_analysis_is_reported(tmp_path, content):
     with pytest.raises(InvalidFile):
         read_analysis(tmp_path)
     (tmp_path / "analysis.json").write_bytes(content)
@@ -110,8 +110,8 @@ def test_the_runs_of_an_analysis_are_found_where_process_and_demo_leave_them(tmp
     for place in (tmp_path / "runs", tmp_path / "out" / "runs"):
         (place / run).mkdir(parents=True)
         (place / run / "manifest.json").write_text("{}")
-    beside = write_analysis(analysis, tmp_path / "runs" / "analyses" / run / analysis.kind)
-    assert runs_of(beside) == [tmp_path / "runs" / run]
+    next_to = write_analysis(analysis, tmp_path / "runs" / "analyses" / run / analysis.kind)
+    assert runs_of(next_to) == [tmp_path / "runs" / run]
     demo = write_analysis(analysis, tmp_path / "out" / "analyses" / run / analysis.kind)
     assert runs_of(demo) == [tmp_path / "out" / "runs" / run]
     lost = write_analysis(replace(analysis, runs=("../../etc", "gone")), tmp_path / "lost")

@@ -133,8 +133,8 @@ def test_the_contractions_are_said_of_the_K_that_they_belong_to(analyses):
         for a in analyses
     ]
     assert any(note.startswith("K: the slope") for note in result_table(analyses)[0].notes)
-    beside = [replace(others[0], facts={}), replace(analyses[0], estimates=())]
-    assert not [note for note in result_table(beside)[0].notes if note.startswith("K: the slope")]
+    next_to = [replace(others[0], facts={}), replace(analyses[0], estimates=())]
+    assert not [note for note in result_table(next_to)[0].notes if note.startswith("K: the slope")]
 
 
 def test_a_line_that_does_not_come_down_ends_where_it_is_lowest():

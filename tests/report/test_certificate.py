@@ -70,7 +70,7 @@ def test_the_measures_of_colour_are_right():
 
 
 @pytest.mark.parametrize("pair", list(itertools.combinations(plots.PALETTE, 2)))
-def test_two_series_are_told_apart_by_everybody(pair):
+def test_two_series_are_distinguished_by_everybody(pair):
     for sight in SIGHT:
         assert math.dist(*(lab(color, sight) for color in pair)) >= 30
 

@@ -15,13 +15,13 @@ def F_ce(P):
     return 1.08e-3 * P - 49.0
 
 
-def told(symbol, value, P, method, unit, quantity):
+def reported(symbol, value, P, method, unit, quantity):
     return Estimate(symbol, value, unit, quantity, method, {"pressure": P}, Parts(repeats=1e-3 * value), n=3)
 
 
 def steps():
-    found = [told("F_ce", F_ce(P), P, "measured-pressure", "N", "force") for P in PRESSURES]
-    found += [told("K", K, P, "measured-pressure", "N/m", "stiffness") for P in PRESSURES]
+    found = [reported("F_ce", F_ce(P), P, "measured-pressure", "N", "force") for P in PRESSURES]
+    found += [reported("K", K, P, "measured-pressure", "N/m", "stiffness") for P in PRESSURES]
     return Analysis("contraction-relaxation", ("r1",), True, estimates=tuple(found))
 
 
@@ -30,17 +30,17 @@ def isometric(off=0.0):
     columns = dict(zip(("pressure", "displacement", "force"), rows, strict=True))
     quantities = {"pressure": "pressure", "displacement": "length", "force": "force"}
     trace = Trace("characteristic", "characteristic", "held", columns, quantities)
-    found = tuple(told("F_b", F_ce(P) + off, P, "blocked", "N", "force") for P in PRESSURES)
+    found = tuple(reported("F_b", F_ce(P) + off, P, "blocked", "N", "force") for P in PRESSURES)
     facts = {"specimen": {"nominal_length": 0.25}}
     return Analysis("isometric-pressurisation", ("r2",), True, estimates=found, traces=(trace,), facts=facts)
 
 
 def free():
-    found = tuple(told("L", 0.25 - F_ce(P) / K, P, "free-length", "m", "length") for P in PRESSURES)
+    found = tuple(reported("L", 0.25 - F_ce(P) / K, P, "free-length", "m", "length") for P in PRESSURES)
     return Analysis("free-contraction", ("r3",), False, estimates=found, facts={"nominal_length": 0.25})
 
 
-def test_blocked_force_stands_beside_free_contraction():
+def test_blocked_force_is_next_to_free_contraction():
     ends, _ = characteristic([steps(), isometric(), free()])
     row = pd.DataFrame(ends.table.rows).set_index("P [kPa]").loc["300"]
     assert row["blocked force F_b [N]"].startswith("275.0")
@@ -51,7 +51,7 @@ def test_blocked_force_stands_beside_free_contraction():
     assert ends.simulated
 
 
-def test_the_difference_of_measured_force_and_model_is_told():
+def test_the_difference_of_measured_force_and_model_is_reported():
     _, family = characteristic([steps(), isometric(off=2.0), free()])
     table = pd.DataFrame(family.table.rows).set_index(["P [kPa]", "x [mm]"])
     assert table.loc[("400", "30.00"), "F measured [N]"] == "175.0"

@@ -64,8 +64,8 @@ def test_a_pressure_that_is_still_on_its_way_is_no_deviation():
 
 def test_exclusions_say_who_and_why():
     note = Note(1, "2026-11-22T10:00", "B. Ito", "", 0, "the table was hit", ())
-    told = said([trial(0, status="excluded"), trial(1)], notes=(note,), trials_planned=2)
-    assert told == ["trials: 1 excluded", "trial 1 is left out by B. Ito: the table was hit"]
+    reported = said([trial(0, status="excluded"), trial(1)], notes=(note,), trials_planned=2)
+    assert reported == ["trials: 1 excluded", "trial 1 is left out by B. Ito: the table was hit"]
 
 
 def finding(level: str) -> Analysis:
@@ -90,12 +90,12 @@ def test_the_verdict_is_the_worst_that_is_known(analyses, status, failed, accept
     assert (verdict.level, verdict.word) == (level, word)
 
 
-def test_the_checklist_names_what_is_missing_and_takes_what_is_told():
+def test_the_checklist_names_what_is_missing_and_takes_what_is_given():
     bare = content_of([samples.static_load()], samples.all_runs())
     missing = {item.asked for item in bare.checklist if not item.there}
     assert {"the customer", "date of issue", "who authorises the report"} <= missing
-    told = Issuer("Muscle Lab, 1 Air St", "ACME", "A. Meyer", "2026-11-23")
-    full = content_of([samples.static_load()], samples.all_runs(), issuer=told)
+    reported = Issuer("Muscle Lab, 1 Air St", "ACME", "A. Meyer", "2026-11-23")
+    full = content_of([samples.static_load()], samples.all_runs(), issuer=reported)
     assert missing - {item.asked for item in full.checklist if not item.there} == {
         "the laboratory, its address, where it was tested",
         "the customer",
@@ -121,10 +121,10 @@ def test_every_value_leads_to_its_trials():
 
 
 def test_the_methods_paragraph_names_specimen_points_and_primary_methods():
-    told = methods_paragraph(samples.all_analyses(), samples.all_runs())
+    reported = methods_paragraph(samples.all_analyses(), samples.all_runs())
     for words in ("Festo MAS-20-250N-AA-MC-K", "measured-pressure", "static-mean", "simulated", "95 % intervals"):
-        assert words in told
-    assert "step-exponential" not in told
+        assert words in reported
+    assert "step-exponential" not in reported
     assert "simulated" not in methods_paragraph(samples.all_analyses(False), samples.all_runs(False)).replace(
         "SIMULATED", ""
     )
@@ -139,7 +139,7 @@ def test_the_citation_is_the_same_for_the_same_report():
     assert "simulated" in one.cite[1]
 
 
-def test_budgets_tell_shares_and_what_was_not_assessed():
+def test_budgets_show_shares_and_what_was_not_assessed():
     sources = (
         Source("calibration of pressure", "calibration", "B", 4.0),
         Source("scatter", "repeats", "A", 3.0),

@@ -52,9 +52,9 @@ def test_the_pdf_is_tagged_and_describes_every_figure(content, pdf):
     assert root["/Lang"] == "en"
     assert reader.metadata.title == content.title
     assert b"pdfuaid" in reader.xmp_metadata.stream.get_data()
-    told = alternatives(root["/StructTreeRoot"], set())
+    reported = alternatives(root["/StructTreeRoot"], set())
     pictures = [item.picture for item in [*content.front, *(f for s in content.sections for f in s.figures)]]
-    assert set(told) >= {picture.alt for picture in pictures}
+    assert set(reported) >= {picture.alt for picture in pictures}
     assert len(pictures) >= 10
 
 
@@ -107,8 +107,8 @@ def test_the_workbook_holds_numbers_with_their_units(content, tmp_path):
     steps = samples.contraction()
     K = next(e for e in steps.estimates if e.symbol == "K" and e.at["pressure"] == 400e3)
     line = Source("calibration of pressure, offset", "calibration", "B", 0.5 * K.parts.combined)
-    told = replace(K, budget=(line,), parts=Parts(repeats=0.0, calibration=line.half))
-    steps = replace(steps, estimates=(told, *(e for e in steps.estimates if e is not K)))
+    reported = replace(K, budget=(line,), parts=Parts(repeats=0.0, calibration=line.half))
+    steps = replace(steps, estimates=(reported, *(e for e in steps.estimates if e is not K)))
     path = write_workbook(content, [steps], tmp_path / "sub" / "r.xlsx")
     book = openpyxl.load_workbook(path)
     sheet = book["Contraction and relaxation"]
@@ -121,9 +121,9 @@ def test_the_workbook_holds_numbers_with_their_units(content, tmp_path):
     assert dict(zip(*budget[:2], strict=True))["half width 95 %"] == pytest.approx(line.half / 1e3)
     assert dict(zip(*budget[:2], strict=True))["share"] == pytest.approx(1.0)
     summary = {row[0].value: row[1].value for row in book["Summary"].iter_rows(min_row=4)}
-    told = [row[1].value for row in book["Summary"].iter_rows(min_row=4) if str(row[0].value).startswith("Methods")]
-    assert " ".join(told) == content.paragraph
-    assert max(map(len, told)) < 3000
+    reported = [row[1].value for row in book["Summary"].iter_rows(min_row=4) if str(row[0].value).startswith("Methods")]
+    assert " ".join(reported) == content.paragraph
+    assert max(map(len, reported)) < 3000
     assert summary["Verdict"].startswith(content.verdict.word)
     assert [cell.value for cell in book["Checklist"][4]] == ["clause", "asked for", "here", "where, or what to do"]
 
@@ -145,9 +145,9 @@ def test_rows_of_the_workbook_are_as_tall_as_their_wrapped_texts(content, tmp_pa
 @pytest.mark.parametrize(("module", "extra"), [("typst", "pmabench[pdf]"), ("xlsxwriter", "pmabench[xlsx]")])
 def test_without_the_extra_a_sentence_says_which(content, monkeypatch, tmp_path, module, extra):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(UsageError) as told:
+    with pytest.raises(UsageError) as reported:
         write_pdf(content, tmp_path / "x") if module == "typst" else write_workbook(content, [], tmp_path / "x")
-    assert extra in str(told.value)
+    assert extra in str(reported.value)
 
 
 def test_pictures_of_notes_are_shown_and_damaged_ones_named(content):

@@ -79,8 +79,8 @@ def test_coefficients_come_back_with_their_units(tmp_path):
     assert K.value in data.value[data.symbol == "K"]
     assert data.units.pressure == "Pa"
     export_results(RESULTS, "json", tmp_path / "x.json")
-    told = json.loads((tmp_path / "x.json").read_text())
-    assert [a["kind"] for a in told["analyses"]] == [a.kind for a in RESULTS.analyses]
+    reported = json.loads((tmp_path / "x.json").read_text())
+    assert [a["kind"] for a in reported["analyses"]] == [a.kind for a in RESULTS.analyses]
 
 
 def test_latex_tables_hold_plain_numbers_and_balance(tmp_path):
@@ -126,9 +126,9 @@ def test_latex_tables_fit_a_column(tmp_path, column):
 
 def test_every_letter_of_a_symbol_and_sign_of_a_unit_is_one_that_plain_latex_knows():
     for sign in {*GREEK.values(), *"".join(q.shown_in for q in QUANTITIES.values()), *"−±×°⁻⁶"}:
-        told = typeset(f"x {sign} y")
-        assert told.isascii(), sign
-        assert "?" not in told, sign
+        reported = typeset(f"x {sign} y")
+        assert reported.isascii(), sign
+        assert "?" not in reported, sign
 
 
 def test_the_exported_model_is_the_fitted_muscle(tmp_path):
@@ -216,7 +216,7 @@ def test_a_muscle_of_straight_lines_is_exported_without_deviation(tmp_path):
     assert x[-1] == pytest.approx((F - 100.0) / K, rel=1e-4)
 
 
-def test_what_makes_no_model_is_told(tmp_path, run):
+def test_what_makes_no_model_is_reported(tmp_path, run):
     with pytest.raises(UsageError, match="no F_ce, K and B_c over pressure"):
         export_results(Results((samples.static_load(),), ()), "python-control", tmp_path / "m.py")
     with pytest.raises(UsageError, match="no analysis"):

@@ -9,7 +9,7 @@ from pmabench.report.document.front import Verdict, verdict_of
 from pmabench.report.foremost import glance
 from pmabench.store.analyses.results import Dropped, Finding
 from tests.report.samples import all_analyses, contraction, sine, static_load, ultimate_gain
-from tests.report.test_html import spoilt
+from tests.report.test_html import damaged
 
 FOLLOWED_BY = 4
 """Lines that a command writes below: what came to runs since, where it is, what to type next."""
@@ -72,7 +72,7 @@ def test_the_costliest_findings_come_first_and_the_rest_is_counted():
 @pytest.mark.parametrize("seed", range(20))
 def test_absurd_numbers_and_texts_still_fit(seed):
     rng = random.Random(seed)
-    analyses = [spoilt(analysis, rng) for analysis in all_analyses()]
+    analyses = [damaged(analysis, rng) for analysis in all_analyses()]
     reasons = ["x" * 300, "\x1b[31m red"]
     lines = glance(analyses, verdict_of(analyses, [], reasons, accepted=True), reasons)
     assert len(lines) + FOLLOWED_BY <= 25

@@ -80,8 +80,8 @@ def runs() -> list:
 
 @pytest.fixture(scope="module")
 def content():
-    told = Issuer(PAYLOADS[1], PAYLOADS[14], PAYLOADS[26], PAYLOADS[40])
-    return content_of(analyses(), runs(), title=PAYLOADS[2], issuer=told)
+    reported = Issuer(PAYLOADS[1], PAYLOADS[14], PAYLOADS[26], PAYLOADS[40])
+    return content_of(analyses(), runs(), title=PAYLOADS[2], issuer=reported)
 
 
 def test_there_are_two_hundred():
@@ -194,8 +194,8 @@ def test_nothing_acts_in_latex(tmp_path):
         (word, name) for word in ("begin", "end") for name in ("table", "tabular")
     }
     for payload in PAYLOADS:
-        told = latex.escaped(payload)
-        assert set(re.findall(r"\\([A-Za-z]+)", told)) <= COMMANDS - {
+        reported = latex.escaped(payload)
+        assert set(re.findall(r"\\([A-Za-z]+)", reported)) <= COMMANDS - {
             "begin",
             "end",
             "label",
@@ -203,10 +203,10 @@ def test_nothing_acts_in_latex(tmp_path):
             "caption",
             "mathrm",
         }
-        bare = re.sub(r"\\[A-Za-z]+(\{\})?|\\[{}$&#%_,]|\$\^\\circ\$|\$-\$|\$\^\{[-\d]+\}\$|\$\$", "", told)
+        bare = re.sub(r"\\[A-Za-z]+(\{\})?|\\[{}$&#%_,]|\$\^\\circ\$|\$-\$|\$\^\{[-\d]+\}\$|\$\$", "", reported)
         assert not set(bare) & set("\\&#%_~"), payload
         depth = 0
-        for sign in re.sub(r"\\[{}]", "", told):
+        for sign in re.sub(r"\\[{}]", "", reported):
             depth += {"{": 1, "}": -1}.get(sign, 0)
             assert depth >= 0
         assert depth == 0

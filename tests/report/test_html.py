@@ -119,7 +119,7 @@ def test_the_first_page_says_what_matters(page):
     assert first.count("Figure ") >= 3
 
 
-def test_everything_that_was_left_out_is_told(page):
+def test_everything_that_was_left_out_is_reported(page):
     for words in (
         "the load, 157 N, is not below",
         "not identifiable",
@@ -257,7 +257,7 @@ def test_the_section_of_coefficients_is_never_empty(analysis):
 NUMBERS = (0.0, -1.0, 1e300, -1e-300, 1e308)
 
 
-def spoilt(analysis: Analysis, rng: random.Random) -> Analysis:
+def damaged(analysis: Analysis, rng: random.Random) -> Analysis:
     """The analysis with some of its numbers replaced by ones that no measurement gives."""
 
     def column(values: np.ndarray, n: int) -> np.ndarray:
@@ -298,7 +298,7 @@ def spoilt(analysis: Analysis, rng: random.Random) -> Analysis:
 @pytest.mark.parametrize("seed", range(3))
 def test_absurd_numbers_make_a_report_without_a_warning(seed):
     rng = random.Random(seed)
-    text = render([spoilt(analysis, rng) for analysis in samples.all_analyses()], [])
+    text = render([damaged(analysis, rng) for analysis in samples.all_analyses()], [])
     assert Page(text).stack == []
 
 

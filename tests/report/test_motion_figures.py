@@ -20,10 +20,10 @@ def test_the_autocorrelation_is_that_of_the_process():
     """x(k) = 0.9 x(k-1) + e has the autocorrelation 0.9^k."""
     noise = lfilter([1.0], [1.0, -0.9], np.random.default_rng(1).standard_normal(40_000))
     (picture,) = residuals([free_run(noise)], False)
-    told = dict(zip(picture.table["lag [s]"], map(float, picture.table["autocorrelation 1, a"]), strict=True))
-    for lag, value in told.items():
+    reported = dict(zip(picture.table["lag [s]"], map(float, picture.table["autocorrelation 1, a"]), strict=True))
+    for lag, value in reported.items():
         assert value == pytest.approx(0.9 ** (float(lag) / 0.01), abs=0.04)
-    assert len(told) > 10
+    assert len(reported) > 10
     assert "0.023 mm rms" in picture.caption  # 1e-5 m / sqrt(1 - 0.81)
 
 

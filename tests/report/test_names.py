@@ -48,8 +48,8 @@ def terminal(analyses) -> str:
 
 
 def test_a_symbol_is_titled_as_its_kind_of_test_declares_it():
-    told = {tile.symbol: tile.name for tile in tiles_of([echo()])}
-    assert told == {"c": "speed of sound", "K": "bulk modulus"}
+    reported = {tile.symbol: tile.name for tile in tiles_of([echo()])}
+    assert reported == {"c": "speed of sound", "K": "bulk modulus"}
     (whole,) = [t for t in tables.other_tables(echo()) if "whole" in t.caption]
     assert list(whole.frame["quantity"]) == ["speed of sound", "noise of the hiss"]
 
@@ -73,9 +73,9 @@ def test_declarations_are_kept_in_the_analysis_folder(tmp_path):
     back = read_analysis(folder)
     assert back.results == (SPEED, QUIET, BULK)
     assert terminal([back]) == terminal([echo()])
-    told = json.loads((folder / "analysis.json").read_text(encoding="utf-8"))
-    del told["results"]
-    (folder / "analysis.json").write_text(json.dumps(told), encoding="utf-8")
+    reported = json.loads((folder / "analysis.json").read_text(encoding="utf-8"))
+    del reported["results"]
+    (folder / "analysis.json").write_text(json.dumps(reported), encoding="utf-8")
     assert read_analysis(folder).results == ()
 
 

@@ -37,7 +37,7 @@ def test_tables_are_what_the_record_holds(folder):
     assert len(run.events) == len(record.events)
 
 
-def test_what_is_not_there_is_told(folder, tmp_path):
+def test_what_is_not_there_is_reported(folder, tmp_path):
     run = pmabench.open_run(folder)
     with pytest.raises(UsageError, match="has no trial 99"):
         run.trial(99)

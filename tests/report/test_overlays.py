@@ -58,8 +58,8 @@ def test_values_that_stand_in_another_figure_are_not_compared():
 
 def test_own_results_stay_what_they_are():
     own = all_analyses()
-    told, theirs, _ = with_published(own, [BOOK], None)
-    assert [a.to_dict() for a in told] == [a.to_dict() for a in own]
+    reported, theirs, _ = with_published(own, [BOOK], None)
+    assert [a.to_dict() for a in reported] == [a.to_dict() for a in own]
     assert [a.kind for a in theirs] == ["published"]
 
 
@@ -68,8 +68,8 @@ def test_force_over_contraction_is_matched_by_pressure_and_the_length_of_the_spe
     pressure = np.array([3e5, 3e5, 3e5, 3.01e5, 3e5, 4e5, 3e5])
     own = 1000 - 1e4 * 0.25 * eps
     table = Published("Chart", "", Path("c.csv"), {"contraction": eps, "pressure": pressure, "force": own / 0.8})
-    (told,), _, (row,) = with_published([ramps(mean_curve())], [table], 0.25)
-    (points,) = told.traces[0].published
+    (reported,), _, (row,) = with_published([ramps(mean_curve())], [table], 0.25)
+    (points,) = reported.traces[0].published
     assert points.columns["displacement"].tolist() == pytest.approx([0, 0.0125, 0.025, 0.05])  # 3.01 bar is near
     assert row.points == 4
     assert row.mean == pytest.approx(-0.2)
@@ -94,7 +94,7 @@ def test_branches_count_by_their_mean():
     assert row.size == pytest.approx(0, abs=1e-3)
 
 
-def test_a_table_that_matches_nothing_is_told_what_could_be():
+def test_a_table_that_matches_nothing_is_reported_what_could_be():
     table = Published("Chart", "", Path("c.csv"), {"contraction": np.zeros(2), "force": np.ones(2)})
     with pytest.raises(InvalidFile) as caught:
         with_published([ramps(mean_curve())], [BOOK, table], 0.25)
@@ -154,7 +154,7 @@ def test_overlays_are_read_with_their_units_and_labels(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("P [bar],K [N/mm]\n1,x\n2,y\n", 't.csv:2:3  K: "x" is no number'),
         ("P [bar],K [kPa]\n1,2\n", "no unit of stiffness"),
@@ -164,13 +164,13 @@ def test_overlays_are_read_with_their_units_and_labels(tmp_path):
         ("eps [%],force [N]\n1,2\n", "matches no figure of this report: it holds contraction, force; could be: F_ce"),
     ],
 )
-def test_tables_that_cannot_be_used_are_told_with_their_place(tmp_path, text, told):
+def test_tables_that_cannot_be_used_are_reported_with_their_place(tmp_path, text, reported):
     table = tmp_path / "t.csv"
     table.write_text(text)
-    assert told in report(tmp_path, str(table), code=3)
+    assert reported in report(tmp_path, str(table), code=3)
 
 
-def test_files_that_are_not_there_and_labels_that_come_twice_are_told(tmp_path):
+def test_files_that_are_not_there_and_labels_that_come_twice_are_reported(tmp_path):
     assert "none.csv  cannot be read" in report(tmp_path, str(tmp_path / "none.csv"), code=3)
     table = tmp_path / "t.csv"
     table.write_text("P [bar],K [N/mm]\n2,2\n")

@@ -61,7 +61,7 @@ def test_units_are_those_that_people_read(quantity, unit, display, scale):
     assert shown(quantity, unit).scale == pytest.approx(scale)
 
 
-def test_the_coefficient_table_names_units_and_what_cannot_be_told():
+def test_the_coefficient_table_names_units_and_what_cannot_be_known():
     frame = pd.DataFrame(tables.coefficient_table(samples.all_analyses()).rows)
     main = frame[frame["method"] == "measured-pressure"].set_index("P [kPa]")
     assert {"F_ce [N]", "K [N/mm]", "B_c [N·s/mm]", "B_r [N·s/mm]"} <= set(main.columns)
@@ -71,21 +71,21 @@ def test_the_coefficient_table_names_units_and_what_cannot_be_told():
 
 
 def test_sines_alone_have_their_coefficients_in_the_first_table():
-    frame, told = tables.primary_table([samples.sine()])
+    frame, reported = tables.primary_table([samples.sine()])
     assert list(frame.columns) == ["P [kPa]", "K [N/mm]", "B [N·s/mm]"]
     assert frame["K [N/mm]"] == ["6.773 ± 0.020"]
-    assert told == "sine-harmonic at mean x = 30 mm, amplitude = 10 mm"
+    assert reported == "sine-harmonic at mean x = 30 mm, amplitude = 10 mm"
     one = samples.sine()
     shallow = [replace(e, at={**e.at, "amplitude": 0.002}, value=2 * (e.value or 0.0)) for e in one.estimates]
-    frame, told = tables.primary_table([replace(one, estimates=(*one.estimates, *shallow))])
+    frame, reported = tables.primary_table([replace(one, estimates=(*one.estimates, *shallow))])
     assert list(zip(frame["amplitude [mm]"], frame["K [N/mm]"], strict=True)) == [
         ("2", "13.546 ± 0.020"),
         ("10", "6.773 ± 0.020"),
     ]
-    assert told == "sine-harmonic at mean x = 30 mm"
-    frame, told = tables.primary_table([samples.contraction(), one])
+    assert reported == "sine-harmonic at mean x = 30 mm"
+    frame, reported = tables.primary_table([samples.contraction(), one])
     assert len(frame) == 8, "a row for each pressure, with what the sines say of one of them"
-    assert told
+    assert reported
 
 
 def test_every_estimate_is_in_one_table():
@@ -144,7 +144,7 @@ def test_tables_of_one_method_have_titles_of_their_own():
     ]
 
 
-def test_the_terminal_tells_why_a_value_or_an_interval_is_missing():
+def test_the_terminal_shows_why_a_value_or_an_interval_is_missing():
     m = Estimate("m", 6e-4, "N/Pa", "force per pressure", "isometric-line", {"contraction": 0.0}, note="one test only")
     K = Estimate("K", None, "N/m", "stiffness", "isometric-line", {"contraction": 0.0}, note="no oscillation")
     known = Estimate("K_u", 6e7, "Pa/m", "gain", "isometric-line", {"contraction": 0.0}, Parts(1e6), note="quite so")
@@ -214,9 +214,9 @@ def test_the_skew_of_several_clocks_has_a_column_where_there_are_several():
     assert "skew" not in tables.parts_table(one).columns
     several = [replace(e, parts=replace(e.parts, skew=20.0)) if e.symbol == "K" else e for e in one.estimates]
     frame = tables.parts_table(replace(one, estimates=tuple(several)))
-    told = {(row["symbol"], row["value"] != "not identifiable"): row["skew"] for row in frame.rows}
-    assert told["K", True] == "0.020"
-    assert told["B_r", False] == ""
+    reported = {(row["symbol"], row["value"] != "not identifiable"): row["skew"] for row in frame.rows}
+    assert reported["K", True] == "0.020"
+    assert reported["B_r", False] == ""
 
 
 def test_what_the_computer_rounds_is_no_number():
@@ -232,7 +232,7 @@ def test_what_the_computer_rounds_is_no_number():
 
 
 @pytest.mark.parametrize(
-    ("told", "expected"),
+    ("reported", "expected"),
     [
         ("begins at 45.77 +- 1.5 kPa", "begins at 45.77 ± 1.5 kPa"),
         ("K -0.025 to +0.03 %, known to +-7 %", "K −0.025 to +0.03 %, known to ±7 %"),
@@ -240,5 +240,5 @@ def test_what_the_computer_rounds_is_no_number():
         ("run 2026-11-22 of R1-4, eq. 8.1", "run 2026-11-22 of R1-4, eq. 8.1"),
     ],
 )
-def test_sentences_have_the_signs_of_print(told, expected):
-    assert printed(told) == expected
+def test_sentences_have_the_signs_of_print(reported, expected):
+    assert printed(reported) == expected

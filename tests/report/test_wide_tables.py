@@ -11,9 +11,9 @@ def cells(tables):
     found = {}
     for table in tables:
         for row in table.frame.rows:
-            told = {head: text for head, text in row.items() if head not in ("method", "P [kPa]") and text}
-            assert told, row
-            for head, text in told.items():
+            reported = {head: text for head, text in row.items() if head not in ("method", "P [kPa]") and text}
+            assert reported, row
+            for head, text in reported.items():
                 place = row.get("method", ""), row["P [kPa]"], head
                 assert place not in found
                 found[place] = text

@@ -153,7 +153,7 @@ def test_the_record_of_a_calibration_holds_every_point(tmp_path):
     assert Scale(**last["scale"]) == done.fit.scale
 
 
-def test_what_a_bench_will_make_of_trips_beyond_the_points_is_told_before():
+def test_what_a_bench_will_make_of_trips_beyond_the_points_is_reported_before():
     """The regulator reaches its command limit, 600 kPa; trips at 650 and -30 kPa. Loads to 255 N, and a trip at 1900 N."""
     at_pressure = uncovered(mounted("mock"), CASES["pressure"][1])
     assert len(at_pressure) == 2

@@ -42,10 +42,10 @@ def test_keys_do_what_the_line_says(tmp_path):
     values = [e.data["value"] for e in run.events if e.kind == "command" and e.data["phase"] == "jog"]
     assert values == [5e3, 10e3, 20e3, 0.0]
     assert seen[3][1].settings() == "commanded pressure 0 kPa (up to 100 kPa)"  # the same object, at its end
-    assert [told for _, _, told in seen][2] == ["step 10 kPa"]
+    assert [reported for _, _, reported in seen][2] == ["step 10 kPa"]
 
 
-def test_the_limit_is_told_where_it_ends(tmp_path):
+def test_the_limit_is_reported_where_it_ends(tmp_path):
     _, seen = pressed("mock", ">>>+++")
     assert seen[-2][2] == ["pressure 100 kPa: its limit here"]
 

@@ -57,7 +57,7 @@ def untried(tmp_path):
 
 
 @pytest.mark.realtime
-def test_it_is_asked_once_and_stands_in_manifest_and_report(tmp_path, monkeypatch):
+def test_it_is_asked_once_and_is_in_manifest_and_report(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))  # for the guard's process
     bench, log = untried(tmp_path)
     with ended(log):

@@ -73,8 +73,8 @@ def kill(pid, log, name):
     os.waitpid(pid, 0)
     entries = [ENTRY.unpack_from(log, ENTRY.size * (k + 1)) for k in range(ENTRY.unpack_from(log, 0)[1])]
     sure = [rows for at, rows in entries[: max(0, len(entries) - GONE_ON)] if at <= killed - KEPT_AFTER]
-    told = {"name": name, "sure": max(sure, default=0), "events": len(entries), "most": entries[-1][1] + 9}
-    print(json.dumps(told), flush=True)
+    reported = {"name": name, "sure": max(sure, default=0), "events": len(entries), "most": entries[-1][1] + 9}
+    print(json.dumps(reported), flush=True)
 
 
 def main(parent, count, seed):

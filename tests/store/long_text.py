@@ -74,8 +74,15 @@ def main() -> None:
     apart.close_readers()
     reader = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = time.process_time() - begin + reader.ru_utime + reader.ru_stime
-    told = {"rows": run.rows, "trials": run.trials, "cpu": cpu, "wall": wall, "memory": memory, "of_child": of_child}
-    print(json.dumps({**told, "path": str(run.path)}))
+    reported = {
+        "rows": run.rows,
+        "trials": run.trials,
+        "cpu": cpu,
+        "wall": wall,
+        "memory": memory,
+        "of_child": of_child,
+    }
+    print(json.dumps({**reported, "path": str(run.path)}))
 
 
 if __name__ == "__main__":

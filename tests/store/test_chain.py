@@ -25,8 +25,8 @@ def write(parent, name, trials, before=None, end="finished", **manifest):
     for number, entry in enumerate(trials):
         index, status, *attempt = entry
         point = {"pressure": 1e5 * (1 + index)}
-        told = {"attempt": attempt[0]} if attempt else {}
-        writer.event("trial-begin", number, trial=index, point=point, repeat=0, reference=False, **told)
+        reported = {"attempt": attempt[0]} if attempt else {}
+        writer.event("trial-begin", number, trial=index, point=point, repeat=0, reference=False, **reported)
         writer.append("daq", *block(rows, int(RATE)))
         rows += int(RATE)
         if status is None:
@@ -45,7 +45,7 @@ def forget_writer(folder):
     path.write_bytes(sealed_json(data | {"writer": {}}))
 
 
-def told(runs):
+def reported(runs):
     return [[(trial.index, trial.status) for trial in run.trials] for run in runs]
 
 
@@ -60,7 +60,7 @@ def three(tmp_path):
 
 def test_a_chain_has_every_trial_once(three):
     runs = open_chain(three[2])
-    assert told(runs) == [
+    assert reported(runs) == [
         [(0, "finished"), (1, "finished"), (2, "interrupted")],
         [(2, "finished"), (3, "finished"), (4, "interrupted")],
         [(4, "finished"), (5, "finished")],
@@ -92,7 +92,7 @@ def test_a_run_that_is_still_recorded_is_not_continued(tmp_path):
     writer.close("finished")
 
 
-def test_a_trial_that_was_asked_for_again_stands_once(tmp_path):
+def test_a_trial_that_was_asked_for_again_is_there_once(tmp_path):
     first = write(tmp_path, "one", [(0, "finished"), (0, "finished", 2), (1, "failed"), (1, "finished", 2), (2, None)])
     assert [(t.index, t.attempt, t.status) for t in open_run(first).trials] == [
         (0, 1, "superseded"),
@@ -102,7 +102,7 @@ def test_a_trial_that_was_asked_for_again_stands_once(tmp_path):
         (2, 1, "interrupted"),
     ]
     second = write(tmp_path, "two", [(0, "finished", 3), (2, "finished")], continued(first))
-    assert told(open_chain(second))[0][:2] == [(0, "superseded"), (0, "superseded")]
+    assert reported(open_chain(second))[0][:2] == [(0, "superseded"), (0, "superseded")]
     assert finished_trials(second) == [1, 0, 2]
 
 
@@ -115,7 +115,7 @@ def test_an_attempt_that_was_broken_off_takes_nothing_away(tmp_path):
 def test_an_excluded_trial_was_finished_and_is_not_done_again(three):
     add_note(three[0], exclude=1, because="slipped")
     assert finished_trials(three[2]) == [0, 1, 2, 3, 4, 5]
-    assert told(open_chain(three[2]))[0][1] == (1, "excluded")
+    assert reported(open_chain(three[2]))[0][1] == (1, "excluded")
 
 
 def test_process_of_the_last_run_takes_the_whole_chain_and_each_run_once(three):
@@ -126,7 +126,7 @@ def test_process_of_the_last_run_takes_the_whole_chain_and_each_run_once(three):
     assert [run.id for run in load_runs(three[:1])] == ["one"]
 
 
-def test_a_renamed_earlier_run_is_found_beside(three):
+def test_a_renamed_earlier_run_is_found_next_to(three):
     three[0].rename(three[0].with_name("renamed"))
     assert [run.id for run in open_chain(three[2])] == ["one", "two", "three"]
 

@@ -90,7 +90,7 @@ def recorded(parent, events=(), host=True, start=1e9, **manifest):
     return writer
 
 
-def test_a_recorded_stream_stands_on_the_time_of_the_run_open_and_closed(tmp_path):
+def test_a_recorded_stream_is_on_the_time_of_the_run_open_and_closed(tmp_path):
     writer = recorded(tmp_path)
     live = open_run(writer.folder).clocks["gauge"]
     folder = writer.close("finished")
@@ -101,8 +101,8 @@ def test_a_recorded_stream_stands_on_the_time_of_the_run_open_and_closed(tmp_pat
     assert clock.drift == pytest.approx(DRIFT, abs=2e-5)
     assert 0 < clock.uncertainty < 2e-3
     frame = read_stream(folder, "gauge")
-    told = (frame["supply"] - COLUMNS[2]["scale"]["offset"]) / COLUMNS[2]["scale"]["slope"]
-    assert np.abs(frame["t"] - told).max() <= clock.uncertainty
+    reported = (frame["supply"] - COLUMNS[2]["scale"]["offset"]) / COLUMNS[2]["scale"]["slope"]
+    assert np.abs(frame["t"] - reported).max() <= clock.uncertainty
     assert run.skew("supply", "force") == clock.uncertainty
     assert run.skew("pressure", "force") == 0.0
 
@@ -120,16 +120,16 @@ def test_a_poll_is_known_to_half_of_what_it_takes_wherever_in_it_the_device_meas
 
 
 def test_the_manifest_says_whose_clock_a_stream_carries(tmp_path):
-    told = {"gauge": {"model": "indicator", "clock": "computer"}}
-    folder = recorded(tmp_path, start=0.0, devices=told).close("finished")
+    reported = {"gauge": {"model": "indicator", "clock": "computer"}}
+    folder = recorded(tmp_path, start=0.0, devices=reported).close("finished")
     clock = open_run(folder).clocks["gauge"]
     assert (clock.how, clock.offset, clock.drift) == ("stamped by the computer", 0.0, 0.0)
     assert 0.02 < clock.uncertainty < 0.03, "20 ms late, and 4 ms on average on the way"
 
 
 def test_a_clock_event_goes_before_the_arrivals(tmp_path):
-    told = ("clock", 0.0, {"stream": "gauge", "offset": -1e9, "drift": 0.0, "uncertainty": 0.5})
-    run = open_run(recorded(tmp_path, [told]).close("finished"))
+    reported = ("clock", 0.0, {"stream": "gauge", "offset": -1e9, "drift": 0.0, "uncertainty": 0.5})
+    run = open_run(recorded(tmp_path, [reported]).close("finished"))
     assert (run.clocks["gauge"].how, run.clocks["gauge"].uncertainty) == ("clock event", 0.5)
 
 

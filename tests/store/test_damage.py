@@ -189,7 +189,7 @@ def test_added_missing_swapped_and_linked_files_are_found(tmp_path, sealed):
     assert "seal.json: is missing" in str(verify(unsealed)[0])
 
 
-def test_a_gap_that_no_flag_tells_of_is_found_and_a_flagged_one_is_not(tmp_path):
+def test_a_gap_that_no_flag_shows_of_is_found_and_a_flagged_one_is_not(tmp_path):
     def run(name, flag):
         writer = begin(tmp_path, name)
         writer.event("trial-begin", 0.0, trial=0, point={}, repeat=0, reference=False)

@@ -110,9 +110,9 @@ def test_a_package_next_to_pmabench_brings_a_format(place):
 
 
 def test_a_guess_recognises_it_and_its_map_is_taken(place):
-    told = called(place, "import", "--guess", "alone.xlsx", "-o", "guessed.yaml")
-    assert (told["format"], told["kind"]) == ("xlsx", "isometric")
-    assert any("Excel workbook" in reason for reason in told["reasons"]["file"])
+    reported = called(place, "import", "--guess", "alone.xlsx", "-o", "guessed.yaml")
+    assert (reported["format"], reported["kind"]) == ("xlsx", "isometric")
+    assert any("Excel workbook" in reason for reason in reported["reasons"]["file"])
     (made,) = called(
         place, "import", "alone.xlsx", "--map", "guessed.yaml", "--out", "guessed", "--set", "trials.point.contraction=4 mm"
     )["runs"]  # fmt: skip

@@ -130,7 +130,7 @@ specimen: {type: muscle}
     assert open_run(run.path).trials[0].t[-1] == pytest.approx(5.99)
 
 
-def test_what_is_missing_or_unlike_is_told_with_what_there_is():
+def test_what_is_missing_or_unlike_is_reported_with_what_there_is():
     content = (OLD / "foreign" / "bench.tdms").read_bytes()
     assert 'did you mean "bench/Load cell"?' in refused("tdms", content, ["bench/Load cel"])
     assert "not equally long" in refused("tdms", content, ["bench/Load cell", "room/temperature"])
@@ -149,7 +149,7 @@ def test_what_is_missing_or_unlike_is_told_with_what_there_is():
         ("Channels\t4", "Channels\t900", 23, "number of channels"),
     ],
 )
-def test_faults_of_an_lvm_file_are_told_at_their_line(wrong, right, line, message):
+def test_faults_of_an_lvm_file_are_reported_at_their_line(wrong, right, line, message):
     text = made.lvm("One").replace("\r\n", "\n")
     assert wrong in text
     with pytest.raises(InvalidFile) as caught:
@@ -189,8 +189,8 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused():
         checksum = zlib.adler32(b"\0" * 10_000_000, checksum)
     data = b"\x78\xda" + begin + zeros * 150 + packer.flush() + checksum.to_bytes(4, "big")
     assert len(data) < 2_000_000
-    told = refused("mat", mat5(len(data), data))
-    assert "memory" in told or "CPU" in told
+    reported = refused("mat", mat5(len(data), data))
+    assert "memory" in reported or "CPU" in reported
     assert read("mat", (OLD / "foreign" / "log5.mat").read_bytes()).columns
 
 
@@ -283,11 +283,11 @@ def test_names_in_a_file_reach_no_terminal_as_they_are(tmp_path):
         ["import", tmp_path / "evil.tdms", "--map", OLD / "tdms.yaml", "--out", tmp_path / "runs", "-v"],
         ["import", "--guess", tmp_path / "evil.tdms"],
     ):
-        told = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-        assert told.exit_code == 0
-        assert "room" in told.output
-        assert not {"\x1b", "\x9b"} & set(told.output)
-        assert "\nfault: none" not in told.output
+        reported = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+        assert reported.exit_code == 0
+        assert "room" in reported.output
+        assert not {"\x1b", "\x9b"} & set(reported.output)
+        assert "\nfault: none" not in reported.output
 
 
 def test_the_header_of_a_segment_may_begin_with_any_of_its_keys():

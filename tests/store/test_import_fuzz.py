@@ -75,8 +75,8 @@ def aligned(t, whole):
 
 def silent(found, whole, rules):
     """What is wrong in the damaged file and not told; empty where all is told."""
-    told = {(f.kind, f.channel) for f in found.findings if f.level != "note"}
-    new = told - {(f.kind, f.channel) for f in whole.findings if f.level != "note"}
+    reported = {(f.kind, f.channel) for f in found.findings if f.level != "note"}
+    new = reported - {(f.kind, f.channel) for f in whole.findings if f.level != "note"}
     if any(not channel for _, channel in new):
         return []
     wrong = []
@@ -105,7 +105,7 @@ def silent(found, whole, rules):
 
 @pytest.mark.timeout(1800)  # on demand there are 10,000 cases of each
 @pytest.mark.parametrize("name", SOURCES)
-def test_damaged_files_are_refused_or_what_they_changed_is_told(tmp_path, name, record_property):
+def test_damaged_files_are_refused_or_what_they_changed_is_reported(tmp_path, name, record_property):
     count = cases(50)
     source, map_name = SOURCES[name]
     rules, content = read_map(OLD / map_name), source.read_bytes()

@@ -66,7 +66,7 @@ def written(tmp_path, guess, spans=None):
     return path
 
 
-def test_files_without_names_are_told_apart_by_their_numbers(tmp_path):
+def test_files_without_names_are_distinguished_by_their_numbers(tmp_path):
     files = sorted((OLD / "isometric").glob("*.csv"))
     guess = guess_files(files)
     assert roles(guess) == {
@@ -96,7 +96,7 @@ def test_files_without_names_are_told_apart_by_their_numbers(tmp_path):
     ("pattern", "kind"),
     [("*step_exp", "recorded-step"), ("*frq*", "recorded-sine"), ("*characterization*", "recorded-pull")],
 )
-def test_files_of_currents_are_told_by_their_header(tmp_path, pattern, kind):
+def test_files_of_currents_are_reported_by_their_header(tmp_path, pattern, kind):
     files = sorted((OLD / "polled").glob(f"{pattern}/*_data.dat"))
     guess = guess_files(files)
     assert roles(guess) == POLLED
@@ -123,8 +123,8 @@ def test_the_shipped_map_that_fits_is_named():
 @pytest.mark.parametrize("name", ["one.lvm", "comma.lvm", "segments.lvm", "bench.tdms"])
 def test_formats_that_name_their_channels_and_units(tmp_path, name):
     guess = guess_files([OLD / "foreign" / name])
-    told = {role: unit for role, unit in roles(guess).values() if role != "ignore"}
-    assert told == {"time": "s", "pressure": "mA", "force": "N", "displacement": "mm", "pressure_command": "bar"}
+    reported = {role: unit for role, unit in roles(guess).values() if role != "ignore"}
+    assert reported == {"time": "s", "pressure": "mA", "force": "N", "displacement": "mm", "pressure_command": "bar"}
     assert guess.kind == "recorded-step"
     path = written(tmp_path, guess, {"pressure": Span(0.0, 8.0, "bar")})
     (run,) = import_files([OLD / "foreign" / name], path, tmp_path / "runs")
@@ -225,7 +225,7 @@ def matrix():
 
 
 @pytest.mark.parametrize("name", ["X", "data"])
-def test_columns_of_a_matrix_are_told_apart_by_what_they_hold(tmp_path, name):
+def test_columns_of_a_matrix_are_distinguished_by_what_they_hold(tmp_path, name):
     from scipy.io import savemat
 
     savemat(tmp_path / "old.mat", {name: matrix()})
@@ -261,7 +261,7 @@ def test_a_matrix_without_a_pressure_is_not_made_into_one(tmp_path):
     assert any("no column was found that is a pressure" in doubt for doubt in guess.doubts)
 
 
-def test_what_the_guess_left_open_is_told_where_it_stands(tmp_path):
+def test_what_the_guess_left_open_is_reported_where_it_is(tmp_path):
     files = sorted((OLD / "polled").glob("*step_exp/*.dat"))
     path = written(tmp_path, guess_files(files))
     with pytest.raises(InvalidFile, match="not answered: which pressure is 20 mA of") as caught:
@@ -269,7 +269,7 @@ def test_what_the_guess_left_open_is_told_where_it_stands(tmp_path):
     assert [problem.line for problem in caught.value.problems] == still_open(path.read_text(encoding="utf-8"))
 
 
-def test_a_table_without_time_is_told_what_it_is_good_for(tmp_path):
+def test_a_table_without_time_is_reported_what_it_is_good_for(tmp_path):
     (tmp_path / "chart.csv").write_text("P_bar,contraction,F_N\n2,0,100\n2,0.1,50\n3,0,200\n", encoding="utf-8")
     assert any("report --overlay" in doubt for doubt in guess_files([tmp_path / "chart.csv"]).doubts)
 
@@ -302,13 +302,13 @@ def test_units_in_names(name, unit):
 
 def test_what_is_no_table_is_refused_in_a_sentence(tmp_path):
     prose = b"A LICENCE\nVersion 3, 29 June 2007\n" + b"and many more words without any number\n" * 9
-    for content, told in (
+    for content, reported in (
         (b"hello\nthere\n", "no rows of at least two numbers"),
         (b"\x00\x01\x02\x03", "is binary"),
         (prose, "is no table of numbers"),
     ):
         (tmp_path / "old").write_bytes(content)
-        with pytest.raises(InvalidFile, match=told):
+        with pytest.raises(InvalidFile, match=reported):
             guess_files([tmp_path / "old"])
     (tmp_path / "old").write_text("t_s,p_bar\n0,1\n0.5,2\n", encoding="utf-8")
     with pytest.raises(InvalidFile, match="guess them apart"):
@@ -331,11 +331,11 @@ def test_names_full_of_markup_stay_text_in_the_map(tmp_path):
     guess = guess_files([tmp_path / "old.csv"])
     text = map_text(guess, {})
     assert "\x1b" not in text
-    told = CliRunner().invoke(main, ["import", "--guess", str(tmp_path / "old.csv")]).output
-    assert "\x1b" not in told
+    reported = CliRunner().invoke(main, ["import", "--guess", str(tmp_path / "old.csv")]).output
+    assert "\x1b" not in reported
 
 
-def test_a_sine_is_told_from_steps_and_noise():
+def test_a_sine_is_distinguished_from_steps_and_noise():
     t = np.arange(0, 10, 0.01)
     assert sine_of(t, 3 + np.sin(2 * np.pi * 1.5 * t)) == pytest.approx(1.5, abs=0.06)
     assert sine_of(t, np.sign(np.sin(2 * np.pi * 0.5 * t))) == 0
@@ -364,10 +364,10 @@ def call(*args, code=0):
 
 def test_at_the_command_line(tmp_path):
     source = OLD / "foreign" / "one.lvm"
-    told = call("import", "--guess", source, "--span", "pressure=0 bar..8 bar", "-o", tmp_path / "map.yaml")
-    assert "▁" in told
-    assert "because: the file says its unit, mA" in told
-    assert "then: pmabench import" in told
+    reported = call("import", "--guess", source, "--span", "pressure=0 bar..8 bar", "-o", tmp_path / "map.yaml")
+    assert "▁" in reported
+    assert "because: the file says its unit, mA" in reported
+    assert "then: pmabench import" in reported
     call("import", source, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs")
     assert len(list((tmp_path / "runs").iterdir())) == 1
     assert "is there already" in call("import", "--guess", source, "-o", tmp_path / "map.yaml", code=2)
@@ -382,8 +382,8 @@ def test_at_the_command_line(tmp_path):
 def test_recorded_files_of_both_benches():
     folder = recorded_data()
     for path in sorted((folder / "aarl_10mm").rglob("*.csv")):
-        told = dict(roles(guess_files([path])).values())
-        assert told == {"force": "N", "pressure": "kPa", "time": "s"}, path
+        reported = dict(roles(guess_files([path])).values())
+        assert reported == {"force": "N", "pressure": "kPa", "time": "s"}, path
     kinds = {"step": "recorded-step", "frq": "recorded-sine", "cha": "recorded-pull"}
     for path in sorted((folder / "mit_2-151").rglob("*_data.dat")):
         guess = guess_files([path])
@@ -394,20 +394,22 @@ def test_recorded_files_of_both_benches():
 
 def test_recorded_samples_of_other_formats():
     samples = recorded_data().parent / "reader_samples"
-    told = {
+    reported = {
         path.name: roles(guess_files([path]))
         for path in samples.rglob("*.*")
         if path.suffix in {".lvm", ".tdms", ".mat"}
     }
-    assert told["short.lvm"] == {
+    assert reported["short.lvm"] == {
         "X_Value": ("time", "s"),
         "Excitation (Trigger)": ("force", "N"),
         "Response (Trigger)": ("ignore", ""),
     }
-    pressure = {name for name, (role, unit) in told["with_comments.lvm"].items() if (role, unit) == ("pressure", "MPa")}
+    pressure = {
+        name for name, (role, unit) in reported["with_comments.lvm"].items() if (role, unit) == ("pressure", "MPa")
+    }
     assert len(pressure) == 1
-    assert {role for role, _ in told["no_decimal_separator.lvm"].values()} == {"time", "ignore"}
-    assert told["raw1.tdms"]["Layer Data/@time"] == ("time", "s")
-    assert {unit for role, unit in told["raw1.tdms"].values() if role == "ignore"} == {"V"}
-    assert [role for role, _ in told["Digital_Input.tdms"].values()].count("time") == 1
-    assert told["testfile6.mat"] == {"B": ("ignore", "")}
+    assert {role for role, _ in reported["no_decimal_separator.lvm"].values()} == {"time", "ignore"}
+    assert reported["raw1.tdms"]["Layer Data/@time"] == ("time", "s")
+    assert {unit for role, unit in reported["raw1.tdms"].values() if role == "ignore"} == {"V"}
+    assert [role for role, _ in reported["Digital_Input.tdms"].values()].count("time") == 1
+    assert reported["testfile6.mat"] == {"B": ("ignore", "")}

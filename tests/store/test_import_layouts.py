@@ -136,10 +136,10 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_may_be_two_things_is_refused_or_asked(tmp_path, name):
-    content, told = REFUSED[name]
+    content, reported = REFUSED[name]
     with pytest.raises(InvalidFile) as caught:
         imported(tmp_path, content)
-    assert any(re.search(told, problem.message) for problem in caught.value.problems), caught.value
+    assert any(re.search(reported, problem.message) for problem in caught.value.problems), caught.value
 
 
 def test_a_file_that_ends_within_a_row_is_read_to_its_last_whole_row(tmp_path):

@@ -136,15 +136,15 @@ def imported(path, out):
 @pytest.mark.study
 def test_the_memory_of_an_import_does_not_grow_with_the_file(tmp_path):
     """Where the numbers alone are 88 MB more, the memory is not."""
-    told = []
+    reported = []
     for size in (60e6, 160e6):
         path = tmp_path / f"{size:.0f}.csv"
         rows = long_text.write(path, size)
         long_text.write_map(path.with_suffix(".yaml"))
-        told.append(imported(path, tmp_path / "out"))
-        assert told[-1]["rows"] == rows
-        assert told[-1]["trials"] == rows // long_text.PER_CYCLE
-    print(told)
-    assert max(each["memory"] + each["of_child"] for each in told) < 1.3 * MEMORY
-    assert max(each["memory"] for each in told) < MEMORY
-    assert told[1]["memory"] - told[0]["memory"] < 60e6
+        reported.append(imported(path, tmp_path / "out"))
+        assert reported[-1]["rows"] == rows
+        assert reported[-1]["trials"] == rows // long_text.PER_CYCLE
+    print(reported)
+    assert max(each["memory"] + each["of_child"] for each in reported) < 1.3 * MEMORY
+    assert max(each["memory"] for each in reported) < MEMORY
+    assert reported[1]["memory"] - reported[0]["memory"] < 60e6

@@ -97,13 +97,13 @@ def test_contraction_is_positive_whatever_the_sensor_does():
         ("[[4 mA, 0 bar]", "[[20 mA, 0 bar]", "[[20 mA", "need two different readings"),
     ],
 )
-def test_mistakes_are_told_at_their_place(tmp_path, wrong, right, at, message):
+def test_mistakes_are_reported_at_their_place(tmp_path, wrong, right, at, message):
     assert wrong in GOOD
     text = GOOD.replace(wrong, right)
     before = text[: text.index(at)]
     place = (before.count("\n") + 1, len(before) - before.rfind("\n"))
     found = problems_of(tmp_path, text)
-    assert any(message in told and (line, column) == place for line, column, told in found), (place, found)
+    assert any(message in reported and (line, column) == place for line, column, reported in found), (place, found)
 
 
 def test_all_mistakes_at_once(tmp_path):
@@ -189,6 +189,6 @@ def test_the_map_in_the_documentation_is_good(tmp_path):
         "blip",
         "gain_uncertainty",
     ]
-    told = text.replace("`", " ")
-    missing = [name for name in fields if name.rstrip("_") not in told]
+    reported = text.replace("`", " ")
+    missing = [name for name in fields if name.rstrip("_") not in reported]
     assert not missing

@@ -80,7 +80,7 @@ def test_a_leap_ahead_is_an_error_of_the_clock():
     assert "leap" in found
 
 
-def test_time_that_stands_still():
+def test_time_that_does_not_move():
     flags, _ = look(np.zeros(20), np.ones(20))
     assert flagged(flags, Flag.TIME_JUMP) == list(range(20))
 
@@ -152,7 +152,7 @@ def summary(force, pressure=640e3, point=0.012, trusted=True):
     )  # fmt: skip
 
 
-def test_siblings_tell_which_file_is_implausible():
+def test_siblings_show_which_file_is_implausible():
     files = [summary(112), summary(101), summary(114), summary(14.7), summary(360, point=0.0)]
     found = compare(files, {"force": 0.3})
     assert [len(each) for each in found] == [0, 0, 0, 1, 0]

@@ -51,7 +51,7 @@ def call(*args, code=0):
     return result.output
 
 
-def test_a_file_that_tells_everything_is_asked_nothing(tmp_path):
+def test_a_file_that_shows_everything_is_asked_nothing(tmp_path):
     path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F})
     assert asked(path) == {}
 
@@ -158,7 +158,7 @@ def test_an_absolute_pressure_that_does_not_say_so_is_asked_for(tmp_path):
     assert found["columns.P [kPa].line.offset"].used == "-101.325 kPa"
 
 
-def test_the_contraction_that_no_name_tells_is_asked_for(tmp_path):
+def test_the_contraction_that_no_name_shows_is_asked_for(tmp_path):
     path = file(tmp_path / "monday.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F})
     assert [(key, question.used) for key, question in asked(path).items()] == [("trials.point.contraction", "")]
     path = file(tmp_path / "Festo-10mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F})
@@ -166,16 +166,16 @@ def test_the_contraction_that_no_name_tells_is_asked_for(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "told", "used"),
+    ("name", "reported", "used"),
     [("contraction [mm]", True, ""), ("x [mm]", False, "8 mm"), ("muscle length [mm]", False, "")],
 )
-def test_a_constant_length_is_no_step_test(tmp_path, name, told, used):
+def test_a_constant_length_is_no_step_test(tmp_path, name, reported, used):
     still = 8.0 + 0.004 * NOISE[2]
     path = file(tmp_path / "monday.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F, name: still})
     guess = guess_files([path])
     assert guess.kind == "isometric"
     found = asked(path)
-    if told:
+    if reported:
         assert found == {}
         assert "point: {contraction: 8 mm}" in map_text(guess, {})
     else:
@@ -190,7 +190,7 @@ def test_a_threshold_that_moves_the_slope_is_asked_for_with_what_each_does(tmp_p
     assert "the slope moves by" in question.question
 
 
-def test_the_frequency_of_a_sine_is_fitted_where_no_name_tells_it(tmp_path):
+def test_the_frequency_of_a_sine_is_fitted_where_no_name_shows_it(tmp_path):
     command = 300.0 + 100.0 * np.sin(2 * np.pi * 0.73 * T)
     late = 300.0 + 90.0 * np.sin(2 * np.pi * 0.73 * T - 0.3) + 0.2 * NOISE[0]
     x = 10.0 + 3.0 * np.sin(2 * np.pi * 0.73 * T - 0.5) + 0.002 * NOISE[2]
@@ -203,8 +203,8 @@ def test_the_frequency_of_a_sine_is_fitted_where_no_name_tells_it(tmp_path):
     (tmp_path / "map.yaml").write_text(map_text(guess, {}), encoding="utf-8")
     call("import", path, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs")
     (run,) = (tmp_path / "runs").iterdir()
-    told = json.loads(call("runs", "show", run, "--json"))
-    assert [trial["point"]["frequency"] for trial in told["trials"]] == [pytest.approx(0.73, rel=2e-3)]
+    reported = json.loads(call("runs", "show", run, "--json"))
+    assert [trial["point"]["frequency"] for trial in reported["trials"]] == [pytest.approx(0.73, rel=2e-3)]
 
 
 @pytest.mark.parametrize(
@@ -300,16 +300,16 @@ def test_a_file_without_a_time_is_asked_for_its_period(tmp_path):
 
 def test_open_questions_are_refused_answered_or_go_along(tmp_path):
     path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": 0.01 * P, "F [N]": F})
-    told = call("import", "--guess", path, "-o", tmp_path / "map.yaml")
-    assert "1 question that no file answers" in told
-    assert "[until then: kPa]" in told
+    reported = call("import", "--guess", path, "-o", tmp_path / "map.yaml")
+    assert "1 question that no file answers" in reported
+    assert "[until then: kPa]" in reported
     words = ["import", path, "--map", tmp_path / "map.yaml", "--out"]
     refused = call(*words, tmp_path / "none", code=3)
     assert "which unit is it? bar: at most 498 kPa" in refused
     assert "--set 'columns.P [kPa].unit=...'" in refused
     assert not (tmp_path / "none").exists()
-    told = call(*words, tmp_path / "typo", "--set", "columns.P.unit=bar", code=3)
-    assert "does not ask that" in told
+    reported = call(*words, tmp_path / "typo", "--set", "columns.P.unit=bar", code=3)
+    assert "does not ask that" in reported
     call(*words, tmp_path / "bar", "--set", "columns.P [kPa].unit=bar")
     (run,) = (tmp_path / "bar").iterdir()
     data = json.loads(call("process", run, "--json"))
@@ -322,8 +322,8 @@ def test_open_questions_are_refused_answered_or_go_along(tmp_path):
     (entry,) = json.loads((run / "manifest.json").read_text())["imported"]["unresolved"]
     assert (entry["what"], entry["used"]) == ("columns.P [kPa].unit", "kPa")
     assert "not answered columns.P [kPa].unit:" in call("runs", "show", run)
-    told = call("process", run, code=6)
-    assert "not accepted: isometric: not answered:" in " ".join(told.split())
+    reported = call("process", run, code=6)
+    assert "not accepted: isometric: not answered:" in " ".join(reported.split())
     page = tmp_path / "page.html"
     call("report", run, "-o", page)
     front = page.read_text(encoding="utf-8").split("<nav")[0]
@@ -339,8 +339,8 @@ def test_a_source_that_was_changed_afterwards_is_reported(tmp_path):
     source = run / "source" / path.name
     source.chmod(0o644)
     source.write_text(source.read_text(encoding="utf-8").replace("F [N]", "F [lbf]"), encoding="utf-8")
-    told = call("process", run, code=6)
-    assert f"source/{path.name} was changed: its sha256 does not fit" in told
+    reported = call("process", run, code=6)
+    assert f"source/{path.name} was changed: its sha256 does not fit" in reported
 
 
 def test_questions_of_maps_that_people_wrote(tmp_path):

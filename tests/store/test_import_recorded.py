@@ -24,14 +24,14 @@ def found(pattern, map_name, out):
     files = sorted(recorded_data().glob(pattern))
     assert files
     runs = import_files(files, MAPS / f"{map_name}.yaml", out)
-    told = [finding for run in runs for finding in run.findings]
-    assert all(finding.index is not None and finding.t is not None for finding in told)
-    return runs, told
+    reported = [finding for run in runs for finding in run.findings]
+    assert all(finding.index is not None and finding.t is not None for finding in reported)
+    return runs, reported
 
 
 def test_dropouts_gaps_and_a_slow_cell_of_the_pull_test(tmp_path):
-    (run,), told = found("mit_2-151/*characterization*/*_data.dat", "mit-2-151-pull", tmp_path)
-    kinds = {(finding.kind, finding.channel): finding for finding in told}
+    (run,), reported = found("mit_2-151/*characterization*/*_data.dat", "mit-2-151-pull", tmp_path)
+    kinds = {(finding.kind, finding.channel): finding for finding in reported}
     assert (kinds["dropout", "pressure"].index, kinds["dropout", "pressure"].count) == (0, 65)
     assert kinds["dropout", "supply"].count == 127
     assert "8.03 s" in kinds["gap", ""].text
@@ -41,19 +41,19 @@ def test_dropouts_gaps_and_a_slow_cell_of_the_pull_test(tmp_path):
 
 
 def test_zeros_in_the_command_and_a_late_pressure_of_the_steps(tmp_path):
-    runs, told = found("mit_2-151/*step_exp/*_data.dat", "mit-2-151-step", tmp_path)
-    kinds = Counter(finding.kind for finding in told)
+    runs, reported = found("mit_2-151/*step_exp/*_data.dat", "mit-2-151-step", tmp_path)
+    kinds = Counter(finding.kind for finding in reported)
     assert kinds["blip"] == len(runs) == 5
-    assert all(finding.count == 2 for finding in told if finding.kind == "blip")
-    (late,) = [finding for finding in told if finding.kind == "late"]
+    assert all(finding.count == 2 for finding in reported if finding.kind == "blip")
+    (late,) = [finding for finding in reported if finding.kind == "late"]
     assert late.t == pytest.approx(10.06, abs=0.01)
     assert kinds["cut-end"] == 1
     assert kinds["slow"] == 5
 
 
 def test_sines_have_no_step_whose_pressure_is_late(tmp_path):
-    _, told = found("mit_2-151/*frq*/*_data.dat", "mit-2-151-sine", tmp_path)
-    assert not [finding for finding in told if finding.kind in {"late", "rate", "sign"}]
+    _, reported = found("mit_2-151/*frq*/*_data.dat", "mit-2-151-sine", tmp_path)
+    assert not [finding for finding in reported if finding.kind in {"late", "rate", "sign"}]
 
 
 def test_rewritten_newtons_among_their_siblings(tmp_path):

@@ -70,8 +70,8 @@ def test_steps_of_the_measured_pressure_where_no_command_was_recorded(tmp_path):
     command = np.where((t >= 3) & (t < 8), 300.0, np.where((t >= 8) & (t < 12), 200.0, 100.0))
     P = lagged(t, command, 0.06) + noise(len(t), 0.3)
     data = imported(tmp_path, {"t": t, "p": P, "x": P / 20}, "recorded-step", "{by: step, smallest: 20 kPa, lead: 1 s}")
-    told = [(trial.point["from"], trial.point["pressure"]) for trial in data.trials]
-    assert told == [(100e3, 300e3), (300e3, 200e3), (200e3, 100e3)]
+    reported = [(trial.point["from"], trial.point["pressure"]) for trial in data.trials]
+    assert reported == [(100e3, 300e3), (300e3, 200e3), (200e3, 100e3)]
     assert [trial.commands[0].t for trial in data.trials] == pytest.approx([3.0, 8.0, 12.0], abs=0.04)
     assert all(trial.commands[0].data["found"] for trial in data.trials)
     reduced = steps([data])

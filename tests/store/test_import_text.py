@@ -23,8 +23,8 @@ def parse(path, content, layout, wanted, piece=4_000_000, **more):
     rows = reader.joined(
         [*(reader.feed(content[at : at + piece]) for at in range(0, len(content), piece)), reader.end()]
     )
-    told = {name: getattr(reader, name) for name in ("cut_end", "cut_row", "head")}
-    return SimpleNamespace(**vars(rows), **told)
+    reported = {name: getattr(reader, name) for name in ("cut_end", "cut_row", "head")}
+    return SimpleNamespace(**vars(rows), **reported)
 
 
 def table(tmp_path, content, layout=PLAIN, wanted=("t", "p", "f"), **more):
@@ -70,19 +70,19 @@ def test_decimal_comma_tabs_blanks_and_line_ends(tmp_path):
     assert '"1.5" is no number' in problem.message
 
 
-def test_quotation_marks_only_where_they_are_told(tmp_path):
+def test_quotation_marks_only_where_they_are_given(tmp_path):
     quoted = {**PLAIN, "quoted": True}
     assert table(tmp_path, b'"0","1.5","2"\n1,"2.5",3\n', quoted).columns["p"].tolist() == [1.5, 2.5]
     comma = {**quoted, "decimal": "comma"}
     assert table(tmp_path, b'"0","1,5","2"\n', comma).columns["p"].tolist() == [1.5]
     assert "is no number" in refused(tmp_path, b'"0","1.5","2"\n')[0].message
-    for content, told in ((b'0,"1.5,2\n', "within quotation marks"), (b'0,"1.5"x,2\n', "within quotation marks"),
+    for content, reported in ((b'0,"1.5,2\n', "within quotation marks"), (b'0,"1.5"x,2\n', "within quotation marks"),
                           (b'0,"1\t5",2\n', "a tab within a field"), (b'0,"two",2\n', '"two" is no number')):  # fmt: skip
         (problem,) = refused(tmp_path, content, quoted)
-        assert (problem.line, told in problem.message) == (1, True)
+        assert (problem.line, reported in problem.message) == (1, True)
 
 
-def test_missing_values_only_where_they_are_told(tmp_path):
+def test_missing_values_only_where_they_are_given(tmp_path):
     read = table(tmp_path, b"0,n/a,2\n1,3,-\n", {**PLAIN, "missing": ["n/a", "-"]})
     assert np.isnan(read.columns["p"][0])
     assert np.isnan(read.columns["f"][1])
@@ -134,9 +134,9 @@ def test_a_late_fault_is_found_at_its_line_too(tmp_path):
 
 def test_columns_are_named_by_the_map(tmp_path):
     problems = refused(tmp_path, b"T_(ms),p,f\n0,1,2\n", NAMED, ["T_(s)", "p", "f"])
-    told = [problem.message for problem in problems]
-    assert any('has no column "T_(s)"; did you mean "T_(ms)"?' in text for text in told)
-    assert any('does not say what column "T_(ms)" is' in text for text in told)
+    reported = [problem.message for problem in problems]
+    assert any('has no column "T_(s)"; did you mean "T_(ms)"?' in text for text in reported)
+    assert any('does not say what column "T_(ms)" is' in text for text in reported)
     assert "holds a header and no data" in refused(tmp_path, b"t,p,f\n", NAMED)[0].message
     assert "same name" in refused(tmp_path, b"t,t,f\n0,1,2\n", NAMED)[0].message
 

@@ -115,14 +115,14 @@ def test_a_clock_that_falls_by_less_than_half_a_day_is_an_error_of_the_clock(tmp
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [("10:20", "minutes and seconds"), ("25:61:00", "no time of the day"), ("13:00:00 PM", "no time of the day"),
      ("noon", "no clock"), ("10:20:30.", "no clock")],
 )  # fmt: skip
-def test_what_is_no_clock_is_refused_at_its_line(tmp_path, text, told):
+def test_what_is_no_clock_is_refused_at_its_line(tmp_path, text, reported):
     rows = [m.strftime("%H:%M:%S.%f") for m in moments()]
     rows[7] = text
-    with pytest.raises(InvalidFile, match=told) as caught:
+    with pytest.raises(InvalidFile, match=reported) as caught:
         read(tmp_path, rows, "  t: {is: time, written: clock}\n")
     assert caught.value.problems[0].line == 9
 
@@ -148,12 +148,12 @@ def test_rows_within_one_stamp_have_no_time(tmp_path):
 
 
 def test_a_map_that_says_two_things_of_time_is_refused(tmp_path):
-    for column, told in (
+    for column, reported in (
         ("  t: {is: time, written: index}\n", "period"),
         ("  t: {is: time, written: epoch}\n", "needs \"unit\""),
         ("  t: {is: time, unit: s}\n  d: {is: date}\n", "belongs to a time that is"),
     ):  # fmt: skip
-        with pytest.raises(InvalidFile, match=told):
+        with pytest.raises(InvalidFile, match=reported):
             read(tmp_path, [0.0], column)
 
 

@@ -45,9 +45,9 @@ def test_the_fixtures_are_what_their_script_makes(tmp_path):
 def test_a_run_keeps_the_file_its_readings_and_the_map(tmp_path):
     source = OLD / "isometric" / "10mm_13cm_Kinked4mm_Test1.csv"
     run, data = one(source, ISOMETRIC, tmp_path)
-    told = data.manifest["imported"]
+    reported = data.manifest["imported"]
     assert (run.path / "source" / source.name).read_bytes() == source.read_bytes()
-    assert told["sha256"] == hashlib.sha256(source.read_bytes()).hexdigest()
+    assert reported["sha256"] == hashlib.sha256(source.read_bytes()).hexdigest()
     assert (run.path / "map.yaml").read_bytes() == ISOMETRIC.read_bytes()
     assert sorted(p.name for p in run.path.glob("map-included*"))
     assert data.status == "finished"
@@ -61,12 +61,12 @@ def test_a_run_keeps_the_file_its_readings_and_the_map(tmp_path):
     assert not verify(run.path)
 
 
-def test_names_tell_the_point_and_the_test(tmp_path):
+def test_names_show_the_point_and_the_test(tmp_path):
     runs = import_files(sorted(OLD.glob("isometric/*.csv")), ISOMETRIC, tmp_path)
-    told = {run.source.stem: open_run(run.path).trials[0] for run in runs}
-    assert told["10mm_13cm_Kinked4mm_Test10"].point == {"contraction": 0.004}
-    assert told["10mm_13cm_Kinked4mm_Test10"].repeat == 10
-    assert told["10mm_13cm_Unkinked_Test2"].point == {"contraction": 0.0}
+    reported = {run.source.stem: open_run(run.path).trials[0] for run in runs}
+    assert reported["10mm_13cm_Kinked4mm_Test10"].point == {"contraction": 0.004}
+    assert reported["10mm_13cm_Kinked4mm_Test10"].repeat == 10
+    assert reported["10mm_13cm_Unkinked_Test2"].point == {"contraction": 0.0}
 
 
 def test_phases_come_from_their_column_or_from_the_map(tmp_path):
@@ -113,7 +113,7 @@ def test_a_last_line_without_an_end_is_not_trusted(tmp_path):
     assert data.trials[-1].flags[-1] & Flag.SUSPECT
 
 
-def test_the_frequency_of_a_sine_stands_in_the_name_with_a_decimal_comma(tmp_path):
+def test_the_frequency_of_a_sine_is_in_the_name_with_a_decimal_comma(tmp_path):
     runs = [open_run(run.path) for run in import_files(polled("sine"), OLD / "sine.yaml", tmp_path)]
     frequencies = [run.trials[0].point["frequency"] * 2 * np.pi for run in runs]
     assert frequencies == pytest.approx([6.28, 12.56, 18.84])

@@ -28,11 +28,11 @@ def killed(tmp_path_factory):
 
 
 def test_every_survivor_opens_and_loses_at_most_a_quarter_of_a_second(killed, record_property):
-    parent, told = killed
-    assert len(told) == KILLS
+    parent, reported = killed
+    assert len(reported) == KILLS
     record_property("cases", KILLS)
-    assert any(run["sure"] > 0 for run in told), "some were killed late enough to have lost something"
-    for run in told:
+    assert any(run["sure"] > 0 for run in reported), "some were killed late enough to have lost something"
+    for run in reported:
         kept = read_stream(parent / run["name"], raw=True)
         assert run["sure"] <= len(kept) <= run["most"], run
         time_ns, raw, flags = block(0, len(kept))
@@ -45,11 +45,11 @@ def test_every_survivor_opens_and_loses_at_most_a_quarter_of_a_second(killed, re
 
 
 def test_every_survivor_is_listed_as_interrupted_and_can_be_closed(killed):
-    parent, told = killed
+    parent, reported = killed
     rows = catalogue(parent)
     assert {row.status for row in rows} == {"interrupted"}
     assert len(rows) == KILLS
-    for run in told[:: max(1, KILLS // 20)]:
+    for run in reported[:: max(1, KILLS // 20)]:
         folder = parent / run["name"]
         assert any("interrupted" in str(finding) for finding in verify(folder))
         before = read_stream(folder)

@@ -146,7 +146,7 @@ def _add_file(folder):
     (folder / "notes" / "0002" / "more.txt").write_text("x")
 
 
-def _add_beside(folder):
+def _add_next_to(folder):
     (folder / "notes" / "remark.txt").write_text("x")
 
 
@@ -184,7 +184,7 @@ def test_removed_and_moved_notes_are_found(noted, harm, says):
     ("add", "says"),
     [
         (_add_file, "notes/0002/more.txt: was added to the note"),
-        (_add_beside, "notes/remark.txt: was put among the notes; it is none"),
+        (_add_next_to, "notes/remark.txt: was put among the notes; it is none"),
     ],
 )
 def test_what_was_put_among_the_notes_is_named_and_harms_none(noted, add, says):
@@ -212,7 +212,7 @@ def test_a_note_that_says_nothing_or_half_is_refused(tmp_path, given, says):
     assert read_notes(folder) == ()
 
 
-def test_what_cannot_be_noted_is_told_in_a_sentence(tmp_path):
+def test_what_cannot_be_noted_is_reported_in_a_sentence(tmp_path):
     folder = closed(tmp_path, rows=20)
     with pytest.raises(InvalidFile, match="has no trial 8 to exclude; it has trials 1 to 2"):
         add_note(folder, exclude=7, because="x")
@@ -257,11 +257,11 @@ def test_a_note_that_is_killed_anywhere_is_there_whole_or_not_at_all(tmp_path, p
     (tmp_path / "copies").mkdir()
     root = Path(__file__).parents[2]
     done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True, timeout=120)
-    told = [json.loads(line) for line in done.stdout.splitlines()]
-    record_property("cases", len(told))
-    assert len(told) > 20
+    reported = [json.loads(line) for line in done.stdout.splitlines()]
+    record_property("cases", len(reported))
+    assert len(reported) > 20
     seen = set()
-    for entry in told:
+    for entry in reported:
         run = Path(entry["run"])
         texts = [note.text for note in read_notes(run)]
         assert texts in (["first"], ["first", "seen afterwards"])
@@ -270,5 +270,5 @@ def test_a_note_that_is_killed_anywhere_is_there_whole_or_not_at_all(tmp_path, p
         add_note(run, "later")
         assert [note.text for note in read_notes(run)] == [*texts, "later"]
         assert verify(run) == []
-    assert told[-1]["ended"]
+    assert reported[-1]["ended"]
     assert seen == {1, 2}

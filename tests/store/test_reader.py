@@ -71,7 +71,7 @@ def test_commands_and_findings_belong_to_their_trial(run):
     assert second.found == {"lift": {"found": True, "pressure": 1.5e5}}
 
 
-def test_a_command_before_its_trial_begins_belongs_to_it_and_a_repeated_trial_stands_apart(tmp_path):
+def test_a_command_before_its_trial_begins_belongs_to_it_and_a_repeated_trial_is_another(tmp_path):
     writer = begin(tmp_path)
     command = {"output": "pressure", "type": "set", "before": 0.0, "phase": "p", "trial": 0}
     writer.event("command", 0.0, value=1.0, **command)

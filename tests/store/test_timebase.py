@@ -19,8 +19,10 @@ def place(t, other_t, values, rate, flags=None):
     """One channel on the times `t`, with the flags that come of it."""
     other_flags = np.zeros(len(other_t), np.uint16) if flags is None else np.asarray(flags, np.uint16)
     given = {"a": np.asarray(values, float)}
-    moved, told, how = onto(np.asarray(t), np.zeros(len(t), np.uint16), np.asarray(other_t), other_flags, given, rate)
-    return moved["a"].tolist(), told.tolist(), how
+    moved, reported, how = onto(
+        np.asarray(t), np.zeros(len(t), np.uint16), np.asarray(other_t), other_flags, given, rate
+    )
+    return moved["a"].tolist(), reported.tolist(), how
 
 
 def test_a_straight_line_comes_back_exactly_between_its_samples():
@@ -43,7 +45,7 @@ def test_an_exponential_comes_back_far_better_than_by_straight_lines():
     assert np.abs(values - pressure(t)).max() < 100.0
 
 
-def test_a_step_is_never_overshot_and_beside_a_hole_it_is_straight():
+def test_a_step_is_never_overshot_and_next_to_a_hole_it_is_straight():
     other = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.8, 0.9, 1.0])
     t = np.linspace(0, 1, 101)
     values, _, _ = place(t, other, [0, 0, 0, 5, 5, 5, 7, 20], 10.0)

@@ -273,7 +273,7 @@ def test_a_failed_sync_fails_the_run(tmp_path, monkeypatch):
     writer.close("error", "Input/output error")
 
 
-def test_a_failed_sync_that_nobody_was_told_of_fails_the_end(tmp_path, monkeypatch):
+def test_a_failed_sync_that_nobody_heard_of_fails_the_end(tmp_path, monkeypatch):
     monkeypatch.setattr("pmabench.store.writer.SYNC_EVERY", 0.0)
     writer = begin(tmp_path)
     writer.append("daq", *block(0, 5))

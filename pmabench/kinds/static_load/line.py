@@ -229,7 +229,7 @@ def _turning(turns: Array, gap: Array) -> tuple[int, NDArray[np.bool_]]:
     return best, np.array(left) <= left[best] + CHANCE * noise + (ALIKE**2 - 1) * off
 
 
-def stands_still(trial: TrialData, times: Mapping[str, float], gap: float) -> bool | None:
+def rests(trial: TrialData, times: Mapping[str, float], gap: float) -> bool | None:
     """Whether the load stood still while the pressure fell by most of `gap` [Pa]; None where it was not recorded."""
     ways = _ways(trial, times)
     if ways is None or not np.isfinite(gap):
@@ -324,7 +324,7 @@ def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Sti
             return None
         return Mean(points, without, before, moved is not None, held)
     seen = [still for trial, when, one in zip(own, times, gap, strict=True)
-            if (still := stands_still(trial, when, one)) is not None]  # fmt: skip
+            if (still := rests(trial, when, one)) is not None]  # fmt: skip
     raised = sum(loop is not None for loop in loops) > 0.5 * len(loops)
     why = YIELDS if seen and not raised and np.mean(seen) < 0.5 else ""
     return Mean(points, line, before, moved is not None, None, raised, why)

@@ -78,7 +78,7 @@ def test_the_way_back_of_a_test_that_was_left_out_is_predicted(runs):
     assert 0.03 <= lines <= 0.038, "a straight line per contraction leaves 3.4 %"
 
 
-def test_it_is_said_that_one_cycle_does_not_tell_hysteresis_from_creep(runs):
+def test_it_is_said_that_one_cycle_does_not_show_hysteresis_from_creep(runs):
     (analysis,) = reduce_together("surface", [run for _, run in runs])
     said = [finding.text for finding in analysis.findings if finding.level == "doubt"]
     assert any("one cycle at one speed does not tell hysteresis from creep" in text for text in said)

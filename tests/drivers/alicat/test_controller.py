@@ -146,7 +146,7 @@ def test_an_exhaust_that_somebody_else_opened_is_said(rig):
     assert "not by this program" in failure(device)
 
 
-def test_a_single_valve_controller_is_told_from_a_dual_valve_one(tmp_path):
+def test_a_single_valve_controller_is_distinguished_from_a_dual_valve_one(tmp_path):
     record = controller(tmp_path / "c", "modbus")
     single = replace(record, options={**record.options, "valves": 1})
     with emulated(single, preset="ideal") as (emulator, _):
@@ -276,7 +276,7 @@ SLOW = [
 
 
 @pytest.mark.parametrize("kind", ["silence", *SLOW])
-def test_every_call_ends_in_time_and_tells_the_truth(rig, kind):
+def test_every_call_ends_in_time_and_shows_the_truth(rig, kind):
     """Whatever the line does, a set-point that is not refused is the one that the device holds."""
     emulator, _, device = rig
     device.start(50.0)

@@ -94,7 +94,7 @@ def test_a_damaged_line_is_never_another_number():
     assert whole > 0  # a space, a status or a sign may be damaged and the digits still stand
 
 
-def test_a_refusal_and_another_unit_are_told_apart():
+def test_a_refusal_and_another_unit_are_distinguished():
     layout = read_layout(listing(UNIT_ID, GAUGE, SET_POINT, *STATUS), "A")
     for refusal in (b"?", b"A ?"):
         with pytest.raises(Wrong, match="refuses"):

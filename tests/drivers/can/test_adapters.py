@@ -40,7 +40,7 @@ def test_what_python_can_says_is_an_error_of_the_system():
         PythonCan("no-such-interface", "can0", 500_000)
 
 
-def test_a_serial_slcan_adapter_is_opened_and_told_its_rate():
+def test_a_serial_slcan_adapter_is_opened_and_given_its_rate():
     near, far = os.openpty()
     tty.setraw(far)
     try:

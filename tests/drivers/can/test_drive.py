@@ -199,7 +199,7 @@ def test_a_fault_from_before_is_acknowledged_once_and_a_new_one_is_not():
             driver.write(POSITION, 100.0)
 
 
-def test_a_fault_that_no_emergency_told_is_not_acknowledged_in_a_run_either():
+def test_a_fault_that_no_emergency_reported_is_not_acknowledged_in_a_run_either():
     with rig(bus(watchdog=0.0)) as (_emulator, served, driver):
         driver.write(POSITION, 0.0)
         node(served).objects[0x603F, 0].value = 0x3210
@@ -209,7 +209,7 @@ def test_a_fault_that_no_emergency_told_is_not_acknowledged_in_a_run_either():
         assert node(served).drive_state is State.FAULT
 
 
-def test_a_fault_whose_cause_stays_is_told_with_its_code():
+def test_a_fault_whose_cause_stays_is_reported_with_its_code():
     with rig(opened=False) as (_emulator, served, driver):
         drive = node(served)
         assert until(lambda: served._booted)

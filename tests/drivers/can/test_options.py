@@ -54,7 +54,7 @@ def test_the_rigs_are_right():
         (replace(bus(), outputs=(replace(bus().outputs[0], output="transducer.position"),)), "outputs.displacement.output", "no output"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told_at_its_place(record, place, message):
+def test_what_is_wrong_is_reported_at_its_place(record, place, message):
     import re
 
     found = problems(record)
@@ -79,7 +79,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_a_dbc_file_beside_the_bench_file_is_read_and_kept(folder):
+def test_a_dbc_file_next_to_the_bench_file_is_read_and_kept(folder):
     mounted = mount(folder / "bench.yaml", shipped_folder("specimen") / "mas-20-250-paper0.yaml")
     [device] = [device for device in mounted.bench.devices if device.name == "bus"]
     assert device.options["dbc"].startswith('VERSION "1"')

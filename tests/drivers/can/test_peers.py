@@ -237,9 +237,9 @@ def test_tshark_finds_nothing_malformed_in_what_was_exchanged(tmp_path):
     shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.splitlines()
     assert len(shown) == frames > 100
     assert not [line for line in shown if "alformed" in line or "rror" in line.split("\t", 1)[1]]
-    told = {line.split("\t")[0] for line in shown}
+    reported = {line.split("\t")[0] for line in shown}
     for what in ("SYNC", "PDO1 (rx)", "PDO1 (tx)", "PDO2 (tx)", "Default-SDO (tx): Upload segment response"):
-        assert what in told
+        assert what in reported
     for what in ("NMT: Start remote node [0x5]", "NMT Error Control: Operational [0xc]"):
-        assert what in told
-    assert "NMT Error Control: Operational [0x7f]" in told  # what feeds the drive's watchdog
+        assert what in reported
+    assert "NMT Error Control: Operational [0x7f]" in reported  # what feeds the drive's watchdog

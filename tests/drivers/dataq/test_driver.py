@@ -55,7 +55,7 @@ def test_every_scan_comes_once_at_the_devices_own_pace(tmp_path, model):
     assert columns["pressure"][-1] == pytest.approx(3.0, abs=0.02)  # 300 kPa at 1 V for 100 kPa
 
 
-def test_channels_are_told_apart_and_ranges_are_set(tmp_path):
+def test_channels_are_distinguished_and_ranges_are_set(tmp_path):
     record = daq(tmp_path / "daq", inputs=("a5", "a2"), model="DI-4108", ranges={"a5": "5 V", "a2": "0.5 V"})
     with rig(record) as (emulator, driver):
         emulator.plant.load(58.86, 8.0)

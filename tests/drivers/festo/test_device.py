@@ -161,7 +161,7 @@ def test_a_valve_leaves_its_neighbours_alone(rig):
     assert rig.inside._words[40003] == 0b10100000
 
 
-def test_what_the_terminal_took_away_is_not_put_back_beside_another_valve(rig):
+def test_what_the_terminal_took_away_is_not_put_back_next_to_another_valve(rig):
     rig.device.switch("do2.0", on=True)
     rig.inside._put(40003, 0)  # as its time-out does
     time.sleep(0.01)

@@ -14,7 +14,7 @@ FORMAT_AI, RANGE_AI, RANGE_AO = 5026, 5033, 5095
 """Function numbers of the module at place 3 and 4: 4828 + 64 * place + 6, 13 and 11."""
 
 
-def test_it_tells_who_answers_and_that_it_is_emulated():
+def test_it_shows_who_answers_and_that_it_is_emulated():
     with served() as rig:
         who = rig.device.open()
     assert (who.maker, who.model, who.firmware) == ("emulator of pmabench", f"{UNPROVEN}CPX-E", "1")

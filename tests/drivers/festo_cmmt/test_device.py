@@ -44,7 +44,7 @@ def test_opening_commands_nothing(rig):
     assert not any(rig.inside._out)
 
 
-def test_arming_holds_the_time_out_and_switches_on_where_it_stands(rig):
+def test_arming_holds_the_time_out_and_switches_on_where_it_is(rig):
     assert rig.device.arm_watchdog(0.4) == pytest.approx(0.4)
     assert rig.inside.timeout == 400
     assert until(lambda: rig.inside.enabled, 2)
@@ -99,9 +99,9 @@ def test_halt_stops_at_once_and_the_sine_is_over(rig):
     took, outcome = timed(device.halt, "position")
     assert outcome is None
     assert took < BOUND
-    stands, moves = place(rig), len(rig.log("move"))
+    is_there, moves = place(rig), len(rig.log("move"))
     time.sleep(0.3)
-    assert place(rig) == pytest.approx(stands, abs=1e-5)
+    assert place(rig) == pytest.approx(is_there, abs=1e-5)
     assert len(rig.log("move")) == moves
     assert rig.inside.enabled  # it holds
     device.write("position", 0.0)  # and goes on when it is told to
@@ -128,7 +128,7 @@ def test_halt_switches_nothing_on(rig):
     assert not rig.inside.enabled
 
 
-def test_a_drive_that_does_not_stop_is_told(rig, monkeypatch):
+def test_a_drive_that_does_not_stop_is_reported(rig, monkeypatch):
     device = on(rig)
     device.follow("position", Segment("ramp", device._clock.now(), 0.0, 20000.0, rate=5000.0))
     monkeypatch.setattr(rig.inside, "_hold", lambda: None)
@@ -166,7 +166,7 @@ def test_a_fault_is_acknowledged_only_where_the_bench_file_says_so():
         assert rig.inside.enabled
 
 
-def test_a_target_outside_its_stroke_ends_in_a_fault_that_the_samples_tell(rig):
+def test_a_target_outside_its_stroke_ends_in_a_fault_that_the_samples_show(rig):
     device = on(rig)
     device.start(100.0)
     why = "reports fault 110: it came to its positive software limit"
@@ -218,7 +218,7 @@ def test_a_drive_without_answers_is_an_error_in_time(rig, kind):
     assert until(well, 2)
 
 
-def test_samples_that_stay_away_are_told_after_a_quarter_of_a_second(rig):
+def test_samples_that_stay_away_are_reported_after_a_quarter_of_a_second(rig):
     rig.device.start(100.0)
     rig.server.faults.set("silence")
     time.sleep(0.15)
@@ -240,9 +240,9 @@ def test_a_drive_that_nobody_feeds_stops_by_itself():
         fed = time.monotonic()
         assert until(lambda: rig.log("watchdog"), 3)
         assert rig.log("watchdog")[0]["t"] - fed < 0.2 + 0.1 + 0.3  # the cycle falls silent after 0.1 s at most
-        stands = place(rig)
+        is_there = place(rig)
         time.sleep(0.2)
-        assert place(rig) == pytest.approx(stands, abs=1e-5)
+        assert place(rig) == pytest.approx(is_there, abs=1e-5)
         assert not rig.inside.enabled
 
 

@@ -53,7 +53,7 @@ def test_names_and_units_that_a_drive_does_not_have():
 
 
 @pytest.mark.realtime
-def test_it_tells_who_answers_and_that_it_is_emulated():
+def test_it_shows_who_answers_and_that_it_is_emulated():
     with served() as rig:
         who = rig.device.open()
     assert (who.maker, who.model, who.firmware) == ("emulator of pmabench", f"{UNPROVEN}CMMT-AS", "1")
@@ -118,7 +118,7 @@ def test_another_stack_reads_and_moves_the_same():
         host, port = rig.server.address.split(":")
         client = ModbusTcpClient(host, port=int(port), timeout=1, retries=0)
 
-        def told():
+        def reported():
             return client.read_holding_registers(100, count=28).registers
 
         try:
@@ -134,13 +134,13 @@ def test_another_stack_reads_and_moves_the_same():
             for control in (0x043E, 0x043F):
                 assert not client.write_registers(0, [control, 0x9100, *rest]).isError()
             deadline = 200
-            while not told()[0] & 1 << 2 and deadline:
+            while not reported()[0] & 1 << 2 and deadline:
                 deadline -= 1
-            assert told()[0] & (1 << 2 | 1 << 3 | 1 << 9 | 1 << 11) == 1 << 2 | 1 << 9 | 1 << 11
+            assert reported()[0] & (1 << 2 | 1 << 3 | 1 << 9 | 1 << 11) == 1 << 2 | 1 << 9 | 1 << 11
             client.write_registers(0, [0x047F, 0x9100, *rest])
-            assert told()[0] & 1 << 12
+            assert reported()[0] & 1 << 12
             place = [0xD8F0, 0xFFFF]
-            assert until(lambda: (words := told())[0] & 1 << 10 and words[5:7] == place, 5)
+            assert until(lambda: (words := reported())[0] & 1 << 10 and words[5:7] == place, 5)
             assert client.write_registers(400, [250, 0]).isError() is False
             assert client.read_holding_registers(400, count=2).registers == [250, 0]
             assert client.read_holding_registers(150, count=1).exception_code == 2

@@ -107,7 +107,7 @@ def test_homing_that_is_given_up_leaves_no_reference():
         assert not it.words[0] & TAKEN
 
 
-def test_where_it_stands_becomes_the_reference():
+def test_where_it_is_becomes_the_reference():
     with program() as (rig, it):
         it.send(ON | TASK, MDI | ABSOLUTE, 3000, 50)
         assert it.is_at(3000)
@@ -127,8 +127,8 @@ def test_jogging_goes_on_until_its_bit_goes():
         assert until(lambda: it.position > 500, 2)
         it.send(ON)
         assert not it.words[1] & JOGGING
-        stands = it.position
-        assert it.is_at(stands)
+        is_there = it.position
+        assert it.is_at(is_there)
 
 
 def test_a_velocity_goes_on_and_an_intermediate_stop_interrupts_a_task():
@@ -140,9 +140,9 @@ def test_a_velocity_goes_on_and_an_intermediate_stop_interrupts_a_task():
         assert until(lambda: it.words[0] & REACHED, 1)
         it.send(ON | TASK, MDI | ABSOLUTE, 9000, 10)
         it.send(ON & ~(1 << 5), MDI | ABSOLUTE, 9000, 10)
-        stands = it.position
-        assert stands < 8000
-        assert it.is_at(stands)
+        is_there = it.position
+        assert is_there < 8000
+        assert it.is_at(is_there)
         it.send(ON, MDI | ABSOLUTE, 9000, 10)
         assert it.is_at(9000)
 

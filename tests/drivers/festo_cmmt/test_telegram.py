@@ -17,7 +17,7 @@ def test_a_command_is_the_words_that_the_drive_expects():
     assert t.Command(acknowledge=True).words()[0] == 0x04BE
 
 
-def test_a_status_is_read_from_the_words_that_the_drive_tells():
+def test_a_status_is_read_from_the_words_that_the_drive_shows():
     words = [0x2A07, 0, 0, 0, 0, 0xEE90, 0xFFFE, 0, 0, 126, 0] + [0] * 17
     status = t.Status.of(words)
     assert (status.position, status.fault) == (-70000, 126)

@@ -121,7 +121,7 @@ def test_another_stack_reads_the_same():
 
 
 @pytest.mark.realtime
-def test_a_silent_device_is_told_and_a_ramp_is_stepped():
+def test_a_silent_device_is_reported_and_a_ramp_is_stepped():
     with rig(asked("T8")) as (emulator, served, device):
         device.start(100.0)
         device.follow("DAC0", Segment("ramp", device._clock.now(), 0.0, 3.0, rate=10.0))

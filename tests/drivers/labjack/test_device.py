@@ -168,7 +168,7 @@ def test_a_refusal_names_labjacks_own_reason(bench):
     device.disarm_watchdog()
 
 
-def test_nobody_there_is_told_at_once():
+def test_nobody_there_is_reported_at_once():
     device = LabJack(t7(address=f"127.0.0.1:{free_port()}"), RealClock())
     took, outcome = timed(device.open)
     assert "no connection to 127.0.0.1" in str(outcome)

@@ -59,7 +59,7 @@ def test_the_number_of_a_packet_has_16_bits():
     assert packets.lost == 1
 
 
-def test_what_the_device_left_out_is_a_gap_where_its_marker_stands():
+def test_what_the_device_left_out_is_a_gap_where_its_marker_is():
     """Five scans a packet; 700 are left out after scan 7, and the marker takes the place of none."""
     packets = Packets(2, 5)
     first = packet(0, [value for n in range(1, 6) for value in (n, n)], status=2940)

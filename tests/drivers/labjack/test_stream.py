@@ -153,7 +153,7 @@ def test_a_stream_that_fails_says_why_and_can_be_started_again(fault, value, why
         assert check(served, device, times, columns, 500.0)[0] == 1
 
 
-def test_a_lost_connection_is_told_with_what_came_before_it_kept():
+def test_a_lost_connection_is_reported_with_what_came_before_it_kept():
     with rig() as (_, served, device):
         device.start(500.0)
         time.sleep(0.2)

@@ -63,10 +63,12 @@ def test_a_device_that_ni_simulates_is_simulated_and_another_is_not(bench, monke
 
 def test_without_nis_driver_on_this_computer_it_says_what_to_do():
     device = NiDaq(daq(server=""), RealClock())
-    with pytest.raises(DeviceError, match="NI-DAQmx") as told:
+    with pytest.raises(DeviceError, match="NI-DAQmx") as reported:
         device.open()
-    if "knows no device" not in str(told.value):  # as on a computer that has it
-        assert "is not on this computer: install it from NI, or give the address of NI's gRPC server" in str(told.value)
+    if "knows no device" not in str(reported.value):  # as on a computer that has it
+        assert "is not on this computer: install it from NI, or give the address of NI's gRPC server" in str(
+            reported.value
+        )
 
 
 def test_without_nis_package_it_says_what_to_install(monkeypatch):
@@ -75,7 +77,7 @@ def test_without_nis_package_it_says_what_to_install(monkeypatch):
         NiDaq(daq(server=""), RealClock()).open()
 
 
-def test_a_name_that_ni_daqmx_does_not_know_is_told_with_those_that_it_knows(bench):
+def test_a_name_that_ni_daqmx_does_not_know_is_reported_with_those_that_it_knows(bench):
     served = bench[1]
     with pytest.raises(DeviceError, match='NI-DAQmx knows no device "Dev2"; did you mean "Dev1"'):
         NiDaq(daq(server=served.address, address="Dev2"), RealClock()).open()
@@ -107,7 +109,7 @@ def test_a_range_that_the_device_does_not_have_is_refused(bench, monkeypatch):
         NiDaq(daq(server=bench[1].address, ranges={"ai2": "0.2 V"}), RealClock()).open()
 
 
-def test_nobody_there_is_told_at_once(bench):
+def test_nobody_there_is_reported_at_once(bench):
     emulator, served, _device = bench
     emulator.close()
     took, outcome = timed(NiDaq(daq(server=served.address), RealClock()).open)
@@ -195,7 +197,7 @@ def test_a_command_ends_a_ramp_for_good(bench, monkeypatch):
     assert len(seen) == 1
 
 
-def test_a_ramp_whose_steps_fail_is_told(bench):
+def test_a_ramp_whose_steps_fail_is_reported(bench):
     _emulator, served, device = bench
     device.follow("ao0", Segment("ramp", 0.0, 0.0, 10.0, rate=0.1))
     served.faults.set("exception", -201003)
@@ -275,10 +277,10 @@ def test_every_call_ends_in_time_and_the_next_one_is_right(prompt, kind):
 def test_errors_of_ni_daqmx_are_sentences_with_their_code(bench, code, why):
     _emulator, served, device = bench
     served.faults.set("exception", code)
-    with pytest.raises(DeviceError, match=why) as told:
+    with pytest.raises(DeviceError, match=why) as reported:
         device.write("ao0", 1.0)
-    assert str(code) in str(told.value)
-    assert "\n" not in str(told.value)
+    assert str(code) in str(reported.value)
+    assert "\n" not in str(reported.value)
 
 
 # -- who else is there ------------------------------------------------------------------------------------------------
@@ -306,7 +308,7 @@ def test_a_program_that_died_leaves_no_task_behind(bench):
         device.close()
 
 
-def test_another_computers_sampling_is_told_as_reserved(bench, monkeypatch):
+def test_another_computers_sampling_is_reported_as_reserved(bench, monkeypatch):
     _emulator, served, device = bench
     start(device, 200.0)
     monkeypatch.setattr("pmabench_drivers.ni_daq.connection.socket.gethostname", lambda: "another")
@@ -350,6 +352,6 @@ def test_only_this_machine_is_served_and_a_server_must_be_named():
         Emulator([daq(server="")])
 
 
-def test_a_port_that_is_taken_is_told(bench):
+def test_a_port_that_is_taken_is_reported(bench):
     with pytest.raises(UsageError, match="the port is taken"):
         Emulator([daq(server=bench[1].address)])

@@ -111,7 +111,7 @@ def use(device):
     return good[0], sum(good[1:-1])
 
 
-def test_a_server_that_answers_anything_is_told_in_a_sentence(hostile):
+def test_a_server_that_answers_anything_is_reported_in_a_sentence(hostile):
     _handler, address = hostile
     for _ in range(cases(300) // 2):
         use(NiDaq(daq(server=address), RealClock()))

@@ -76,14 +76,14 @@ def test_the_port_of_the_server_is_the_usual_one_where_none_is_given():
         ),
     ],
 )
-def test_every_mistake_is_told_at_its_place(record, place, message):
+def test_every_mistake_is_reported_at_its_place(record, place, message):
     found = problems(record)
     assert message in found[place]
     with pytest.raises(DeviceError):
         NiDaq(record, RealClock())
 
 
-def test_the_shipped_bench_tells_of_the_missing_watchdog_and_names_the_remedy(tmp_path):
+def test_the_shipped_bench_shows_of_the_missing_watchdog_and_names_the_remedy(tmp_path):
     folder = shipped_folder("bench")
     shipped = mount(folder / "ni.yaml", SPECIMEN)
     assert [line for line in shipped.lacks if "no watchdog of daq, accepted by" in line]

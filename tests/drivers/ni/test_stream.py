@@ -114,7 +114,7 @@ def test_a_cut_connection_is_made_again_and_nothing_is_lost_that_was_not_asked_f
         assert len(set(range(held[-1] + 1)) - set(held)) == device.lost
 
 
-def test_a_server_that_was_restarted_has_no_tasks_and_that_is_told():
+def test_a_server_that_was_restarted_has_no_tasks_and_that_is_reported():
     with rig() as (_, served, device):
         start(device, 500.0)
         gather(device, 0.2)
@@ -149,20 +149,20 @@ def test_errors_while_it_samples_end_it_with_the_reason(code, why):
             gather(device, 1.0)
 
 
-def test_silence_is_told_with_its_reason():
+def test_silence_is_reported_with_its_reason():
     with rig() as (_, served, device):
         start(device, 500.0)
         gather(device, 0.1)
         served.faults.set("silence")
         reason = re.compile(r"no sample for \d+\.\d\d s: 127.0.0.1:\d+ did not answer")
-        until, told = time.monotonic() + 15.0, ""
-        while not reason.search(told):
-            assert time.monotonic() < until, told
+        until, reported = time.monotonic() + 15.0, ""
+        while not reason.search(reported):
+            assert time.monotonic() < until, reported
             try:
                 device.collect()
             except DeviceError as error:
-                told = str(error)
-                assert "no sample for" in told
+                reported = str(error)
+                assert "no sample for" in reported
             time.sleep(0.02)
 
 

@@ -127,9 +127,9 @@ def test_the_board_vents_after_silence_whatever_else_is_said_and_stays_so_until_
         time.sleep(0.005)
     assert 0.78 < time.monotonic() - silent
     assert not device.is_on("v0")
-    told = ""
-    while "has vented by itself" not in told:
-        told = str(timed(device.collect)[1])
+    reported = ""
+    while "has vented by itself" not in reported:
+        reported = str(timed(device.collect)[1])
         assert time.monotonic() - silent < 5.0
     assert collected(device, 5)  # told once: what comes after shows whether it is empty
     for call in (device.feed_watchdog, lambda: device.write("o0", 5.0), lambda: device.switch("v0", on=True)):

@@ -45,7 +45,7 @@ def streaming(hand, driver):
     assert hand.heard[-1] == ("G", 10000)
 
 
-def test_lost_samples_are_counted_and_their_gap_stands_at_its_place():
+def test_lost_samples_are_counted_and_their_gap_is_at_its_place():
     """Of 200 samples the numbers 50, 51 and 120 never arrive: two gaps, there, and nothing is closed up."""
     with Hand() as hand, opened(board(hand.address)) as driver:
         streaming(hand, driver)
@@ -133,7 +133,7 @@ def test_a_board_that_says_nothing_readable_is_soon_an_error_and_then_comes_back
 
 
 @pytest.mark.parametrize("kind", ["garbage", "double"])
-def test_what_stands_between_lines_and_lines_that_come_twice_do_no_harm(rig, kind):
+def test_what_is_between_lines_and_lines_that_come_twice_do_no_harm(rig, kind):
     served, device = rig
     device.start(100.0)
     served.faults.set(kind)
@@ -289,7 +289,7 @@ def test_a_ramp_that_is_refused_is_an_error_once_and_samples_go_on(rig):
 
 
 @pytest.mark.slow
-def test_the_plant_behind_the_emulator_does_what_the_board_is_told(rig):
+def test_the_plant_behind_the_emulator_does_what_the_board_is_asked_to(rig):
     """300 kPa and 58.86 N: 31.91 mm, the equilibrium of the plant's own example, and 0 after the valve is let go."""
     served, device = rig
     served.plant.load(58.86, 8.0)

@@ -26,10 +26,10 @@ def test_a_line_is_read_as_it_was_written():
 
 def test_no_flipped_bit_and_no_lost_or_doubled_byte_is_taken_for_a_line():
     line = encode("S", 41, 820015, 1, 512, 77, 1023)[:-1]
-    spoilt = [bytes([*line[:i], line[i] ^ 1 << bit, *line[i + 1 :]]) for i in range(len(line)) for bit in range(8)]
-    spoilt += [line[:i] + line[i + 1 :] for i in range(len(line))]
-    spoilt += [line[:i] + line[i : i + 1] + line[i:] for i in range(len(line)) if line[i] != line[i - 1]]
-    for other in spoilt:
+    damaged = [bytes([*line[:i], line[i] ^ 1 << bit, *line[i + 1 :]]) for i in range(len(line)) for bit in range(8)]
+    damaged += [line[:i] + line[i + 1 :] for i in range(len(line))]
+    damaged += [line[:i] + line[i : i + 1] + line[i:] for i in range(len(line)) if line[i] != line[i - 1]]
+    for other in damaged:
         with pytest.raises(NoLine):
             decode(other)
 

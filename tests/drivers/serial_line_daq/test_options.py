@@ -53,7 +53,7 @@ def test_a_board_that_only_measures_needs_no_watchdog():
     assert list(SerialLineDaq.check(record)) == list(SerialLineDaq.check(RIG)) == []
 
 
-def test_the_shipped_bench_is_right_and_a_mistake_in_it_is_told_with_its_line(tmp_path):
+def test_the_shipped_bench_is_right_and_a_mistake_in_it_is_reported_with_its_line(tmp_path):
     path = shipped_folder("bench") / "serial-line-daq.yaml"
     mounted = mount(path, SPECIMEN)
     [device] = mounted.bench.devices

@@ -102,7 +102,7 @@ def test_stuck_values_are_those_of_one_device(tmp_path):
         assert read() == 300.0
 
 
-def test_an_armed_watchdog_expires_when_told(tmp_path):
+def test_an_armed_watchdog_expires_when_asked(tmp_path):
     with emulated(regulator()) as (emulator, _):
         registers = emulator.devices["regulator"].registers
         with pytest.raises(ValueError, match="regulator has no armed watchdog"):

@@ -78,7 +78,7 @@ def test_writes_are_the_bytes_of_the_specification(function, address, words, ask
 
 def test_a_poll_that_waits_for_its_turn_does_not_open_what_is_closed_meanwhile():
     """A thread that polls is not waited for; the connection it would open then would be nobody's."""
-    asked, told = threading.Event(), []
+    asked, reported = threading.Event(), []
 
     def silent(_request):
         asked.set()
@@ -88,7 +88,7 @@ def test_a_poll_that_waits_for_its_turn_does_not_open_what_is_closed_meanwhile()
         try:
             line.read("holding", 0, 1, monotonic() + 20.0)
         except DeviceError as error:
-            told.append(error.message)
+            reported.append(error.message)
 
     with Peer(silent) as peer:
         line = line_to(peer, timeout=20.0)
@@ -100,7 +100,7 @@ def test_a_poll_that_waits_for_its_turn_does_not_open_what_is_closed_meanwhile()
         for thread in threads:
             thread.join()
         assert len(peer.requests) == 1
-    assert any("was closed" in message for message in told)
+    assert any("was closed" in message for message in reported)
 
 
 CODES = {

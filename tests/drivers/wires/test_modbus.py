@@ -126,7 +126,7 @@ def test_an_unknown_outcome_is_called_unknown(rig):
     assert len(sent(emulator)) == 1
 
 
-def test_a_call_gets_its_turn_beside_a_device_that_does_not_answer_to_polls():
+def test_a_call_gets_its_turn_next_to_a_device_that_does_not_answer_to_polls():
     """A peer that hears commands at once and never answers to the poll of the inputs."""
 
     def reply(request):

@@ -215,7 +215,7 @@ def test_the_shipped_bench_compiles_and_keeps_the_map_in_the_snapshot(tmp_path):
     assert type(mounted.bench).from_json(mounted.bench.to_json()) == mounted.bench
 
 
-def test_a_mistake_in_the_map_is_told_with_line_and_column_of_the_map(tmp_path):
+def test_a_mistake_in_the_map_is_reported_with_line_and_column_of_the_map(tmp_path):
     [problem] = problems(bench(tmp_path, registers=("type: float32", "type: flaot32")))
     place, _, message = problem.partition("  ")
     line = int(place.split(":")[1])
@@ -224,7 +224,7 @@ def test_a_mistake_in_the_map_is_told_with_line_and_column_of_the_map(tmp_path):
     assert message == '"flaot32" is not known here; did you mean "float32"?'
 
 
-def test_mistakes_in_the_bench_file_are_told_there(tmp_path):
+def test_mistakes_in_the_bench_file_are_reported_there(tmp_path):
     found = problems(bench(tmp_path, "input: e_stop", "input: e_stp"))
     assert len(found) == 1
     assert "wires.yaml:" in found[0]
@@ -237,10 +237,10 @@ def test_a_map_that_cannot_be_read_is_one_problem(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    ("address", "slowest", "told"),
+    ("address", "slowest", "reported"),
     [("/dev/ttyUSB0", "1 s", True), ("/dev/ttyUSB0", "200 ms", False), ("127.0.0.1:502", "1 s", False)],
 )
-def test_a_serial_line_on_which_one_lost_answer_ends_a_run_is_told(address, slowest, told):
+def test_a_serial_line_on_which_one_lost_answer_ends_a_run_is_reported(address, slowest, reported):
     lines = list(ModbusDevice.lacks(regulator(address, slowest=slowest)))
-    assert bool(lines) is told
+    assert bool(lines) is reported
     assert all("slowest" in line and "250 ms" in line for line in lines)

@@ -361,7 +361,7 @@ EXPLAINS = 0.7
 """Share of the excess that an explanation removes to be one."""
 FURTHER = 0.25
 """Share of what is left that another round removes to be kept, by a property of the muscle."""
-STILL_TOLD = 1.25
+STILL_APART = 1.25
 """Up to so many times the ratio at which the form is doubted, corrected values are printed, though not accepted."""
 
 
@@ -429,7 +429,7 @@ def explained(search: Search, before: State) -> Rounds:
 def _together(search: Search, before: State, now: State) -> State:
     """`now` with all properties of the muscle, in finest forms where one is found already and coarser ones fail."""
     together, mine = search.all_of_muscle(now), now.explanations[len(before.explanations) :]
-    if mine and all(one.of_muscle for one in mine) and together.test.ratio >= STILL_TOLD * together.test.most_ratio:
+    if mine and all(one.of_muscle for one in mine) and together.test.ratio >= STILL_APART * together.test.most_ratio:
         finest = search.finest(before, now)
         if ALONE * finest.excess < together.excess:
             return finest

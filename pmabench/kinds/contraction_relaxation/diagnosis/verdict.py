@@ -29,7 +29,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import HARDLY, MOST_HIDDEN, Hidden, Size
 from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     EXPLAINS,
-    STILL_TOLD,
+    STILL_APART,
     Rounds,
     Search,
     State,
@@ -98,7 +98,7 @@ class Diagnosis:
             return "corrected" if self.of_cell else "sound"
         explained = self.rounds.after.excess <= (1 - (NEARLY if test.doubted else EXPLAINS)) * before.excess
         sure = all(abs(one.size) > SURE * one.error for one in self.of_fit)
-        if not self.of_fit or not explained or not sure or test.ratio >= STILL_TOLD * test.most_ratio:
+        if not self.of_fit or not explained or not sure or test.ratio >= STILL_APART * test.most_ratio:
             return "withheld"
         alone = all(one.alone for one in self.rounds.rivals)
         if self.suspect or (test.ratio >= test.most_ratio and not alone):
