@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import floor, pi
+from math import floor, inf, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,10 @@ MIDDLE = 0.25
 """The width at mid stroke is read from samples within this share of the amplitude."""
 STILL = 1e-9
 """An amplitude below this [m] is rounding and no motion."""
-COARSE = 0.15
-"""Steps of a channel up to this share of its swing are evaluated."""
+COARSE, JUMPS = 0.15, 0.4
+"""Steps of a channel up to this share of its swing are evaluated. Two or three values are no steps of a converter but a
+channel that jumps, which is judged by its form.
+"""
 HARMONICS = 5
 """Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
 
@@ -127,7 +129,8 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
     t, x, F = t[good], x[good], F[good]
     steps = step_of(x), step_of(F)
     for name, y, step in zip(("displacement", "force"), (x, F), steps, strict=True):
-        if step > COARSE * np.ptp(y):
+        swing = float(np.ptp(y))
+        if step > COARSE * swing and not JUMPS * swing < step < inf:
             raise NotUsable(f"{name} has steps above {COARSE:.0%} of its swing: swing more, or read it in finer ones")
     lag = lags_of(run, trial)
     x, F = without_lag(t, x, frequency, lag["displacement"]), without_lag(t, F, frequency, lag["force"])

@@ -60,7 +60,7 @@ METHODS = {
     ),
 }
 PHASES = (("up to the highest", "fill"), ("down from the highest", "empty"), ("any", "rest"))
-"""Which command of an import, and what its phase is called; `any` is each other one."""
+"""Which command of an import, and what its phase is called; the last is for all others."""
 KIND = Kind(
     name="isometric-pressurisation",
     title="Isometric pressurisation",

@@ -213,6 +213,8 @@ class Search:
             campaign, segments = self._corrected(explanations)
             raw, one = self._solved(segments, fit, noise), explanations[place]
             sizes = one.sizes + sizes_of(raw, self.columns(one, campaign, segments, raw))
+            if not (np.abs(sizes) < 2 * MOST_LATE).all():  # no clock: another thing is wrong
+                break
             explanations = _with(explanations, place, tuple(sizes.tolist()))
         return explanations
 
