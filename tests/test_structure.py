@@ -119,3 +119,31 @@ def test_the_map_of_a_room_names_every_module(room):
     modules |= {path.name for path in folder.iterdir() if path.is_dir() and path.name != "__pycache__"}
     assert {name for name in modules - named if not name.endswith(("_figures", "_plots"))} == set()
     assert named - modules <= {"compare", "history"}
+
+
+LONGEST = 60
+"""Lines of a function without its docstring: what fits on a screen."""
+RIDDLES = {"told", "beside", "stands", "stood", "heed", "spoilt", "bite", "foreseen"}
+"""Words that a reader with another first language stumbles over; not in names."""
+
+
+def trees():
+    """Path and syntax tree of each module of the product and of each test."""
+    for folder in ("pmabench", "drivers", "tests"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            yield path.relative_to(ROOT), ast.parse(path.read_text("utf-8"))
+
+
+def test_functions_fit_on_a_screen_and_names_are_plain_words():
+    wrong = []
+    for path, tree in trees():
+        for node in ast.walk(tree):
+            names = {getattr(node, kind, None) for kind in ("name", "id", "arg", "attr")}
+            words = {word for name in names if isinstance(name, str) for word in name.lower().split("_")}
+            wrong += [f"{path}:{node.lineno} {word}" for word in RIDDLES & words]
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and path.parts[0] != "tests":
+                docstring = node.body[0] if ast.get_docstring(node) is not None else None
+                said = 0 if docstring is None else docstring.end_lineno - docstring.lineno + 1
+                length = node.end_lineno - node.lineno + 1 - said
+                wrong += [f"{path}:{node.lineno} {node.name}: {length} lines"] if length > LONGEST else []
+    assert wrong == []

@@ -222,10 +222,10 @@ def test_the_watchdog_vents_when_nobody_speaks(client, shared):
         client.feed_watchdog()
     assert not shared.commands("watchdog")
     eventually(lambda: shared.state()["fired"])  # who only looks does not feed it
-    (bite,) = shared.commands("watchdog")
-    assert bite["t"] - last > 1.0
-    assert 1.0 < bite["silent"] < 5.0
-    assert bite["pressure"] > 299e3
+    (expiry,) = shared.commands("watchdog")
+    assert expiry["t"] - last > 1.0
+    assert 1.0 < expiry["silent"] < 5.0
+    assert expiry["pressure"] > 299e3
     state = shared.state()
     assert (state["energised"], state["setpoints"]["pressure"]) == (False, 0.0)
     eventually(lambda: shared.state()["pressure"] < 1e3)

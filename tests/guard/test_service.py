@@ -157,7 +157,7 @@ def test_a_system_without_a_clock_that_sees_sleep_has_the_monotonic_one(monkeypa
     assert abs(process._since_boot() - time.monotonic()) < 1.0
 
 
-def test_a_guard_that_only_waits_for_a_device_has_not_stood_still(monkeypatch):
+def test_a_guard_that_only_waits_for_a_device_was_not_interrupted(monkeypatch):
     with Serving(threads=True) as serving:
         link = serving.armed()
         collect = serving.guard.links.collect

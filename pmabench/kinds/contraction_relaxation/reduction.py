@@ -156,6 +156,21 @@ def segments_like(
     return knots, lambda samples: cutter.cut(samples).within(knots)
 
 
+def _replays(
+    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], work: simulated.Stretches, other: Solved
+) -> Callable[[int], Segments]:
+    """Segments of replays of a fitted muscle along the stretches, by their seed; NotUsable where it does not move."""
+    run = simulated.run(other, work.P, work.dt, work.load, work.mass, work.x)
+
+    def replayed(seed: int) -> Segments:
+        seen_again = segments_of(simulated.measured(work, run, campaign.noise, campaign.cell, seed))
+        if len(seen_again) < 2 * FEWEST:
+            raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
+        return seen_again
+
+    return replayed
+
+
 def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     """The pooled fit of the corrected campaign with its trust; None where nothing moves, NotUsable where the fit itself
     would not move.
@@ -182,22 +197,10 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         polygons = [again.values(symbol, solved.knots) for symbol in SYMBOLS]
         return np.concatenate((*polygons, [again.coulomb]))
 
-    def replays_of(other: Solved) -> Callable[[int], Segments]:
-        """Segments of replays of a fitted muscle, by their seed."""
-        run = simulated.run(other, work.P, work.dt, work.load, work.mass, work.x)
-
-        def replayed(seed: int) -> Segments:
-            seen_again = segments_of(simulated.measured(work, run, campaign.noise, campaign.cell, seed))
-            if len(seen_again) < 2 * FEWEST:
-                raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
-            return seen_again
-
-        return replayed
-
     def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
         """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
         mine = segments.where(rows)
-        replay, count = replays_of(other), int(options.get("replays", REPLAYS))
+        replay, count = _replays(campaign, segments_of, work, other), int(options.get("replays", REPLAYS))
         replays = [other.again(replay(seed), rms_of(seen)).theta for seed in range(count)]
         skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
         drifts = drifts_of(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
@@ -209,7 +212,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         alone = replace(alone, correction=spread.of(solved, every, test.expected))
 
     def tests_of_noise(count: int) -> list[Test]:
-        found = map(replays_of(solved), range(count))
+        found = map(_replays(campaign, segments_of, work, solved), range(count))
         return [Test.of(campaign, one, solved.again(one, test.expected), test.expected) for one in found]
 
     departures = hidden(test, found.search.followed, diagnosis.weighed, alone, tests_of_noise)

@@ -21,7 +21,7 @@ from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
-CURVE, RAW, LOCAL = "mean-curve", "mean-curve, turns left in", "mean-curve, local"
+CURVE, RAW, LOCAL = OF_MEAN = "mean-curve", "mean-curve, turns left in", "mean-curve, local"
 GAP, MEAN_GAP, OPEN = "loop-gap", "loop-gap, mean over the stroke", "loop-gap, open loop"
 PLACES = 5
 """Places along the stroke at which force and stiffness are given."""
@@ -256,7 +256,7 @@ class Cell:
             gains = {"force": line.start, "displacement": over_x * (place or 0.0) - (0.0 if force else line.start)}
             offsets = {"force": 1.0 if force else 0.0, "displacement": over_x}
             part = self._part(scales, gains, offsets, over_P)
-            alone = AT_SPEED if self.one_speed and method in (CURVE, RAW, LOCAL) and force else ""
+            alone = AT_SPEED if self.one_speed and method in OF_MEAN and force else ""
             within = abs(self.gap.start) / 2 if alone else 0.0
             parts = Parts(line.half_start, hypot(extra, within), part, 0.0)
             at = self.at if method != LOCAL else {**self.at, "contraction": round(float(place or 0.0), 7)}
@@ -296,12 +296,17 @@ class Cell:
         K = abs(self.straight)
         found += self._gap_lines(scales, K, uneven, self._rising(dF_dP), near)
         found += self._work(scales, K, uneven, float(upper - lower), near)
-        if any(e.symbol == "F_c" and SHRINKS in e.note for e in found) and self._shrinks_by_creep:
-            mean = (CURVE, RAW, LOCAL)
-            found = [withhold(e, CREEPS) if e.method in mean and e.value is not None else e for e in found]
+        found = self._without_creep(found)
         if self.upside_down:
             return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
         return [weighed(e, self._doubts(e, K, float(upper - lower))) for e in found]
+
+    def _without_creep(self, found: list[Estimate]) -> list[Estimate]:
+        """Without what the mean curve gives, where creep makes part of the gap and of its slope."""
+        shrinks = any(e.symbol == "F_c" and SHRINKS in e.note for e in found)
+        if not (shrinks and self._shrinks_by_creep):
+            return found
+        return [withhold(e, CREEPS) if e.method in OF_MEAN and e.value is not None else e for e in found]
 
     def _over_pressure(self, near: Cell | None, of: Callable[[Cell], float]) -> float | None:
         """Change of a number of the cell with the pressure [per Pa]; None without another pressure at its middle."""

@@ -348,6 +348,13 @@ def _gap(one: Staircase) -> Array:
     return np.asarray(one.gap[:, int(np.argmin(np.abs(one.nominal - middle)))])
 
 
+def _near_a_turn(members: Sequence[Staircase]) -> str:
+    """Why there is no torque at an angle where a turn has not faded."""
+    w = max(one.turns.w for one in members if one.turns is not None)
+    near = f"a turn fades on {show(w, 'angle', 3)}, and this angle is within 3 times that of one"
+    return f"{near}: give an overrun of at least {show(CUT * w, 'angle', 3)}"
+
+
 def _estimates(
     at: Mapping[str, float], members: Sequence[Staircase], scales: Scales, moving: tuple[Left, Left]
 ) -> Iterator[Estimate]:
@@ -391,11 +398,7 @@ def _estimates(
         misplaced = likely * max(abs(float(one.angles[n] - angle)) for one in members)
         one = made("tau", torque, SIDES, [m.mean[:, n] for m in members], float(np.hypot(left, misplaced)),
                    likely * abs(float(angle)), whole / total, where, likely)  # fmt: skip
-        lacks = slack
-        if not opened[n]:
-            w = max(one.turns.w for one in members if one.turns is not None)
-            lacks = f"a turn fades on {show(w, 'angle', 3)}, and this angle is within 3 times that of one: give an "
-            lacks += f"overrun of at least {show(CUT * w, 'angle', 3)}"
+        lacks = slack if opened[n] else _near_a_turn(members)
         yield withhold(one, lacks) if lacks else weighed(one, of_torque, whole)
         if not why and opened[n]:
             place = int(opened[:n].sum())

@@ -217,7 +217,7 @@ def pcap(path, entries):
     return (len(parts) - 1) // 2
 
 
-@pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark")
+@pytest.mark.skipif(shutil.which("tshark") is None, reason="not run: no tshark")
 def test_tshark_finds_nothing_malformed_in_what_was_exchanged(tmp_path):
     log, file = tmp_path / "log.jsonl", tmp_path / "bus.pcap"
     with rig(log=log) as (_emulator, _served, driver):

@@ -246,8 +246,8 @@ def test_without_a_sign_of_life_the_outputs_go(rig):
     fed = time.monotonic()
     assert rig.log("watchdog") == []
     time.sleep(0.45)
-    [bite] = rig.log("watchdog")
-    assert 0.19 < bite["t"] - fed < 0.4
+    [expiry] = rig.log("watchdog")
+    assert 0.19 < expiry["t"] - fed < 0.4
     assert not device.is_on("do2.0")
     assert device.read_back("ao4.0") == 0.0
 

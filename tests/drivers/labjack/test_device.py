@@ -213,8 +213,8 @@ def test_the_watchdog_vents_when_its_key_is_missing(bench):
         device.read_back("DAC0")
         device.collect()
         time.sleep(0.02)
-    [bite] = sent(emulator, "watchdog")
-    assert 0.99 < bite["t"] - fed < 1.3
+    [expiry] = sent(emulator, "watchdog")
+    assert 0.99 < expiry["t"] - fed < 1.3
     assert device.read_back("DAC0") == 0.0
     assert not device.is_on("FIO0")
     assert until(lambda: emulator.plant.quantities()["pressure"] < 20e3)

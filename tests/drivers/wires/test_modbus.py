@@ -222,8 +222,8 @@ def test_the_devices_watchdog_vents_when_it_hears_nothing(rig):
     fed = time.monotonic()
     assert sent(emulator, "watchdog") == []
     time.sleep(0.4)
-    [bite] = sent(emulator, "watchdog")
-    assert 0.19 < bite["t"] - fed < 0.35
+    [expiry] = sent(emulator, "watchdog")
+    assert 0.19 < expiry["t"] - fed < 0.35
     assert not device.is_on("dump")
     assert device.read_back("pressure") == 0.0
 
