@@ -105,7 +105,7 @@ def _child(job: Mapping[str, Any], mount: Any) -> int:
     os.setsid()
     os.environ["PMABENCH_STATE"] = job["state"]
     os.chdir(job.get("cwd", "."))
-    reported = os.open(job["told"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    reported = os.open(job["reported"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(reported, 1)
     os.dup2(reported, 2)

@@ -101,9 +101,15 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         self.plant, self.folder, self.kind, self.bench = plant, folder, kind, made
         self.state = folder / "state"
-        self.reported = folder / f"told-{time.monotonic_ns()}"
+        self.reported = folder / f"reported-{time.monotonic_ns()}"
         self._forks = forks
-        job = {"state": str(self.state), "told": str(self.reported), "out": str(folder / "runs"), "kind": kind, **job}
+        job = {
+            "state": str(self.state),
+            "reported": str(self.reported),
+            "out": str(folder / "runs"),
+            "kind": kind,
+            **job,
+        }
         self.began = time.monotonic()
         self.pid = forks.run(bench=json.loads(made.to_json()), **job)
 

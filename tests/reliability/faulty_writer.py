@@ -2,7 +2,7 @@
 
 `python faulty_writer.py FOLDER CALL ERROR FIRST STEP` records one run after another into FOLDER/CALL-N with the N-th
 CALL on it failing (strace), N = FIRST, FIRST + STEP ... until none failed any more. One JSON line per run: its folder,
-whether a call failed, and how the recorder ended: `finished`, `told` (RecordError), or what else was raised.
+whether a call failed, and how the recorder ended: `finished`, `reported` (RecordError), or what else was raised.
 """
 
 import ctypes
@@ -19,7 +19,7 @@ from tests.store.runs import begin, block, record
 
 MAY_BE_TRACED = 0x59616D61
 """prctl: any process of the same user may trace this one, also where the system is strict (Yama)."""
-OUTCOMES = {0: "finished", 7: "told"}
+OUTCOMES = {0: "finished", 7: "reported"}
 
 
 def write_run(parent, ready, gate):

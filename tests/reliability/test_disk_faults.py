@@ -33,11 +33,11 @@ FULL = cases(6)
 
 def what_is_wrong(folder, how, most):
     """Sentences about a run whose recorder ended so; `most` rows were handed over."""
-    if how not in ("finished", "told"):
+    if how not in ("finished", "reported"):
         yield f"the recorder {how}"
     if not (folder / MANIFEST).exists():
-        if how != "told":
-            yield "there is no run, and nobody was told"
+        if how != "reported":
+            yield "there is no run, and nobody heard of it"
         elif folder.exists():
             yield "half a folder was left behind"
         return
@@ -52,7 +52,7 @@ def what_is_wrong(folder, how, most):
             yield f"is {run.status} with {rows} of {most} rows; its recorder {how}"
         yield from (str(finding) for finding in verify(folder))
     elif run.status not in ("error", "running", "interrupted"):
-        yield f"was told to be incomplete, and is {run.status}"
+        yield f"was reported as incomplete, and is {run.status}"
     elif run.status == "error":
         yield from (str(finding) for finding in verify(folder))
 
@@ -70,8 +70,8 @@ def test_a_call_that_fails_is_reported_or_nothing_is_missing(tmp_path, record_pr
     wrong = []
     for entry in reported:
         found = list(what_is_wrong(Path(entry["parent"]) / "run", entry["how"], 400))
-        if call in ("fsync", "fdatasync") and entry["failed"] and entry["how"] != "told":
-            found.append("a sync failed and nobody was told")
+        if call in ("fsync", "fdatasync") and entry["failed"] and entry["how"] != "reported":
+            found.append("a sync failed and nobody heard of it")
         wrong += [f"{call} {entry['number']}: {what}" for what in found]
     record_property("cases", len(reported))
     assert reported[0]["failed"]
@@ -95,7 +95,7 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_written(record_property):
     record_property("cases", len(reported))
     assert len(reported) == FULL + 1
     assert [entry for entry in reported if entry["wrong"]] == []
-    assert all(entry["told"] for entry in reported)
+    assert all(entry["reported"] for entry in reported)
 
 
 def fill_disks(folder, count):
@@ -121,8 +121,8 @@ def fill_disks(folder, count):
                 writer.close("error", "the disk is full")
         except RecordError as error:
             reported = error.exit_code
-        wrong = list(what_is_wrong(place / "run", "told", rows))
-        print(json.dumps({"case": number, "told": reported == 7, "wrong": wrong}), flush=True)
+        wrong = list(what_is_wrong(place / "run", "reported", rows))
+        print(json.dumps({"case": number, "reported": reported == 7, "wrong": wrong}), flush=True)
         subprocess.run(["umount", place], check=True)
     subprocess.run(["mount", "-t", "tmpfs", "-o", "ro", "none", place], check=True)
     reported = 0
@@ -131,7 +131,8 @@ def fill_disks(folder, count):
     except RecordError as error:
         reported = error.exit_code if "Read-only file system" in str(error) else 0
     print(
-        json.dumps({"case": "read-only", "told": reported == 7, "wrong": [str(p) for p in place.iterdir()]}), flush=True
+        json.dumps({"case": "read-only", "reported": reported == 7, "wrong": [str(p) for p in place.iterdir()]}),
+        flush=True,
     )
     subprocess.run(["umount", place], check=True)
 

@@ -36,7 +36,7 @@ def test_a_file_that_cannot_grow_fails_the_run(tmp_path, record_property):
                 finally:
                     writer.close("error", "the record failed")
             except RecordError as error:
-                reported = "told" if error.exit_code == 7 and "File too large" in str(error) else str(error)
+                reported = "reported" if error.exit_code == 7 and "File too large" in str(error) else str(error)
         wrong += [f"limit {limit}: {what}" for what in what_is_wrong(parent / "run", reported or "said nothing", rows)]
         if (parent / "run" / MANIFEST).exists() and open_run(parent / "run").status == "finished":
             wrong.append(f"limit {limit}: is finished")

@@ -200,7 +200,7 @@ def test_a_gap_that_no_flag_shows_of_is_found_and_a_flagged_one_is_not(tmp_path)
         writer.event("trial-end", 0.5, trial=0, status="finished")
         return writer.close("finished")
 
-    assert verify(run("told", 1)) == []
+    assert verify(run("reported", 1)) == []
     (finding,) = verify(run("silent", 0))
     assert str(finding) == "streams/daq: 0.102 s without a sample after t = 0.198 s, and no flag says so"
 

@@ -361,16 +361,28 @@ class Trials(Strict):
 
 
 class Meter(Strict):
-    """What makes a volume of the mass that a flow meter let in; SI, halves with 95 %."""
+    """What makes a volume of the mass that a flow meter let in; SI, halves with 95 %, bounds as of a protocol."""
 
-    dead: float
+    dead: Annotated[float, Field(ge=0.0, le=0.1)]
     """Volume between meter and muscle."""
-    dead_half: float
-    temperature: float = 293.15
-    temperature_half: float = 3.0
-    gain: float = 1.0
+    dead_half: Annotated[float, Field(ge=0.0, le=0.1)]
+    temperature: Annotated[float, Field(ge=250.0, le=350.0)] = 293.15
+    """[K]: degrees Celsius would be another volume, and are out of range."""
+    temperature_half: Annotated[float, Field(ge=0.0, lt=50.0)] = 3.0
+    gain: Annotated[float, Field(gt=0.0)] = 1.0
     """By which a known vessel in place of the muscle was found too small."""
-    gain_half: float = 0.0
+    gain_half: Annotated[float, Field(ge=0.0)] = 0.0
+
+
+def _form(value: object) -> str:
+    """Which form a setting has, so that a mistake in it is one problem and not one for each form."""
+    return "meter" if isinstance(value, dict | Meter) else "text" if isinstance(value, str) else "number"
+
+
+Setting = Annotated[
+    Annotated[float, Tag("number")] | Annotated[Text, Tag("text")] | Annotated[Meter, Tag("meter")],
+    Discriminator(_form),
+]
 
 
 class TestFile(Strict):
@@ -413,7 +425,7 @@ class MapFile(Strict):
     """Kind of test: then the file is reduced as a run of this program is; or a kind of recording."""
     simulated: bool = False
     """The file holds no measurement but what a simulation made."""
-    settings: Annotated[dict[Short, float | Text | Meter], Field(max_length=40)] = {}
+    settings: Annotated[dict[Short, Setting], Field(max_length=40)] = {}
     """Settings of the reduction in SI, as the protocol of the kind has them: `discard`, `turn`, `nominal_length` ..."""
     bench: Text = ""
     recorded: datetime.date | None = None
