@@ -107,8 +107,6 @@ class Service:
         self._pulse = Pulse()
         self._ended: dict[str, str] = {}
         self._vent: Vent | None = None
-        self._noticed: list[str] = []
-        """What devices did while the guard was stopped."""
         self._kept: dict[str, list[Block]] = {}
         self._served = self._asked_to_end = False
 
@@ -312,6 +310,7 @@ class Service:
         if self.guard.state is State.STOPPING:
             if now - self._looked > LOOK:
                 self._looked = now
+                self.guard.supervision.differences()  # a question that failed is asked again
                 if self.guard.feeds:
                     with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
                         self.guard.links.feed_watchdogs()
@@ -322,7 +321,7 @@ class Service:
         if self._pulse.lost > LOST_TIME and self.guard.state in ACTIVE:
             lost = f"{self._pulse.lost:.2f} s"
             self._end("trip", f"the guard was stopped for {lost}: suspended, starved, or this computer slept")
-            self._noticed = self.guard.supervision.differences()
+            self.guard.supervision.compare()
 
     def _look(self) -> None:
         try:
@@ -352,7 +351,7 @@ class Service:
         vent = self.guard.step_safe(self.guard.latest)
         if vent is None or self._vent is not None:
             return
-        self._vent = vent = Vent(vent.result, (*vent.actions, *self._noticed))
+        self._vent = vent = Vent(vent.result, (*vent.actions, *self.guard.supervision.differences()))
         why = self._ended["why"] if vent.confirmed else f"{self._ended['why']}; safe state {vent.result}"
         latched = self.guard.state is State.TRIPPED or not vent.confirmed
         with suppress(RecordError):

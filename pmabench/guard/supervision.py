@@ -8,7 +8,6 @@ at a time, so that a command waits for at most one of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import partial
 from math import inf
 
@@ -28,6 +27,7 @@ AGAIN = 0.03
 """A difference counts when it is still there so much later [s]: some devices show a new value only then."""
 LAG = 0.3
 """A device on a ramp or a sine may be so late, or hold set-points that are so early [s]."""
+UNANSWERED = "has not answered whether it is as it was when the bench was armed"
 ELSEWHERE = "it restarted, or something else commands it"
 
 
@@ -46,6 +46,8 @@ class Supervision:
         self._course, self._closed = course, closed
         self._held: dict[str, dict[str, float | str]] = {}
         """What each device reported when the bench was armed."""
+        self._compared: dict[str, Call] = {}
+        """Whether each device is still as it was then, asked apart from the round of questions."""
         self._asked: dict[str, Call] = {}
         self._count: dict[str, int] = {}
         self._since: dict[str, float] = {}
@@ -78,12 +80,19 @@ class Supervision:
                 self._since[name], self._count[name] = now, self._count.get(name, -1) + 1
                 self._asked[name] = self._links.submit(name, questions[self._count[name] % len(questions)])
 
-    def differences(self) -> list[str]:
-        """What devices report that is not as it was when the bench was armed; those that do not answer are left out."""
-        found = []
+    def compare(self) -> None:
+        """Have every device asked whether it is still as it was when the bench was armed; does not wait."""
         for name in self._held:
-            with suppress(DeviceError):
-                found.append(f"{name}: {self._links.call(name, partial(self._held_differs, name))}")
+            self._compared[name] = self._links.submit(name, partial(self._held_differs, name))
+
+    def differences(self) -> list[str]:
+        """What came of `compare` so far, for each device that changed or has not answered; failed questions again."""
+        found = []
+        for name, call in list(self._compared.items()):
+            if call.error is not None:
+                self._compared[name] = self._links.submit(name, partial(self._held_differs, name))
+            answered = call.done.is_set() and call.error is None
+            found.append(f"{name}: {call.result if answered else UNANSWERED}")
         return [text for text in found if not text.endswith(": ")]
 
     def _questions(self, record: DeviceRecord) -> list[Act]:

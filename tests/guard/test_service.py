@@ -698,12 +698,49 @@ def test_a_device_that_reports_nothing_of_itself_is_watched_by_its_outputs():
         ended_by(serving, "was commanded to 0 kPa and the device holds 600 kPa", how="trip")
 
 
-def test_what_devices_did_in_lost_time_is_recorded_where_they_can_say_it():
+@pytest.mark.parametrize("failure", ["hangs", "an answer was lost"])
+def test_what_a_device_did_in_lost_time_is_recorded_although_it_answers_late(monkeypatch, failure):
+    """A question was under way when both stood still; the first answers after it come late, or not at all."""
     with Serving(threads=True) as serving:
         serving.armed()
-        assert serving.guard.supervision.differences() == []
+        serving.rig.reads["pressure"] = 3e5
+        serving.rig.wrong["held"] = threading.Event() if failure == "hangs" else failure
+        boot = time.clock_gettime
+        monkeypatch.setattr(process.time, "clock_gettime", lambda clock: boot(clock) + 0.9)
+        serving.rig.reports["watchdog"] = 0.0
+        until = time.monotonic() + 0.4  # longer than a call may take
+        while time.monotonic() < until:
+            serving.service.turn()
+        held = serving.rig.wrong.pop("held")
+        if failure == "hangs":
+            held.set()
+        until = time.monotonic() + 0.1
+        while time.monotonic() < until:
+            serving.service.turn()
+        serving.rig.reads["pressure"] = 0.0
+        ended_by(serving, "the guard was stopped for", how="trip")
+        noticed = "dac: its watchdog was 1 when the bench was armed and is 0 now"
+        assert any(action.startswith(noticed) for action in serving.service._vent.actions)
+
+
+def test_a_device_that_never_says_what_it_did_in_lost_time_is_named(monkeypatch):
+    with Serving(threads=True) as serving:
+        serving.armed()
         serving.rig.wrong["held"] = "does not answer"
-        assert serving.guard.supervision.differences() == []
+        boot = time.clock_gettime
+        monkeypatch.setattr(process.time, "clock_gettime", lambda clock: boot(clock) + 0.9)
+        ended_by(serving, "the guard was stopped for", how="trip")
+        said = "dac: has not answered whether it is as it was when the bench was armed"
+        assert serving.service._vent.actions[-1] == said
+
+
+def test_devices_that_are_as_they_were_are_not_named(monkeypatch):
+    with Serving(threads=True) as serving:
+        serving.armed()
+        boot = time.clock_gettime
+        monkeypatch.setattr(process.time, "clock_gettime", lambda clock: boot(clock) + 0.9)
+        ended_by(serving, "the guard was stopped for", how="trip")
+        assert not [action for action in serving.service._vent.actions if action.startswith("dac: ")]
 
 
 # -- strangers (S15) --------------------------------------------------------------------------------------------------
