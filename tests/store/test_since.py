@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from pmabench.base.errors import InvalidFile
+from pmabench.store import since
 from pmabench.store.catalogue import catalogue
 from pmabench.store.chain import continued
 from pmabench.store.notes import add_note
 from pmabench.store.reader import open_run, read_stream
-from pmabench.store import since
 from pmabench.store.since import fingerprint, late_files
 from pmabench.store.verify import verify
 from tests.store.runs import begin, closed, record
