@@ -1,6 +1,6 @@
 """Isometric tests of other programs: the line F = m P + c at each contraction.
 
-- `reduction`
+- `reduction`; `form` (late sensors, branches that are sampled unevenly, drift)
 """
 
 from dataclasses import replace

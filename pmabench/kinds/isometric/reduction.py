@@ -13,6 +13,7 @@ import numpy as np
 
 from pmabench.analysis.imported import flagged_counts, import_findings, rule_of, unusable_because
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import weighed
 from pmabench.analysis.shared.isometric_lines import (
     FEWEST,
     METHOD,
@@ -31,6 +32,7 @@ from pmabench.analysis.shared.trials import ONE_SESSION, session_of
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric import RESULTS
+from pmabench.kinds.isometric.form import departures, on_time_run
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
 
@@ -54,11 +56,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     into one least-squares line (samples count alike). The repeats part is Student's t on the scatter of the sessions'
     mean slopes, with one session on that of the tests: samples within a test are no repeats. The thresholds of
     `also_at` [N] are shown as methods of their own, since a threshold on the fitted quantity bends the fit; the largest
-    change that one of them, the upper half of the force, or equal weights of the sessions make is the method part.
+    change that one of them, the upper half of the force, equal weights of the sessions or of rising and falling
+    pressure make is the method part, with what the sensors' lags may be off.
 
     `options` (else the rule of the import map, else the values given here): `force_above` (what a slack muscle reads),
     `also_at` (`RANGE` of the largest force above `force_above`), `phases` [] (all).
     """
+    runs = [on_time_run(run) for run in runs]
     rule, findings = rule_of(runs, options or {})
     phases = [str(name) for name in rule.get("phases") or ()]
     above = float(rule.get("force_above") or 0.0) or _above_slack(runs, phases)
@@ -74,8 +78,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         fits = _fits(tests, above, asked)
         first = fits[above]
         at = {"contraction": contraction}
-        lines = [(pooled.line.m, pooled.line.c) for pooled in fits.values()]
-        m, c = estimates_of(first, tests, at, others=[*lines, first.mean])
+        found = departures(tests, lambda test: test.F > above, (first.line.m, first.line.c))
+        lines = [first.mean, *((pooled.line.m, pooled.line.c) for pooled in fits.values())]
+        m, c = (weighed(e, found.doubts(e)) for e in estimates_of(first, tests, at, others=lines))
         estimates += [m, c]
         for threshold in sorted(set(asked) & set(fits)):
             m_there, _ = estimates_of(fits[threshold], tests, at, f"{METHOD} above {show(threshold, 'force')}")
@@ -83,8 +88,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         line = first.line
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
         by_phase = branches(tests, lambda test: test.F > above, phases)
-        findings += _sentences(contraction, fits, above, by_phase)
-        forces = forces_of(first, tests, [*lines, first.mean])
+        findings += [*_sentences(contraction, fits, above, by_phase), *found.findings(_where(contraction), line.m)]
+        forces = forces_of(first, tests, [*lines, *found.lines((line.m, line.c))])
         cells.append({**_facts(contraction, tests, fits, above), "forces": forces, "slopes_of_phases": by_phase})
         traces.append(_trace(contraction, tests, line, above))
     if estimates:
@@ -113,7 +118,7 @@ def _above_slack(runs: Sequence[RunData], phases: Sequence[str]) -> float:
             test, _ = as_test(run, trial, phases)
             if test is not None and len(test.F) >= FEWEST:
                 least = test.P <= test.P.min() + AT_REST * np.ptp(test.P)
-                level = float(np.median(test.F[least]))
+                level = max(float(np.median(part)) for part in np.array_split(test.F[least], 2) if len(part))
                 slack = level if 0 < level < AT_REST * float(test.F.max()) else 0.0
                 found.append(slack + NOISE * noise_of(test.F))
     return max(found)
@@ -151,10 +156,14 @@ def _lack(test: Test, above: float) -> str:
     return f"{count} usable samples above {show(above, 'force')} (flagged: {flagged}), {FEWEST} are needed"
 
 
+def _where(contraction: float) -> str:
+    return f"contraction {show(contraction, 'length', 3)}"
+
+
 def _sentences(
     contraction: float, fits: Mapping[float, Pooled], above: float, by_phase: Mapping[str, float]
 ) -> list[Finding]:
-    where = f"contraction {show(contraction, 'length', 3)}"
+    where = _where(contraction)
     slopes = {threshold: pooled.line.m for threshold, pooled in sorted(fits.items())}
     lines = []
     if len(slopes) > 1:
@@ -197,7 +206,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
 
 def _along(x: float, like: Estimate, rows: Sequence[Sequence[float]]) -> Offer:
     """F at one contraction [m], between the first and the last pressure of `rows`, as `forces_of` makes them."""
-    F = replace(like, symbol="F", unit="N", quantity="force", coordinate="")
+    F = replace(like, symbol="F", unit="N", quantity="force", coordinate="", budget=())
     known = [(P, replace(F, value=value, parts=Parts(*parts))) for P, value, *parts in rows]
 
     def at(place: Place) -> Estimate | None:
