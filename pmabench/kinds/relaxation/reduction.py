@@ -7,7 +7,7 @@ exponentials, go through means over equal parts of log t, so that each decade co
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log10, sqrt
 from typing import Any
@@ -143,7 +143,12 @@ UNLIKE = 1.5
 """So many times what this hold shows may an earlier one have relaxed."""
 ZERO_SEEN = 6.0
 """So many times its noise is a change of the force without pressure one of the cell."""
-BEND, BEFORE, ZERO = "bend over log t", "holds before", "zero of the force"
+UNPROPORTIONAL = 3.0
+"""By how much more than in proportion a force may grow with the pressure where one pressure only was held: a muscle
+that pulls a quarter of what it would without contraction does so."""
+LEAST_SHARE, OF_SHARE = 0.5, 1.5
+"""Where several were held, it is what their forces show, times OF_SHARE, and at least this."""
+BEND, BEFORE, ZERO, PRESSURE = "bend over log t", "holds before", "zero of the force", "pressure"
 
 
 @dataclass(frozen=True)
@@ -253,7 +258,7 @@ class Course:
             Doubt(BEND, "method", abs(bend.size / 2), bend.seen, bent),
             Doubt(ZERO, "drift", abs(ends), abs(self.zero) > ZERO_SEEN * self.noise, zero),
             Doubt(BEFORE, "drift", abs(s * left), bool(self.before), before),
-            Doubt("pressure", "method", abs(other / 2), False, f"{pressure}. Look at the regulator"),
+            Doubt(PRESSURE, "method", abs(other), False, f"{pressure}. Look at the regulator"),
             Doubt("moment of the step", "method", abs(s * moment), False),
         ]
 
@@ -358,7 +363,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings: list[Finding] = []
     for (x, P), group in sorted(cells.items()):
         at = {"pressure": P, "contraction": x}
-        estimates += [*_line(at, group, scales), *_prony(at, group, scales)]
+        more = _unproportional(P, {p: one for (place, p), one in cells.items() if place == x})
+        estimates += [*_line(at, group, scales, more), *_prony(at, group, scales)]
         findings.append(_words(at, group))
     if estimates and (lack := scales.lack(("force",))):
         findings.append(Finding("note", lack))
@@ -386,8 +392,25 @@ def _repeats(values: Sequence[float], noise: Sequence[float]) -> float:
     return max(own, spread(values) or 0.0)
 
 
-def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> list[Estimate]:
-    """Relaxation s and F_1 of one cell; the doubts are those of the trial that has the largest."""
+def _unproportional(P: float, cells: Mapping[float, Sequence[Course]]) -> float:
+    """By how much more than in proportion the force may grow with the pressure at P [Pa], relative.
+
+    Force and pressure are divided as if F = m P. With F = m P - F_0 a relative change of P is worth m P / F in F.
+    `cells`: pressure -> trials at one contraction.
+    """
+    known = sorted(cells)
+    if len(known) < 2:
+        return UNPROPORTIONAL
+    F = [float(np.mean([one.start for one in cells[at]])) for at in known]
+    steep = float(np.gradient(F, known)[known.index(P)])
+    return max(LEAST_SHARE, OF_SHARE * abs(steep * P / F[known.index(P)] - 1))
+
+
+def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales, more: float) -> list[Estimate]:
+    """Relaxation s and F_1 of one cell; the doubts are those of the trial that has the largest.
+
+    `more` is `_unproportional`.
+    """
     names = tuple(one.trial.name for one in group)
     note = ONE if len(group) == 1 else ""
     s, F = [one.per_decade for one in group], [one.start for one in group]
@@ -405,9 +428,12 @@ def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> l
     start = Estimate("F_1", level, "N", "force", LINE, dict(at), parts, n, note=note, trials=names)
     left = Doubt(BEFORE, "drift", max(one.left_behind for one in group), seen=False)
     # the force need not grow in proportion to the pressure by which it is brought to that of the step
-    share = Doubt("mean pressure", "method", 0.5 * max(one.off * abs(one.start) for one in group), seen=False)
-    doubts = _largest([one.doubts() for one in group])
-    of_start = [left, share, *_largest([one.doubts_of_start() for one in group])]
+    share = Doubt("mean pressure", "method", more * max(one.off * abs(one.start) for one in group), seen=False)
+    doubts, of_start = (
+        [replace(d, half=more * d.half) if d.name == PRESSURE else d for d in _largest(of)]
+        for of in ([one.doubts() for one in group], [one.doubts_of_start() for one in group])
+    )
+    of_start += [left, share]
     return [weighed(slope, doubts, max(LEAST, abs(slope.value or 0.0))), weighed(start, of_start)]
 
 
