@@ -1,7 +1,7 @@
 """Ultimate gain and period of the position loop: by a rising gain, a relay, or steps without a loop.
 
 - `reduction`: rising gain by `levels`; relay by `relay`; steps without a loop by `open_loop`,
-  `open_loop_fit`; a campaign of contractions by `model_gain`; the ways against each other in `ways`
+  `open_loop_fit`, `open_loop_form`; a campaign of contractions by `model_gain`; the ways against each other in `ways`
 - protocol files: `protocol`; one trial on the display: `reduction`
 """
 
@@ -18,8 +18,9 @@ METHODS = {
         "the steps show them, are fitted from command to pressure, a gain, a lag for each direction and the inertia "
         "from the measured pressure to the "
         "contraction; K_u and T_u solve the phase equation ω L + Σ atan(ω T) = π of both, with the mean of the two "
-        "directions (Ziegler and Nichols 1942). Where rests depend on the side they were reached from, as friction "
-        "makes them, neither is reported."
+        "directions (Ziegler and Nichols 1942). A contraction that begins before its pressure shows a filter of the "
+        "gauge, which is taken off. Where rests depend on the side they were reached from, as friction makes them, or "
+        "a valve limits the flow, neither is reported."
     ),
     "gain-steps": (
         "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings is fitted "

@@ -8,7 +8,7 @@ Knows the trials' samples and commands; not how the closed loop finds the same.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from math import isfinite, sqrt
@@ -19,8 +19,10 @@ import numpy as np
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.analysis.shared.samples import STEPS, step_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
+from pmabench.kinds.ultimate_gain.open_loop_form import Flow, flow_limited, gauge_filter, read_in_steps
 from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, lags_of, oscillating, repeats, scaled
 from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
@@ -32,6 +34,10 @@ BEFORE = 0.5
 FEWEST_CYCLES = 3
 GAP = {"doubt": 0.002, "fault": 0.04}
 """Distance between the rests reached from both sides, over the swing between the outer rests: 0 without friction."""
+FILTERED = "the displacement moves before the measured pressure does: the gauge has a filter"
+SURE, ALIKE, SHOWN = 10.0, 4.0, 2.0
+"""Twice the logarithm of a ratio of likelihoods from which on one form is sure, below which two are alike, and from
+which on more than the simplest form is there."""
 OF_GAP = 7.0
 """Share by which K_u and T_u may be off where rests depend on their side, over that gap: what play and creep make of
 loops of known gain is at most that."""
@@ -51,6 +57,9 @@ class StepsFound(Examined):
     """Relative distance of K_u and of T_u with the lags of one direction alone, the larger of both."""
     amplitude: float = 0.0
     """[Pa]."""
+    steps: tuple[Step, ...] = ()
+    departures: tuple[tuple[Doubt, Doubt], ...] = ()
+    """What may be of another form than the loop: its effects on K_u and T_u, as shares."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; what is not known as None."""
@@ -101,38 +110,87 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
     period = 1 / run.rate if run.rate > 0 else float(np.median(np.diff(trial.t)))
     t, x, P = samples_of(trial, steps, period)
     lag = run.channels["pressure"].sensor_lag if "pressure" in run.channels else 0.0
-    found = fit(t, x, P, steps, lag)
+    found, late = fit(t, x, P, steps, lag), 0.0
+    if not isinstance(found, str) and (late := gauge_filter(*found[:2])):
+        found = fit(t, x, P, steps, lag + late)
     if isinstance(found, str):
         return StepsFound(refused=(found,))
-    regulator, moved, friction = found
-    known = StepsFound(None, regulator, moved, friction, amplitude=amplitude)
+    known = StepsFound(None, *found, amplitude=amplitude, steps=tuple(steps))
     refused, doubts = _against(known)
+    if late:
+        doubts.append(
+            f"{FILTERED} of {show(late, 'time', 2)}, which is taken off: declare the `sensor_lag` of its channel"
+        )
+    moved = found[1]
     off = _pressure_at(moved, trial.point.get("setpoint", moved.x0))
     if off is None or abs(off) > amplitude:
         refused.append(_elsewhere(moved, trial.point, amplitude))
     loop = _loop(known, period, off or 0.0)
     if loop is None:
         refused.append("the fitted parts make no loop that could oscillate")
+    known = replace(known, loop=loop, refused=tuple(refused), doubts=tuple(doubts))
     if refused or loop is None:
-        return replace(known, refused=tuple(refused), doubts=tuple(doubts))
-    single = []
-    for cycle in cycles:
-        at = (t >= cycle[0].t - BEFORE) & (t < cycle[-1].t + (cycle[-1].t - cycle[-2].t))
-        part = fit(t[at], x[at], P[at], cycle, lag, regulator)
-        one = None if isinstance(part, str) else _loop(StepsFound(None, *part), period, off or 0.0)
-        if one is not None:
-            single.append(ultimate(one))
-    sides = [
-        replace(known, regulator=replace(regulator, fill=lag, vent=lag), moved=replace(moved, tau=(tau, tau)))
-        for lag, tau in zip((regulator.fill, regulator.vent), moved.tau, strict=True)
-    ]
-    ends = [ultimate(one) for side in sides if (one := _loop(side, period, off or 0.0)) is not None]
-    truth = ultimate(loop)
-    spans = (
-        max((abs(end.gain / truth.gain - 1) for end in ends), default=0.0),
-        max((abs(end.period / truth.period - 1) for end in ends), default=0.0),
+        return replace(known, loop=None)
+    sizes = [step_of(trial.channels[name][trial.usable]) for name in ("displacement", "pressure")]
+    return _with_spread(known, (t, x, P), cycles, lag + late, off or 0.0, sizes)
+
+
+def _with_spread(
+    known: StepsFound, samples: tuple[Array, Array, Array], cycles: Sequence[Sequence[Step]], lag: float, off: float,
+    sizes: Sequence[float],
+) -> StepsFound:  # fmt: skip
+    """With what each cycle says alone, what each direction would, and what other forms of the loop would.
+
+    `lag` is that of the gauge [s], `off` the pressure from the bias [Pa], `sizes` are the steps of displacement [m] and
+    pressure [Pa].
+    """
+    t, regulator, moved = samples[0], known.regulator, known.moved
+    if known.loop is None or regulator is None or moved is None:
+        return known
+    truth, period = ultimate(known.loop), float(t[1] - t[0])
+
+    def ends(parts: Iterable[tuple[Regulator, Moved]]) -> list[Ultimate]:
+        loops = [_loop(StepsFound(None, *pair), period, off) for pair in parts]
+        return [ultimate(loop) for loop in loops if loop is not None]
+
+    during = [(t >= c[0].t - BEFORE) & (t < c[-1].t + (c[-1].t - c[-2].t)) for c in cycles]
+    parts = [[y[at] for y in samples] for at in during]
+    alone = [fit(t, x, P, cycle, lag, regulator) for (t, x, P), cycle in zip(parts, cycles, strict=True)]
+    single = ends(part[:2] for part in alone if not isinstance(part, str))
+    sides = ends(
+        (replace(regulator, fill=way, vent=way), replace(moved, tau=(tau, tau)))
+        for way, tau in zip((regulator.fill, regulator.vent), moved.tau, strict=True)
     )
-    return replace(known, loop=loop, cycles=tuple(single), spans=spans, doubts=tuple(doubts))
+    flow = flow_limited(t, samples[2], known.steps, lag)
+    doubts = [] if flow is None else [_flow(flow, truth, ends([(flow.small(regulator), moved)]))]
+    read = ends(read_in_steps(parts[0], cycles[0], lag, (regulator, moved), sizes))
+    if read:
+        shares = np.array([_apart(one, read[0]) for one in read[1:]])
+        doubts.append(_both(Doubt(STEPS, "method", 1.0, False), 2 * np.sqrt(np.mean(shares**2, axis=0))))
+    spans = np.max([_apart(end, truth) for end in sides] or [(0.0, 0.0)], axis=0).tolist()
+    return replace(known, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
+
+
+def _apart(one: Ultimate, other: Ultimate) -> tuple[float, float]:
+    """Relative distance of K_u and of T_u."""
+    return abs(one.gain / other.gain - 1), abs(one.period / other.period - 1)
+
+
+def _both(doubt: Doubt, shares: Sequence[float] | Array) -> tuple[Doubt, Doubt]:
+    """The doubt with its effects on K_u and T_u."""
+    K, T = (replace(doubt, half=float(share)) for share in shares)
+    return K, T
+
+
+def _flow(flow: Flow, truth: Ultimate, small: Sequence[Ultimate]) -> tuple[Doubt, Doubt]:
+    """What a valve that may limit the flow is worth: all of it where the steps show one, or a second lag as well."""
+    weight = min(1.0, max(0.0, flow.needed) / SHOWN) if flow.better > -ALIKE else 0.0
+    reason = (
+        f"the pressure changes at no more than {flow.rate / 1e3:.0f} kPa/s while it is far from the "
+        "command: a valve that limits the flow, which the fitted loop has not. Take smaller steps"
+    )
+    doubt = Doubt("a valve that limits the flow", "method", 1.0, weight == 1, reason if flow.better > SURE else "")
+    return _both(doubt, weight * np.max([_apart(one, truth) for one in small] or [(0.0, 0.0)], axis=0))
 
 
 def samples_of(trial: TrialData, steps: Sequence[Step], period: float) -> tuple[Array, Array, Array]:
@@ -282,5 +340,6 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
         ),
         trials=tuple(cell.trials[i].name for i in cell.good),
     )
-    worst = max((found.sided for found in good), key=lambda one: one.half)
-    return weighed(estimate, [replace(worst, half=worst.half * value)])
+    doubts = [found.sided for found in good] + [pair[place] for found in good for pair in found.departures]
+    worst = {one.name: one for one in sorted(doubts, key=lambda one: one.half)}
+    return weighed(estimate, [replace(one, half=one.half * value) for one in worst.values()])

@@ -127,7 +127,7 @@ def fit(
     return regulator, moved, _friction(t, x, P, steps, moved)
 
 
-def _response(s: Array, lags: Sequence[float]) -> Array:
+def response(s: Array, lags: Sequence[float]) -> Array:
     """Unit step response at times `s` [s] of first-order lags [s] in a row, by partial fractions."""
     lags = [lag * (1 + 1e-4 * i) for i, lag in enumerate(sorted(lags)) if lag > 0]  # two alike have no such form
     value = np.where(s > 0, 1.0, 0.0)
@@ -153,7 +153,7 @@ def _regulator(t: Array, P: Array, steps: Sequence[Step], sensor: float, like: R
         for step, k in zip(steps, starts.tolist(), strict=True):
             lags = (exp(p[1] if step.height > 0 else p[2]), *np.exp(p[3:]), sensor)
             over = k + int((OVER * max(lags) + max(p[0], 0.0)) / period) + 1
-            made[k:over] += step.height * _response(t[k:over] - step.t - p[0], lags)
+            made[k:over] += step.height * response(t[k:over] - step.t - p[0], lags)
             made[over:] += step.height
         return np.column_stack([np.ones_like(t), made / steps[0].height])
 

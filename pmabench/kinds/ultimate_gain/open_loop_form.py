@@ -1,0 +1,163 @@
+"""What may keep open-loop steps from the loop that is fitted: a valve that limits the flow, channels read in steps.
+
+Knows samples, steps and the fitted parts; not what a controller makes of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import log, pi, sqrt
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pmabench.analysis.shared.samples import FINE, noise_of, rounded
+from pmabench.kinds.ultimate_gain.open_loop_fit import Moved, Regulator, Step, fit, response
+from pmabench.store.records import Array
+
+SETTLED = 0.75
+"""Share of the time between steps after which the pressure has settled."""
+DITHERED = 0.5
+"""Noise of this share of a step lets the steps average away."""
+MOVING = 2.0
+"""Lags after a step in which the pressure moves over several steps of its channel."""
+SMALL = 0.17
+"""Variance of what is read over the square of the step, at a noise of a third of the step."""
+LEAST_LATE = 2e-3
+"""By so much must the displacement come before the pressure that moves it for the gauge to be late [s]."""
+MATCHES = 2.0
+"""Factor within which a lag in the pressure is that time, and the filter of the gauge."""
+
+
+def gauge_filter(regulator: Regulator, moved: Moved) -> float:
+    """Time constant of a filter of the gauge that nobody declared [s]; 0 where the steps show none.
+
+    Nothing moves before its pressure does. Where the displacement seems to, and the pressure has a second lag as long,
+    the gauge has that lag and not the regulator.
+    """
+    early = -moved.late
+    matches = early > LEAST_LATE and early / MATCHES < regulator.second < early * MATCHES
+    return early if matches else 0.0
+
+
+@dataclass(frozen=True)
+class Flow:
+    """A valve that limits the flow: while the pressure is far from the command it changes at one rate."""
+
+    dead_time: float
+    fill: float
+    vent: float
+    """For steps so small that the flow is not limited [s]."""
+    rate: float
+    """[Pa/s]."""
+    better: float
+    """Twice the logarithm of its likelihood over that of a second lag."""
+    needed: float
+    """The same over that of a single lag."""
+
+    def small(self, like: Regulator) -> Regulator:
+        """The regulator `like` this for small steps."""
+        return replace(like, dead_time=self.dead_time, fill=self.fill, vent=self.vent, second=0.0)
+
+
+def flow_limited(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Flow | None:
+    """The valve that the mean rise and the mean fall would show; None where none comes near them.
+
+    `sensor` is the lag of the gauge [s].
+    """
+    s, curves = _curves(t, P + sensor * np.gradient(P, t), steps)
+    if not len(curves):
+        return None
+    period = float(s[1] - s[0])
+
+    def fitted(start: Sequence[float], shape: Callable[[Array, Array, int], Array]) -> tuple[Array, float]:
+        def misfit(p: Array) -> Array:
+            return np.concatenate([shape(s - p[0], np.exp(p[1:]), way) - y for way, y in enumerate(curves)])
+
+        more = len(start) - 1
+        bounds = ([-2 * period, *[log(period / 10)] * more], [5.0, *[log(20.0)] * more])
+        start = np.clip(start, *(np.array(bound) for bound in bounds)).tolist()
+        found = least_squares(misfit, start, x_scale=[0.01, *[0.3] * more], bounds=bounds, xtol=1e-8)
+        return found.x, 2 * len(s) * log(max(2 * float(found.cost), 1e-30))
+
+    def lags(at: Array, p: Array, way: int) -> Array:
+        return response(at, (float(p[way]), *p[2:].tolist()))
+
+    def flow(at: Array, p: Array, way: int) -> Array:
+        return _limited(at, float(p[way]), float(p[2 + way]))
+
+    late = max(float(np.mean([np.sum(1 - y) for y in curves])) * period, 10 * period)
+    dead, lag = 0.2 * late, log(0.8 * late)
+    one, single = fitted([dead, lag, lag], lags)
+    double = min(fitted([one[0], *one[1:], start], lags)[1] for start in (log(period), lag - log(5.0)))
+    found, left = fitted([one[0], one[1] - 0.3, one[2] - 0.3, one[1], one[2]], flow)
+    fill, vent, *whole = np.exp(found[1:]).tolist()
+    height = abs(steps[0].height)
+    rates = [height / way for way, lag in zip(whole, (fill, vent), strict=True) if way > lag]
+    return Flow(float(found[0]), fill, vent, max(rates), double - left, single - left) if rates else None
+
+
+def _limited(s: Array, lag: float, whole: float) -> Array:
+    """Unit step response at times `s` [s] of a lag [s] behind a flow at which the step would take `whole` [s]."""
+    whole = max(whole, lag)
+    late = np.maximum(s - (whole - lag), 0.0)
+    return np.where(s < whole - lag, np.maximum(s, 0.0) / whole, 1 - lag / whole * np.exp(-late / lag))
+
+
+def _curves(t: Array, P: Array, steps: Sequence[Step]) -> tuple[Array, list[Array]]:
+    """Times after a step [s], and the mean rise and the mean fall from 0 to 1; empty where one is missing."""
+    hold = min(b.t - a.t for a, b in pairwise(steps))
+    s = np.arange(0.0, hold, float(t[1] - t[0]))
+    rows: dict[bool, list[Array]] = {True: [], False: []}
+    for step in steps:
+        y = np.interp(step.t + s, t, P)
+        rest = (t < step.t) & (t >= step.t - (1 - SETTLED) * hold)
+        if rest.any():
+            before, after = float(P[rest].mean()), float(y[s > SETTLED * hold].mean())
+            rows[step.height > 0].append((y - before) / (after - before))
+    return s, [np.mean(rows[way], axis=0) for way in (True, False)] if all(rows.values()) else []
+
+
+def read_in_steps(
+    samples: Sequence[Array], cycle: Sequence[Step], sensor: float, parts: tuple[Regulator, Moved],
+    sizes: Sequence[float],
+) -> Iterator[tuple[Regulator, Moved]]:  # fmt: skip
+    """The parts that steps of `sizes`, of displacement [m] and pressure [Pa], make of the fitted ones, in one cycle.
+
+    `samples` are its times [s], displacements [m] and pressures [Pa], `sensor` is the lag of the gauge [s]. First
+    without steps. Nothing where the steps are fine, or noise makes them average away.
+    """
+    (t, x, P), (regulator, moved) = samples, parts
+    made = np.zeros_like(t)
+    for step in cycle:
+        lags = (regulator.fill if step.height > 0 else regulator.vent, regulator.second)
+        made += step.height * regulator.gain * response(t - step.t - regulator.dead_time, lags)
+    rng = np.random.default_rng(0)
+    moving = np.any(
+        [(t >= step.t) & (t < step.t + MOVING * (regulator.fill + regulator.vent)) for step in cycle], axis=0
+    )
+    noises = [_noise(y, size, moving) for y, size in zip((x, P), sizes, strict=True)]
+    shown = [moved.fitted(t, made, cycle), made - sensor * np.gradient(made, t)]
+    if not any(max(FINE * np.ptp(y), noise / DITHERED) < size < np.inf
+               for y, noise, size in zip(shown, noises, sizes, strict=True)):  # fmt: skip
+        return
+    read = [rounded(y + rng.normal(0, noise, len(t)), size, channel)
+            for channel, (y, noise, size) in enumerate(zip(shown, noises, sizes, strict=True))]  # fmt: skip
+    for one, other in zip(*read, strict=True):
+        found = fit(t, one, other, cycle, sensor, regulator)
+        if not isinstance(found, str):
+            yield found[:2]
+
+
+def _noise(y: Array, size: float, moving: Array) -> float:
+    """Noise of a channel that is read in steps of `size` [as y], by the samples that are `moving` over several steps.
+
+    Of noise s, below a third of a step q, s q / sqrt(pi) is left as variance in the mean over the places of the steps,
+    and of larger noise s^2 + q^2 / 12.
+    """
+    if not 0 < size < np.inf:
+        return noise_of(y)
+    share = float(np.mean(np.diff(y, n=3)[moving[3:]] ** 2)) / (20 * size**2)
+    return size * (share * sqrt(pi) if share < SMALL else sqrt(share - 1 / 12))
