@@ -57,17 +57,23 @@ class Line:
         return self.factor * sqrt(max(0.0, float(row @ self.covariance @ row)))
 
 
+COVERAGE = 2.0
+"""Half width over the standard deviation, of what is no scatter."""
+
+
 def fit_side(points: Points, method: str) -> Line | None:
     """The line through the pressures of one method; None below two loads."""
     usable = np.isfinite(points.side(method))
-    return _fit(points.load[usable], points.side(method)[usable])
+    # without friction lift and set-down meet the same step, so that their mean is no better
+    return _fit(points.load[usable], points.side(method)[usable], points.step**2 / 12)
 
 
-def _fit(load: Array, P: Array) -> Line | None:
+def _fit(load: Array, P: Array, steps: float) -> Line | None:
     """P = c + m F_L by least squares, turned into F_ce = (P - c) / m; None below two loads.
 
-    The covariance is that of single points or that of the loads' means, whichever is wider: repeats of one load share
-    what the line cannot follow there.
+    The covariance is that of single points, that of the loads' means, or what the steps of the gauge make of one
+    repeat of each load, whichever is widest: repeats of one load share what the line cannot follow there, and may meet
+    the same step. `steps` is the variance of a pressure by its steps [Pa^2].
     """
     names, group, count = np.unique(np.round(load, 3), return_inverse=True, return_counts=True)
     if len(names) < 2:
@@ -81,10 +87,15 @@ def _fit(load: Array, P: Array) -> Line | None:
     chosen, factor = np.zeros((2, 2)), 0.0
     middle = np.array([1.0, float(load.mean())])
     means = np.bincount(group, residual) / count
-    for power, freedom in ((float(residual @ residual), len(P) - 2), (float(count @ means**2), len(names) - 2)):
-        if freedom < 1 or len(names) == 2:  # of two loads nothing shows whether the line between them is straight
-            continue
-        covariance, t = power / freedom * inverse, float(student.ppf(0.975, freedom))
+    once = np.column_stack([np.ones_like(names), names])
+    allowed = [
+        (power / freedom * inverse, float(student.ppf(0.975, freedom)))
+        for power, freedom in ((float(residual @ residual), len(P) - 2), (float(count @ means**2), len(names) - 2))
+        if freedom >= 1
+    ]
+    allowed.append((steps * np.linalg.inv(once.T @ once), COVERAGE))
+    # of two loads nothing shows whether the line between them is straight
+    for covariance, t in allowed if len(names) > 2 else ():
         if t**2 * (middle @ covariance @ middle) > factor**2 * (middle @ chosen @ middle):
             chosen, factor = covariance, t
     turn = np.array([[-1 / m, c / m**2], [0.0, -1 / m**2]])

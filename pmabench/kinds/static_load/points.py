@@ -17,11 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import noise_of, on_time
+from pmabench.analysis.shared.samples import noise_of, on_time, step_of
 from pmabench.analysis.verdict.agreement import Offer
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
+VALUES = 8
+"""Different pressures that a trial needs to show the step in which they were read."""
 MEAN, LIFT, SET_DOWN = "static-mean", "static-lift", "static-set-down"
 PHASES = ("lift", "set-down")
 
@@ -38,6 +40,8 @@ class Points:
     """What the half width of K makes of a set-down that was carried to x = 0 [Pa], the mean over trials."""
     place: float = 0.0
     """Contraction at which set-down broke away [m], the mean over trials."""
+    step: float = 0.0
+    """Step in which the pressure was read [Pa]; 0 where none shows."""
 
     def only(self, rows: NDArray[np.bool_], later: Array) -> Points:
         """Those `rows`, lift and set-down at pressures higher by `later` [Pa]; both of shape (n,)."""
@@ -50,6 +54,15 @@ class Points:
         if method == MEAN:
             return 0.5 * (self.lift + self.set_down)
         return self.lift if method == LIFT else self.set_down
+
+
+def step_in(runs: Sequence[RunData]) -> float:
+    """The largest step in which a trial's pressures were read [Pa]; 0 where none shows."""
+    read = [
+        trial.channels["pressure"][trial.usable] for run in runs for trial in run.trials if "pressure" in trial.channels
+    ]
+    values = [np.unique(P[np.isfinite(P)]) for P in read]
+    return max((step_of(P) for P in values if len(P) >= VALUES), default=0.0)
 
 
 def on_time_run(run: RunData) -> RunData:

@@ -18,7 +18,7 @@ from pmabench.analysis.verdict.agreement import SAME, Offer, Place, anywhere, at
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load import RESULTS, figures
 from pmabench.kinds.static_load.line import Line, Mean, fit_side, mean_of
-from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, Stiffness, on_time_run, points_of
+from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, Stiffness, on_time_run, points_of, step_in
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData
 
@@ -41,8 +41,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `points.option_of`) where that is too short; the sides by themselves are the paper's, as they were found. What a
     load that was raised shows of hysteresis is taken off, and without that the interval holds it (`loops`).
     """
+    step = step_in(runs)
     runs = [on_time_run(run) for run in runs]
     plain, dropped = points_of(runs)
+    plain = replace(plain, step=step)
     estimates: list[Estimate] = []
     curves: list[Curve] = []
     findings: list[Finding] = []
