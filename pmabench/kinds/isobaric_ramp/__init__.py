@@ -1,6 +1,7 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
-- `reduction`, made of `cell`; with the rubber, and the first loop of a rested muscle
+- `reduction`, with the rubber, and the first loop of a rested muscle; of one pressure and stroke (`cell`) the mean
+  `curve` and the `gap`, judged by `doubts`
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

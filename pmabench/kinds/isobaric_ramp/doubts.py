@@ -1,0 +1,113 @@
+"""What a late force, backlash, a drift and creep do to the values of one pressure and stroke: wider, or withheld."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import log
+
+import numpy as np
+
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.samples import lag_open
+from pmabench.kinds.isobaric_ramp.cell import OF_MEAN, Cell
+from pmabench.kinds.isobaric_ramp.gap import SHRINKS
+from pmabench.store.analyses.results import Estimate, withhold
+
+UPSIDE_DOWN = (
+    "the force is larger while contracting than while expanding, and no muscle gives work back like that: look for a "
+    "wrong sign, or force and displacement that are apart in time"
+)
+CREEPS = (
+    "as the speed rises the gap shrinks at mid stroke more than near its ends: what creeps in about the time of a ramp "
+    "makes part of it, and of the slope of the mean curve. Ramp more slowly, and more quickly, until neither changes"
+)
+UNIFORM = 0.5
+"""Share of what the gap shrinks by at mid stroke that it shrinks less by near the ends: three quarters or all by creep,
+none by friction."""
+OPENED = 0.7
+"""Share of the stroke, about its middle, in which turns have faded."""
+STEEPER = 5e-4
+"""Share by which a mean curve is steeper at the highest speed than at the lowest at least, where a muscle creeps."""
+CREPT = 3.0
+"""What creeps makes a gap of pi/2 times the stroke times what the slope grows by with the logarithm of the speed, where
+many time constants do (local Kramers-Kronig relation, Booij and Thoone 1982); one alone makes up to twice that."""
+
+
+def judged(cell: Cell, found: list[Estimate]) -> list[Estimate]:
+    """The values with what may be wrong of them in their intervals, or withheld."""
+    if cell.upside_down:
+        return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
+    late, creep = _late(cell), _creep(cell)
+    return [weighed(e, _doubts(cell, e, late, creep)) for e in _without_creep(cell, found)]
+
+
+def _doubts(cell: Cell, e: Estimate, late: Doubt, creep: float) -> list[Doubt]:
+    """What a late force, backlash and a drift do to an estimate; `late` and `creep` are of the cell."""
+    K, stroke = abs(cell.straight), cell.stroke  # K turns times into forces
+    slowest, fastest = cell.speeds
+    gap = 2 * K * (e.at.get("speed", 0.0) or slowest) * late.half
+    # the zero of a displacement with play is anywhere within it: half of it either way, and turns show a part of it
+    play = gap / 3 if late.seen else 0.0
+    uneven = 0.5 * max(m.loop.uneven_drift for m in cell.members)
+    whole = max(m.loop.whole_drift for m in cell.members)
+    taken = max(float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in cell.members])), 1e-9)
+    effects = {
+        "H": (gap, uneven), "F_c": (gap / 2, uneven / 2), "B": (K * late.half, 0.0), "K": (0.0, uneven / stroke),
+        "W": (gap * stroke, uneven * stroke), "W_c": (gap * stroke / 2, whole * stroke),
+        "eta": (gap * stroke / taken, uneven * stroke / taken), "F": (play, whole), "F_ce": (play, whole),
+    }  # fmt: skip
+    by_time, by_drift = effects.get(e.symbol, (0.0, 0.0))
+    found = [replace(late, half=by_time), Doubt("drift", "drift", by_drift, False)]
+    if creep and (e.symbol in ("F_c", "B") or e.at.get("speed") == 0):
+        share = {"F_c": 0.5, "B": 0.5 / (fastest - slowest)}.get(e.symbol, 1.0)
+        found.append(Doubt("creep", "method", share * CREPT * creep * stroke, seen=True))
+    return found
+
+
+def _late(cell: Cell) -> Doubt:
+    """Time by which the force may come late [s], by turns of the slowest loops, or where turns fade over time."""
+    slowest, _ = cell.speeds
+    known = [m.loop.late for m in cell.members if m.speed == slowest]
+    worst, half = max(known, key=lambda one: (one.seen, one.half)), float(np.mean([one.half for one in known]))
+    late = replace(worst, half=half)
+    faded = [(m.speed, m.loop.turns.w) for m in cell.members if m.loop.turns is not None]
+    if cell.one_speed or len({speed for speed, _ in faded}) < 2:
+        return late
+    speeds, ways = np.array(faded).T
+    longer = float(np.polyfit(speeds, ways, 1)[0])
+    if longer <= max(lag_open(m.run, "force") for m in cell.members):
+        return late
+    reason = (
+        f"the faster the motion, the longer the way on which its turns fade, by {1e3 * longer:.2g} ms: the force "
+        "comes through a filter, which looks like damping; declare the `sensor_lag` of the force cell"
+    )
+    return replace(late, half=max(late.half, 2 * longer), seen=True, reason=reason)
+
+
+def _without_creep(cell: Cell, found: list[Estimate]) -> list[Estimate]:
+    """Without what the mean curve gives, where creep makes part of the gap and of its slope."""
+    shrinks = any(e.symbol == "F_c" and SHRINKS in e.note for e in found)
+    if not (shrinks and _shrinks_by_creep(cell)):
+        return found
+    return [withhold(e, CREEPS) if e.method in OF_MEAN and e.value is not None else e for e in found]
+
+
+def _shrinks_by_creep(cell: Cell) -> bool:
+    """Whether a gap that shrinks as the speed rises does so at mid stroke, and less near the ends.
+
+    What creeps makes a gap that is 0 at both turns, and a mean curve that is too steep. Friction that falls with
+    the speed takes as much of the gap everywhere. It is alike in both directions, whatever it changes with, and
+    a displacement that lags or has play moves the mean curve as a whole: they leave K as it is.
+    """
+    place = (cell.x - cell.middle) / (0.5 * np.ptp(cell.x))
+    inner = np.abs(place) < OPENED
+    dome = cell.over_speed(lambda loop: np.polyfit(place[inner], loop.gap[:, inner].T, 2)[0])
+    return dome.slope > max(dome.half_slope or 0.0, -UNIFORM * cell.gap.slope)
+
+
+def _creep(cell: Cell) -> float:
+    """What the slope of the mean curve grows by with the logarithm of the speed [N/m]; 0 where that is not seen."""
+    line = cell.over_speed(lambda loop: -np.polyfit(cell.x, loop.mean.T, 1)[0])
+    low, high = cell.speeds
+    seen = (line.slope - (line.half_slope or 0.0)) * (high - low) > STEEPER * abs(cell.straight)
+    return line.slope * (high - low) / log(high / low) if seen else 0.0
