@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import log
 
 import numpy as np
 
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import lag_open
-from pmabench.kinds.isobaric_ramp.cell import OF_MEAN, Cell
+from pmabench.kinds.isobaric_ramp.cell import CURVE, OF_MEAN, RAW, Cell
+from pmabench.kinds.isobaric_ramp.creep import Creep
 from pmabench.kinds.isobaric_ramp.gap import SHRINKS
 from pmabench.store.analyses.results import Estimate, withhold
 
@@ -26,25 +26,20 @@ UNIFORM = 0.5
 none by friction."""
 OPENED = 0.7
 """Share of the stroke, about its middle, in which turns have faded."""
-STEEPER = 5e-4
-"""Share by which a mean curve is steeper at the highest speed than at the lowest at least, where a muscle creeps."""
-CREPT = 3.0
-"""What creeps makes a gap of pi/2 times the stroke times what the slope grows by with the logarithm of the speed, where
-many time constants do (local Kramers-Kronig relation, Booij and Thoone 1982); one alone makes up to twice that."""
 
 
-def judged(cell: Cell, found: list[Estimate]) -> list[Estimate]:
+def judged(cell: Cell, found: list[Estimate], creep: Creep | None) -> list[Estimate]:
     """The values with what may be wrong of them in their intervals, or withheld."""
     if cell.upside_down:
         return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
-    late, creep = _late(cell), _creep(cell)
+    late = _late(cell)
     return [weighed(e, _doubts(cell, e, late, creep)) for e in _without_creep(cell, found)]
 
 
-def _doubts(cell: Cell, e: Estimate, late: Doubt, creep: float) -> list[Doubt]:
+def _doubts(cell: Cell, e: Estimate, late: Doubt, creep: Creep | None) -> list[Doubt]:
     """What a late force, backlash and a drift do to an estimate; `late` and `creep` are of the cell."""
     K, stroke = abs(cell.straight), cell.stroke  # K turns times into forces
-    slowest, fastest = cell.speeds
+    slowest, _ = cell.speeds
     gap = 2 * K * (e.at.get("speed", 0.0) or slowest) * late.half
     # the zero of a displacement with play is anywhere within it: half of it either way, and turns show a part of it
     play = gap / 3 if late.seen else 0.0
@@ -58,9 +53,17 @@ def _doubts(cell: Cell, e: Estimate, late: Doubt, creep: float) -> list[Doubt]:
     }  # fmt: skip
     by_time, by_drift = effects.get(e.symbol, (0.0, 0.0))
     found = [replace(late, half=by_time), Doubt("drift", "drift", by_drift, False)]
-    if creep and (e.symbol in ("F_c", "B") or e.at.get("speed") == 0):
-        share = {"F_c": 0.5, "B": 0.5 / (fastest - slowest)}.get(e.symbol, 1.0)
-        found.append(Doubt("creep", "method", share * CREPT * creep * stroke, seen=True))
+    if creep is not None:
+        place = e.at.get("contraction", cell.middle if e.symbol == "F" else 0.0)
+        by_creep = {
+            "K": creep.stiffness, "F": float(np.interp(place, cell.x, creep.force)), "F_c": creep.gap / 2,
+            "F_ce": float(np.interp(place, cell.x, creep.force)), "B": creep.damping,
+            "H": creep.gap if e.at.get("speed") == 0 else 0.0,
+        }.get(e.symbol, 0.0)  # fmt: skip
+        # values at a place have wide intervals, and any that is wider without creep holds it, too
+        withheld = e.method in (CURVE, RAW) and by_creep > (e.parts.combined or 0.0)
+        reason = creep.reason if withheld else ""
+        found.append(Doubt("creep", "method", by_creep, creep.seen, reason))
     return found
 
 
@@ -103,11 +106,3 @@ def _shrinks_by_creep(cell: Cell) -> bool:
     inner = np.abs(place) < OPENED
     dome = cell.over_speed(lambda loop: np.polyfit(place[inner], loop.gap[:, inner].T, 2)[0])
     return dome.slope > max(dome.half_slope or 0.0, -UNIFORM * cell.gap.slope)
-
-
-def _creep(cell: Cell) -> float:
-    """What the slope of the mean curve grows by with the logarithm of the speed [N/m]; 0 where that is not seen."""
-    line = cell.over_speed(lambda loop: -np.polyfit(cell.x, loop.mean.T, 1)[0])
-    low, high = cell.speeds
-    seen = (line.slope - (line.half_slope or 0.0)) * (high - low) > STEEPER * abs(cell.straight)
-    return line.slope * (high - low) / log(high / low) if seen else 0.0

@@ -28,6 +28,7 @@ from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, betw
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
 from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, ONE_SPEED, Cell, Member
+from pmabench.kinds.isobaric_ramp.creep import creeps_of
 from pmabench.kinds.isobaric_ramp.curve import of_curve
 from pmabench.kinds.isobaric_ramp.doubts import judged
 from pmabench.kinds.isobaric_ramp.gap import CYCLES, of_gap
@@ -285,9 +286,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     traces: list[Trace] = []
-    for cell in cells:
+    for cell, creep in zip(cells, creeps_of(cells), strict=True):
         near = _next_to(cell, cells)
-        estimates += judged(cell, [*of_curve(cell, scales, near), *of_gap(cell, scales, near)])
+        estimates += judged(cell, [*of_curve(cell, scales, near), *of_gap(cell, scales, near)], creep)
         findings += cell.findings()
         traces += cell.traces()
     estimates += first_cycle(runs, cells, options)
