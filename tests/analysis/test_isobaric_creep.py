@@ -1,6 +1,6 @@
-"""Ramps of a muscle that creeps more slowly than they go, in closed form: K and F are right, or withheld.
+"""Ramps of a muscle that creeps more slowly than they go, of friction that falls with the speed, of a sensor with play.
 
-Damping hid it: K of a muscle of which 15 % of the stiffness relaxes in 100 s was 15 % high, with an interval of 0.1 %
+In closed form; values are right, or withheld. Damping hid the creep: K of a muscle of which 15 % of the stiffness relaxes in 100 s was 15 % high, with an interval of 0.1 %
 without and 5.5 % with a friction of 12 N.
 """
 
@@ -90,3 +90,51 @@ def test_a_cell_that_drifts_looks_like_creep_and_the_reason_says_so():
     (K,) = of_stroke(estimates_of(Bench(friction=0.0, cell=0.05), 0), "K")
     assert K.withheld
     assert "Check the zero of the cell" in K.note
+
+
+@pytest.mark.parametrize("speeds", [THREE, (1e-3, *THREE, 20e-3)])
+@pytest.mark.parametrize(("falls", "fading"), [(1.0, 3e-3), (1.0, 10e-3), (3.0, 3e-3), (3.0, 10e-3)])
+def test_friction_and_damping_hold_a_friction_that_falls_with_the_speed(speeds, falls, fading):
+    """Of 12 N that the moving muscle has, 25 % more at rest made 14.7 +- 0.6; damping of 1500 N.s/m stayed in reach."""
+    for seed in range(2):
+        one = Bench(speeds, damps=1500.0, falls=falls, fading=fading)
+        found = {e.symbol: e for e in estimates_of(one, seed) if e.method == "loop-gap" and e.symbol in ("F_c", "B")}
+        for symbol, right in (("F_c", one.friction), ("B", one.damps)):
+            e = found[symbol]
+            assert e.value is None or abs(e.value - right) <= 1.2 * e.parts.combined, (symbol, e.value, e.parts)
+
+
+def test_two_speeds_do_not_show_that_friction_falls_and_the_note_says_so():
+    """A twentieth of it may: 12.4 +- 0.2 N were found where the moving muscle has 12."""
+    for seed in range(3):
+        one = Bench(TWO, damps=1500.0, falls=0.6, fading=3e-3)
+        found = [e for e in estimates_of(one, seed) if e.method == "loop-gap" and e.symbol in ("F_c", "B")]
+        assert len(found) == 2
+        assert all("two speeds only" in e.note for e in found)
+        for e in found:
+            right = one.friction if e.symbol == "F_c" else one.damps
+            assert abs(e.value - right) <= e.parts.combined
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("speeds", "most"), [(THREE, (0.115, 0.41)), (TWO, (0.085, 0.28))])
+def test_a_friction_that_does_not_fall_keeps_its_interval(speeds, most, seed):
+    """Without the question whether it falls they were 5 to 10 %, and 19 to 40 %."""
+    one = Bench(speeds, damps=1500.0)
+    found = {e.symbol: e for e in estimates_of(one, seed) if e.method == "loop-gap" and e.symbol in ("F_c", "B")}
+    for e, right, share in zip((found["F_c"], found["B"]), (one.friction, one.damps), most, strict=True):
+        assert abs(e.value - right) <= e.parts.combined <= share * right
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("play", [0.0, 0.05e-3, 0.1e-3])
+def test_the_work_given_holds_the_stroke_that_a_play_hides(play, seed):
+    """F s - F_c (s - 2 w tanh(s/2w)) - B v s over the stroke s. A play of 0.1 mm made it 0.6 % low, with +- 0.2 %."""
+    one = Bench(play=play)
+    stroke = one.upper - one.lower
+    turns = 2 * one.reach * float(np.tanh(stroke / (2 * one.reach)))
+    found = [e for e in estimates_of(one, seed) if e.symbol == "W_c"]
+    assert len(found) == 3
+    for e in found:
+        truth = one.middle * stroke - one.friction * (stroke - turns) - one.damps * e.at["speed"] * stroke
+        assert abs(e.value - truth) <= e.parts.combined <= 0.03 * truth

@@ -8,16 +8,15 @@ as the speed rises. Each of them bounds K_1 for each tau, by least squares over 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared import student
-from pmabench.analysis.shared.form import SURE
 from pmabench.analysis.shared.samples import ends
 from pmabench.base.quantities import show
+from pmabench.kinds.isobaric_ramp.bound import bound_of, joined
 from pmabench.kinds.isobaric_ramp.cell import Cell, Member
 from pmabench.store.records import Array
 
@@ -27,8 +26,6 @@ LONGEST = 2.0
 """The largest, as a share of how long a cell is tested: what takes longer is a spring like any other in all of it."""
 FASTEST = 0.5
 """The least, as a share of the shortest ramp; that ramp itself where one speed shows no faster ones."""
-ONE_SIDE = 0.95
-"""Probability below the highest K_1: creep never pushes, so that only that side is open."""
 OPENED = 0.7
 """Share of the stroke, about its middle, in which turns have faded."""
 OTHERS = 2.0
@@ -64,20 +61,6 @@ class Creep:
             f"{show(self.time, 'time', 2)}. Check the zero of the cell, do more cycles before those that count, and "
             "ramp more slowly"
         )
-
-
-@dataclass(frozen=True)
-class _Spring:
-    """K_1 [N/m] by least squares, and standard error times Student's t for an open side, and for `SURE`."""
-
-    size: float
-    open: float
-    sure: float
-
-    @property
-    def most(self) -> float:
-        """The highest K_1 that the record allows; a drift that is seen the other way may hide as much."""
-        return max(self.size, 0.0) + self.open if self.size > -self.sure else self.open - self.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,12 +122,12 @@ def _tried(cell: Cell, times: Array, fastest: float, slowest: float) -> _Tried:
     seen, most, longest = False, np.full(len(times), np.inf), cell.stroke / cell.speeds[0]
     for k, time in enumerate(times):
         asked = _columns(cell, time > longest)
-        springs = [(sign, _spring(columns, units[sign][k], shown[sign][0])) for sign, columns in asked]
+        springs = [(sign, bound_of(columns, units[sign][k], shown[sign][0])) for sign, columns in asked]
         known = [(sign, spring) for sign, spring in springs if spring is not None]
         # one of each sign: its first
-        joined = _joined(dict(reversed(known)).values())
-        most[k] = min((spring.most for spring in [*(one for _, one in known), *joined]), default=np.inf)
-        seen |= any(sign != DOME and counts[k] and spring.size > spring.sure for sign, spring in known)
+        together = joined(dict(reversed(known)).values())
+        most[k] = min((spring.most for spring in [*(one for _, one in known), *together]), default=np.inf)
+        seen |= any(sign != DOME and counts[k] and spring.seen for sign, spring in known)
     gaps = np.array([(two - one).mean(axis=1)[:, cell.x.size // 2] for one, two in pulls])
     speeds = [member.speed for member in cell.members]
     damping, gap = (np.zeros(len(times)), gaps.max(axis=0)) if cell.one_speed else np.polyfit(speeds, gaps, 1)
@@ -167,27 +150,6 @@ def _columns(cell: Cell, slow: bool) -> Iterator[tuple[int, Sequence[Array]]]:
         yield STIFFNESS, [same, speeds]
     if slow:
         yield DOME, [same]
-
-
-def _spring(columns: Sequence[Array], unit: Array, shown: Array) -> _Spring | None:
-    """K_1 by least squares of what is `shown` over what a spring of 1 N/m does; None where they do not tell it."""
-    design = np.column_stack([*columns, unit])
-    freedom = len(shown) - design.shape[1]
-    terms, _, rank, _ = np.linalg.lstsq(design, shown, rcond=None)
-    if freedom < 1 or rank < design.shape[1]:
-        return None
-    left = shown - design @ terms
-    error = float(np.sqrt(left @ left / freedom * np.linalg.inv(design.T @ design)[-1, -1]))
-    once, sure = (float(student.ppf(share, freedom)) * error for share in (ONE_SIDE, SURE))
-    return _Spring(float(terms[-1]), once, sure)
-
-
-def _joined(springs: Collection[_Spring]) -> Iterator[_Spring]:
-    """Their mean by the squares of their errors, of several."""
-    if len(springs) > 1 and min(spring.open for spring in springs) > 0:
-        weights = np.array([spring.open**-2 for spring in springs])
-        mean = float(weights @ [spring.size for spring in springs] / weights.sum())
-        yield _Spring(mean, float(weights.sum() ** -0.5), float(np.sum([s.sure**-2 for s in springs]) ** -0.5))
 
 
 def _path(member: Member) -> tuple[Array, Array]:

@@ -8,10 +8,12 @@ import numpy as np
 
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import lag_open
+from pmabench.kinds.isobaric_ramp.bound import bound_of
 from pmabench.kinds.isobaric_ramp.cell import CURVE, OF_MEAN, RAW, Cell
 from pmabench.kinds.isobaric_ramp.creep import Creep
 from pmabench.kinds.isobaric_ramp.gap import SHRINKS
 from pmabench.store.analyses.results import Estimate, withhold
+from pmabench.store.records import Array
 
 UPSIDE_DOWN = (
     "the force is larger while contracting than while expanding, and no muscle gives work back like that: look for a "
@@ -26,14 +28,19 @@ UNIFORM = 0.5
 none by friction."""
 OPENED = 0.7
 """Share of the stroke, about its middle, in which turns have faded."""
+FALLS = 0.05
+"""Share of the friction at rest that may fade as the speed rises where two speeds show no more than a line."""
+FADING = 8
+"""Speeds that are tried over which it fades as an exponential, from half the lowest to half the highest: on a longer
+way its fall is a line, and part of B."""
 
 
 def judged(cell: Cell, found: list[Estimate], creep: Creep | None) -> list[Estimate]:
     """The values with what may be wrong of them in their intervals, or withheld."""
     if cell.upside_down:
         return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
-    late = _late(cell)
-    return [weighed(e, _doubts(cell, e, late, creep)) for e in _without_creep(cell, found)]
+    late, falls = _late(cell), _falls(cell)
+    return [weighed(e, [*_doubts(cell, e, late, creep), *_of_falls(e, *falls)]) for e in _without_creep(cell, found)]
 
 
 def _doubts(cell: Cell, e: Estimate, late: Doubt, creep: Creep | None) -> list[Doubt]:
@@ -45,10 +52,14 @@ def _doubts(cell: Cell, e: Estimate, late: Doubt, creep: Creep | None) -> list[D
     play = gap / 3 if late.seen else 0.0
     uneven = 0.5 * max(m.loop.uneven_drift for m in cell.members)
     whole = max(m.loop.whole_drift for m in cell.members)
+    given = float(np.mean([np.mean(m.loop.given) for m in cell.members])) / stroke
+    # a displacement with play reads a stroke that is shorter by it, with a gap of K times the play
+    widest = max(float(np.max(np.abs(m.loop.middle_gap))) for m in cell.members) / max(K, 1e-9)
+    unread = min((1.0 if late.seen else 0.5) * slowest * late.half, widest)  # unseen, any part is as likely
     taken = max(float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in cell.members])), 1e-9)
     effects = {
         "H": (gap, uneven), "F_c": (gap / 2, uneven / 2), "B": (K * late.half, 0.0), "K": (0.0, uneven / stroke),
-        "W": (gap * stroke, uneven * stroke), "W_c": (gap * stroke / 2, whole * stroke),
+        "W": (gap * stroke, uneven * stroke), "W_c": (gap * stroke / 2 + abs(given) * unread, whole * stroke),
         "eta": (gap * stroke / taken, uneven * stroke / taken), "F": (play, whole), "F_ce": (play, whole),
     }  # fmt: skip
     by_time, by_drift = effects.get(e.symbol, (0.0, 0.0))
@@ -106,3 +117,37 @@ def _shrinks_by_creep(cell: Cell) -> bool:
     inner = np.abs(place) < OPENED
     dome = cell.over_speed(lambda loop: np.polyfit(place[inner], loop.gap[:, inner].T, 2)[0])
     return dome.slope > max(dome.half_slope or 0.0, -UNIFORM * cell.gap.slope)
+
+
+def _of_falls(e: Estimate, friction: Doubt, damping: Doubt) -> list[Doubt]:
+    if e.symbol == "B":
+        return [damping]
+    if e.symbol == "F_c" or (e.symbol == "H" and e.at.get("speed") == 0):
+        return [friction if e.symbol == "F_c" else replace(friction, half=2 * friction.half)]
+    return []
+
+
+def _falls(cell: Cell) -> tuple[Doubt, Doubt]:
+    """What a friction that falls with the speed does to F_c [N] and B [N.s/m], as far as the gaps allow.
+
+    The most of it that is allowed, c exp(-v/u), is a line over the speed and c at rest: F_c is off by its start there,
+    or by what of c the line leaves.
+    """
+    gaps = [member.loop.middle_gap / 2 for member in cell.members]
+    speeds = np.repeat([member.speed for member in cell.members], [len(one) for one in gaps])
+    design, friction, damping, seen = np.column_stack([np.ones(len(speeds)), speeds]), 0.0, 0.0, False
+    units = [np.exp(-speeds / u) for u in np.geomspace(0.5 * speeds.min(), 0.5 * speeds.max(), FADING)]
+    found: list[tuple[Array, float]] = []
+    if len(set(speeds.tolist())) > 2:
+        bounds = [bound_of([*design.T], unit, np.concatenate(gaps)) for unit in units]
+        known = [(unit, bound) for unit, bound in zip(units, bounds, strict=True) if bound is not None]
+        least = min((bound.left for _, bound in known), default=0.0)
+        seen = any(bound.seen for _, bound in known)
+        found = [(unit, bound.most) for unit, bound in known if bound.left <= bound.likely * least]
+    elif not cell.one_speed:
+        found = [(unit, FALLS * abs(cell.gap.start) / 2) for unit in units]
+    for unit, most in found:
+        start, slope = most * np.linalg.lstsq(design, unit, rcond=None)[0]
+        friction, damping = max(friction, start, most - start), max(damping, abs(slope))
+    text = "friction that falls with the speed"
+    return Doubt(text, "method", friction, seen), Doubt(text, "method", damping, seen)

@@ -23,6 +23,7 @@ SHRINKS = (
     "a gap that shrinks as the speed rises is no damping: what creeps in about the time of a ramp, or a friction that "
     "falls with the speed, makes part of it. Ramp more slowly, and more quickly, until the gap changes no more"
 )
+TWO_SPEEDS = "two speeds only: nothing shows whether the friction falls with the speed, which is not all damping then"
 _Row = tuple[str, tuple[str, str], Callable[[Loop], Array], tuple[str, ...], float, float]
 """Symbol; unit and quantity; value by cycle; channels to which it is proportional; method and skew part."""
 
@@ -76,7 +77,7 @@ def _gap_lines(cell: Cell, scales: Scales, K: float, uneven: float, rising: floa
     """Hysteresis at speed 0, and what rises with speed; `rising` [N.s/m] is what unequal pressure makes of that."""
     newton, damping = ("N", "force"), ("N.s/m", "damping")
     still = {**cell.at, "speed": 0.0}
-    found = []
+    found, few = [], TWO_SPEEDS if len({member.speed for member in cell.members}) == 2 else ""
     ways: dict[str, Callable[[Loop], Array]]
     ways = {GAP: lambda loop: loop.middle_gap, MEAN_GAP: lambda loop: loop.mean_gap}
     if all(member.loop.turns is not None for member in cell.members):  # one open gap for all cycles of a loop
@@ -100,9 +101,9 @@ def _gap_lines(cell: Cell, scales: Scales, K: float, uneven: float, rising: floa
         low, high = cell.speeds
         least = PROPORTIONAL * abs(start) / (high - low) / 2
         parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * cell.skew)
-        B = cell.estimate("B", slope / 2, damping, method, cell.at, parts, "(B_c + B_r)/2")
-        friction = Parts(_halved(line.half_start), uneven / 2, _halved(force))
-        F_c = cell.estimate("F_c", start / 2, newton, method, cell.at, friction, "half the gap at speed 0")
+        B = cell.estimate("B", slope / 2, damping, method, cell.at, parts, sentences("(B_c + B_r)/2", few))
+        friction, said = Parts(_halved(line.half_start), uneven / 2, _halved(force)), "half the gap at speed 0"
+        F_c = cell.estimate("F_c", start / 2, newton, method, cell.at, friction, sentences(said, few))
         found += [H, B, F_c]
     least = min((e.value + (e.parts.combined or inf) for e in found if e.symbol == "B" and e.value), default=0.0)
     why = f"B would be below {show(least, 'damping', 2)}; {SHRINKS}"
