@@ -15,6 +15,7 @@ from pmabench.store.records import Array
 
 BENT_NOTE = "the mean curve is bent: the interval reaches to the slope at any place of the stroke"
 AT_SPEED = "one speed only: the two dampings may differ, so that the force at rest may be anywhere in the gap"
+IN_A_RAMP = "one speed only: nothing shows what creeps in less than a ramp, and K holds some of it"
 
 
 def of_curve(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
@@ -36,8 +37,8 @@ def of_curve(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
         gains = {"force": line.start, "displacement": over_x * (place or 0.0) - (0.0 if force else line.start)}
         offsets = {"force": 1.0 if force else 0.0, "displacement": over_x}
         part = cell.part(scales, gains, offsets, over_P)
-        alone = AT_SPEED if cell.one_speed and method in OF_MEAN and force else ""
-        within = abs(cell.gap.start) / 2 if alone else 0.0
+        alone = (AT_SPEED if force else IN_A_RAMP) if cell.one_speed and method in OF_MEAN else ""
+        within = abs(cell.gap.start) / 2 if alone and force else 0.0
         parts = Parts(line.half_start, hypot(extra, within), part, 0.0)
         at = cell.at if method != LOCAL else {**cell.at, "contraction": round(float(place or 0.0), 7)}
         found.append(cell.estimate(symbol, line.start, kind, method, at, parts, sentences(note, alone)))
