@@ -93,9 +93,9 @@ def test_a_cell_that_drifts_looks_like_creep_and_the_reason_says_so():
 
 
 @pytest.mark.parametrize("speeds", [THREE, (1e-3, *THREE, 20e-3)])
-@pytest.mark.parametrize(("falls", "fading"), [(1.0, 3e-3), (1.0, 10e-3), (3.0, 3e-3), (3.0, 10e-3)])
+@pytest.mark.parametrize(("falls", "fading"), [(1.0, 3e-3), (1.0, 5e-3), (3.0, 3e-3), (3.0, 5e-3)])
 def test_friction_and_damping_hold_a_friction_that_falls_with_the_speed(speeds, falls, fading):
-    """Of 12 N that the moving muscle has, 25 % more at rest made 14.7 +- 0.6; damping of 1500 N.s/m stayed in reach."""
+    """12 N in motion and 15 at rest were 14.4 +- 1.5; where friction fades over most of the speeds, its fall is a line."""
     for seed in range(2):
         one = Bench(speeds, damps=1500.0, falls=falls, fading=fading)
         found = {e.symbol: e for e in estimates_of(one, seed) if e.method == "loop-gap" and e.symbol in ("F_c", "B")}

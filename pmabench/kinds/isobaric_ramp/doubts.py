@@ -13,7 +13,6 @@ from pmabench.kinds.isobaric_ramp.cell import CURVE, OF_MEAN, RAW, Cell
 from pmabench.kinds.isobaric_ramp.creep import Creep
 from pmabench.kinds.isobaric_ramp.gap import SHRINKS
 from pmabench.store.analyses.results import Estimate, withhold
-from pmabench.store.records import Array
 
 UPSIDE_DOWN = (
     "the force is larger while contracting than while expanding, and no muscle gives work back like that: look for a "
@@ -29,7 +28,7 @@ none by friction."""
 OPENED = 0.7
 """Share of the stroke, about its middle, in which turns have faded."""
 FALLS = 0.05
-"""Share of the friction at rest that may fade as the speed rises where two speeds show no more than a line."""
+"""Share of the friction at rest that may fade unseen as the speed rises: two speeds show no more than a line."""
 FADING = 8
 """Speeds that are tried over which it fades as an exponential, from half the lowest to half the highest: on a longer
 way its fall is a line, and part of B."""
@@ -130,24 +129,23 @@ def _of_falls(e: Estimate, friction: Doubt, damping: Doubt) -> list[Doubt]:
 def _falls(cell: Cell) -> tuple[Doubt, Doubt]:
     """What a friction that falls with the speed does to F_c [N] and B [N.s/m], as far as the gaps allow.
 
-    The most of it that is allowed, c exp(-v/u), is a line over the speed and c at rest: F_c is off by its start there,
-    or by what of c the line leaves.
+    F_c is that of a muscle in motion: it is off by the start of a line through the most of c exp(-v/u) that is allowed.
     """
     gaps = [member.loop.middle_gap / 2 for member in cell.members]
     speeds = np.repeat([member.speed for member in cell.members], [len(one) for one in gaps])
     design, friction, damping, seen = np.column_stack([np.ones(len(speeds)), speeds]), 0.0, 0.0, False
     units = [np.exp(-speeds / u) for u in np.geomspace(0.5 * speeds.min(), 0.5 * speeds.max(), FADING)]
-    found: list[tuple[Array, float]] = []
+    unseen = FALLS * abs(cell.gap.start) / 2
+    found = [] if cell.one_speed else [(unit, unseen) for unit in units]
     if len(set(speeds.tolist())) > 2:
         bounds = [bound_of([*design.T], unit, np.concatenate(gaps)) for unit in units]
         known = [(unit, bound) for unit, bound in zip(units, bounds, strict=True) if bound is not None]
         least = min((bound.left for _, bound in known), default=0.0)
         seen = any(bound.seen for _, bound in known)
-        found = [(unit, bound.most) for unit, bound in known if bound.left <= bound.likely * least]
-    elif not cell.one_speed:
-        found = [(unit, FALLS * abs(cell.gap.start) / 2) for unit in units]
+        likely = [(unit, bound.most) for unit, bound in known if bound.left <= bound.likely * least]
+        found = [(unit, most if seen else min(most, unseen)) for unit, most in likely]
     for unit, most in found:
         start, slope = most * np.linalg.lstsq(design, unit, rcond=None)[0]
-        friction, damping = max(friction, start, most - start), max(damping, abs(slope))
+        friction, damping = max(friction, start), max(damping, abs(slope))
     text = "friction that falls with the speed"
     return Doubt(text, "method", friction, seen), Doubt(text, "method", damping, seen)
