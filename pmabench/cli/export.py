@@ -98,13 +98,13 @@ def publish(
     ui.begin("putting the publication together")
     from pmabench.cli.process import apart, stored, without_analyses
     from pmabench.cli.report import analysed
-    from pmabench.plotting.svg import import_without_3d
+    from pmabench.plotting.svg import import_what_draws
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.document.provenance import operators
     from pmabench.report.publishing.package import publish
     from pmabench.store.folder import files_of
 
-    import_without_3d()
+    import_what_draws()
     folders, others = apart(sources)
     given = without_analyses(ui, others) if others else []
     analyses, runs = analysed(ui, folders, folders if folders or fresh else stored(ui, given), given)

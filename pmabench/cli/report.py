@@ -119,11 +119,11 @@ def _written(
 ) -> tuple[dict[str, str], KeptPage]:  # fmt: skip
     """Write the report in each format that is wanted, `about` as in `content_of`; what was written, and the page."""
     from pmabench.cli.process import since_lines
-    from pmabench.plotting.svg import import_without_3d
+    from pmabench.plotting.svg import import_what_draws
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.writing import KeptPage, write_file
 
-    import_without_3d()
+    import_what_draws()
     page = KeptPage("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
     for line in page.remarks:
         ui.note(line)

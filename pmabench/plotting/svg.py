@@ -72,19 +72,23 @@ def drawing() -> Iterator[None]:
             _inside.reset(before)
 
 
-def import_without_3d() -> None:
-    """Import matplotlib without its 3D axes: no figure of a report has any, and they cost a tenth of its time.
+def import_what_draws() -> None:
+    """Import matplotlib without its 3D axes and the help texts of its classes: together a fifth of a report's time.
 
     For commands only: in a notebook somebody else may want them.
     """
     name = "mpl_toolkits.mplot3d"
     if "matplotlib.projections" in sys.modules or name in sys.modules:
         return
+    artist: Any = importlib.import_module("matplotlib.artist")
+    described = artist.kwdoc
     sys.modules[name] = None  # type: ignore[assignment]  # an import that fails, and of which matplotlib warns
     try:
+        artist.kwdoc = lambda _class: ""
         with warnings.catch_warnings(action="ignore"):
             importlib.import_module("matplotlib.projections")
     finally:
+        artist.kwdoc = described
         del sys.modules[name]
 
 

@@ -279,7 +279,7 @@ def program() -> str:
     for place in [*(root / part for part in PARTS), *_extensions()]:
         inside = _walk(place) if place.is_dir() else [("", place)]
         for name, path in inside:
-            if not name.endswith(".pyc"):
+            if "__pycache__/" not in name:  # compiled templates, too: the first report would change the program
                 digest.update(f"{place.name}/{name}\0".encode())
                 digest.update(Path(path).read_bytes())
     for library in LIBRARIES:

@@ -1,6 +1,8 @@
 """Over wires: the self-test passes on right rigs, also after they were pressurised, and names what a wrong file has."""
 
 import random
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import pytest
 
@@ -13,18 +15,24 @@ UNDECIDABLE = {"displacement and displacement_command exchanged"}
 """One drive gives both, with one scale: no independent reference."""
 
 
-@pytest.mark.parametrize("name", RIGS)
-def test_a_right_file_passes_and_wrong_ones_are_named(tmp_path, name):
-    """With every commit one wrong file of each rig; on demand all of them."""
-    with emulated_rig(tmp_path, name) as rig:
-        for load in (0.0, 58.86)[: 1 + (cases(1) > 1)]:
-            code, said = rig.probe(rig.path, load)
-            assert code == 0, said
+def test_right_files_pass_and_wrong_ones_are_named(tmp_path):
+    """With every commit one wrong file of each rig, two rigs at a time, for most of it is waiting; on demand all."""
+    with ThreadPoolExecutor(2) as pool:
+        assert [wrong for found in pool.map(partial(not_as_expected, tmp_path), RIGS) for wrong in found] == []
+
+
+def not_as_expected(tmp_path, name):
+    """What is wrong with the self-test of one rig: alarms on its right file, wrong files that are not named."""
+    folder = tmp_path / name
+    folder.mkdir()
+    with emulated_rig(folder, name) as rig:
+        loads = (0.0, 58.86)[: 1 + (cases(1) > 1)]
+        wrong = [(name, load, said) for load in loads for code, said in [rig.probe(rig.path, load)] if code]
         faults = [fault for fault in rig.faults() if ":" in fault.name and not fault.name.startswith("dump_valve")]
         faults = rig.faults() if cases(1) > 1 else random.Random(name).sample(faults, 1)
         for fault in faults:
+            undecidable = fault.name in UNDECIDABLE and name == "festo-sine"
             word, said = rig.tried(fault)
-            expected = (
-                {NOT_CHECKED} if fault.name in UNDECIDABLE and name == "festo-sine" else {NAMED, REFUSED, BY_DRIVER}
-            )
-            assert word in expected, (fault.name, word, said)
+            if word not in ({NOT_CHECKED} if undecidable else {NAMED, REFUSED, BY_DRIVER}):
+                wrong.append((name, fault.name, word, said))
+    return wrong

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from pmabench.base.errors import InvalidFile
+from pmabench.store import since
 from pmabench.store.catalogue import catalogue
 from pmabench.store.chain import continued
 from pmabench.store.notes import add_note
@@ -214,3 +215,24 @@ def test_a_seal_that_names_files_elsewhere_reads_none_of_them(tmp_path):
         with pytest.raises(InvalidFile, match="does not say the sha256 and the bytes"):
             open_run(folder)
     forged.close("finished")
+
+
+def test_what_python_and_templates_compile_on_the_way_is_no_other_program(tmp_path, monkeypatch):
+    """The first report on a fresh installation writes compiled templates: results made before it are still used."""
+    monkeypatch.setattr(since, "_extensions", lambda: [tmp_path])
+
+    def program():
+        since.program.cache_clear()
+        return since.program()
+
+    try:
+        before = program()
+        compiled = tmp_path / "templates/__pycache__"
+        compiled.mkdir(parents=True)
+        (compiled / "__jinja2_1.cache").write_bytes(b"compiled")
+        (compiled / "rule.cpython-311.pyc").write_bytes(b"compiled")
+        assert program() == before
+        (tmp_path / "rule.py").write_text("x = 1\n")
+        assert program() != before
+    finally:
+        since.program.cache_clear()
