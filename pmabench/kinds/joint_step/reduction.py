@@ -23,6 +23,7 @@ from pmabench.analysis.shared.samples import (
     refuse_flagged,
     refuse_incomplete,
     settings_of,
+    step_of,
     three_parameter,
 )
 from pmabench.analysis.shared.skew import off
@@ -87,7 +88,7 @@ def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Ste
     settings = settings_of(run, options)
     t = trial.t - (float(law["t0"]) + float(settings["begin"]))
     angle, ok = on_time(run, trial, "angle"), trial.usable
-    refuse_leaps(t[ok], angle[ok], count_of(run, "angle"))
+    refuse_leaps(t[ok], trial.channels["angle"][ok])
     window = (float(settings["window"][0]), float(settings["window"][1]))
     saturated = float(law.get("saturated", 0.0))
     if "frequency" in trial.point:
@@ -115,20 +116,27 @@ def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Ste
     return Stepped(run, trial, t[ok], angle[ok], reference[ok], saturated, sign, step, response)
 
 
-def refuse_leaps(t: Array, angle: Array, count: float) -> None:
+def refuse_leaps(t: Array, angle: Array) -> None:
     """Raise `NotUsable` where the angle leaps from one sample to the next, as no joint with a mass turns.
 
-    A leap is what is left of a sample's change after those around it, above noise and what the motion bends elsewhere.
+    A leap is what is left of a sample's change after the speed before and after it, above noise, steps of the encoder
+    and what the motion bends elsewhere. Samples may be missing: a change is as long as the time that it takes.
     """
-    change = np.diff(angle)
-    around = 0.25 * (change[:-4] + change[1:-3] + change[3:-1] + change[4:])
-    leaps = np.abs(change[2:-2] - around)
-    if not len(leaps):
+    took, at = np.diff(t), 0.5 * (t[1:] + t[:-1])
+    speed = np.diff(angle) / took
+    if len(speed) < 5:
         return
+    near = (0, 1, 3, 4)  # of five changes, those about the middle one
+    when, fast = (np.array([one[k : len(one) - 4 + k] for k in near]) for one in (at, speed))
+    middle = when.mean(axis=0)
+    slope = np.sum((when - middle) * fast, axis=0) / np.sum((when - middle) ** 2, axis=0)
+    off = speed[2:-2] - fast.mean(axis=0) - slope * (at[2:-2] - middle)
+    leaps = np.abs(off) * took[2:-2]
     worst = int(np.argmax(leaps))
-    motion = np.abs(change[max(0, worst - 8) : worst + 13] - np.median(change[max(0, worst - 8) : worst + 13]))
-    usual = float(np.sort(motion)[-2])  # the largest change but one
-    if leaps[worst] > max(LEAP * noise_of(angle), 3 * count, 2 * usual):
+    around = speed[max(0, worst - 8) : worst + 13]
+    usual = float(np.sort(np.abs(around - np.median(around)))[-2] * took[worst + 2])  # the largest change but one
+    step = step_of(angle)
+    if leaps[worst] > max(LEAP * noise_of(angle), 3 * step, 2 * usual):
         raise NotUsable(
             f"{show(float(t[worst + 3]), 'time', 3)} after its begin the angle leaps by "
             f"{show(float(leaps[worst]), 'angle', 2)} in one sample: the encoder or its coupling slips"
