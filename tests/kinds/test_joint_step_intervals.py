@@ -100,3 +100,37 @@ def test_an_encoder_that_slips_is_still_seen(lost):
     found = stepped(lost=lost, change=lambda t, angle: angle + 0.2 * DEG * (t > 0.1))
     assert len(found.dropped) == 3
     assert "the encoder or its coupling slips" in found.dropped[0].reason
+
+
+@pytest.mark.parametrize("omega", [12.0, 25.0, 40.0])
+def test_a_quick_overshoot_is_not_flattened(omega):
+    """Repeats that agree have narrow intervals; a mean over 20 ms made it up to 2.6 % low."""
+    found = off_by(stepped(omega), true(omega))
+    assert max(map(abs, found.values())) < 0.5
+    height = next(e.value for e in stepped(omega).estimates if e.symbol == "OS_th")
+    assert height == pytest.approx(true(omega)["OS_th"], rel=2e-3)
+
+
+def test_a_declared_filter_is_undone():
+    """It lowered the overshoot by 3.6 %, which a shift in time does not give back."""
+    found = stepped(lag=0.02, declared=0.02)
+    assert max(map(abs, off_by(found, true(12.0)).values())) < 0.5
+    height = next(e.value for e in found.estimates if e.symbol == "OS_th")
+    assert height == pytest.approx(true(12.0)["OS_th"], rel=4e-3)
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [{"off": OFFSET}, {"off": -OFFSET}, {"gain": GAIN}, {"gain": -GAIN}, {"lag": 0.005}, {"lag": 0.024, "declared": 0.02},
+     {"count": 120 * DEG / 2**10, "noise": 0.0}],
+)  # fmt: skip
+def test_what_the_declaration_leaves_open_is_in_the_intervals(sensor):
+    """A zero, a gain, a filter of up to 5 ms that nobody declared, one a fifth longer than declared, and coarse steps."""
+    assert max(map(abs, off_by(stepped(**sensor), true(12.0)).values())) < 1.05
+
+
+def test_a_sound_bench_keeps_narrow_intervals():
+    halves = {e.symbol: e.parts.combined for e in stepped().estimates}
+    assert halves["OS_th"] < 1.5 * math.hypot(OFFSET, GAIN * GOAL)
+    assert halves["t_s"] < 0.010
+    assert halves["t_r"] < 0.015
