@@ -9,6 +9,7 @@ from pmabench.kinds.arm_angle import reduction
 from pmabench.store.analyses.results import Analysis, Estimate
 from tests.analysis.judged_forms import as_run, as_trials
 from tests.judge import arm
+from tests.judge.record import lagged
 
 RADIUS = 0.03
 KNOWN = {
@@ -16,11 +17,15 @@ KNOWN = {
     "angle": {"offset_uncertainty": np.radians(0.1), "gain_uncertainty": 0.001},
     "displacement": {"offset_uncertainty": 2e-5, "gain_uncertainty": 5e-4},
 }
+ONE = {0.0: arm.LOADS[0.0]}
 SIX = {mass: arm.by_powers(mass) for mass in (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)}
 
 
-def measured(off, loads=arm.LOADS, step=0.0) -> Analysis:
-    """The analysis of a sound arm whose channels read `off` more; the angle in steps of `step` [rad]."""
+def measured(off, loads=ONE, step=0.0, creep=0.0) -> Analysis:
+    """The analysis of a sound arm whose channels read `off` more; the angle in steps of `step` [rad].
+
+    A share `creep` of each motion comes with a time constant of 30 s, ten holds.
+    """
     trials = []
     for trial in arm.campaign("clean", 0.0, 5, loads):
         channels = {**trial.channels, "displacement": RADIUS * trial.channels["angle"]}
@@ -29,6 +34,9 @@ def measured(off, loads=arm.LOADS, step=0.0) -> Analysis:
             at = [when for c in trial.commands for when in (c.t, c.t + abs(c.value - c.before) / c.rate)]
             P = np.interp(trial.t, at, [value for c in trial.commands for value in (c.before, c.value)])
             channels["angle"] = step * np.round(arm.angle(P, loads[trial.point["tip_mass"]]) / step)
+        if creep:
+            still = arm.angle(trial.channels["pressure"], loads[trial.point["tip_mass"]])
+            channels["angle"] = channels["angle"] - creep * (still - lagged(still, 30.0, arm.RATE))
         trials.append((trial, channels))
     made = as_trials([trial for trial, _ in trials])
     for one, (_, channels) in zip(made, trials, strict=True):
@@ -90,3 +98,17 @@ def test_steps_that_no_noise_averages_out_are_in_the_gap():
     """Repeats read the same steps and scatter by nothing, and each way may be half a step off."""
     for e in of(measured({}, step=2e-3), "alpha_H", "angle-at-rest"):
         assert 1e-3 < e.parts.combined < 3e-3
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1])
+def test_creep_that_is_slower_than_a_hold_is_in_the_intervals(share):
+    """It looks like a drift in one hold: the gap was 3 half widths too wide, and a 1.7 half widths off."""
+    analysis, right = measured({}, creep=share), arm.truth("clean", 0.0)
+    for symbol in ("alpha_max", "alpha_H"):
+        for e in of(analysis, symbol, "angle-at-rest"):
+            low, high = right[symbol, "", e.at["tip_mass"]]
+            if e.value is None:
+                assert "not at rest" in e.note
+            else:
+                assert low - e.parts.combined <= e.value <= high + e.parts.combined
+    assert max(scores(analysis, "logistic-up")) < 1.1

@@ -22,6 +22,7 @@ from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import Held, Left, NotUsable, ends, left, noise_of, refuse_incomplete, step_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
+from pmabench.kinds.arm_angle.creep import Step, still_to_come
 from pmabench.store.analyses.results import Dropped, Estimate, withhold
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -63,6 +64,10 @@ class Rest:
     """Of the mean [rad]."""
     held: Held
     """The angle over the later part of the hold."""
+    moved: float
+    """Middle of the ramp before it [s]."""
+    since: float
+    """Begin of `held` [s]."""
     arc: float
     """Contraction of the bending muscle by the radius [rad]; nan where one of them is not known."""
     coarse: float
@@ -78,6 +83,8 @@ class Stair:
     rests: tuple[Rest, ...]
     vented: tuple[float, ...]
     """What the pressure reads before and after the trial, without pressure [Pa]; each as near to 0 as noise lets it."""
+    start: float
+    """Angle before the first ramp [rad]."""
 
     def column(self, sets: Sequence[float], side: int, of: str = "angle") -> Array:
         """`of` the rests that were reached from one side, at the commanded pressures; nan where there is none."""
@@ -138,7 +145,21 @@ class Loaded:
     def motion(self, place: int, side: int) -> Left:
         """What the angle would still change by at one pressure, reached from one side [rad]."""
         rests = [rest for stair in self.stairs for rest in stair.rests if rest.side == side]
-        return left([rest.held for rest in rests if round(rest.set) == round(self.sets[place])])
+        found = left([rest.held for rest in rests if round(rest.set) == round(self.sets[place])])
+        slow = self.creep.get((side, round(self.sets[place])), 0.0)
+        return replace(found, most=max(found.most, slow), seen=found.seen or slow > 0)
+
+    @cached_property
+    def creep(self) -> dict[tuple[int, int], float]:
+        """Side and commanded pressure -> what creep that is slower than a hold still adds there [rad]."""
+        steps = []
+        for stair in self.stairs:
+            before = (stair.start, *(rest.angle for rest in stair.rests))
+            steps.append(
+                [Step(r.moved, r.angle - b, r.since, r.held) for r, b in zip(stair.rests, before, strict=False)]
+            )
+        places = [(rest.side, round(rest.set)) for rest in self.stairs[0].rests]
+        return dict(zip(places, still_to_come(steps).tolist(), strict=False))
 
     @property
     def noise(self) -> float:
@@ -234,6 +255,8 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
                 drift=2 * float(angle[last[middle:]].mean() - angle[last[:middle]].mean()),
                 noise=noise_of(angle[last]) / np.sqrt(max(1, middle)),
                 held=Held.of(trial.t[later], angle[later], end - LAST * (end - begin) - float(trial.t[later[0]])),
+                moved=0.5 * (ramp.t + begin),
+                since=float(trial.t[later[0]]),
                 arc=float(arc[last].mean()),
                 coarse=_coarse(angle[last], step),
             )
@@ -244,7 +267,8 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
     if found < FOLLOWS * wanted:
         moved = f"{show(float(found), 'pressure', 3)} of the {show(float(wanted), 'pressure', 3)} that were commanded"
         raise NotUsable(f"over the rests on its way up the measured pressure moves by {moved}: a dead or wrong channel")
-    return Stair(run, trial, tuple(rests), _vented(trial, ramps, good))
+    start = float(angle[good & (trial.t <= max(ramps[0].t + SOON, trial.t[good][0]))].mean())
+    return Stair(run, trial, tuple(rests), _vented(trial, ramps, good), start)
 
 
 def _coarse(angle: Array, step: float) -> float:
