@@ -59,6 +59,8 @@ class Faults:
     """Half gap [N] and way of another hysteresis."""
     play: float = 0.0
     """Between the drive, where the encoder is, and the joint [rad]."""
+    loaded: float = 0.0
+    """Of the same, where the torque holds the joint at one flank or the other [rad]."""
     bearing: float = 0.0
     """Friction [N m]."""
     drift: float = 0.0
@@ -97,6 +99,9 @@ def measured(run, faults=Faults(), seed=1):
 def _trial(trial, faults, rng, since):
     drive = lfilter([0.4], [1, -0.6], commanded(trial), zi=[0.6 * commanded(trial)[0]])[0]
     joint = behind(drive, faults.play) if faults.play else drive
+    for _ in range(8 if faults.loaded else 0):
+        held = torque(joint, trial.point["pressure_1"], trial.point["pressure_2"]) + hysteresis(joint, HALF, W)
+        joint = 0.5 * joint + 0.5 * (drive + 0.5 * faults.loaded * np.tanh(held / 0.3))
     way = np.sign(np.gradient(joint))
     P = [faults.reached * trial.point[f"pressure_{n}"] + sign * faults.dragged * way for n, sign in ((1, 1), (2, -1))]
     pull = torque(joint, *P) + hysteresis(joint, HALF, W) + hysteresis(joint, *faults.second)

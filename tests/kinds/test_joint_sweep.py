@@ -250,6 +250,13 @@ def test_a_second_hysteresis_is_in_the_stiffness_and_its_interval(pairs):
     assert "Sweep farther" in worse.note
 
 
+def test_play_that_the_torque_loads_is_in_stiffness_and_gap(pairs):
+    """Half a degree takes 2.3 % off the stiffness at mid sweep, 4 % off the gap."""
+    kept, withheld, _ = found(replace(pairs, trials=pairs.trials[:1]), Faults(loaded=math.radians(0.5)))
+    assert not withheld
+    assert widths(kept, "K_th") > 0.3
+
+
 def test_friction_of_a_bearing_is_named_where_it_looks_like_a_filter(pairs):
     H = value_at(reduce([joint_plant.measured(pairs, Faults(bearing=0.2))]), "H_tau")
     assert "friction builds up on a small way" in H.note

@@ -244,6 +244,14 @@ def test_play_between_encoder_and_joint_leaves_no_gap(nine, play):
     assert all("play between the encoder and the joint" in e.note for e in withheld)
 
 
+@pytest.mark.parametrize("play", [0.2, 0.5])
+def test_play_that_the_torque_loads_is_in_stiffness_and_gap(nine, play):
+    """Where the torque changes its sign the joint goes over to the other flank: half a degree takes 5 % off K."""
+    equal = replace(nine, trials=nine.trials[::4])
+    found(equal, Faults(loaded=play * DEG))
+    assert widest(found(equal, Faults()), "H_tau") < 0.03
+
+
 def test_a_zero_of_the_torque_that_drifts_is_in_what_the_pressures_do(nine):
     """The pressures follow each other in time, so that a drift looks like an effect of the first of them."""
     good, drifts = found(nine, Faults()), found(nine, Faults(drift=0.1))

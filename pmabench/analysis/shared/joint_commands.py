@@ -22,6 +22,12 @@ SCALE = 2e-3
 """Share by which encoder and drive may disagree unseen [1]."""
 ZERO = radians(0.1)
 """Angle by which they may do so."""
+ORDER = 5
+"""Of the smooth torque next to a step where it changes its sign."""
+SURE = 4.0
+"""Standard errors from which on such a step counts."""
+SMEARED = 2.0
+"""A step that is spread over some angles may be so many times as large as it looks."""
 SHORT = 0.01
 """Share of a commanded pressure by which the measured one may be off it without a word."""
 
@@ -60,6 +66,29 @@ def way(kept: Sequence[Kept], stiffness: float) -> Doubt:
     scale = max((one.scale for one in kept), key=abs)
     reason = f"the encoder reads {scale:+.1%} of the way that the drive was sent: one of them has a wrong scale"
     return Doubt("scale of the angle", "method", abs(scale * stiffness), abs(scale) > SCALE, reason)
+
+
+def flanks(x: Array, branches: Sequence[Array]) -> float:
+    """Step of the torque where it changes its sign, in both `branches` over the angles `x` (n,) alike [N m]; else 0.
+
+    Play that the torque loads lets the joint over to its other flank there, and the torque stays behind. A branch is
+    NaN where it does not count.
+    """
+    steps = []
+    for torque in branches:
+        known = np.isfinite(torque)
+        y, side = torque[known], np.sign(torque[known])
+        if min(np.count_nonzero(side > 0), np.count_nonzero(side < 0)) <= ORDER:
+            return 0.0
+        z = 2 * (x[known] - x[known].mean()) / np.ptp(x[known])
+        design = np.column_stack([*(z**k for k in range(ORDER + 1)), side])
+        terms, *_ = np.linalg.lstsq(design, y, rcond=None)
+        rest = y - design @ terms
+        error = np.sqrt(rest @ rest / (len(y) - ORDER - 2) * np.linalg.inv(design.T @ design)[-1, -1])
+        if terms[-1] > -SURE * error:
+            return 0.0
+        steps.append(-float(terms[-1]))
+    return SMEARED * float(np.mean(steps))
 
 
 def findings(kept: Sequence[tuple[Mapping[str, float], Kept]]) -> Iterator[Finding]:

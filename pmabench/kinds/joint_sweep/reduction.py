@@ -17,7 +17,7 @@ from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
-from pmabench.kinds.joint_sweep.sweep import OffForm, Sweep, steeper_by, sweep_of
+from pmabench.kinds.joint_sweep.sweep import OffForm, Sweep, flatter_by, steeper_by, sweep_of
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -27,6 +27,7 @@ NEAR = 0.02
 """The slope of the mean curve at a place is the steepest within this share of the sweep."""
 SURE = 4.0
 """Standard errors from which on pressures differ between the directions."""
+PLAY = "play under the torque"
 PLACES = 5
 """Places along the sweep at which the mean curve is given."""
 
@@ -136,7 +137,8 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     stiffness, taken_off = [one.stiffness for one in members], max(one.taken_off for one in members)
     found = made("K_th", ("N.m/rad", "torsional stiffness"), BRANCHES, stiffness, taken_off, -1, slope)
     steeper = [steeper_by(s) if s else 0.0 for s in seconds]
-    yield weighed(found, [joint_commands.way(kept, K), _second(members, steeper)])
+    flat = Doubt(PLAY, "method", max(flatter_by(one) for one in members), False)
+    yield weighed(found, [joint_commands.way(kept, K), _second(members, steeper), flat])
     # how far the fitted open gap is from that at mid sweep, and what the turns leave in the mean curve [N.m]
     fits = [(one.loop, one.loop.turns) for one in members]
     unclosed = max(abs(2 * t.h - float(loop.middle_gap.mean())) if t else 0.0 for loop, t in fits)
@@ -173,6 +175,7 @@ def _of_gap(members: Sequence[Sweep], K: float, per_pressure: float) -> list[Dou
     return [
         replace(late, half=gap),
         Doubt("drift", "drift", 0.5 * max(one.loop.uneven_drift for one in members), False),
+        Doubt(PLAY, "method", 2 * max(one.flank for one in members), False),
         Doubt("pressures of both directions", "method", per_pressure * size, size > SURE * scatter, reason),
     ]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.joint_commands import Kept
+from pmabench.analysis.shared.joint_commands import Kept, flanks
 from pmabench.analysis.shared.lines import left_by
 from pmabench.analysis.shared.ramp_loop import AXES, CUT, MUSCLES, Loop, Turns, fading, measure, refuse_turns
 from pmabench.analysis.shared.samples import NotUsable, ends, on_time, settings_of
@@ -34,6 +34,8 @@ class Sweep:
     second: Turns | None
     """What else of the torque turns over after a turn, on a longer way; None where that does not show."""
     kept: Kept
+    flank: float
+    """Step of the torque where it changes its sign, as play makes it [N m]; 0 where none shows."""
     apart: Array
     """Pressures while the angle falls less those while it rises [Pa], shape (cycles, 2)."""
 
@@ -63,7 +65,17 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
     stiffness, plain = _slopes(loop, loop.turns), _slopes(loop, loop.turns, keep=True)
     kept, apart = _by_commands(run, trial, len(loop.gap))
     taken_off = abs(float(stiffness.mean() - plain.mean()))
-    return Sweep(run, trial, loop, stiffness, taken_off, second_of(loop), kept, apart)
+    cut = CUT * loop.turns.w if loop.turns is not None else 0.0
+    rising = np.where(loop.x - loop.ends[0] >= cut, loop.contracting.mean(axis=0), np.nan)
+    falling = np.where(loop.ends[1] - loop.x >= cut, loop.expanding.mean(axis=0), np.nan)
+    flank = flanks(loop.x, (rising, falling))
+    return Sweep(run, trial, loop, stiffness, taken_off, second_of(loop), kept, flank, apart)
+
+
+def flatter_by(one: Sweep) -> float:
+    """What a step of the torque where it changes its sign takes off the stiffness at mid sweep [N m/rad]."""
+    x = one.loop.x - one.loop.x.mean()
+    return abs(one.flank * float(np.polyfit(x, np.sign(one.loop.mean.mean(axis=0)), 3)[2]))
 
 
 def _by_commands(run: RunData, trial: TrialData, cycles: int) -> tuple[Kept, Array]:

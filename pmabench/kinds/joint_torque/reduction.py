@@ -40,6 +40,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     angle. `options`: `angles` [rad], else the plan's.
     """
     staircases, dropped = measured_trials(runs, lambda run, trial: staircase_of(run, trial, options or {}))
+    staircases = _with_flanks(staircases)
     scales = Scales.of(runs)
     cells: Cells = grouped(staircases, lambda one: tuple(round(one.trial.point[name], 3) for name in MUSCLES))
     estimates = list[Estimate]()
@@ -69,6 +70,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces=list(_map(cells, estimates)),
         facts={"options": dict(options or {}), "trials": len(staircases)},
     )
+
+
+SHOWN = 1 / 3
+"""Share of the trials that must show a step where the torque changes its sign, so that it is that of the bench."""
+
+
+def _with_flanks(staircases: Sequence[Staircase]) -> list[Staircase]:
+    """The same with the largest step of all, where a part of them shows one: others change sign near an end only."""
+    most = max((one.flank for one in staircases), default=0.0)
+    if sum(one.flank > 0 for one in staircases) <= SHOWN * len(staircases):
+        return list(staircases)
+    return [replace(one, flank=most) for one in staircases]
 
 
 def gap_of(run: RunData, trial: TrialData) -> float:
@@ -157,6 +170,7 @@ def _of_stiffness(members: Sequence[Staircase], K: Estimate, place: int, bend: f
         joint_commands.place(kept, K.at["angle"], bend),
         Doubt("steps of the torque", "method", max(float(m.rounded[place]) for m in members), False),
         Doubt("play", "method", max(float(m.held_back[place]) for m in members), False),
+        Doubt("play under the torque", "method", max(m.flatter for m in members), False),
     ]
 
 
@@ -189,6 +203,7 @@ def _doubts(
     read = ROUNDED * max(one.rests.step for one in members)
     gap = [
         Doubt("steps of the torque", "method", 2 * read, False),
+        Doubt("play under the torque", "method", 2 * max(one.flank for one in members), False),
         Doubt("play", "method", likely * play, play > filtered, behind),
         Doubt("torque at rest", "method", ON * (rising.most + falling.most), moves, still),
         Doubt("pressures of both sides", "method", given, given > scatter * per_torque, f"{pressures}. Rest longer"),

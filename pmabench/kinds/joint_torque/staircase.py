@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.joint_commands import Kept
+from pmabench.analysis.shared.joint_commands import Kept, flanks
 from pmabench.analysis.shared.ramp_loop import AXES, CUT, MUSCLES, Turns, on_grid, refuse_turns, turns_of
 from pmabench.analysis.shared.samples import (
     Held,
@@ -96,6 +96,8 @@ class Staircase:
     rests: Rests
     after: AfterTurns | None
     """None without turns."""
+    flank: float
+    """Step of the torque where it changes its sign, as play makes it [N m]; 0 where none shows."""
 
     @cached_property
     def gap(self) -> Array:
@@ -169,6 +171,11 @@ class Staircase:
         off = 0.5 * self.after.size * (rising - falling) - self.left[self.open]
         return np.asarray(np.abs(off @ self._by_torque()))
 
+    @cached_property
+    def flatter(self) -> float:
+        """What a step where the torque changes its sign does to that stiffness at most [N m/rad]."""
+        return float(np.max(np.abs(self.flank * np.sign(self.mean.mean(axis=0)[self.open]) @ self._by_torque())))
+
 
 ROUNDED = 2 / sqrt(24)
 """Half width of the mean of two torques that were rounded, in steps."""
@@ -184,13 +191,20 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
     lowest, highest = trial.point["lowest_angle"], trial.point["highest_angle"]
     mean = rests.angles.mean(axis=(0, 1))
     # the turns are where the encoder reads them, which may be off the drive
-    turns = _turns(trial, angle, torque, *np.polyval(np.polyfit(nominal, mean, 1), [lowest, highest]))
+    low, high = np.polyval(np.polyfit(nominal, mean, 1), [lowest, highest])
+    grid, up, down = _moving(trial, angle, torque, low, high)
+    known = np.isfinite(up + down)
+    turns = turns_of(grid[known], (down - up)[known], low, high) if known.sum() > LEAST_SAMPLES else None
     way = CUT * turns.w * (1 - 1e-9) if turns is not None else -np.inf
     far = np.asarray((nominal - lowest >= way) & (highest - nominal >= way))
     pressures = np.array([float(np.mean(trial.channels[name][trial.usable])) for name in MUSCLES])
     rising, falling = rests.torques.swapaxes(0, 1)
     after = _after_turns(trial, angle, torque, turns.w) if turns is not None else None
-    found = Staircase(run, trial, mean, nominal, rising, falling, turns, far, pressures, rests.noise, rests, after)
+    cut = CUT * turns.w if turns is not None else 0.0
+    flank = flanks(grid, (np.where(grid - low >= cut, up, np.nan), np.where(high - grid >= cut, down, np.nan)))
+    found = Staircase(
+        run, trial, mean, nominal, rising, falling, turns, far, pressures, rests.noise, rests, after, flank
+    )
     try:
         refuse_turns(turns, 0.5 * (highest - lowest), float(np.median(found.gap)), rests.noise)
     except NotUsable as reason:
@@ -255,15 +269,14 @@ def ramps_of(trial: TrialData) -> list[Command]:
     return [c for c in trial.commands if c.output == "angle" and c.kind == "ramp" and c.phase in ("rise", "fall")]
 
 
-def _turns(trial: TrialData, angle: Array, torque: Array, lowest: float, highest: float) -> Turns | None:
-    """How a turn fades, from the torque while the joint moves; None where no turns show."""
+def _moving(trial: TrialData, angle: Array, torque: Array, low: float, high: float) -> tuple[Array, Array, Array]:
+    """Angles, and the torque while the joint rises and falls over them; NaN where it does not pass."""
     moving = {phase: np.zeros(trial.t.shape, bool) for phase in (AXES.rises, AXES.falls)}
     for ramp in ramps_of(trial):
         moving[ramp.phase] |= (trial.t >= ramp.t) & (trial.t < ends(ramp)) & trial.usable
-    grid = np.linspace(lowest, highest, POINTS)[1:-1]
+    grid = np.linspace(low, high, POINTS)[1:-1]
     up, down = (on_grid(grid, angle[rows], torque[rows]) for rows in moving.values())
-    known = np.isfinite(up + down)
-    return turns_of(grid[known], (down - up)[known], lowest, highest) if known.sum() > LEAST_SAMPLES else None
+    return grid, up, down
 
 
 SETTLED = 0.4
