@@ -242,7 +242,7 @@ ONE_STEP = "no repeats part: one step"
 DRIFTS = 0.02
 """What the force would still change by after a rest, as a share of its step, that is doubted."""
 BLUNT = 0.25
-"""Share of the peak above which what a filter may have taken off it is not left to its interval."""
+"""Share of the rise to a peak above which what a filter may have taken off it is not left to its interval."""
 SEVERAL = 0.4
 """Share of a time constant by which that of the later part may differ where there is one exponential."""
 LONGEST_TRACE = 1500
@@ -302,7 +302,7 @@ def _estimates(
     before, after = (_still_moving([getattr(one, name) for one in every]) for name in ("earlier", "later"))
     both = tuple(replace(one, half=one.half / moved) for one in (before, after))
     blunt = _blunt(group, every)
-    of_peak = (both[0], replace(blunt, half=blunt.half / moved))
+    of_peak = (both[0], replace(blunt, half=blunt.half / moved, most=BLUNT))
     estimates: list[Estimate] = []
 
     def estimate(
@@ -366,8 +366,9 @@ def _blunt(group: Sequence[Steps], every: Sequence[Relaxation]) -> Doubt:
     half = max(one.blunted for one in every)
     text = f"a filter of the force cell of {show(constant, 'time', 2)} would take {show(half, 'force', 2)} off the peak"
     reason = f"{text}: declare the `sensor_lag` of the channel, use a faster cell, or step more slowly"
-    rise = abs(float(np.mean([one.peak - one.before for one in every])))
-    return Doubt("filter of the force cell", "method", half, seen=True, reason=reason if half > BLUNT * rise else "")
+    peak, before = (float(np.mean([getattr(one, name) for one in every])) for name in ("peak", "before"))
+    most = BLUNT * abs(peak - before) / max(abs(peak), 1e-9)
+    return Doubt("filter of the force cell", "method", half, True, reason, most)
 
 
 def _still_moving(rests: Sequence[Held]) -> Doubt:
