@@ -269,7 +269,13 @@ def _against(levels: Sequence[Level], nearest: Level, used: Sequence[Level], end
     shape = min(level.third - 3 * level.third_noise for level in used[-2:])
     if shape > THIRD["fault"]:
         reasons.append(f"limit cycle with stiction: third harmonic {shape:.1%} of the first (sine 0, triangle 11 %)")
-    if abs(friction) > FRICTION["fault"]:
+    bent = nearest.third - 3 * nearest.third_noise
+    if abs(friction) > FRICTION["doubt"] and bent > THIRD["fault"]:
+        reasons.append(
+            f"limit cycle with stiction: growth depends on the swing, worth {abs(friction):.1%} of K_u, and the third "
+            f"harmonic is {bent:.1%} of the first; together they are worth several times that"
+        )
+    elif abs(friction) > FRICTION["fault"]:
         reasons.append(
             f"limit cycle with stiction: growth depends on the swing, which shifts K_u by {abs(friction):.0%}"
         )
