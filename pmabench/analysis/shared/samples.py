@@ -97,6 +97,8 @@ UNDECLARED = 5e-3
 """Time constant [s] that the filter of a force cell may have where its channel declares no `sensor_lag`."""
 
 STEPS = "steps of the channels"
+OF_TWO = 1.55
+"""What the difference of two means that are read in steps may be off (95 %), over what one may (`unresolved`)."""
 PLACES = 8
 FINE = 1e-3
 """Steps up to this share of a swing change nothing."""

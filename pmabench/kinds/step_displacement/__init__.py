@@ -27,8 +27,8 @@ METHODS = {
         "that the step makes, and friction are in it."
     ),
     "step, recovery": (
-        "One exponential through force and pressure from the end of the motion on. That of the force is withheld where a "
-        "filter of the cell may have made it, unless the pressure shows it, too."
+        "One exponential through force and pressure from the end of the motion on. That of the force is withheld where "
+        "a filter of the cell may have made it, unless the pressure shows it, too."
     ),
 }
 POINT = (("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held"))

@@ -17,7 +17,7 @@ import numpy as np
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, force_from_cycle_to_cycle, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.samples import STEPS, Held, left
+from pmabench.analysis.shared.samples import OF_TWO, STEPS, Held, left
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
@@ -46,8 +46,6 @@ DRIFTS = 0.02
 """What the force would still change by after a rest, as a share of its step, that is doubted."""
 BLUNT = 0.25
 """Share of the peak above which what a filter may have taken off it is not left to its interval."""
-OF_TWO = 1.55
-"""What the difference of two rests that are read in steps may be off (95 %), over what one may: both are even."""
 SEVERAL = 0.4
 """Share of a time constant by which that of the later part may differ where there is one exponential."""
 LONGEST_TRACE = 1500
