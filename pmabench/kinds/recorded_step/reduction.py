@@ -128,7 +128,7 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
     """
     pairs = [(round(step.trial.point["from"], -2), round(step.trial.point["pressure"], -2)) for step in steps]
     mean, half, _ = mean_over([step.dead for step in steps], [sorted(set(pairs)).index(pair) for pair in pairs])
-    method = hypot(late + max(step.dead_half for step in steps), max(step.slower[0] for step in steps))
+    method = hypot(late + max(step.dead_half for step in steps), _slower(steps, 0))
     parts = Parts(repeats=half, method=method, calibration=0.0)
     parents = tuple(step.name for step in steps)
     resolved = "command to pressure, all steps; the log resolves no less than the method part"
@@ -162,9 +162,9 @@ def _at(
     seconds = ("s", "time")
     found: list[Estimate] = []
     if not any(step.found for step in steps):
-        half = hypot(late + max(step.dead_half for step in steps), max(step.slower[0] for step in steps))
+        half = hypot(late + max(step.dead_half for step in steps), _slower(steps, 0))
         found.append(estimate("t_d", seconds, [step.dead for step in steps], half, note="to pressure"))
-    half = hypot(max(step.rise_half for step in steps), max(step.slower[1] for step in steps))
+    half = hypot(max(step.rise_half for step in steps), _slower(steps, 1))
     found.append(estimate("tau_P", seconds, [step.rise for step in steps], half, note="63 %"))
     strokes = [step.stroke for step in steps]
     found.append(
@@ -179,6 +179,11 @@ def _at(
     doubts = [*_unsettled(moved), _of_steps(moved, "pressure")]
     found.append(estimate("dP/dx", ("Pa/m", "gain"), ratios, 0.0, scaled, note, doubts))
     return [*times(at, moved, stiffness, late), *found, *ringing(at, moved, options)]
+
+
+def _slower(steps: Sequence[Step], place: int) -> float:
+    """What a filter of the gauge that nobody declared may add to a time [s], the mean of all steps."""
+    return float(np.mean([step.slower[place] for step in steps]))
 
 
 def _of_steps(steps: Sequence[Step], other: str = "") -> Doubt:
