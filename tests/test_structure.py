@@ -128,10 +128,12 @@ RIDDLES = {"told", "beside", "stands", "stood", "heed", "spoilt", "bite", "fores
 
 
 def trees():
-    """Path and syntax tree of each module of the product and of each test."""
+    """Path and syntax tree of each module of the product, and of each test that has one of the words."""
     for folder in ("pmabench", "drivers", "tests"):
         for path in sorted((ROOT / folder).rglob("*.py")):
-            yield path.relative_to(ROOT), ast.parse(path.read_text("utf-8"))
+            text = path.read_text("utf-8")
+            if folder != "tests" or any(word in text.lower() for word in RIDDLES):
+                yield path.relative_to(ROOT), ast.parse(text)
 
 
 def test_functions_fit_on_a_screen_and_names_are_plain_words():

@@ -96,14 +96,17 @@ class ModelFit:
     findings: tuple[Finding, ...] = ()
 
     def identified(self, name: str, unit: str) -> tuple[float | None, float | None, str]:
-        """Value and half width of an unknown [SI] with its note; both None, and why, where it is not identifiable."""
+        """Value and half width of an unknown [SI] with its note; both None, and why, where it is not identifiable.
+
+        The half width reaches to the further end of the interval.
+        """
         (one,) = (unknown for unknown in self.unknowns if unknown.name == name)
         low, high = one.ci95 or (None, None)
         if not self.converged:
             return None, None, "the fit did not converge"
         if low is None or high is None:
             return None, None, f"not identifiable from what was tested: fitted {one.value:.4g} {unit}"
-        return one.value, 0.5 * (high - low), one.note
+        return one.value, max(high - one.value, one.value - low), one.note
 
     def band(self, values: Mapping[str, Any]) -> tuple[Array, Array | None]:
         """The output at other inputs and the half width of its 95 % confidence band; None without degrees of freedom.

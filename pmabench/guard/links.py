@@ -244,10 +244,10 @@ class Links:
     def stream(self, name: str, rate: float) -> float:
         """Let a device sample at `rate` [Hz], or end it with 0; the rate that it really uses."""
         device = self.need(name, Stream, "takes no samples")
-        self.sampling = {other: at for other, at in self.sampling.items() if other != name}
-        if rate:
-            self.sampling[name] = rate
-        return float(self.call(name, partial(device.start, rate) if rate else device.stop) or 0.0)
+        self.sampling.pop(name, None)
+        used = float(self.call(name, partial(device.start, rate) if rate else device.stop) or 0.0)
+        self.sampling |= {name: rate} if rate else {}
+        return used
 
     def collect(self, name: str) -> Block:
         """The new samples of one device."""

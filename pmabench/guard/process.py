@@ -314,6 +314,10 @@ class Service:
                 if self.guard.feeds:
                     with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
                         self.guard.links.feed_watchdogs()
+                # what confirms the vent must be measured; tried again where it failed
+                for name in {*self._streams()} - {*self.guard.links.sampling}:
+                    with suppress(PmaError):
+                        self.guard.links.stream(name, 1 / LOOK)
             self._step(now)
 
     def _refuse_lost_time(self) -> None:
@@ -337,9 +341,6 @@ class Service:
             self._ended = {"how": how, "why": why}
             self.guard.latest.clear()
         self.guard.begin_safe(tripped=tripped, hurry=hurry)
-        for name in {*self._streams()} - {*self.guard.links.sampling}:  # what confirms the vent must be measured
-            with suppress(PmaError):
-                self.guard.links.stream(name, 1 / LOOK)
         self._step(time.monotonic())
 
     def _step(self, now: float) -> None:

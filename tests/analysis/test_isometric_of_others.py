@@ -207,6 +207,7 @@ def test_a_drift_of_more_than_half_a_loop_withholds_it():
     widths = of_a_drifting_cell(lambda n, share: 5.0 * share, 1)
     assert len(widths) == len(held.CONTRACTIONS)
     assert all(e.withheld and "N more after the ramps than before" in e.note for e in widths)
+    assert all("(an effect above 50 % is not left to an interval)" in e.note for e in widths)
 
 
 def test_what_a_muscle_pulls_after_the_ramps_is_no_more_drift_than_its_cell_is_known_to(tmp_path):

@@ -82,7 +82,7 @@ def test_a_vent_succeeds_whatever_the_owner_does(owner, forks, lab, tmp_path, re
             done = vent(run.state, "--json")
             TIMES[owner].append(assert_safe_since(plant, moment))
             assert TIMES[owner][-1] < GENEROUS
-            assert done.returncode == 0, done
+            assert done.returncode == 0, done.stdout + done.stderr
             reported = json.loads(done.stdout)["benches"]
             assert [(item["bench"], item["result"]) for item in reported] == [(bench.name, "confirmed")]
             assert way is None or reported[0]["way"] == way

@@ -56,6 +56,26 @@ def test_a_vent_that_is_not_confirmed_latches():
     assert "safe state failed" in where.latched()
 
 
+class StartsLate(Rig):
+    """Its first answers to `start` are lost, as on a busy computer; it takes no samples before it has answered one."""
+
+    def start(self, rate):
+        self.lost = getattr(self, "lost", 2) - 1
+        if self.lost >= 0:
+            raise DeviceError(self.device.name, "no answer within 0.18 s")
+        return super().start(rate)
+
+    def collect(self):
+        if not self.values("start"):
+            raise DeviceError(self.device.name, "takes no samples yet")
+        return super().collect()
+
+
+def test_a_vent_is_confirmed_although_the_first_answers_are_lost():
+    late = replace(DEVICE, driver=f"{__name__}:StartsLate")
+    assert vent_directly(bench(late), station(), "test").confirmed
+
+
 def test_a_vent_is_confirmed_by_a_gauge_on_a_link_that_only_measures():
     gauge = DeviceRecord("gauge", DEVICE.driver, channels=DEVICE.channels)
     split = replace(BENCH, devices=(replace(DEVICE, channels=()), gauge))

@@ -18,7 +18,7 @@ from pmabench.store.analyses.results import Estimate, Parts, Source, withhold
 from pmabench.store.records import Array
 
 MOST_HIDDEN = 0.02
-"""A significant departure that could change a value by more than this share withholds it."""
+"""A significant departure that could change a value by more than this share withholds it, where no other is given."""
 NEGLIGIBLE = 0.05
 """Share of a half width below which an effect needs no line."""
 SURE = 0.9995
@@ -46,6 +46,8 @@ class Doubt:
     """Whether the departure is significant."""
     reason: str = ""
     """What was found, how large, and what to do: why the value is withheld where the effect is too large."""
+    most: float = MOST_HIDDEN
+    """Share of the value above which a significant one withholds it."""
 
 
 def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) -> Estimate:
@@ -56,10 +58,11 @@ def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) ->
     if e.value is None:
         return e
     known = sorted(doubts, key=lambda one: one.half, reverse=True)
-    worst = next((one for one in known if one.seen and one.reason), None)
-    limit = MOST_HIDDEN * (abs(e.value) if scale is None else scale)
-    if worst is not None and worst.half > limit:
-        return withhold(e, f"{worst.reason} (an effect above {100 * MOST_HIDDEN:g} % is not left to an interval)")
+    size = abs(e.value) if scale is None else scale
+    worst = next((one for one in known if one.seen and one.reason and one.half > one.most * size), None)
+    if worst is not None:
+        limit = f"{100 * worst.most:.2g} %" if scale is None else show(worst.most * size, e.quantity, 2)
+        return withhold(e, f"{worst.reason} (an effect above {limit} is not left to an interval)")
     before = e.parts.combined or 0.0
     known = [one for one in known if one.half > NEGLIGIBLE * before]
     rest = hypot(before, *(one.half for one in known if not one.seen))

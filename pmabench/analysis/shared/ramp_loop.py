@@ -183,6 +183,8 @@ class Loop:
     """Time by which the force may come behind the displacement, or before it [s]."""
     ends: tuple[float, float]
     """Of the stroke [m]."""
+    moments: Array
+    """When each cycle begins, turns and ends by its commands [s], shape (cycles, 3)."""
 
     @cached_property
     def gap(self) -> Array:
@@ -280,6 +282,7 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
         drift=drift,
         late=_late(run, trial, (X, Y), moments, fades / speed, axes),
         ends=(lower, upper),
+        moments=np.array([(contract.t, expand.t, end) for contract, expand, end in cycles]),
     )  # fmt: skip
 
 

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import sqrt
+from math import hypot, pi, sqrt
 
 import numpy as np
 
 from pmabench.analysis.shared.oscillation import SEEN
 from pmabench.analysis.shared.samples import Held, left, noise_of
+from pmabench.analysis.shared.smoothing import SMOOTHED, SURE, smooth
 from pmabench.store.records import Array
 
-SMOOTHED = 0.02
-"""Samples are averaged over so long [s] before extremes are taken: noise makes no overshoot."""
 SMALLEST = 1e-4
 """A cycle counts where it is larger than this share of the set-point, than the noise and than two counts."""
 SUSTAINED = 0.5
@@ -28,8 +27,6 @@ FEWEST = 2
 """Fewest whole cycles that are called a limit cycle."""
 STILL = 0.01
 """A fortieth of a cycle in which it moves less than this share of its size is spent at rest; a sine spends 8 % so."""
-SURE = 3.0
-"""Standard deviations that the largest of many samples may lie off."""
 PART = 0.02
 """Share by which a smoothed cycle may be off: at its corners, and where its middle is crossed."""
 STICKS = 0.3
@@ -103,11 +100,13 @@ def respond(
     *,
     origin: float = 0.0,
     resolution: float = 0.0,
+    lag: float = 0.0,
 ) -> Response:
     """Measures of the samples `x` [m] at `t` [s from the step], shape (n,), from the step to the end of the hold.
 
     `window` [s] for error and cycle; `band` as a share of the step [1]; `origin`: position at rest before [m];
-    `resolution`: one count of the channel [m]. Raises ValueError where nothing can be measured.
+    `resolution`: one count of the channel [m]; `lag`: time constant of its sensor, which is undone [s]. Raises
+    ValueError where nothing can be measured.
     """
     period = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     inside = (t >= window[0]) & (t <= window[1])
@@ -116,59 +115,73 @@ def respond(
     step = setpoint - origin
     if step <= 0:
         raise ValueError("it rested beyond the set-point already")
-    noise = noise_of(x[inside])
-    width = max(1, round(SMOOTHED / period))
-    rest = SURE * noise / sqrt(width) + 0.5 * resolution
-    smooth = _smoothed(x, width)
-    reached = [np.flatnonzero(smooth >= origin + share * step) for share in (0.1, 0.9)]
-    low, high = (float(t[rows[0]]) if len(rows) else None for rows in reached)
+    noise, place = noise_of(x[inside]), smooth(t, x, lag)
+    at, rest = place.y, SURE * noise * place.gain + 0.5 * resolution
 
     def settled(limit: float) -> float | None:
-        outside = np.flatnonzero(np.abs(smooth - setpoint) > limit)
+        outside = np.flatnonzero(np.abs(at - setpoint) > limit)
         return 0.0 if not len(outside) else float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
 
-    smallest = max(SEEN * noise, 2 * resolution, SMALLEST * setpoint)
-    cycle, wander = cycle_of(t[inside], x[inside], smallest), float(np.ptp(smooth[inside]))
+    smallest = max(SEEN * noise * max(1.0, place.gain), 2 * resolution, SMALLEST * setpoint)
+    cycle, wander = cycle_of(t[inside], x[inside], smallest, lag), float(np.ptp(at[inside]))
+    rise, open_ = _rise(t, at - origin, step, rest)
     near, wide = settled(band * step - rest), settled(band * step + rest)
-    sure = bool((smooth >= origin + 0.9 * step + rest).any())
+    # noise of standard deviation s about rest makes |x| larger by 0.8 s, and by nothing far from it
+    rectified = sqrt(2 / pi) * noise * place.gain * period * float(np.sum(np.abs(at - setpoint) < rest))
     further = left([Held.of(t[inside], x[inside], float(window[0]))])
     if cycle is not None:
         error = 0.5 * cycle.size * min(1.0, cycle.period / (window[1] - window[0]))
     else:
         error = max(further.most, wander if wander > smallest else 0.0)
     unsure = Unsure(
-        rise=period + SMOOTHED / 2,
+        rise=hypot(period + SMOOTHED / 2, *open_),
         overshoot=rest / step,
         settling=period + (near - wide if near is not None and wide is not None else 0.0),
-        IAE=noise * float(t[-1] - t[0]),
+        IAE=rectified,
         size=2 * rest + 2 * PART * (0.0 if cycle is None else cycle.size),
         period=0.0 if cycle is None else period + PART * cycle.period / cycle.count,
         error=max(error, 0.5 * resolution),
         moves=cycle is not None or further.seen or wander > smallest,
     )
-    rise = high - low if low is not None and high is not None and sure else None
-    overshoot = max(0.0, (float(smooth.max()) - setpoint) / step)
+    overshoot = max(0.0, place.against(setpoint).peak(noise) / step)
     settling = settled(band * step) if near is not None else None
-    IAE = float(np.trapezoid(np.abs(setpoint - x), t))
+    IAE = float(np.trapezoid(np.abs(setpoint - at), t)) - 0.5 * rectified
     off = setpoint - float(x[inside].mean())
     return Response(rise, overshoot, settling, off, IAE, cycle, wander, smallest, unsure)
 
 
-def cycle_of(t: Array, x: Array, smallest: float) -> Cycle | None:
+def _rise(t: Array, x: Array, step: float, rest: float) -> tuple[float | None, list[float]]:
+    """From 10 to 90 % of the step [s], None where it does not surely get there; what noise leaves open of both times.
+
+    Each time is between those at which it comes within a standard deviation, a third of `rest`, below and above.
+    """
+
+    def reached(level: float) -> float | None:
+        rows = np.flatnonzero(x >= level)
+        return float(t[rows[0]]) if len(rows) else None
+
+    low, high = reached(0.1 * step), reached(0.9 * step)
+    if low is None or high is None or reached(0.9 * step + rest) is None:
+        return None, []
+    ends = [[reached(share * step + more / SURE) or 0.0 for more in (-rest, rest)] for share in (0.1, 0.9)]
+    return high - low, [late - early for early, late in ends]
+
+
+def cycle_of(t: Array, x: Array, smallest: float, lag: float = 0.0) -> Cycle | None:
     """The sustained oscillation of `x` [m] at `t` [s], shape (n,), if it has one larger than `smallest` [m].
 
-    Cycles go from one upward crossing of the middle to the next, with a hysteresis of a tenth of the size, so that
-    the corners of a stick-slip cycle do not matter.
+    `lag`: time constant of the sensor, which is undone [s]. Cycles go from one upward crossing of the middle to the
+    next, with a hysteresis of a tenth of the size, so that the corners of a stick-slip cycle do not matter.
     """
     period = float(np.median(np.diff(t)))
-    smooth = _smoothed(x, max(1, round(SMOOTHED / period)))
-    low, high = float(smooth.min()), float(smooth.max())
+    at = smooth(t, x, lag).y
+    low, high = float(at.min()), float(at.max())
     if high - low <= smallest:
         return None
-    ups = _upward(smooth, 0.5 * (low + high), 0.1 * (high - low))
+    ups = _upward(at, 0.5 * (low + high), 0.1 * (high - low))
     if len(ups) < FEWEST + 1:
         return None
-    parts = [smooth[a : b + 1] for a, b in pairwise(ups)]
+    parts = [at[a : b + 1] for a, b in pairwise(ups)]
     sizes = np.array([float(np.ptp(part)) for part in parts])
     if sizes[-1] < SUSTAINED * sizes[0] or sizes.mean() <= smallest:
         return None
@@ -195,13 +208,3 @@ def _upward(x: Array, middle: float, hysteresis: float) -> list[int]:
                 found.append(crossing)
                 below = False
     return found
-
-
-def _smoothed(x: Array, width: int) -> Array:
-    """Moving mean over `width` samples, the ends over what is there."""
-    if width <= 1:
-        return x
-    total = np.concatenate(([0.0], np.cumsum(x)))
-    index = np.arange(len(x))
-    first, last = np.maximum(0, index - width // 2), np.minimum(len(x), index - width // 2 + width)
-    return np.asarray((total[last] - total[first]) / (last - first))

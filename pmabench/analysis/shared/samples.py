@@ -94,7 +94,7 @@ def noise_of(y: Array) -> float:
 LAG_KNOWN = 0.2
 """Share to which the time constant of a sensor counts as known: data sheets give typical values, and one digit."""
 UNDECLARED = 5e-3
-"""Time constant [s] that the filter of a force cell may have where its channel declares no `sensor_lag`."""
+"""Time constant [s] that the filter of a sensor may have where its channel declares no `sensor_lag`."""
 
 STEPS = "steps of the channels"
 OF_TWO = 1.55

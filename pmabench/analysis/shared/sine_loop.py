@@ -5,6 +5,7 @@ Also the force that a fitted muscle would have given along the same motion. Know
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import floor, inf, pi
@@ -29,6 +30,8 @@ RECOVERED = "of isobaric cycles: work given while contracting, over work taken u
 """What eta is, where it is given."""
 MIDDLE = 0.25
 """The width at mid stroke is read from samples within this share of the amplitude."""
+PLACE = 0.02
+"""Positions nearer than this share of the amplitude are one: noise around two places makes no parabola."""
 STILL = 1e-9
 """An amplitude below this [m] is rounding and no motion."""
 COARSE, JUMPS = 0.15, 0.4
@@ -51,6 +54,9 @@ class Cycles:
     """Work lost in the loop [J]: -integral of F dx."""
     width: Array
     """Force while returning minus force while contracting, at mid stroke [N]."""
+
+
+NO_CYCLES = Cycles(np.empty(0, dtype=np.complex128), np.empty(0), np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +114,14 @@ class Sine:
         return float(np.arctan2(-self.ratio.imag, -self.ratio.real))
 
 
-def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: float = 0.0) -> Sine:
+def measure(
+    run: RunData, trial: TrialData, discard: float, force_per_pressure: float = 0.0,
+    later: Mapping[str, float] | None = None, delay: float = 0.0,
+) -> Sine:  # fmt: skip
     """One trial from its samples, the first `discard` cycles left out, the lags of the sensors taken off.
 
-    `force_per_pressure` [N/Pa] takes off the force that pressure at the sine's own frequency makes.
+    `force_per_pressure` [N/Pa] takes off the force that pressure at the sine's own frequency makes; `later` is added to
+    the declared lags, `delay` is another one of the force [s].
 
     Raises `NotUsable` where the trial ended early, lacks a channel, went slack, or has too many flagged samples.
     """
@@ -132,8 +142,9 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
         swing = float(np.ptp(y))
         if step > COARSE * swing and not JUMPS * swing < step < inf:
             raise NotUsable(f"{name} has steps above {COARSE:.0%} of its swing: swing more, or read it in finer ones")
-    lag = lags_of(run, trial)
+    lag = {name: declared + (later or {}).get(name, 0.0) for name, declared in lags_of(run, trial).items()}
     x, F = without_lag(t, x, frequency, lag["displacement"]), without_lag(t, F, frequency, lag["force"])
+    F = earlier(t, F, frequency, delay)
     pressure, ripple = float("nan"), 0j
     if "pressure" in trial.channels:
         mean, amplitude = three_parameter(t, np.column_stack([trial.channels["pressure"][window][good], x]), frequency)
@@ -163,9 +174,13 @@ def _window(trial: TrialData, frequency: float, discard: float) -> slice:
 
 
 def evaluate(
-    t: Array, x: Array, F: Array, frequency: float, pressure: float = float("nan"), ripple: complex = 0j
-) -> Sine:
-    """Harmonics, area and width of the loop of displacement `x` [m] and force `F` [N] at `t` [s], shapes (n,)."""
+    t: Array, x: Array, F: Array, frequency: float, pressure: float = float("nan"), ripple: complex = 0j, *,
+    by_cycle: bool = True,
+) -> Sine:  # fmt: skip
+    """Harmonics, area and width of the loop of displacement `x` [m] and force `F` [N] at `t` [s], shapes (n,).
+
+    Without `by_cycle` there are no `cycles`.
+    """
     omega = 2 * pi * frequency
     both = np.column_stack([x, F])
     means, amplitudes = three_parameter(t, both, frequency)
@@ -176,7 +191,7 @@ def evaluate(
     whole = max(1, round((t[-1] - t[0]) * frequency))
     edges = np.searchsorted(t, t[0] + np.arange(whole + 1) / frequency - 1e-9)
     rows = []
-    for first, last in pairwise(edges):
+    for first, last in pairwise(edges) if by_cycle else ():
         one = slice(int(first), int(last))
         _, a = three_parameter(t[one], both[one], frequency)
         width = float(np.subtract(*at_middle(t[one], x[one], F[one], float(means[0]), X, omega)))
@@ -192,7 +207,7 @@ def evaluate(
         distortion=float(np.sqrt(2.0 * np.mean(left**2))) / abs(X),
         area=lost_work(x, F) / whole,
         width=float(np.subtract(*at_middle(t, x, F, float(means[0]), X, omega))),
-        cycles=Cycles(*(np.array(column) for column in zip(*rows, strict=True))),
+        cycles=Cycles(*(np.array(column) for column in zip(*rows, strict=True))) if rows else NO_CYCLES,
     )  # fmt: skip
 
 
@@ -209,23 +224,26 @@ def at_middle(t: Array, x: Array, F: Array, mean: float, X: complex, omega: floa
     middle = np.abs(position) < MIDDLE
     at: list[float] = []
     for branch in (middle & ~contracting, middle & contracting):
-        order = min(2, len(np.unique(position[branch])) - 1)
+        order = min(2, len(np.unique(np.round(position[branch] / PLACE))) - 1)
         if order < 0:
             return float("nan"), float("nan")
         at.append(float(np.polyfit(position[branch], F[branch], order)[-1]))
     return at[0], at[1]
 
 
-def _harmonics(t: Array, y: Array, frequency: float) -> tuple[Array, Array]:
-    """The first five harmonics of `y`, with its mean, and their slope [1/s] at `t` [s]; shapes (n,)."""
+def _harmonics(t: Array, y: Array, frequency: float, by: float = 0.0) -> tuple[Array, Array]:
+    """The first five harmonics of `y`, with its mean, and their slope [1/s], `by` [s] after `t` [s]; shapes (n,)."""
     order = min(HARMONICS, int(0.2 * len(t) / max(1.0, (t[-1] - t[0]) * frequency)))
-    omega = 2 * pi * frequency
-    k = np.arange(1, max(1, order) + 1)
-    turns = np.outer(omega * t, k)
-    waves = np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
-    slopes = omega * np.concatenate([-k * np.sin(turns), k * np.cos(turns)], axis=1)
+    k = 2 * pi * frequency * np.arange(1, max(1, order) + 1)
+    turns = np.outer(t, k)
+    waves = np.column_stack([np.cos(turns), np.sin(turns)])
     fitted, *_ = np.linalg.lstsq(np.column_stack([np.ones_like(t), waves]), y, rcond=None)
-    return fitted[0] + waves @ fitted[1:], slopes @ fitted[1:]
+    wave = (fitted[1 : len(k) + 1] - 1j * fitted[len(k) + 1 :]) * np.exp(1j * k * by)  # Re(wave exp(j k t))
+    slope = 1j * k * wave
+    return (
+        fitted[0] + waves @ np.concatenate([wave.real, -wave.imag]),
+        waves @ np.concatenate([slope.real, -slope.imag]),
+    )
 
 
 def without_lag(t: Array, y: Array, frequency: float, lag: float) -> Array:
@@ -233,9 +251,16 @@ def without_lag(t: Array, y: Array, frequency: float, lag: float) -> Array:
     return y + lag * _harmonics(t, y, frequency)[1] if lag else y
 
 
-def moving(sine: Sine) -> tuple[Array, Array]:
-    """Displacement [m] and its rate [m/s] of a trial without noise, their first five harmonics; shapes (n,)."""
-    return _harmonics(sine.t, sine.x, sine.frequency)
+def earlier(t: Array, y: Array, frequency: float, by: float) -> Array:
+    """`y` with its first five harmonics `by` [s] earlier: the input of a delay. Its noise stays as it is."""
+    return y + _harmonics(t, y, frequency, by)[0] - _harmonics(t, y, frequency)[0] if by else y
+
+
+def moving(sine: Sine, by: float = 0.0) -> tuple[Array, Array]:
+    """Displacement [m] and its rate [m/s] of a trial `by` [s] after its samples, without noise: its first five
+    harmonics; shapes (n,).
+    """
+    return _harmonics(sine.t, sine.x, sine.frequency, by)
 
 
 def lagless(run: RunData, trial: TrialData, name: str, frequency: float, rows: NDArray[np.intp]) -> Array:
@@ -257,7 +282,7 @@ def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:
 def replay(sine: Sine, K: float, B: float, F_c: float) -> Sine:
     """The trial measured again with the force of a fitted muscle: what the estimator itself adds."""
     x, F = along(sine, K, B, F_c)
-    return evaluate(sine.t, x, F, sine.frequency)
+    return evaluate(sine.t, x, F, sine.frequency, by_cycle=False)
 
 
 def stiffness_of(run: RunData, trial: TrialData) -> float:

@@ -17,7 +17,7 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle.stairs import Loaded
+from pmabench.kinds.arm_angle.stairs import Loaded, zero_off
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, column, has, how_many, label, numbers, panel, picture, spread
@@ -72,6 +72,12 @@ def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Findi
         text = f"without load the arm is bent by {show(float(free.up[:, 0].mean()), 'angle', 2)} at the preload"
         found.append(Finding("note", f"{text}, where paper 2 calls it straight: creep, or a zero that is off"))
     found += _gaps(loads)
+    if (worst := max(loads, key=lambda one: abs(one.zero))).zero:
+        found.append(Finding("doubt", zero_off(worst)))
+    if (worst := max(loads, key=lambda one: abs(one.apart))).apart:
+        text = f"with {worst.mass:g} kg the displacement tells {show(worst.apart, 'angle', 2)} more than the angle"
+        text += " at all pressures alike: one of their zeros is off. Zero both with the arm straight"
+        found.append(Finding("doubt", text))
     if settings.get("angle") != "from-displacement":
         found += _arcs(rests, largest, settings)
     return found

@@ -34,10 +34,7 @@ UNITS = {"angle": "rad", "pressure": "Pa", "count": "1"}
 NEAR = np.radians(1.0)
 """How near to the largest angle the curve counts as flat [rad]."""
 ONCE = "no repeats part: one repeat only"
-RESIDUALS = (
-    "repeats part: residuals of the fit, or the scatter of the trials where that is larger; no calibration part: that "
-    "of the angle is not carried into the coefficients"
-)
+RESIDUALS = "repeats part: residuals of the fit, or the scatter of the trials where that is larger"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +60,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     scales, channel = Scales.of(runs), "displacement" if settings.get("angle") == "from-displacement" else "angle"
     fits = [_fitted(one) for one in loads]
     matrix, why = _matrix(fits)
-    estimates = [estimate for one in fits for estimate in _of_load(one, scales, channel, settings)]
-    powers = _coefficients(matrix, why, MATRIX, {}, [one.of for one in fits if one.up is not None])
+    estimates = [estimate for one in fits for estimate in _of_load(one, channel)]
+    powers = _coefficients(matrix, why, MATRIX, {}, [one.of for one in fits if one.up is not None], channel)
     other = next((e.note for e in estimates if e.withheld and e.method == UP), "")
     estimates += [withhold(e, other) if other and e.value is not None else e for e in powers]
     findings = [
@@ -92,13 +89,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str, Any]) -> list[Estimate]:
-    """The values of one load."""
-    one = fitted.of
+def _of_load(fitted: Fitted, channel: str) -> list[Estimate]:
+    """The values of one load; `channel` gives the angle."""
+    one, scales = fitted.of, fitted.of.scales
     at, names = {"tip_mass": one.mass}, tuple(stair.trial.name for stair in one.stairs)
     slope, largest = _slopes(one.pressure, one.mean), float(np.abs(one.mean).max())
-    radius = settings.get("radius")
-    per = 1.0 / float(radius) if channel == "displacement" and radius else 1.0
     exact = "the radius is taken as exact" if channel == "displacement" else ""
 
     def made(symbol: str, values: Array, method: float, note: str, gains: Any, offsets: Any = None) -> Estimate:
@@ -112,18 +107,23 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
     def angle(symbol: str, place: int, method: float) -> Estimate:
         values = one.up[:, place]
         gains = {channel: float(values.mean()), "pressure": float(slope[place] * one.pressure[place])}
-        e = made(symbol, values, method, exact, gains, {channel: per, "pressure": float(slope[place])})
-        return weighed(e, stairs.at_rest(one, place), largest)
+        e = made(symbol, values, method, exact, gains, {channel: _per(one, channel), "pressure": float(slope[place])})
+        return weighed(e, stairs.at_rest(one, place, float(slope[place])), largest)
 
     top, widest = int(np.argmax(one.up.mean(axis=0))), one.widest
     side = 0.0 if widest is None else 0.5 * float(np.abs(one.gaps[:, widest].mean()))
-    found = [angle("alpha_0", 0, 0.0), angle("alpha_max", top, side), _flat(one, top, scales, names)]
+    found = [angle("alpha_0", 0, 0.0), angle("alpha_max", top, side), _flat(one, top, names)]
     if widest is not None:
         gap = float(one.gaps[:, widest].mean())
         e = made("alpha_H", one.gaps[:, widest], 0.0, "", {channel: gap})
         found.append(weighed(e, stairs.of_gap(one, widest, gap)))
-    found += _coefficients(fitted.up, fitted.why, UP, at, [one])
-    return found + (_coefficients(fitted.mean, fitted.why, MEAN, at, [one]) if one.both else [])
+    found += _coefficients(fitted.up, fitted.why, UP, at, [one], channel)
+    return found + (_coefficients(fitted.mean, fitted.why, MEAN, at, [one], channel) if one.both else [])
+
+
+def _per(one: Loaded, channel: str) -> float:
+    """Change of the angle with the offset of the channel that gives it [rad per its unit]."""
+    return 1.0 / one.radius if channel == "displacement" else 1.0
 
 
 def _slopes(P: Array, angle: Array) -> Array:
@@ -133,7 +133,7 @@ def _slopes(P: Array, angle: Array) -> Array:
     return np.full(len(P), np.ptp(angle) / np.ptp(P) if len(P) > 1 else 0.0)
 
 
-def _flat(one: Loaded, top: int, scales: Scales, names: tuple[str, ...]) -> Estimate:
+def _flat(one: Loaded, top: int, names: tuple[str, ...]) -> Estimate:
     """The pressure from which on the way up stays within 1 deg of its largest angle, by monotone cubics."""
     each = [found for row in one.up if (found := flat_from(one.pressure[: top + 1], row[: top + 1])) is not None]
     at = {"tip_mass": one.mass}
@@ -143,7 +143,7 @@ def _flat(one: Loaded, top: int, scales: Scales, names: tuple[str, ...]) -> Esti
     value, half = float(np.mean(each)), spread(each)
     note = "" if half is not None else ONCE
     coarse = 0.1 * float(np.diff(one.pressure[: top + 1]).max()) / 2
-    parts = Parts(half, coarse, scales.part({"pressure": value}, {"pressure": 1.0}))
+    parts = Parts(half, coarse, one.scales.part({"pressure": value}, {"pressure": 1.0}))
     e = Estimate("P_flat", value, "Pa", "pressure", REST, at, parts, len(each), note=note, trials=names)
     return weighed(e, stairs.of_flat(one, top, value, flat_from))
 
@@ -213,12 +213,13 @@ def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
 
 
 def _coefficients(
-    fit: ModelFit | None, why: str, method: str, at: Mapping[str, float], loads: Sequence[Loaded]
+    fit: ModelFit | None, why: str, method: str, at: Mapping[str, float], loads: Sequence[Loaded], channel: str
 ) -> list[Estimate]:
     """The coefficients of a fit, those without an interval as not identifiable."""
     model = MODELS[FORM_LOADS if method == MATRIX else FORM]
     quantities = {p.name: p.quantity for p in model.parameters}
     names = tuple(stair.trial.name for one in loads for stair in one.stairs)
+    by_scales = dict.fromkeys(model.fitted) if fit is None else _by_scales(fit, loads, channel)
     found = []
     for name in model.fitted:
         unit = UNITS[quantities[name]]
@@ -227,8 +228,9 @@ def _coefficients(
         value, half, note = (None, None, why) if fit is None else fit.identified(name, unit)
         if half is not None:
             note = sentences(per, note, RESIDUALS, "no method part" if method == MATRIX else "")
+        parts = Parts(repeats=half, calibration=None if half is None else by_scales[name])
         found.append(
-            Estimate("alpha_b", value, unit, quantities[name], method, at, Parts(repeats=half), len(names), note=note,
+            Estimate("alpha_b", value, unit, quantities[name], method, at, parts, len(names), note=note,
                      trials=names, coordinate=name)
         )  # fmt: skip
     if fit is None:
@@ -236,3 +238,18 @@ def _coefficients(
     if method == MATRIX:
         return stairs.of_loads(found, loads)
     return stairs.of_fit(found, loads[0], [u.value for u in fit.unknowns], both=method == MEAN)
+
+
+def _by_scales(fit: ModelFit, loads: Sequence[Loaded], channel: str) -> dict[str, float | None]:
+    """Calibration part of each coefficient.
+
+    The gain of the angle stretches a and b, its zero lifts a; the gain of the pressure moves c, its zero bends all.
+    """
+    values = {u.name: u.value for u in fit.unknowns}
+    shifts = stairs.per_pascal(loads, np.reshape(list(values.values()), (len(UNKNOWN), -1))).tolist()
+    found = {}
+    for (name, value), shift in zip(values.items(), shifts, strict=True):
+        gains = {channel: value if name[0] in "ab" else 0.0, "pressure": value if name[0] == "c" else 0.0}
+        lifted = _per(loads[0], channel) if name in ("a", "a_0") else 0.0
+        found[name] = loads[0].scales.part(gains, {channel: lifted, "pressure": shift})
+    return found

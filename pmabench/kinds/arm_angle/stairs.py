@@ -1,7 +1,7 @@
 """The rests of an arm's staircase of pressure: one trial up and down under one load; grouped by load.
 
-And what departures do to its angles: no rest at the end of a hold, a cable that slips, another curve than the form. An
-angle whose zero is off is not seen by any of them.
+And what departures do to its angles: no rest at the end of a hold, a cable that slips, a zero that is off as far as the
+record shows it, an angle read in steps, another curve than the form.
 """
 
 from __future__ import annotations
@@ -12,16 +12,19 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pmabench.analysis.shared import student
+from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import Held, Left, NotUsable, ends, left, noise_of, refuse_incomplete
+from pmabench.analysis.shared.samples import Held, Left, NotUsable, ends, left, noise_of, refuse_incomplete, step_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
+from pmabench.kinds.arm_angle.creep import Step, still_to_come
 from pmabench.store.analyses.results import Dropped, Estimate, withhold
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, Command, RunData, TrialData
 
 LAST = 0.2
 """Share of each rest at its end whose mean counts."""
@@ -36,6 +39,10 @@ MANY = 3
 """Trials of which one can be known from the others."""
 SURE = 8.0
 """Standard deviations of the noise of a rest from which on a trial that does not come back is seen."""
+SOON, LATER_ON = 0.03, 0.3
+"""So long after the first command no pressure is there yet, and so long after the last ramp it is gone [s]."""
+LIKE = 3.0
+"""Two sensors differ by a zero where that is so many times what else they differ by (root mean square)."""
 PHASES = {"preload": -1, "up": -1, "down": 1}
 """Phase of a ramp -> the side from which its pressure is reached: -1 from below."""
 
@@ -57,8 +64,14 @@ class Rest:
     """Of the mean [rad]."""
     held: Held
     """The angle over the later part of the hold."""
+    moved: float
+    """Middle of the ramp before it [s]."""
+    since: float
+    """Begin of `held` [s]."""
     arc: float
     """Contraction of the bending muscle by the radius [rad]; nan where one of them is not known."""
+    coarse: float
+    """What the steps in which the angle is read leave open of the mean [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +81,10 @@ class Stair:
     run: RunData
     trial: TrialData
     rests: tuple[Rest, ...]
+    vented: tuple[float, ...]
+    """What the pressure reads before and after the trial, without pressure [Pa]; each as near to 0 as noise lets it."""
+    start: float
+    """Angle before the first ramp [rad]."""
 
     def column(self, sets: Sequence[float], side: int, of: str = "angle") -> Array:
         """`of` the rests that were reached from one side, at the commanded pressures; nan where there is none."""
@@ -84,6 +101,9 @@ class Loaded:
     stairs: tuple[Stair, ...]
     sets: tuple[float, ...]
     """Commanded pressures that every trial has on its way up, rising [Pa]."""
+    scales: Scales
+    radius: float
+    """From the arm's middle to where the displacement is measured [m]; nan where it is not known."""
 
     @cached_property
     def pressure(self) -> Array:
@@ -125,12 +145,51 @@ class Loaded:
     def motion(self, place: int, side: int) -> Left:
         """What the angle would still change by at one pressure, reached from one side [rad]."""
         rests = [rest for stair in self.stairs for rest in stair.rests if rest.side == side]
-        return left([rest.held for rest in rests if round(rest.set) == round(self.sets[place])])
+        found = left([rest.held for rest in rests if round(rest.set) == round(self.sets[place])])
+        slow = self.creep.get((side, round(self.sets[place])), 0.0)
+        return replace(found, most=max(found.most, slow), seen=found.seen or slow > 0)
+
+    @cached_property
+    def creep(self) -> dict[tuple[int, int], float]:
+        """Side and commanded pressure -> what creep that is slower than a hold still adds there [rad]."""
+        steps = []
+        for stair in self.stairs:
+            before = (stair.start, *(rest.angle for rest in stair.rests))
+            steps.append(
+                [Step(r.moved, r.angle - b, r.since, r.held) for r, b in zip(stair.rests, before, strict=False)]
+            )
+        places = [(rest.side, round(rest.set)) for rest in self.stairs[0].rests]
+        return dict(zip(places, still_to_come(steps).tolist(), strict=False))
 
     @property
     def noise(self) -> float:
         """Of the mean of a rest, the largest [rad]."""
         return max(rest.noise for stair in self.stairs for rest in stair.rests)
+
+    @property
+    def coarse(self) -> float:
+        """What steps of the angle leave open of the mean of a rest, the largest [rad]."""
+        return max(rest.coarse for stair in self.stairs for rest in stair.rests)
+
+    @cached_property
+    def zero(self) -> float:
+        """What the pressure reads without pressure, beyond its calibration [Pa]: the least of all trials, else 0."""
+        reads = [read for stair in self.stairs for read in stair.vented]
+        least = min(reads, key=abs, default=0.0)
+        alike = all(read * least > 0 for read in reads)
+        return least if alike and abs(least) > self.scales.offsets.get("pressure", 0.0) else 0.0
+
+    @cached_property
+    def apart(self) -> float:
+        """What the displacement tells more than the angle at all rests alike, beyond the calibrations [rad]; else 0."""
+        angle, arc = np.array([(rest.angle, rest.arc) for stair in self.stairs for rest in stair.rests]).T
+        if not np.isfinite(arc).all():
+            return 0.0
+        slope, zero = np.polyfit(angle, arc - angle, 1).tolist()
+        rest = float(np.sqrt(np.mean((arc - angle - zero - slope * angle) ** 2)))
+        offsets = self.scales.offsets
+        known = np.hypot(offsets.get("angle", 0.0), offsets.get("displacement", 0.0) / self.radius)
+        return zero if abs(zero) > max(float(known), LIKE * rest) else 0.0
 
     @cached_property
     def slip(self) -> tuple[float, bool]:
@@ -138,12 +197,13 @@ class Loaded:
         if not self.both or len(self.stairs) < MANY:
             return 0.0, False
         off = float(np.abs(self.gaps[:, 0] - np.median(self.gaps[:, 0])).max())
-        return off, off > SURE * self.noise
+        return off, off > max(SURE * self.noise, 4 * self.coarse)  # two rests, and two of the others
 
 
 def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list[Loaded], list[Dropped]]:
     """The loads, rising, and the trials that cannot be used."""
     every, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, settings))
+    scales, radius = Scales.of(runs), float(settings.get("radius") or np.nan)
     groups = grouped(every, lambda stair: round(stair.trial.point["tip_mass"] * 1e6))
     found = []
     for _, stairs in sorted(groups.items()):
@@ -151,7 +211,7 @@ def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list
         common = sorted(set.intersection(*(set(one) for one in on_the_way)))
         mass = float(stairs[0].trial.point["tip_mass"])
         if common:
-            found.append(Loaded(mass, tuple(stairs), tuple(on_the_way[0][key] for key in common)))
+            found.append(Loaded(mass, tuple(stairs), tuple(on_the_way[0][key] for key in common), scales, radius))
         else:
             why = "no pressure is common to all trials with its load"
             dropped += [Dropped(stair.trial.name, stair.trial.point, why) for stair in stairs]
@@ -173,7 +233,7 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
     if float(np.mean(~good)) > UNUSABLE_SHARE:
         raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged or missing")
     ramps = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp" and c.data.get("rate", 0.0) > 0]
-    rests = []
+    rests, step = [], step_of(angle[good])
     for n, ramp in enumerate(ramps):
         side = PHASES.get(ramp.phase)
         if side is None:
@@ -195,7 +255,10 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
                 drift=2 * float(angle[last[middle:]].mean() - angle[last[:middle]].mean()),
                 noise=noise_of(angle[last]) / np.sqrt(max(1, middle)),
                 held=Held.of(trial.t[later], angle[later], end - LAST * (end - begin) - float(trial.t[later[0]])),
+                moved=0.5 * (ramp.t + begin),
+                since=float(trial.t[later[0]]),
                 arc=float(arc[last].mean()),
+                coarse=_coarse(angle[last], step),
             )
         )
     if sum(rest.side < 0 for rest in rests) < 2:
@@ -204,7 +267,31 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
     if found < FOLLOWS * wanted:
         moved = f"{show(float(found), 'pressure', 3)} of the {show(float(wanted), 'pressure', 3)} that were commanded"
         raise NotUsable(f"over the rests on its way up the measured pressure moves by {moved}: a dead or wrong channel")
-    return Stair(run, trial, tuple(rests))
+    start = float(angle[good & (trial.t <= max(ramps[0].t + SOON, trial.t[good][0]))].mean())
+    return Stair(run, trial, tuple(rests), _vented(trial, ramps, good), start)
+
+
+def _coarse(angle: Array, step: float) -> float:
+    """By how much the mean of samples read in steps may be off [rad]: half a step, less what noise averages out.
+
+    Of noise with a standard deviation of s steps exp(-2 pi^2 s^2) is left, the first harmonic of rounding (Widrow).
+    """
+    if not 0 < step < np.inf:
+        return 0.0
+    noise = max(0.0, float(np.var(angle)) / step**2 - 1 / 12)
+    return 0.5 * step * float(np.exp(-2 * np.pi**2 * noise))
+
+
+def _vented(trial: TrialData, ramps: Sequence[Command], good: NDArray[np.bool_]) -> tuple[float, ...]:
+    """Mean pressure before the first ramp acts and after the last one, where they come from 0 and go there [Pa]."""
+    P, parts = trial.channels["pressure"], []
+    if ramps and ramps[0].before == 0 and ramps[0].recorded:
+        parts.append(good & (trial.t <= ramps[0].t + SOON))
+    if ramps and ramps[-1].value == 0 and ramps[-1].recorded:
+        parts.append(good & (trial.t >= ends(ramps[-1]) + LATER_ON))
+    noise = noise_of(P[good])
+    means = [(float(P[part].mean()), LIKE * noise / float(np.sqrt(part.sum()))) for part in parts if part.any()]
+    return tuple(float(np.sign(mean)) * max(0.0, abs(mean) - may) for mean, may in means)
 
 
 LATE = 0.25
@@ -231,10 +318,38 @@ def _slips(one: Loaded, share: float = 1.0) -> Doubt:
     return Doubt("slip", "drift", share * size if seen else 0.0, seen, reason)
 
 
-def at_rest(one: Loaded, place: int) -> list[Doubt]:
-    """Of an angle on the way up."""
+def zero_off(one: Loaded) -> str:
+    """What the pressure shows without pressure, in words. Less than none is no pressure, and more may be some."""
+    text = f"with {one.mass:g} kg the pressure reads {show(one.zero, 'pressure', 2)} when it is vented, more than its"
+    other = "" if one.zero < 0 else ", or let out what the valve leaves in the muscle"
+    return f"{text} calibration allows: zero the gauge{other}"
+
+
+def _zero(one: Loaded, slope: float) -> Doubt:
+    """Of a value that changes by `slope` for each pascal that the pressure reads more."""
+    return Doubt("zero of the pressure", "calibration", abs(slope * one.zero), one.zero < 0, zero_off(one))
+
+
+def _apart(one: Loaded, share: float = 1.0) -> Doubt:
+    """Of a value that changes by `share` of what the angle reads more."""
+    return Doubt("zero of the angle against the displacement", "calibration", abs(share * one.apart), seen=False)
+
+
+def _of_sensors(loads: Sequence[Loaded], slope: float, steps: float, share: float) -> list[Doubt]:
+    """Of a coefficient: what the zeros of any load may do, and the steps of the angle."""
+    worst, farthest = max(loads, key=lambda one: abs(one.zero)), max(loads, key=lambda one: abs(one.apart))
+    return [_zero(worst, slope), _apart(farthest, share), _steps(steps)]
+
+
+def _steps(half: float) -> Doubt:
+    return Doubt("steps of the angle", "method", half, seen=False)
+
+
+def at_rest(one: Loaded, place: int, slope: float) -> list[Doubt]:
+    """Of an angle on the way up, which changes by `slope` with the pressure [rad/Pa]."""
     further, reason = _moving(one, place, -1)
-    return [Doubt("motion after the hold", "method", further.most, further.seen, reason), _slips(one)]
+    moving = Doubt("motion after the hold", "method", further.most, further.seen, reason)
+    return [moving, _slips(one), _zero(one, slope), _apart(one), _steps(one.coarse)]
 
 
 def of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
@@ -243,7 +358,7 @@ def of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
     half, seen = sum(further.most for further, _ in found), any(further.seen for further, _ in found)
     reason = next((text for further, text in found if further.seen), "")
     slip = _slips(one, 1 / len(one.stairs))
-    doubts = [Doubt("motion after the hold", "method", half, seen, reason), slip]
+    doubts = [Doubt("motion after the hold", "method", half, seen, reason), slip, _steps(2**0.5 * one.coarse)]
     return [one if one.half > LATE * abs(value) else replace(one, reason="") for one in doubts]
 
 
@@ -251,9 +366,13 @@ def of_flat(one: Loaded, top: int, value: float, flat_from: Callable[[Array, Arr
     """Of the pressure from which on the angle stays: what the largest angle would still change by moves it."""
     further, reason = _moving(one, top, -1)
     P, angles = one.pressure[: top + 1], one.up.mean(axis=0)[: top + 1]
-    moved = [flat_from(P, np.append(angles[:-1], angles[-1] + way * further.most)) for way in (-1, 1)]
-    half = max((abs(other - value) for other in moved if other is not None), default=0.0)
-    return [Doubt("motion after the hold", "method", half, further.seen, reason)]
+
+    def by(more: float) -> float:
+        moved = [flat_from(P, np.append(angles[:-1], angles[-1] + way * more)) for way in (-1, 1)]
+        return max((abs(other - value) for other in moved if other is not None), default=0.0)
+
+    moving = Doubt("motion after the hold", "method", by(further.most), further.seen, reason)
+    return [moving, _zero(one, 1.0), _steps(by(2**0.5 * one.coarse))]
 
 
 def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *, both: bool) -> list[Estimate]:
@@ -272,7 +391,8 @@ def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *
     moved = np.hypot(*(_fit(P, mean + tilt * further, fitted) - fitted for tilt in tilts))
     seen = any(motion.seen for motion in motions)
     miss = float(np.sqrt(np.sum((_curve(P, fitted) - mean) ** 2) / max(1, len(mean) - len(fitted))))
-    error, slip = _error(one, rows), _slips(one)
+    error, slip, terms = _error(one, rows), _slips(one), fitted[:, None]
+    shifts, steps = per_pascal([one], terms), one.coarse * np.linalg.norm(_solve([one], terms), axis=1)
     slipped = np.abs(_fit(P, mean + slip.half * np.linspace(0.0, 1.0, len(mean)), fitted) - fitted)
     why = ""
     if miss > OFF * error and miss > LEAST * float(np.abs(mean).max()):
@@ -288,6 +408,7 @@ def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *
             doubts = [
                 Doubt("motion after the hold", "method", float(moved[index]), seen),
                 replace(slip, half=float(slipped[index]) + (slip.half if e.coordinate == "a" else 0.0)),
+                *_of_sensors([one], float(shifts[index]), float(steps[index]), 1.0 if e.coordinate == "a" else 0.0),
             ]
             wider = replace(e.parts, repeats=max(e.parts.repeats, spread(each[:, index]) or 0.0))
             found.append(weighed(replace(e, parts=wider), doubts))
@@ -304,9 +425,7 @@ def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Est
     terms = [[known[f"{name}_{n}"] for n in range(POWERS)] for name in "abcd"]
     if any(value is None for row in terms for value in row):
         return list(estimates)
-    slopes = np.vstack([_slopes(one, np.array(terms, dtype=np.float64)) for one in loads])
-    scale = np.sqrt(np.sum(slopes**2, axis=0))
-    solve = np.linalg.pinv(slopes / scale, rcond=1e-12) / scale[:, None]
+    solve = _solve(loads, np.array(terms, dtype=np.float64))
     parts = np.split(solve, np.cumsum([len(one.sets) for one in loads])[:-1], axis=1)
     off = [one.up.mean(axis=0) - _curve(one.pressure, _at(one, np.array(terms))) for one in loads]
     freedom = sum(map(len, off)) - solve.shape[0]
@@ -326,26 +445,54 @@ def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Est
     seen = any(motion.seen for row in motions for motion in row)
     found = []
     moved, slip = np.hypot.reduce(further).tolist(), np.hypot.reduce(slipped).tolist()
-    for e, half, by_motion, by_slip in zip(estimates, repeats.tolist(), moved, slip, strict=True):
+    shifts = per_pascal(loads, np.array(terms, dtype=np.float64)).tolist()
+    steps = np.hypot.reduce([one.coarse * np.linalg.norm(part, axis=1) for part, one in zip(parts, loads, strict=True)])
+    rows = zip(estimates, repeats.tolist(), moved, slip, shifts, steps.tolist(), strict=True)
+    for e, half, by_motion, by_slip, shift, by_steps in rows:
         wider = replace(e.parts, repeats=max(e.parts.repeats or 0.0, half))
         doubts = [Doubt("motion after the hold", "method", by_motion, seen), Doubt("slip", "drift", by_slip, True)]
+        doubts += _of_sensors(loads, shift, by_steps, 1.0 if e.coordinate == "a_0" else 0.0)
         found.append(weighed(replace(e, parts=wider), doubts))
     return found
 
 
+def per_pascal(loads: Sequence[Loaded], terms: Array) -> Array:
+    """Change of all coefficients, shape (4 powers,), where the pressure reads 1 Pa more; `terms` as in `_at`."""
+    bends = []
+    for one in loads:
+        *_, d = _at(one, terms)
+        P, _, bent = _bent(one, terms)
+        bends.append(bent * d / P)
+    return np.asarray(_solve(loads, terms) @ np.concatenate(bends))
+
+
+def _bent(one: Loaded, terms: Array) -> tuple[Array, Array, Array]:
+    """The pressures [Pa], at them (p/c)^d, and b (p/c)^d / (1 + (p/c)^d)^2."""
+    _, b, c, d = _at(one, terms)
+    P = np.maximum(one.pressure, 1.0)
+    with np.errstate(over="ignore", invalid="ignore"):  # a form far from these angles may have infinite powers
+        share = (P / abs(c)) ** d
+        return P, share, np.nan_to_num(b * share / (1 + share) ** 2)
+
+
+def _solve(loads: Sequence[Loaded], terms: Array) -> Array:
+    """Change of all coefficients with each angle, shape (4 powers, angles), by linearized least squares."""
+    slopes = np.vstack([_slopes(one, terms) for one in loads])
+    scale = np.sqrt(np.sum(slopes**2, axis=0))
+    return np.asarray(np.linalg.pinv(slopes / scale, rcond=1e-12) / scale[:, None])
+
+
 def _at(one: Loaded, terms: Array) -> Array:
-    """a, b, c, d at a load by their powers, shape (4, POWERS)."""
-    return np.asarray(terms @ one.mass ** np.arange(POWERS))
+    """a, b, c, d at a load by their powers, shape (4, powers)."""
+    return np.asarray(terms @ one.mass ** np.arange(terms.shape[1]))
 
 
 def _slopes(one: Loaded, terms: Array) -> Array:
-    """Derivatives of the angles at a load by all powers, shape (pressures, 4 POWERS)."""
-    _, b, c, d = _at(one, terms)
-    P = np.maximum(one.pressure, 1.0)
-    share = (P / c) ** d
-    bent = b * share / (1 + share) ** 2
-    each = np.column_stack([np.ones(len(P)), 1 / (1 + share), bent * d / c, -bent * np.log(P / c)])
-    return np.asarray((each[:, :, None] * one.mass ** np.arange(POWERS)).reshape(len(P), -1))
+    """Derivatives of the angles at a load by all powers, shape (pressures, 4 powers)."""
+    _, _, c, d = _at(one, terms)
+    P, share, bent = _bent(one, terms)
+    each = np.column_stack([np.ones(len(P)), 1 / (1 + share), bent * d / c, -bent * np.log(P / abs(c))])
+    return np.asarray((each[:, :, None] * one.mass ** np.arange(terms.shape[1])).reshape(len(P), -1))
 
 
 def _error(one: Loaded, rows: Array) -> float:

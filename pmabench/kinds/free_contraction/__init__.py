@@ -1,6 +1,6 @@
 """The length of a muscle without load over pressure.
 
-- `reduction`
+- `rests`: pressure and contraction of each trial; `levels`: the curve over pressure; `reduction`
 - protocol files: `protocol`; words and figures: `figures`; one trial on the display: `reduction`
 """
 
@@ -16,12 +16,14 @@ RESULTS = (
 METHODS = {
     "free-length": (
         "Nominal length less the contraction at rest, the mean over the last fifth of each hold and of both sides from "
-        "which the pressure was reached (from 0, and from the highest pressure). P_half is where half of the "
+        "which the pressure was reached (from 0, and from the highest pressure), each trial carried "
+        "to the set-point along the sigmoid and what the points are off it. P_half is where half of the "
         "contraction at the highest pressure is reached, by monotone cubics through the points."
     ),
     "sigmoid": (
         "L = a + b / [1 + (p/c)^d]^e − 0.009 L0 √p (paper 2, eq. 1) by least squares through the lengths at all "
-        "pressures; intervals by the profile of the sum of squares, if L has this form."
+        "pressures, the mean of trials by the sigmoid itself; intervals by the profile of the sum of squares, if L has "
+        "this form."
     ),
 }
 KIND = Kind(

@@ -20,7 +20,7 @@ from pmabench.store.records import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pmabench.kinds.free_contraction.reduction import Point
+    from pmabench.kinds.free_contraction.rests import Point
 
 CURVE = 121
 """Points of a drawn curve."""

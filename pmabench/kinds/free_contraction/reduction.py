@@ -7,27 +7,27 @@ What one trial says by itself, for the display.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from math import hypot
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit, fit_model
+from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of
+from pmabench.analysis.shared.samples import NotUsable, left
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction import RESULTS, figures
+from pmabench.kinds.free_contraction.levels import Level, curve_of, sigmoid, through, zero_of, zeroed
+from pmabench.kinds.free_contraction.rests import CHANNELS, Point, Shape, measure, points_of
 from pmabench.model.library import MODELS
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "free-contraction"
@@ -37,89 +37,33 @@ FORM, PAPER = "sigmoid-length-coefficients", "sigmoid-length"
 UNKNOWN = ("a", "b", "c", "d", "e")
 UNITS = {"length": "m", "pressure": "Pa", "count": "1", "ratio": "1"}
 RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is not carried into the coefficients"
-LAST = 0.2
-"""Share of each rest at its end whose mean counts."""
-FEWEST = 5
-"""Samples that it needs."""
-MOTION, ZERO = "motion after the hold", "contraction left without pressure"
+MOTION, ZERO, NOISE = "motion after the hold", "contraction left without pressure", "noise of pressures near 0"
+PRESSURE = "zero of the pressure"
+PART = {ZERO: "drift", PRESSURE: "calibration"}
 FLOOR = 5e-4
 """Error of a length at the least, as a share of the largest contraction."""
+NEAR = 0.5
+"""As a share of the pressure of the knee, how near to it a length must be."""
 FURTHEST = 3.0
 """Errors by which a length may be off the sigmoid."""
-CHANNELS = ("displacement", "pressure")
-UNUSABLE_SHARE = 0.5
 PRESSED = 1e3
 """Change of pressure by which the slope of the sigmoid is found [Pa]."""
 STEEPER = 1.4
 """What a scale does to a to e goes beyond the first order by so much: the curve is steep where it begins."""
-CARRIED = 0.35
-"""What the way from the measured pressure to the commanded one may be off, as a share: the curve bends between two."""
+OPEN = 1.2
+"""Factor on the zero of a pressure of which nothing says whether it is one."""
+ROUNDS = 4
+"""Fits at most, each with what the one before makes of the pressures of single trials ..."""
+SETTLED = 1e-7
+"""... until that changes no length by more than this [m]."""
+BENT = 0.5
+"""Standard deviations of a contraction, below which what noise of the pressure does to it needs no fit."""
+BETWEEN = 0.25
+"""Share of the way between two pressures by which a curve through points may be off between them."""
+FINE = 2001
+"""Points of a curve on which a pressure is looked up."""
 UNEQUAL = 0.25
 """Share of half the width between both sides by which their mean may be off: friction is not the same both ways."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rest:
-    """One trial: what was measured at rest."""
-
-    run: RunData
-    trial: TrialData
-    pressure: float
-    """[Pa]."""
-    x: float
-    """Contraction [m]."""
-    start: float
-    """Contraction at rest without pressure, before [m]."""
-    hold: Held
-    """Contraction along the second half of the hold [m]."""
-    noise: float
-    """Standard deviation of `start` and x [m]."""
-
-    @property
-    def side(self) -> float:
-        """-1 reached from below, 1 from above; 0 where the protocol does not tell them apart."""
-        return self.trial.point.get("side", 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """One commanded pressure: all its trials."""
-
-    set: float
-    """[Pa]."""
-    rests: tuple[Rest, ...]
-    pressure: float
-    """Measured, the mean [Pa]."""
-    repeats: Array
-    """Contraction of each repeat, the mean of its sides [m]."""
-    gaps: Array
-    """Contraction reached from above minus from below, of each repeat that has both [m]."""
-
-    @property
-    def x(self) -> float:
-        """Mean contraction [m]."""
-        return float(self.repeats.mean())
-
-    @cached_property
-    def left(self) -> Left:
-        """What x would still change by [m]."""
-        return left([rest.hold for rest in self.rests])
-
-    @cached_property
-    def apart(self) -> Left:
-        """What `gaps` would still change by [m]."""
-        sides = [left([rest.hold for rest in self.rests if rest.side == side]) for side in (1.0, -1.0)]
-        return Left(sides[0].size - sides[1].size, sum(one.most for one in sides), any(one.seen for one in sides))
-
-    @property
-    def off(self) -> float:
-        """Largest contraction that was left without pressure before a trial [m]."""
-        return max(abs(rest.start) for rest in self.rests)
-
-    def reached(self, side: float) -> float:
-        """Mean contraction reached from one side [m]; nan where there is none."""
-        values = [rest.x for rest in self.rests if rest.side == side]
-        return float(np.mean(values)) if values else float("nan")
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -131,18 +75,23 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     settings = {**(runs[0].plan.get("settings") or {} if runs else {}), **(options or {})}
     length, compare = float(settings.get("nominal_length", np.nan)), settings.get("compare") == "paper-2"
-    points, dropped = _points(runs)
+    points, dropped = points_of(runs)
     scales = Scales.of(runs)
-    fit, why = _fit(points, length)
-    estimates = _lengths(points, length, scales)
-    estimates += [_half(points, scales)] if len(points) > 2 else []
-    estimates = _weighed([*estimates, *_largest(points, length, scales)], points, length)
-    other = "" if fit is None else _other_form(points, fit)
-    shifted = {} if fit is None or other else _shifted(points, length)
-    estimates += _coefficients(fit, why, other, shifted, {} if fit is None else _scaled(fit, length), scales)
+    points, fit, why, zero, said = _with_zero(points, length, scales)
+    other = "" if fit is None else _other_form(points, fit) or _unseen(points, fit)
+    fits = fit is not None and fit.converged and not other
+    shape = through(points, fit if fit is not None and fit.converged else None)
+    shifted = {} if fit is None or other else _shifted(points, length, shape, zero)
+    levels = [Level.of(point, shape, OPEN * abs(zero), fits=fits) for point in points]
+    points = [level.point for level in levels]
+    estimates = _lengths(levels, length, scales)
+    estimates += [_half(levels, scales)] if len(points) > 2 else []
+    estimates = _weighed([*estimates, *_largest(levels, length, scales)], points, length)
+    estimates += _coefficients(fit, why, other, shifted, points, length, scales)
     curve = figures.curves(points, fit, length, compare=compare) if points else None
     findings = [
         *figures.of_points(points),
+        *said,
         *(figures.of_fit(fit, why, other) if points else []),
         *(figures.of_paper(curve, length) if curve is not None and compare else []),
     ]
@@ -167,99 +116,16 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def measure(run: RunData, trial: TrialData) -> Rest:
-    """One trial at rest; raises `NotUsable`."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in CHANNELS if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
-    if "pressure" not in trial.point:
-        raise NotUsable("its point names no pressure")
-    x, P = (trial.channels[name] for name in CHANNELS)
-    good = trial.usable & np.isfinite(x) & np.isfinite(P)
-    if float(np.mean(~good)) > UNUSABLE_SHARE:
-        raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged or missing")
-    ramps = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
-    t = trial.t
-    end = min((c.t for c in ramps if c.phase == "vent" and c.t >= t[0]), default=float(t[-1]))
-    moved = [c for c in ramps if c.phase != "vent" and t[0] - 1e-9 <= c.t <= end]
-    begin = moved[0].t if moved else end
-    paced = [c for c in moved if c.data.get("rate", 0.0) > 0]
-    there = max((c.t + abs(c.value - c.before) / c.data["rate"] for c in paced), default=t[0])
-    first = good & (t >= begin - LAST * (begin - t[0])) & (t < begin - 1e-9)
-    last = good & (t >= end - LAST * (end - there)) & (t <= end)
-    if min(first.sum(), last.sum()) < FEWEST or end <= there:
-        raise NotUsable(f"fewer than {FEWEST} samples at the end of a rest")
-    half = good & (t >= 0.5 * (there + end)) & (t <= end)
-    noise = noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum()))
-    hold = Held.of(t[half], x[half], end - LAST * (end - there))
-    return Rest(run, trial, float(P[last].mean()), float(x[last].mean()), float(x[first].mean()), hold, noise)
-
-
-def _points(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
-    """The pressures, rising, and the trials that tell nothing."""
-    groups: dict[int, list[Rest]] = {}
-    dropped = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                rest = measure(run, trial)
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-            else:
-                groups.setdefault(round(trial.point["pressure"]), []).append(rest)
-    points = []
-    for pressure, rests in sorted(groups.items()):
-        by: dict[object, dict[float, Rest]] = {}
-        order, sides = Counter[object](), {rest.side for rest in rests}
-        for rest in rests:  # trials of one file are repeats too, where nothing else tells them apart
-            side = rest.run.id, rest.trial.repeat, rest.side
-            by.setdefault((rest.run.id, rest.trial.repeat, order[side]), {})[rest.side] = rest
-            order[side] += 1
-        lost = [rest for repeat in by.values() if set(repeat) != sides for rest in repeat.values()]
-        dropped += [Dropped(r.trial.name, r.trial.point, "the other side of its repeat is lost") for r in lost]
-        kept = [rest for rest in rests if rest not in lost]
-        whole = [{side: r.x for side, r in repeat.items()} for repeat in by.values() if set(repeat) == sides]
-        if whole:
-            gaps = [one[1.0] - one[-1.0] for one in whole if {1.0, -1.0} <= set(one)]
-            repeats = np.array([np.mean(list(one.values())) for one in whole])
-            measured = float(np.mean([rest.pressure for rest in kept]))
-            points.append(Point(float(pressure), tuple(kept), measured, repeats, np.array(gaps)))
-    return points, dropped
-
-
-def _curve(points: Sequence[Point]) -> tuple[Array, Array]:
-    """Measured pressure [Pa] and mean contraction [m] of each point."""
-    return np.array([point.pressure for point in points]), np.array([point.x for point in points])
-
-
-def _rises(points: Sequence[Point]) -> Array:
-    """dx/dP at each measured pressure [m/Pa]."""
-    P, x = _curve(points)
-    return np.gradient(x, P) if len(points) > 1 and bool((np.diff(P) > 0).all()) else np.zeros(len(points))
-
-
-def _carried(points: Sequence[Point]) -> list[float]:
-    """How much further than measured it contracts at each commanded pressure [m]: a regulator rests beside it."""
-    P, x = _curve(points)
-    wanted = np.array([point.set for point in points])
-    further = _rises(points) * (wanted - P)
-    if len(points) > 2 and bool((np.diff(P) > 0).all()):
-        within = (wanted >= P[0]) & (wanted <= P[-1])
-        further = np.where(within, PchipInterpolator(P, x)(np.clip(wanted, P[0], P[-1])) - x, further)
-    return [float(one) for one in further]
-
-
-def _lengths(points: Sequence[Point], length: float, scales: Scales) -> list[Estimate]:
+def _lengths(levels: Sequence[Level], length: float, scales: Scales) -> list[Estimate]:
     """L, and the difference of both sides, at each pressure."""
     found, gaps = [], []
-    for point, slope, carried in zip(points, _rises(points), _carried(points), strict=True):
-        at = {"pressure": point.set}
-        rises = {"displacement": point.x, "pressure": float(slope) * point.pressure}
-        scale = scales.part(rises, {"displacement": 1.0, "pressure": float(slope)})
-        parts = Parts(spread(point.repeats), CARRIED * abs(carried), scale)
-        found.append(_free("L", length - point.x - carried, "length", at, parts, len(point.repeats), [point]))
+    for level in levels:
+        point, at, n = level.there, {"pressure": level.point.set}, len(level.there.repeats)
+        slope = level.rise(scales.offsets.get("pressure", PRESSED))
+        rises = {"displacement": point.x, "pressure": slope * level.point.pressure}
+        scale = scales.part(rises, {"displacement": 1.0, "pressure": slope})
+        parts = Parts(spread(point.repeats), level.method, scale)
+        found.append(_free("L", length - point.x, "length", at, parts, n, [point]))
         if len(point.gaps):
             value = float(point.gaps.mean())
             parts = Parts(spread(point.gaps), 0.0, scales.part({"displacement": value}))
@@ -276,53 +142,68 @@ def _free(
     return Estimate(symbol, value, UNITS[quantity], quantity, FREE, at, parts, n, note=note, trials=names)
 
 
-def _half(points: Sequence[Point], scales: Scales) -> Estimate:
+def _half(levels: Sequence[Level], scales: Scales) -> Estimate:
     """The pressure at which half of the contraction at the highest pressure is reached."""
-    P, x = _curve(points)
+    points = [level.there for level in levels]
+    P, x = np.array([point.set for point in points]), np.array([point.x for point in points])
     value, n = figures.half_pressure(P, x), min(len(point.repeats) for point in points)
     if value is None:
         note = "the contraction does not rise through half of its largest value once"
         return replace(_free("P_half", 0.0, "pressure", {}, Parts(), n, points), value=None, note=note)
     each = [figures.half_pressure(P, np.array([point.repeats[i] for point in points])) for i in range(n)]
     half, coarse = spread([one for one in each if one is not None]), float(np.diff(P).max()) / 2
-    parts = Parts(half, 0.1 * coarse, scales.part({"pressure": value}, {"pressure": 1.0}))
+    fine = np.linspace(P[0], P[-1], FINE)
+    other = figures.half_pressure(fine, levels[0].shape(fine) - levels[0].shape(np.zeros(1)))
+    after = int(np.argmax(x >= 0.5 * x[-1]))
+    between = 0.0 if levels[0].fits else BETWEEN * float(P[after] - P[after - 1])
+    off = hypot(0.1 * coarse, between, value - (value if other is None else other), levels[0].zero)
+    parts = Parts(half, off, scales.part({"pressure": value}, {"pressure": 1.0}))
     return _free("P_half", value, "pressure", {}, parts, n, points)
 
 
-def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Estimate]:
+def _largest(levels: Sequence[Level], length: float, scales: Scales) -> list[Estimate]:
     """The largest contraction of all pressures, as a share of the nominal length, which is taken as exact."""
-    top = max(points, key=lambda point: point.x, default=None)
+    top = max(levels, key=lambda level: level.there.x, default=None)
     if top is None or not length > 0 or not np.isfinite(length):
         return []
-    half, place = spread(top.repeats), next(i for i, point in enumerate(points) if point is top)
-    carried, rise = _carried(points)[place], float(_rises(points)[place])
+    point, rise = top.there, top.rise(scales.offsets.get("pressure", PRESSED))
+    half = spread(point.repeats)
     scale = scales.part(
-        {"displacement": top.x / length, "pressure": rise * top.pressure / length},
+        {"displacement": point.x / length, "pressure": rise * top.point.pressure / length},
         {"displacement": 1 / length, "pressure": rise / length},
     )
-    parts = Parts(None if half is None else half / length, CARRIED * abs(carried) / length, scale)
-    n, at = len(top.repeats), {"pressure": top.set}
-    return [_free("eps_max", (top.x + carried) / length, "ratio", at, parts, n, [top])]
+    parts = Parts(None if half is None else half / length, top.method / length, scale)
+    return [_free("eps_max", point.x / length, "ratio", {"pressure": point.set}, parts, len(point.repeats), [point])]
 
 
 def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
-    """The sigmoid with fitted a to e through the means, `off` (n,) [m] added to x; or why it cannot be fitted."""
+    """The sigmoid with fitted a to e through the means, `off` (n,) [m] added to x; or why it cannot be fitted.
+
+    The mean contraction of trials is that at their mean pressure by the sigmoid itself (`Point.at`), fitted anew.
+    """
     model = MODELS[FORM]
-    P, L = np.array([max(point.pressure, 0.0) for point in points]), length - np.array([p.x for p in points]) - off
+    P, x = curve_of(points)
     if len(points) <= len(UNKNOWN):
         return None, f"no fit: {len(points)} pressures for {len(UNKNOWN)} coefficients"
-    if not np.isfinite(L).all() or not 0 < length <= 2:
+    if not np.isfinite(x).all() or not 0 < length <= 2:
         return None, "no fit: the plan tells no nominal length"
     most = next(p.high for p in model.parameters if p.name == "pressure")
-    if P.max() > figures.BARELY * most:
+    if P.max() > most:
         return None, f"no fit: the sigmoid holds up to {show(most, 'pressure')}"
     fixed = {p.name: p.value for p in model.parameters if p.name not in ("pressure", *UNKNOWN)}
     fixed["nominal_length"] = length
     start = {"a": 0.7 * length, "b": 0.3 * length}
-    try:
-        return fit_model(model, "length", {"pressure": np.minimum(P, most)}, fixed, L, UNKNOWN, start=start), ""
-    except ValueError:
-        return None, "no fit: no sigmoid comes near these lengths"
+    columns = {"pressure": np.maximum(P, 0.0)}
+    for _ in range(ROUNDS):
+        try:
+            fit = fit_model(model, "length", columns, fixed, length - x - off, UNKNOWN, start=start)
+        except ValueError:
+            return None, "no fit: no sigmoid comes near these lengths"
+        start, before, shape = {one.name: one.value for one in fit.unknowns}, x, sigmoid(fit)
+        x = np.array([point.at(point.pressure, shape).x for point in points])
+        if np.abs(x - before).max() < SETTLED:
+            break
+    return fit, ""
 
 
 def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: float) -> list[Estimate]:
@@ -359,7 +240,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
 
 def _pressure_over_x(points: Sequence[Point]) -> float:
     """Change of pressure over that of contraction where half of the largest contraction is reached [Pa/m]."""
-    P, x = _curve(points)
+    P, x = curve_of(points)
     after = int(np.clip(np.argmax(x >= 0.5 * x[-1]), 1, len(x) - 1))
     return abs(float((P[after] - P[after - 1]) / max(abs(x[after] - x[after - 1]), 1e-9)))
 
@@ -385,63 +266,132 @@ def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
     return f"{text}, at most {most} is expected: length over pressure has another form here. Use the lengths themselves"
 
 
-def _shifted(points: Sequence[Point], length: float) -> dict[str, ModelFit]:
-    """The sigmoid through the lengths less what is left without pressure, and to which they would come; where seen."""
+def _unseen(points: Sequence[Point], fit: ModelFit) -> str:
+    """Why the knee of the sigmoid is not seen, with numbers; empty where a pressure is near it."""
+    knee = next(unknown.value for unknown in fit.unknowns if unknown.name == "c")
+    if any(abs(point.pressure - knee) <= NEAR * knee for point in points):
+        return ""
+    ends = f"between {show((1 - NEAR) * knee, 'pressure', 2)} and {show((1 + NEAR) * knee, 'pressure', 2)}"
+    text = f"no pressure is near the knee of the sigmoid, at about {show(knee, 'pressure', 2)}: what lies between the"
+    return f"{text} lengths is not seen. Measure {ends} too"
+
+
+def _with_zero(
+    points: list[Point], length: float, scales: Scales
+) -> tuple[list[Point], ModelFit | None, str, float, list[Finding]]:
+    """The points with the pressures from their zero, the sigmoid or why there is none, and what of a zero is open [Pa].
+
+    The least that is read at set-point 0 is a zero of the sensor, or the pressure of a regulator that does not vent.
+    Below zero it is the former; else a declared uncertainty, or the lengths themselves, say which; else it is open.
+    """
+    fit, why = _fit(points, length)
+    zero = 0.0 if "pressure" in scales.offsets else zero_of(points)
+    if not zero:
+        return points, fit, why, 0.0, []
+    other = zeroed(points, zero)
+    again, why_again = _fit(other, length)
+    read = f"at set-point 0 the pressure reads {show(zero, 'pressure', 2)}"
+    squares = [np.inf if one is None or not one.converged else one.residual_rms**2 for one in (fit, again)]
+    freedom = 0 if again is None else again.freedom
+    limit = 1 + float(student.ppf(0.975, freedom)) ** 2 / freedom if freedom > 0 else np.inf
+    if zero < 0 or squares[0] > limit * squares[1]:
+        text = f"{read}: taken as the zero of its sensor, and off all pressures; the lengths agree with that"
+        return other, again, why_again, 2 * points[0].pressure_noise, [Finding("note", text)]
+    if squares[1] > limit * squares[0]:
+        return points, fit, why, 0.0, []
+    text = f"{read}: the zero of its sensor, or a regulator that does not vent. The lengths do not say which, and the"
+    text += " intervals hold both. Declare the expanded uncertainty of the pressure, or vent the muscle"
+    return points, fit, why, zero, [Finding("doubt", text)]
+
+
+def _shifted(points: Sequence[Point], length: float, shape: Shape, zero: float) -> dict[str, ModelFit]:
+    """The sigmoid through what the points would be with one cause less, of those that are seen.
+
+    Less what is left without pressure; where they would come to after the hold; less what noise of the pressures makes
+    of a bent curve; with pressures from another zero.
+    """
     starts = np.array([np.mean([rest.start for rest in point.rests]) for point in points])
     noise = max(rest.noise for point in points for rest in point.rests)
     ways = {ZERO: -starts} if np.abs(starts).max() > figures.CLEAR * noise else {}
     if any(point.left.seen for point in points):
         ways[MOTION] = np.array([point.left.size for point in points])
+    bent = np.array([point.bent(shape) for point in points])
+    if bent.max() > BENT * noise:
+        ways[NOISE] = bent
     fits = {name: _fit(points, length, off)[0] for name, off in ways.items()}
+    if zero:
+        fits[PRESSURE] = _fit(zeroed(points, zero), length)[0]
     return {name: fit for name, fit in fits.items() if fit is not None and fit.converged}
+
+
+def _leverage(fit: ModelFit) -> tuple[Array, Shape]:
+    """Change of a to e by that of each length, shape (5, n), and the fitted length over pressure."""
+    P = fit.columns["pressure"]
+    known = {unknown.name: unknown.value for unknown in fit.unknowns}
+
+    def computed(P: Array, **changed: float) -> Array:
+        return np.asarray(fit.model.evaluate({**fit.fixed, "pressure": P, **known, **changed})["length"])
+
+    steps = {name: 1e-5 * max(abs(value), 1e-6) for name, value in known.items()}
+    slopes = np.array([computed(P, **{n: known[n] + h}) - computed(P, **{n: known[n] - h}) for n, h in steps.items()])
+    slopes /= 2 * np.array(list(steps.values()))[:, None]
+    size = np.linalg.norm(slopes, axis=1)
+    size = np.where(size > 0, size, 1.0)
+    return np.linalg.pinv((slopes / size[:, None]).T) / size[:, None], computed
 
 
 def _scaled(fit: ModelFit, length: float) -> dict[tuple[str, str], Array]:
     """Change of a to e, shape (5,), by a relative change (`gain`) or an offset of 1 [SI] of each channel."""
     P = fit.columns["pressure"]
-    known = {unknown.name: unknown.value for unknown in fit.unknowns}
-
-    def computed(P: Array, **changed: float) -> Array:
-        return fit.model.evaluate({**fit.fixed, "pressure": P, **known, **changed})["length"]
-
-    steps = {name: 1e-5 * max(abs(value), 1e-6) for name, value in known.items()}
-    slopes = np.array([computed(P, **{n: known[n] + h}) - computed(P, **{n: known[n] - h}) for n, h in steps.items()])
-    slopes /= 2 * np.array(list(steps.values()))[:, None]
+    leverage, computed = _leverage(fit)
     most = next(p.high for p in fit.model.parameters if p.name == "pressure")
     below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, most)
     rises = (computed(above) - computed(below)) / (above - below)
     x = length - fit.measured
     moved = {("pressure", "offset"): -rises, ("pressure", "gain"): -rises * P,
              ("displacement", "offset"): -np.ones_like(x), ("displacement", "gain"): -x}  # fmt: skip
-    size = np.linalg.norm(slopes, axis=1)
-    size = np.where(size > 0, size, 1.0)
-    columns = (slopes / size[:, None]).T
-    return {name: STEEPER * np.linalg.lstsq(columns, by, rcond=None)[0] / size for name, by in moved.items()}
+    return {name: STEEPER * leverage @ by for name, by in moved.items()}
+
+
+def _scattered(fit: ModelFit, points: Sequence[Point]) -> Array:
+    """Half widths of a to e, shape (5,), by the scatter of the repeats and the noise of the pressure at each length.
+
+    They grow with the contraction: where few lengths make a coefficient, their errors are not those of all residuals.
+    """
+    freedom = sum(len(point.repeats) - 1 for point in points)
+    if not freedom:
+        return np.zeros(len(UNKNOWN))
+    leverage, computed = _leverage(fit)
+    P, noise = fit.columns["pressure"], np.array([point.pressure_noise for point in points])
+    by_noise = computed(P) - computed(np.maximum(P - noise, 0.0))
+    errors = [np.std(p.repeats, ddof=1) / np.sqrt(len(p.repeats)) if len(p.repeats) > 1 else 0.0 for p in points]
+    return np.asarray(student.ppf(0.975, freedom) * np.sqrt(leverage**2 @ (np.square(errors) + by_noise**2)))
 
 
 def _coefficients(
-    fit: ModelFit | None, why: str, other: str, shifted: Mapping[str, ModelFit],
-    scaled: Mapping[tuple[str, str], Array], scales: Scales,
+    fit: ModelFit | None, why: str, other: str, shifted: Mapping[str, ModelFit], points: Sequence[Point],
+    length: float, scales: Scales,
 ) -> list[Estimate]:  # fmt: skip
     """The coefficients a to e, those without an interval as not identifiable, withheld for the reason `other`.
 
     What they differ by from those of `shifted` is in the interval, and what a scale does to them (`_scaled`).
     """
     quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
+    scaled = {} if fit is None else _scaled(fit, length)
+    scattered = np.zeros(len(UNKNOWN)) if fit is None else _scattered(fit, points)
     found = []
-    for name in UNKNOWN:
+    for place, name in enumerate(UNKNOWN):
         quantity = quantities[name]
         value, half, note = (None, None, why) if fit is None else fit.identified(name, UNITS[quantity])
-        place = UNKNOWN.index(name)
         by = {kind: {c: float(scaled[c, kind][place]) for c in CHANNELS} for kind in ("gain", "offset") if scaled}
+        half = None if half is None else max(half, float(scattered[place]))
         parts = Parts(repeats=half, calibration=scales.part(by["gain"], by["offset"]) if by else None)
         n = 0 if fit is None else len(fit.measured)
         note = sentences(note, RESIDUALS if half is not None else "")
         e = Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name)
         others = {way: next(u.value for u in one.unknowns if u.name == name) for way, one in shifted.items()}
         doubts = [
-            Doubt(way, "drift" if way == ZERO else "method", abs(other - (value or 0.0)), seen=True)
-            for way, other in others.items()
+            Doubt(way, PART.get(way, "method"), abs(other - (value or 0.0)), seen=True) for way, other in others.items()
         ]
         found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found

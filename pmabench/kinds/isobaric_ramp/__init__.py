@@ -1,6 +1,7 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
-- `reduction`, made of `cell`; with the rubber, and the first loop of a rested muscle
+- `reduction`, with the rubber, and the first loop of a rested muscle; of one pressure and stroke (`cell`) the mean
+  `curve` and the `gap`, judged by `doubts`, with `creep`; `bound`: the most that cycles allow
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -27,7 +28,8 @@ METHODS = {
     "mean-curve": (
         "Mean of the contracting and the expanding branch at constant pressure (paper 3), taken to speed 0 by a line "
         "over the speed. How the branches turn into each other is fitted to the gap between them, exponentially over "
-        "the way, and taken off. K is minus the slope of a line through it, F_ce its force at x = 0."
+        "the way, and taken off. K is minus the slope of a line through it, F_ce its force at x = 0. Both are those "
+        "after creep, but for what was over before the record begins or takes more than twice as long as the test."
     ),
     "mean-curve, turns left in": (
         "As mean-curve, the plain mean of the branches, as paper 3 has it: near the ends it still holds how one branch "

@@ -1,39 +1,34 @@
-"""The loops of one pressure and stroke at all their speeds: mean curve, stiffness, gap, work, with intervals."""
+"""The loops of one pressure and stroke at all their speeds: lines over the speed, mean curve, and what they show.
+
+Knows no coefficient: those of the mean curve are in `curve`, those of the gap in `gap`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import hypot, inf, isfinite, isnan, log
+from math import hypot, isfinite
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.lines import PROPORTIONAL, Line, mean_of_cycles, weighted_line
+from pmabench.analysis.shared.lines import Line, mean_of_cycles, weighted_line
 from pmabench.analysis.shared.ramp_loop import Loop
-from pmabench.analysis.shared.samples import lag_open
-from pmabench.analysis.shared.sine_loop import RECOVERED
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 CURVE, RAW, LOCAL = OF_MEAN = "mean-curve", "mean-curve, turns left in", "mean-curve, local"
 GAP, MEAN_GAP, OPEN = "loop-gap", "loop-gap, mean over the stroke", "loop-gap, open loop"
-PLACES = 5
-"""Places along the stroke at which force and stiffness are given."""
 WINDOW = 0.06
 """Half width of the cubic through the mean curve for force and slope at a place, as a share of the stroke."""
 BENT = 0.02
 """Rms of the mean curve about a straight line, as a share of its range, that is worth a sentence."""
-BENT_NOTE = "the mean curve is bent: the interval reaches to the slope at any place of the stroke"
 UNEVEN = 0.05
 """Share of the gap that unequal pressure of the branches may be worth before it is doubted."""
-GUESSED = 1.5
-"""dF/dP may be so many times F/P, which is taken where one pressure was tested."""
 LEFT_OF_TURNS = 0.4
 """Share of what taking off the turns changes that may still be in a value: they need not fade as an exponential.
 
@@ -45,34 +40,12 @@ SLOW_TURNS = 0.2
 In a fluidic muscle, described by stops of several widths, a fifth of it has a reach of 16 mm."""
 SLOW_REACH = 0.75
 """Share of the stroke over which that fades: on a shorter way the gap shows it, on a longer one it adds less."""
-UPSIDE_DOWN = (
-    "the force is larger while contracting than while expanding, and no muscle gives work back like that: look for a "
-    "wrong sign, or force and displacement that are apart in time"
-)
 LONGEST_TRACE = 1500
 BETWEEN = "displacement and force"
-CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
+PLACES = 5
+"""Places along the stroke at which force and stiffness are given."""
 NO_REPEATS = "no repeats part: too few loops"
-SHRINKS = (
-    "a gap that shrinks as the speed rises is no damping: what creeps in about the time of a ramp, or a friction that "
-    "falls with the speed, makes part of it. Ramp more slowly, and more quickly, until the gap changes no more"
-)
-CREEPS = (
-    "as the speed rises the gap shrinks at mid stroke more than near its ends: what creeps in about the time of a ramp "
-    "makes part of it, and of the slope of the mean curve. Ramp more slowly, and more quickly, until neither changes"
-)
-UNIFORM = 0.5
-"""Share of what the gap shrinks by at mid stroke that it shrinks less by near the ends: three quarters or all by creep,
-none by friction."""
-OPENED = 0.7
-"""Share of the stroke, about its middle, in which turns have faded."""
-STEEPER = 5e-4
-"""Share by which a mean curve is steeper at the highest speed than at the lowest at least, where a muscle creeps."""
-CREPT = 3.0
-"""What creeps makes a gap of pi/2 times the stroke times what the slope grows by with the logarithm of the speed, where
-many time constants do (local Kramers-Kronig relation, Booij and Thoone 1982); one alone makes up to twice that."""
 ONE_SPEED = "one speed only: hysteresis and damping cannot be separated"
-AT_SPEED = "one speed only: the two dampings may differ, so that the force at rest may be anywhere in the gap"
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +99,18 @@ class Cell:
         return float(0.5 * (self.x[0] + self.x[-1]))
 
     @property
+    def ends(self) -> tuple[float, float]:
+        """Lower and upper end of the stroke [m]."""
+        points = [member.trial.point for member in self.members]
+        return min(p.get("lower", self.x[0]) for p in points), max(p.get("upper", self.x[-1]) for p in points)
+
+    @property
+    def stroke(self) -> float:
+        """[m]."""
+        lower, upper = self.ends
+        return float(upper - lower)
+
+    @property
     def one_speed(self) -> bool:
         """Whether all trials have the same speed."""
         return len({member.speed for member in self.members}) == 1
@@ -164,7 +149,7 @@ class Cell:
 
     def force_at(self, x: float) -> float:
         """Of the mean curve [N] at a contraction [m]."""
-        return _local(self.x, self.curve, x)[0]
+        return local(self.x, self.curve, x)[0]
 
     @property
     def bent(self) -> bool:
@@ -182,8 +167,8 @@ class Cell:
         """How far the slope anywhere on a bent mean curve is from that of the straight line [N/m]; 0 for no bend."""
         if not self.bent:
             return 0.0
-        slopes = {place: _local(self.x, self.curve, place)[1] for place in self.places}
-        return max(float(abs(s - self.straight)) + self._window_error(p)[1] for p, s in slopes.items())
+        slopes = {place: local(self.x, self.curve, place)[1] for place in self.places}
+        return max(float(abs(s - self.straight)) + self.window_error(p)[1] for p, s in slopes.items())
 
     @property
     def places(self) -> list[float]:
@@ -195,33 +180,12 @@ class Cell:
         """Why no one stiffness describes the stroke: its slopes differ as much as their mean; empty where one does."""
         if self.change < abs(self.straight):
             return ""
-        local = [-_local(self.x, self.curve, place)[1] for place in self.places]
-        ends = " to ".join(show(K, "stiffness", 3) for K in (min(local), max(local)))
+        slopes = [-local(self.x, self.curve, place)[1] for place in self.places]
+        ends = " to ".join(show(K, "stiffness", 3) for K in (min(slopes), max(slopes)))
         return f"the mean curve is bent, K is {ends} along the stroke: it is given at each contraction instead"
 
-    @cached_property
-    def _shrinks_by_creep(self) -> bool:
-        """Whether a gap that shrinks as the speed rises does so at mid stroke, and less near the ends.
-
-        What creeps makes a gap that is 0 at both turns, and a mean curve that is too steep. Friction that falls with
-        the speed takes as much of the gap everywhere. It is alike in both directions, whatever it changes with, and
-        a displacement that lags or has play moves the mean curve as a whole: they leave K as it is.
-        """
-        place = (self.x - self.middle) / (0.5 * np.ptp(self.x))
-        inner = np.abs(place) < OPENED
-        dome = self.over_speed(lambda loop: np.polyfit(place[inner], loop.gap[:, inner].T, 2)[0])
-        return dome.slope > max(dome.half_slope or 0.0, -UNIFORM * self.gap.slope)
-
-    @cached_property
-    def _creep(self) -> float:
-        """What the slope of the mean curve grows by with the logarithm of the speed [N/m]; 0 where that is not seen."""
-        line = self.over_speed(lambda loop: -np.polyfit(self.x, loop.mean.T, 1)[0])
-        low, high = self._speeds
-        seen = (line.slope - (line.half_slope or 0.0)) * (high - low) > STEEPER * abs(self.straight)
-        return line.slope * (high - low) / log(high / low) if seen else 0.0
-
     @property
-    def _speeds(self) -> tuple[float, float]:
+    def speeds(self) -> tuple[float, float]:
         """The lowest and the highest [m/s]."""
         speeds = [member.speed for member in self.members]
         return min(speeds), max(speeds)
@@ -236,91 +200,19 @@ class Cell:
 
     # -- estimates ------------------------------------------------------------------------------------------------
 
-    def estimates(self, scales: Scales, near: Cell | None) -> list[Estimate]:
-        """K and F_ce of the mean curve, its force and stiffness along the stroke, gap and work.
-
-        Calibration, to first order: forces ~ F, K ~ F/x, work ~ F x; all are given for a contraction and a pressure
-        that may be off, too. `near`: the cell of the pressure next to this one, None without another pressure.
-        """
-        x = self.x
-        lower = min(m.trial.point.get("lower", x[0]) for m in self.members)
-        upper = max(m.trial.point.get("upper", x[-1]) for m in self.members)
-        found: list[Estimate] = []
-
-        def estimate(
-            symbol: str, kind: tuple[str, str], method: str, of: Callable[[Loop], Array], over_P: float | None, *,
-            place: float | None = None, extra: float = 0.0, note: str = "",
-        ) -> None:  # fmt: skip
-            line, force = self.over_speed(of), symbol != "K"
-            over_x = 0.0 if place is None else self._over_x(place)[0 if force else 1]
-            gains = {"force": line.start, "displacement": over_x * (place or 0.0) - (0.0 if force else line.start)}
-            offsets = {"force": 1.0 if force else 0.0, "displacement": over_x}
-            part = self._part(scales, gains, offsets, over_P)
-            alone = AT_SPEED if self.one_speed and method in OF_MEAN and force else ""
-            within = abs(self.gap.start) / 2 if alone else 0.0
-            parts = Parts(line.half_start, hypot(extra, within), part, 0.0)
-            at = self.at if method != LOCAL else {**self.at, "contraction": round(float(place or 0.0), 7)}
-            found.append(self._estimate(symbol, line.start, kind, method, at, parts, sentences(note, alone)))
-
-        newton, stiffness = ("N", "force"), ("N/m", "stiffness")
-        dF_dP = self._over_pressure(near, lambda cell: cell.force_at(self.middle))
-        uneven = self._uneven(dF_dP)
-        by_turns = self._of_turns(lambda curve: float(np.polyfit(x, curve, 1)[0]))
-        kinds = [(CURVE, lambda loop: loop.mean), (RAW, lambda loop: loop.raw_mean)]
-        for method, curve in kinds if any(m.loop.turns is not None for m in self.members) else kinds[:1]:
-            if self.many_slopes:
-                found.append(self._estimate("K", None, stiffness, method, self.at, Parts(), self.many_slopes))
-            else:
-                estimate(
-                    "K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0],  # type: ignore[misc]
-                    self._over_pressure(near, lambda cell: -cell.straight),
-                    extra=hypot(self.change, by_turns, self._slow_turns(0.0)[1]), note=BENT_NOTE if self.bent else "",
-                )  # fmt: skip
-            if lower <= 0 <= upper and self.pressure > 0:
-                estimate(
-                    "F_ce", newton, method, lambda loop, of=curve: _locals(x, of(loop), 0.0)[0],  # type: ignore[misc]
-                    self._over_pressure(near, lambda cell: cell.force_at(0.0)), place=0.0,
-                    extra=self._window_error(0.0)[0], note="force of the mean curve at x = 0",
-                )  # fmt: skip
-        for place in self.places:
-            error = self._window_error(place)
-            for i, (symbol, kind) in enumerate((("F", newton), ("K", stiffness))):
-
-                def here(x: Array, curves: Array, place: float = place, i: int = i) -> Array:
-                    return (1 - 2 * i) * _locals(x, curves, place)[i]
-
-                over_P = self._over_pressure(near, lambda cell, of=here: float(of(cell.x, cell.curve[None])[0]))  # type: ignore[misc]
-                estimate(
-                    symbol, kind, LOCAL, lambda loop, of=here: of(x, loop.mean), over_P, place=place, extra=error[i]  # type: ignore[misc]
-                )  # fmt: skip
-        K = abs(self.straight)
-        found += self._gap_lines(scales, K, uneven, self._rising(dF_dP), near)
-        found += self._work(scales, K, uneven, float(upper - lower), near)
-        found = self._without_creep(found)
-        if self.upside_down:
-            return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
-        return [weighed(e, self._doubts(e, K, float(upper - lower))) for e in found]
-
-    def _without_creep(self, found: list[Estimate]) -> list[Estimate]:
-        """Without what the mean curve gives, where creep makes part of the gap and of its slope."""
-        shrinks = any(e.symbol == "F_c" and SHRINKS in e.note for e in found)
-        if not (shrinks and self._shrinks_by_creep):
-            return found
-        return [withhold(e, CREEPS) if e.method in OF_MEAN and e.value is not None else e for e in found]
-
-    def _over_pressure(self, near: Cell | None, of: Callable[[Cell], float]) -> float | None:
+    def over_pressure(self, near: Cell | None, of: Callable[[Cell], float]) -> float | None:
         """Change of a number of the cell with the pressure [per Pa]; None without another pressure at its middle."""
         if near is None or not near.x[0] <= self.middle <= near.x[-1]:
             return None
         change = (of(near) - of(self)) / (near.pressure - self.pressure)
         return change if isfinite(change) else None
 
-    def _over_x(self, place: float) -> tuple[float, float]:
+    def over_x(self, place: float) -> tuple[float, float]:
         """Change of the force [N/m] and of the stiffness [N/m2] of the mean curve with the contraction."""
         _, bend, slope, _ = np.polyfit(self.x - place, self.curve, 3)
         return float(slope), -2 * float(bend)
 
-    def _part(
+    def part(
         self, scales: Scales, gains: Mapping[str, float], offsets: Mapping[str, float], over_P: float | None
     ) -> float | None:
         """The calibration part of a value that changes by `over_P` [per Pa] with the pressure for which it is given."""
@@ -328,120 +220,11 @@ class Cell:
             gains, offsets = {**gains, "pressure": over_P * self.pressure}, {**offsets, "pressure": over_P}
         return scales.part(*({k: v for k, v in one.items() if v} for one in (gains, offsets)))
 
-    def _doubts(self, e: Estimate, K: float, stroke: float) -> list[Doubt]:
-        """What a late force, backlash and a drift do to an estimate; `K` [N/m] turns times into forces."""
-        late, (slowest, fastest) = self._late, self._speeds
-        gap = 2 * K * (e.at.get("speed", 0.0) or slowest) * late.half
-        # the zero of a displacement with play is anywhere within it: half of it either way, and turns show a part of it
-        play = gap / 3 if late.seen else 0.0
-        uneven = 0.5 * max(m.loop.uneven_drift for m in self.members)
-        whole = max(m.loop.whole_drift for m in self.members)
-        taken = max(float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in self.members])), 1e-9)
-        effects = {
-            "H": (gap, uneven), "F_c": (gap / 2, uneven / 2), "B": (K * late.half, 0.0), "K": (0.0, uneven / stroke),
-            "W": (gap * stroke, uneven * stroke), "W_c": (gap * stroke / 2, whole * stroke),
-            "eta": (gap * stroke / taken, uneven * stroke / taken), "F": (play, whole), "F_ce": (play, whole),
-        }  # fmt: skip
-        by_time, by_drift = effects.get(e.symbol, (0.0, 0.0))
-        found = [replace(late, half=by_time), Doubt("drift", "drift", by_drift, False)]
-        if self._creep and (e.symbol in ("F_c", "B") or e.at.get("speed") == 0):
-            share = {"F_c": 0.5, "B": 0.5 / (fastest - slowest)}.get(e.symbol, 1.0)
-            found.append(Doubt("creep", "method", share * CREPT * self._creep * stroke, seen=True))
-        return found
-
-    @cached_property
-    def _late(self) -> Doubt:
-        """Time by which the force may come late [s], by turns of the slowest loops, or where turns fade over time."""
-        slowest, _ = self._speeds
-        known = [m.loop.late for m in self.members if m.speed == slowest]
-        worst, half = max(known, key=lambda one: (one.seen, one.half)), float(np.mean([one.half for one in known]))
-        late = replace(worst, half=half)
-        faded = [(m.speed, m.loop.turns.w) for m in self.members if m.loop.turns is not None]
-        if self.one_speed or len({speed for speed, _ in faded}) < 2:
-            return late
-        speeds, ways = np.array(faded).T
-        longer = float(np.polyfit(speeds, ways, 1)[0])
-        if longer <= max(lag_open(m.run, "force") for m in self.members):
-            return late
-        reason = (
-            f"the faster the motion, the longer the way on which its turns fade, by {1e3 * longer:.2g} ms: the force "
-            "comes through a filter, which looks like damping; declare the `sensor_lag` of the force cell"
-        )
-        return replace(late, half=max(late.half, 2 * longer), seen=True, reason=reason)
-
-    def _work(self, scales: Scales, K: float, uneven: float, stroke: float, near: Cell | None) -> Iterator[Estimate]:
-        """Gap and work at each speed, and the share of the work that comes back; `uneven` as `_uneven` gives it."""
-        newton, joule = ("N", "force"), ("J", "work")
-        for speed in sorted({member.speed for member in self.members}):
-            mine = [member for member in self.members if member.speed == speed]
-            here, note = {**self.at, "speed": speed}, CYCLES if len(mine) == 1 else ""
-            late = 2 * K * speed * self.skew
-            work = ("force", "displacement")
-            # between the two samples at a turn the force jumps by the gap, somewhere on the way between them
-            corners = max(2 * abs(float(m.loop.middle_gap.mean())) * speed / m.run.rate for m in mine)
-            # and what is gone on the way to a turn and back between two samples is not seen: half of it at either end
-            unseen = max(abs(float(m.loop.given.mean())) / stroke * speed / m.run.rate for m in mine)
-            rows: tuple[_Row, ...] = (
-                ("H", newton, lambda loop: loop.middle_gap, ("force",), uneven, late),
-                ("W", joule, lambda loop: loop.lost, work, uneven * stroke + corners, late * stroke),
-                ("W_c", joule, lambda loop: loop.given, work, unseen, 0.5 * late * stroke),
-            )
-            for symbol, kind, of, by, extra, skewed in rows:
-                value, half = mean_of_cycles([of(member.loop) for member in mine])
-                over_P = self._over_pressure(near, lambda cell, of=of: cell.over_speed(of).start)  # type: ignore[misc]
-                offsets = {"force": stroke if symbol == "W_c" else 0.0}
-                part = self._part(scales, dict.fromkeys(by, value), offsets, over_P)
-                parts = Parts(half, extra, part, skewed)
-                yield self._estimate(symbol, value, kind, GAP, here, parts, note, len(mine))
-            each = [m.loop.given + m.loop.lost for m in mine]
-            taken = float(np.mean([np.mean(one) for one in each]))
-            if min(float(np.min(one)) for one in each) > 0:  # unpressed, it may take up nothing
-                value, half = mean_of_cycles([m.loop.given / one for m, one in zip(mine, each, strict=True)])
-                part = scales.part({}, {"force": stroke * (1 - value) / taken})
-                parts = Parts(half, (uneven * stroke + corners) / taken, part, late * stroke / taken)
-                said = sentences(note, RECOVERED)
-                yield self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, said, len(mine))
-
-    def _gap_lines(self, scales: Scales, K: float, uneven: float, rising: float, near: Cell | None) -> list[Estimate]:
-        """Hysteresis at speed 0, and what rises with speed; `rising` [N.s/m] is what unequal pressure makes of that."""
-        newton, damping = ("N", "force"), ("N.s/m", "damping")
-        still = {**self.at, "speed": 0.0}
-        found = []
-        ways: dict[str, Callable[[Loop], Array]]
-        ways = {GAP: lambda loop: loop.middle_gap, MEAN_GAP: lambda loop: loop.mean_gap}
-        if all(member.loop.turns is not None for member in self.members):  # one open gap for all cycles of a loop
-            ways[OPEN] = lambda loop: np.full(1, 2 * loop.turns.h if loop.turns is not None else np.nan)
-        for method, of in ways.items():
-            line = self.over_speed(of)
-            if self.one_speed:
-                found.append(self._estimate("H", None, newton, method, still, Parts(), ONE_SPEED))
-                found.append(self._estimate("B", None, damping, method, self.at, Parts(), ONE_SPEED))
-                continue
-            start, slope = line.start, line.slope
-            start_P, slope_P = (
-                self._over_pressure(near, lambda cell, of=of, name=name: float(getattr(cell.over_speed(of), name)))  # type: ignore[misc]
-                for name in ("start", "slope")
-            )
-            force = self._part(scales, {"force": start}, {}, start_P)
-            note = "gap at speed 0: true hysteresis"
-            H = self._estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note)
-            gains = {"force": slope / 2, "displacement": -slope / 2}
-            both = self._part(scales, gains, {}, None if slope_P is None else slope_P / 2)
-            low, high = self._speeds
-            least = PROPORTIONAL * abs(start) / (high - low) / 2
-            parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * self.skew)
-            B = self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2")
-            friction = Parts(_halved(line.half_start), uneven / 2, _halved(force))
-            F_c = self._estimate("F_c", start / 2, newton, method, self.at, friction, "half the gap at speed 0")
-            found += [H, B, F_c]
-        least = min((e.value + (e.parts.combined or inf) for e in found if e.symbol == "B" and e.value), default=0.0)
-        why = f"B would be below {show(least, 'damping', 2)}; {SHRINKS}"
-        return found if least >= 0 else [withhold(e, why) for e in found]
-
-    def _estimate(
+    def estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
         parts: Parts, note: str, n: int | None = None,
     ) -> Estimate:  # fmt: skip
+        """A coefficient of all trials, or where `n` is given of those of its speed; none where clocks forbid it."""
         trials = tuple(member.trial.name for member in self.members if "speed" not in at or n is None
                        or member.speed == at["speed"])  # fmt: skip
         if value is not None and parts.repeats is None:
@@ -449,7 +232,7 @@ class Cell:
         found = Estimate(symbol, value, *kind, method, dict(at), parts, len(trials), note=note, trials=trials)
         return skew.settled(found, BETWEEN, self.skew)
 
-    def _of_turns(self, of: Callable[[Array], float]) -> float:
+    def of_turns(self, of: Callable[[Array], float]) -> float:
         """What the turns may still make of a number of the mean curve [as the number]."""
         found = [0.0]
         for loop in (m.loop for m in self.members):
@@ -459,14 +242,14 @@ class Cell:
                 found.append(share * abs(of(raw) - of(raw - turns.of_mean(loop.x))))
         return max(found)
 
-    def _window_error(self, place: float) -> tuple[float, float]:
+    def window_error(self, place: float) -> tuple[float, float]:
         """What the width of the cubic, and turns that fade fast or slowly, make of force [N] and slope [N/m]."""
-        wide, narrow = _local(self.x, self.curve, place), _local(self.x, self.curve, place, WINDOW / 2)
-        turns = [self._of_turns(lambda curve, i=i: _local(self.x, curve, place)[i]) for i in (0, 1)]  # type: ignore[misc]
-        slow = self._slow_turns(place)
+        wide, narrow = local(self.x, self.curve, place), local(self.x, self.curve, place, WINDOW / 2)
+        turns = [self.of_turns(lambda curve, i=i: local(self.x, curve, place)[i]) for i in (0, 1)]  # type: ignore[misc]
+        slow = self.slow_turns(place)
         return hypot(2 * (wide[0] - narrow[0]), turns[0], slow[0]), hypot(2 * (wide[1] - narrow[1]), turns[1], slow[1])
 
-    def _slow_turns(self, place: float) -> tuple[float, float]:
+    def slow_turns(self, place: float) -> tuple[float, float]:
         """What hysteresis that fades over most of the stroke adds to force [N] and slope [N/m]; 0 without turns."""
         if all(m.loop.turns is None for m in self.members):
             return 0.0, 0.0
@@ -474,21 +257,7 @@ class Cell:
         slope = SLOW_TURNS * abs(self.gap.start) / reach
         return slope * abs(place - self.middle), slope
 
-    def _uneven(self, dF_dP: float | None) -> float:
-        """What of the gap unequal pressure of the two branches may be worth [N]."""
-        apart = max((abs(m.loop.apart) for m in self.members if not isnan(m.loop.apart)), default=0.0)
-        return apart * self._force_per_pressure(dF_dP)
-
-    def _rising(self, dF_dP: float | None) -> float:
-        """How fast what unequal pressure of the branches may be worth rises with the speed [N.s/m]."""
-        known = [(m.speed, m.loop.apart) for m in self.members if not isnan(m.loop.apart)]
-        if self.one_speed or len({speed for speed, _ in known}) < 2:
-            return 0.0
-        speeds, aparts = np.array(known).T
-        guessed = GUESSED if dF_dP is None else 1.0
-        return guessed * abs(float(np.polyfit(speeds, aparts, 1)[0])) * self._force_per_pressure(dF_dP)
-
-    def _force_per_pressure(self, dF_dP: float | None) -> float:
+    def force_per_pressure(self, dF_dP: float | None) -> float:
         """|dF/dP| [N/Pa]; where it is not known, by a force that is proportional to the pressure."""
         by_force = abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
         return by_force if dF_dP is None else abs(dF_dP)
@@ -505,7 +274,7 @@ class Cell:
             found.append(Finding("note", f"at {where}, {ONE_SPEED}"))
         for member in self.members:
             gap = abs(float(member.loop.middle_gap.mean()))
-            worth = abs(member.loop.apart) * self._force_per_pressure(None)
+            worth = abs(member.loop.apart) * self.force_per_pressure(None)
             if worth > UNEVEN * gap and worth > member.loop.noise:
                 text = (
                     f"trial {member.trial.name}: the pressure is {show(member.loop.apart, 'pressure', 3)} higher while "
@@ -546,15 +315,7 @@ class Cell:
         }
 
 
-_Row = tuple[str, tuple[str, str], Callable[[Loop], Array], tuple[str, ...], float, float]
-"""Symbol; unit and quantity; value by cycle; channels to which it is proportional; method and skew part."""
-
-
-def _halved(half: float | None) -> float | None:
-    return None if half is None else half / 2
-
-
-def _locals(x: Array, curves: Array, place: float, window: float = WINDOW) -> tuple[Array, Array]:
+def each_local(x: Array, curves: Array, place: float, window: float = WINDOW) -> tuple[Array, Array]:
     """Value and slope at a place of each of `curves`, shape (m, n), by a cubic through the points about it."""
     reach = window * float(x[-1] - x[0])
     centre = min(max(place, float(x[0]) + reach), float(x[-1]) - reach)
@@ -563,6 +324,7 @@ def _locals(x: Array, curves: Array, place: float, window: float = WINDOW) -> tu
     return np.asarray(terms[-1]), np.asarray(terms[-2])
 
 
-def _local(x: Array, curve: Array, place: float, window: float = WINDOW) -> tuple[float, float]:
-    value, slope = _locals(x, curve[None, :], place, window)
+def local(x: Array, curve: Array, place: float, window: float = WINDOW) -> tuple[float, float]:
+    """The same of one curve, shape (n,)."""
+    value, slope = each_local(x, curve[None, :], place, window)
     return float(value[0]), float(slope[0])

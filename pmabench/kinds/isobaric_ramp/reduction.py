@@ -5,7 +5,7 @@ the cycles that count, over the gap at speed 0; damping is in both gaps, and no 
 
 A, B1 and B2 can be separated only where data come close to the pole at -B2; the curve itself is known long before.
 
-Knows the samples and the protocol's settings. One trial is measured in `ramp_loop`, one cell in `cell`.
+Knows the samples and the protocol's settings. One trial is measured in `ramp_loop`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
-from pmabench.kinds.isobaric_ramp.cell import CURVE, CYCLES, GAP, LOCAL, ONE_SPEED, Cell, Member
+from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, ONE_SPEED, Cell, Member
+from pmabench.kinds.isobaric_ramp.creep import creeps_of
+from pmabench.kinds.isobaric_ramp.curve import of_curve
+from pmabench.kinds.isobaric_ramp.doubts import judged
+from pmabench.kinds.isobaric_ramp.gap import CYCLES, of_gap
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -282,8 +286,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     traces: list[Trace] = []
-    for cell in cells:
-        estimates += cell.estimates(scales, _next_to(cell, cells))
+    for cell, creep in zip(cells, creeps_of(cells), strict=True):
+        near = _next_to(cell, cells)
+        estimates += judged(cell, [*of_curve(cell, scales, near), *of_gap(cell, scales, near)], creep)
         findings += cell.findings()
         traces += cell.traces()
     estimates += first_cycle(runs, cells, options)

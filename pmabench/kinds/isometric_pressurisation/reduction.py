@@ -17,7 +17,7 @@ import numpy as np
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import (
     METHOD,
     Groups,
@@ -204,8 +204,8 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
             value, other = values.get(key), changed.get(key)
             if e.value is not None and value is not None and other is not None:
                 half = abs(other - value)
-                left = e.symbol == "H" and one.name == DRIFT and half <= MOST_DRIFT * abs(value)
-                doubts[_key(e)].append(Doubt(one.name, one.part, half, one.seen, "" if left else one.reason))
+                most = MOST_DRIFT if e.symbol == "H" and one.name == DRIFT else MOST_HIDDEN
+                doubts[_key(e)].append(Doubt(one.name, one.part, half, one.seen, one.reason, most))
     for line in found.across:
         for symbol in ("F_ce", "K"):
             doubts[symbol, SECTIONS, "", line.pressure].append(line.bend.doubt(symbol))
@@ -256,8 +256,7 @@ def _late(H: Estimate, cell: Cell, delay: float, error: float) -> Doubt:
         "loop: a filter of the cell, or creep. Ramp more slowly"
     )
     half = per_second * (BEYOND * abs(delay) + 2 * error)
-    unsure = reason if half > LATE * abs(H.value or 0.0) else ""
-    return Doubt("delay of the force", "method", half, abs(delay) > SEEN * error, unsure)
+    return Doubt("delay of the force", "method", half, abs(delay) > SEEN * error, reason, LATE)
 
 
 def _drifted(H: Estimate, cell: Cell, most: float) -> Doubt:
@@ -271,7 +270,7 @@ def _drifted(H: Estimate, cell: Cell, most: float) -> Doubt:
         "the ramps than before. Let it warm up, and measure again, or declare the `expanded_uncertainty` of the force"
     )
     seen = abs(gone) > max(noise_of(test.F) for test in cell.tests)  # of one sample; at rest it is a mean of many
-    return Doubt(DRIFT, "drift", abs(gone), seen, reason if abs(gone) > MOST_DRIFT * abs(H.value or 0.0) else "")
+    return Doubt(DRIFT, "drift", abs(gone), seen, reason, MOST_DRIFT)
 
 
 def lack(test: Test) -> str:

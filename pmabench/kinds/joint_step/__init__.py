@@ -19,7 +19,8 @@ RESULTS = (
 METHODS = {
     "step in closed loop": (
         "e_th is the mean of angle minus goal in the stated window; t_s the time from which on the angle stays within "
-        "the stated band about the goal; t_r from 10 to 90 % of the step, which begins at the angle held before it."
+        "the stated band about the goal; t_r from 10 to 90 % of the step, which begins at the angle held before it. "
+        "The filter that the angle declares (sensor_lag) is undone first."
     ),
     "sine in closed loop": (
         "Least squares of mean, cosine and sine at the known frequency, cycle by cycle within the stated window, over "

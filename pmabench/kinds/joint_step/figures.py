@@ -53,6 +53,5 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     if isinstance(one, Swung):
         answer = complex(one.answers.mean())
         return [Measured("g_th", "ratio", abs(answer)), Measured("phi_th", "angle", float(np.angle(answer)))], []
-    end, settling = -one.sign * one.response.error, one.response.settling
-    doubts = [] if settling is not None else ["the angle does not come into the band about its goal"]
-    return [Measured("e_th", "angle", end), Measured("t_s", "time", settling)], doubts
+    doubts = [] if one.values["t_s"] is not None else ["the angle does not come into the band about its goal"]
+    return [Measured("e_th", "angle", one.values["e_th"]), Measured("t_s", "time", one.values["t_s"])], doubts

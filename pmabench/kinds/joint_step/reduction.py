@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import pi
+from math import hypot, pi
 from typing import Any
 
 import numpy as np
@@ -15,14 +15,13 @@ from pmabench.analysis.shared.ramp_loop import MUSCLES
 from pmabench.analysis.shared.response import Response, respond
 from pmabench.analysis.shared.samples import (
     NotUsable,
-    count_of,
     lag_open,
     lags_of,
     noise_of,
-    on_time,
     refuse_flagged,
     refuse_incomplete,
     settings_of,
+    step_of,
     three_parameter,
 )
 from pmabench.analysis.shared.skew import off
@@ -61,10 +60,14 @@ class Stepped(Course):
 
     sign: float
     """Of the step."""
-    size: float
-    """Of the step [rad]."""
     response: Response
     """Of `sign` times the angle."""
+    values: Mapping[str, float | None]
+    """e_th [rad], t_s and t_r [s], OS_th [rad]; None where the angle does not get there."""
+    unsure: Mapping[str, float]
+    """What sampling, noise, the filter of the angle and its clock leave open of each."""
+    calibration: Mapping[str, float] | None
+    """What the uncertainties of the angle's offset and gain do to each; None where they are not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,55 +87,99 @@ def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Ste
     if "angle" not in trial.channels or law is None or law.get("t0") is None:
         raise NotUsable("the angle or what the loop did is not recorded")
     refuse_flagged(trial.usable)
-    settings = settings_of(run, options)
-    t = trial.t - (float(law["t0"]) + float(settings["begin"]))
-    angle, ok = on_time(run, trial, "angle"), trial.usable
-    refuse_leaps(t[ok], angle[ok], count_of(run, "angle"))
-    window = (float(settings["window"][0]), float(settings["window"][1]))
-    saturated = float(law.get("saturated", 0.0))
+    settings, ok = settings_of(run, options), trial.usable
+    t, angle = (trial.t - (float(law["t0"]) + float(settings["begin"])))[ok], trial.channels["angle"][ok]
+    refuse_leaps(t, angle)
     if "frequency" in trial.point:
-        return _swung(run, trial, t[ok], trial.channels["angle"][ok], window, saturated)
-    goal, lag = trial.point["goal"], float(law["reference_lag"])
-    before, after = ok & (t >= -BEFORE) & (t < 0), ok & (t >= 0)
-    if before.sum() < 8:
-        raise NotUsable(f"fewer than 8 samples in the {BEFORE:g} s before the step")
-    origin = float(angle[before].mean())
-    sign = 1.0 if goal > 0 else -1.0
-    step = sign * (goal - origin)
-    if step <= float(settings["band"]):
-        raise NotUsable(
-            f"before the step it was at {show(origin, 'angle', 3)}, which leaves no step to {show(goal, 'angle', 3)}"
-        )
-    late = np.maximum(t, 0.0) / lag if lag > 0 else np.where(t > 0, np.inf, 0.0)
-    reference = goal * (1 - (1 + np.minimum(late, 700.0)) * np.exp(-np.minimum(late, 700.0)))
-    try:
-        response = respond(
-            t[after], sign * angle[after], sign * goal, window, float(settings["band"]) / step, origin=sign * origin,
-            resolution=count_of(run, "angle"),
-        )  # fmt: skip
-    except ValueError as error:
-        raise NotUsable(str(error)) from error
-    return Stepped(run, trial, t[ok], angle[ok], reference[ok], saturated, sign, step, response)
+        window = (float(settings["window"][0]), float(settings["window"][1]))
+        return _swung(run, trial, t, angle, window, float(law.get("saturated", 0.0)))
+    return _stepped(run, trial, t, angle, law, settings)
 
 
-def refuse_leaps(t: Array, angle: Array, count: float) -> None:
+def refuse_leaps(t: Array, angle: Array) -> None:
     """Raise `NotUsable` where the angle leaps from one sample to the next, as no joint with a mass turns.
 
-    A leap is what is left of a sample's change after those around it, above noise and what the motion bends elsewhere.
+    A leap is what is left of a sample's change after the speed before and after it, above noise, steps of the encoder
+    and what the motion bends elsewhere. Samples may be missing: a change is as long as the time that it takes.
     """
-    change = np.diff(angle)
-    around = 0.25 * (change[:-4] + change[1:-3] + change[3:-1] + change[4:])
-    leaps = np.abs(change[2:-2] - around)
-    if not len(leaps):
+    took, at = np.diff(t), 0.5 * (t[1:] + t[:-1])
+    speed = np.diff(angle) / took
+    if len(speed) < 5:
         return
+    near = (0, 1, 3, 4)  # of five changes, those about the middle one
+    when, fast = (np.array([one[k : len(one) - 4 + k] for k in near]) for one in (at, speed))
+    middle = when.mean(axis=0)
+    slope = np.sum((when - middle) * fast, axis=0) / np.sum((when - middle) ** 2, axis=0)
+    off = speed[2:-2] - fast.mean(axis=0) - slope * (at[2:-2] - middle)
+    leaps = np.abs(off) * took[2:-2]
     worst = int(np.argmax(leaps))
-    motion = np.abs(change[max(0, worst - 8) : worst + 13] - np.median(change[max(0, worst - 8) : worst + 13]))
-    usual = float(np.sort(motion)[-2])  # the largest change but one
-    if leaps[worst] > max(LEAP * noise_of(angle), 3 * count, 2 * usual):
+    around = speed[max(0, worst - 8) : worst + 13]
+    usual = float(np.sort(np.abs(around - np.median(around)))[-2] * took[worst + 2])  # the largest change but one
+    step = step_of(angle)
+    if leaps[worst] > max(LEAP * noise_of(angle), 3 * step, 2 * usual):
         raise NotUsable(
             f"{show(float(t[worst + 3]), 'time', 3)} after its begin the angle leaps by "
             f"{show(float(leaps[worst]), 'angle', 2)} in one sample: the encoder or its coupling slips"
         )
+
+
+def _stepped(
+    run: RunData, trial: TrialData, t: Array, angle: Array, law: Mapping[str, Any], settings: Mapping[str, Any]
+) -> Stepped:
+    before, after = (t >= -BEFORE) & (t < 0), t >= 0
+    if before.sum() < 8:
+        raise NotUsable(f"fewer than 8 samples in the {BEFORE:g} s before the step")
+    goal, origin = trial.point["goal"], float(angle[before].mean())
+    sign = 1.0 if goal > 0 else -1.0
+    band, step = float(settings["band"]), step_of(angle)
+    if sign * (goal - origin) <= band:
+        raise NotUsable(
+            f"before the step it was at {show(origin, 'angle', 3)}, which leaves no step to {show(goal, 'angle', 3)}"
+        )
+    lag, window = lags_of(run, trial)["angle"], (float(settings["window"][0]), float(settings["window"][1]))
+
+    def measured(more: float = 0.0, gain: float = 0.0, later: float = 0.0) -> tuple[Response, dict[str, float | None]]:
+        """With an angle that is `more` [rad] and a share `gain` larger, of a sensor with a filter `later` [s]."""
+        start, x = sign * (origin * (1 + gain) + more), sign * (angle[after] * (1 + gain) + more)
+        size = sign * goal - start
+        r = respond(
+            t[after], x, sign * goal, window, band / size, origin=start, resolution=step if step < np.inf else 0.0,
+            lag=lag + later,
+        )  # fmt: skip
+        return r, {"e_th": -sign * r.error, "t_s": r.settling, "t_r": r.rise, "OS_th": r.overshoot * size}
+
+    try:
+        response, values = measured()
+        late, scales = lag_open(run, "angle"), Scales.of([run])
+        slower = measured(later=late)[1]
+        offset, gain = scales.offsets.get("angle", 0.0), scales.gains.get("angle", 0.0)
+        ends = [[measured(more=way * offset)[1] for way in (-1, 1)], [measured(gain=way * gain)[1] for way in (-1, 1)]]
+    except ValueError as error:
+        raise NotUsable(str(error)) from error
+    size, filtered, clock = sign * (goal - origin), _changes(values, [slower]), off([run], "angle")
+    seen, late = response.unsure, late + 0.5 * float(np.median(np.diff(t)))  # the first sample within is late, too
+    unsure = {
+        "e_th": seen.error,
+        "t_s": hypot(seen.settling, max(filtered["t_s"], late), clock),
+        "t_r": hypot(seen.rise, filtered["t_r"]),
+        "OS_th": hypot(seen.overshoot * size, filtered["OS_th"]),
+    }
+    by_offset, by_gain = (_changes(values, both) for both in ends)
+    calibration = {name: hypot(by_offset[name], by_gain[name]) for name in values} if offset or gain else None
+    two = float(law["reference_lag"])
+    since = np.maximum(t, 0.0) / two if two > 0 else np.where(t > 0, np.inf, 0.0)
+    reference = goal * (1 - (1 + np.minimum(since, 700.0)) * np.exp(-np.minimum(since, 700.0)))
+    saturated = float(law.get("saturated", 0.0))
+    return Stepped(run, trial, t, angle, reference, saturated, sign, response, values, unsure, calibration)
+
+
+def _changes(now: Mapping[str, float | None], ends: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
+    """The largest change of each value to one of `ends`; 0 where one of the two is not known."""
+    pairs = {name: [(value, end[name]) for end in ends] for name, value in now.items()}
+    return {
+        name: max((abs(a - b) for a, b in both if a is not None and b is not None), default=0.0)
+        for name, both in pairs.items()
+    }
 
 
 def _swung(
@@ -160,8 +207,8 @@ def _swung(
 STEP, SINE = "step in closed loop", "sine in closed loop"
 SATURATED = 0.05
 """Share of the samples with a pressure at a limit above which it is said."""
-Made = tuple[str, str, str, Array, float]
-"""Symbol, unit, quantity, value of each trial, and what sampling and noise leave open."""
+STEPPED = {"e_th": ("rad", "angle"), "t_s": ("s", "time"), "t_r": ("s", "time"), "OS_th": ("rad", "angle")}
+"""Symbol of a step -> unit and quantity."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -177,7 +224,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         steps = [one for one in members if isinstance(one, Stepped)]
         sines = [one for one in members if isinstance(one, Swung)]
         band = float(settings_of(members[0].run, options or {})["band"])
-        estimates += _of_steps(dict(key), steps, scales, band) if steps else _of_sines(dict(key), sines, scales)
+        estimates += _of_steps(dict(key), steps, band) if steps else _of_sines(dict(key), sines, scales)
         traces.append(_trace(dict(key), members[-1]))
         if (most := max(one.saturated for one in members)) > SATURATED:
             text = f"{members[0].trial.name}: a pressure was at its limit for {most:.0%} of the time"
@@ -192,27 +239,16 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )  # fmt: skip
 
 
-def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], scales: Scales, band: float) -> Iterator[Estimate]:
+def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], band: float) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in steps)
-    found, late = [one.response for one in steps], _late(steps)
-    # the filter of the angle makes a rise longer, which a shift in time does not take off [s]
-    rises = [(one.response.rise, 2.2 * lags_of(one.run, one.trial)["angle"]) for one in steps]
-    slowed = max((r - max(r**2 - slow**2, 0.0) ** 0.5 for r, slow in rises if r is not None), default=0.0)
     errors = [-one.sign * one.response.error for one in steps]
-    angle, second = ("rad", "angle"), ("s", "time")
-    rows: list[tuple[str, tuple[str, str], list[Any], float]] = [
-        ("e_th", angle, errors, max(r.unsure.error for r in found)),
-        ("t_s", second, [r.settling for r in found], float(np.hypot(max(r.unsure.settling for r in found), late))),
-        ("t_r", second, [r.rise for r in found], float(np.hypot(max(r.unsure.rise for r in found), late + slowed))),
-        ("OS_th", angle, [one.response.overshoot * one.size for one in steps],
-         max(one.response.unsure.overshoot * one.size for one in steps)),
-    ]  # fmt: skip
-    for symbol, kind, values, unsure in rows:
+    for symbol, kind in STEPPED.items():
+        values = [one.values[symbol] for one in steps]
         known = [value for value in values if value is not None]
         mean, half = mean_with_half(known) if known else (0.0, None)
-        part = scales.part({"angle": at["goal"]}, {"angle": 1.0}) if symbol == "e_th" else None
+        by_scales = [one.calibration[symbol] for one in steps if one.calibration is not None]
         note = "one trial: no interval" if len(steps) == 1 else ""
-        parts = Parts(half, unsure, part)
+        parts = Parts(half, max(one.unsure[symbol] for one in steps), max(by_scales, default=None))
         one = Estimate(symbol, mean, *kind, STEP, at, parts, len(known), note=note, trials=trials)
         if len(known) < len(values):
             end, count = show(float(np.mean(errors)), "angle", 3), len(values) - len(known)

@@ -1,6 +1,6 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
-- `reduction`
+- `reduction` of holds; `paths`: trials along a path; `record`: what both take from the record of a loop
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -22,7 +22,8 @@ RESULTS = (
 METHODS = {
     "closed-loop": (
         "The position held by the controller: e_ss is the mean of set-point minus contraction in the stated window, "
-        "over the set-point; rise from 10 to 90 % of it; cycles from one upward crossing of their middle to the next."
+        "over the set-point; rise from 10 to 90 % of it; cycles from one upward crossing of their middle to the next. "
+        "The filter that the displacement declares (sensor_lag) is undone first."
     ),
     "closed-loop, simulated": (
         "The same controller, sample by sample, around the model that the protocol names; e_sim is the rms difference "
@@ -31,7 +32,8 @@ METHODS = {
     "along a path": (
         "The controller follows places over time: e_rms and e_max are of contraction minus the place that was wanted "
         "at the same moment, from the first sample to the last; OS is the most that a move goes beyond its place "
-        "before the next one begins, over the move."
+        "before the next one begins, over the move. The filter that the displacement declares (sensor_lag) is undone "
+        "first, and noise is averaged out."
     ),
     "along a path, with feed-forward": (
         "The same, with the pressure added that the inverse of a muscle as a surface gives for the path, hysteresis "

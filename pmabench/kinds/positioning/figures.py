@@ -13,7 +13,8 @@ import numpy as np
 
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning.reduction import hold_of, tracked
+from pmabench.kinds.positioning.paths import tracked
+from pmabench.kinds.positioning.reduction import hold_of
 from pmabench.plotting import pictures, plots, time_plots
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData

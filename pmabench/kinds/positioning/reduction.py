@@ -1,18 +1,17 @@
 """Reduction of positioning runs: each set-point's response, steady-state error and limit cycle; the same simulated.
 
-Measures of one hold are in `analysis.shared.response`, the simulated loop in `analysis.shared.simulated`. And how well
-a controller followed a path: the error over the whole path, and what it goes beyond each place.
+Measures of one hold are in `analysis.shared.response`, the simulated loop in `analysis.shared.simulated`; trials along
+a path are reduced by `paths`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import hypot
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
@@ -20,143 +19,15 @@ from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
 from pmabench.analysis.shared.samples import count_of
 from pmabench.analysis.shared.simulated import closed_loop, model_of
+from pmabench.analysis.shared.smoothing import smooth
 from pmabench.analysis.shared.trials import grouped, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS
+from pmabench.kinds.positioning.paths import along_paths
+from pmabench.kinds.positioning.record import ALONE, LONGEST_TRACE, at_rest, followed, lag_of, late, looped
 from pmabench.model.presets import Described
-from pmabench.model.reference_path import ReferencePath
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
-
-ALONE_METHOD, AHEAD = "along a path", "along a path, with feed-forward"
-ALONE = "one run: no repeats part"
-FEWEST_ON_PATH = 50
-"""Samples of a path."""
-LONGEST_TRACE = 4000
-OF_PATHS = {"e_rms": ("m", "length"), "e_max": ("m", "length"), "OS": ("1", "ratio")}
-"""Symbol -> unit and quantity."""
-
-
-@dataclass(frozen=True, eq=False)
-class Tracked:
-    """One trial along a path; arrays of shape (n,) over `t` [s from the first sample of the loop]."""
-
-    run: RunData
-    trial: TrialData
-    path: ReferencePath
-    method: str
-    """How it was controlled: `AHEAD` where a feed-forward was added."""
-    t: Array
-    wanted: Array
-    x: Array
-
-    def values(self, more: float = 0.0, gain: float = 0.0) -> dict[str, float]:
-        """Each measure, of a displacement that is `more` [m] and a share `gain` larger."""
-        x = self.x * (1 + gain) + more
-        error = x - self.wanted
-        return {
-            "e_rms": float(np.sqrt(np.mean(error**2))),
-            "e_max": float(np.abs(error).max()),
-            "OS": max(self._overshoots(x), default=0.0),
-        }
-
-    def _overshoots(self, x: Array) -> list[float]:
-        """What each move goes beyond its place until the next one begins, over the move; none is 0."""
-        found = []
-        ends = [*self.path.starts[1:], np.inf]
-        moves = zip(self.path.places, self.path.places[1:], self.path.starts, ends, strict=False)
-        for before, place, start, end in moves:
-            inside = (self.t >= start) & (self.t < end)
-            way = place - before
-            if inside.any() and way:
-                found.append(max(0.0, float(((x[inside] - place) / way).max())))
-        return found
-
-
-def tracked(run: RunData, trial: TrialData, law: Mapping[str, Any]) -> Tracked | str:
-    """A trial along a path, or why it is not used."""
-    ok = _looped(trial, law)
-    if ok.sum() < FEWEST_ON_PATH:
-        return f"fewer than {FEWEST_ON_PATH} samples of the path can be used"
-    path, t = ReferencePath(**law["path"]), trial.t[ok] - float(law["t0"])
-    wanted = np.array([path.place(float(now)) for now in t])
-    method = AHEAD if law.get("feedforward") else ALONE_METHOD
-    return Tracked(run, trial, path, method, t, wanted, trial.channels["displacement"][ok])
-
-
-def _looped(trial: TrialData, law: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """The usable samples of the loop."""
-    during = (trial.t >= float(law["t0"]) - 1e-6) & (trial.t <= float(law["t1"]) + 1e-6)
-    return np.asarray(trial.usable & np.isfinite(trial.channels["displacement"]) & during)
-
-
-def _of_paths(members: Sequence[Tracked]) -> list[Estimate]:
-    """Root mean square and largest error [m], and the largest overshoot over its move [1], of one operating point."""
-    scales = Scales.of([one.run for one in members])
-    gain, offset = scales.gains.get("displacement", 0.0), scales.offsets.get("displacement", 0.0)
-    each = [one.values() for one in members]
-    ways = ((offset, 0.0), (0.0, gain))
-    shifted = [(members[0].values(more, share), members[0].values(-more, -share)) for more, share in ways]
-    lacking = scales.lack(("displacement",), ("displacement",))
-    method, at, names = members[0].method, dict(members[0].trial.point), tuple(one.trial.name for one in members)
-    note = sentences("" if len(members) > 1 else ALONE, lacking)
-    found = []
-    for symbol, (unit, quantity) in OF_PATHS.items():
-        values = np.array([one[symbol] for one in each])
-        scale = hypot(*(0.5 * (up[symbol] - down[symbol]) for up, down in shifted))
-        parts = Parts(spread(values), calibration=scale if offset > 0 or gain > 0 else None)
-        mean, n = float(values.mean()), len(values)
-        found.append(Estimate(symbol, mean, unit, quantity, method, at, parts, n, note=note, trials=names))
-    return found
-
-
-def _off_paths(cells: Sequence[Sequence[Tracked]]) -> list[Finding]:
-    """How far it was off, each way of controlling in one sentence."""
-    lines = []
-    for method in dict.fromkeys(members[0].method for members in cells):
-        mine = [one.values() for members in cells if members[0].method == method for one in members]
-        rms, most = (max(one[name] for one in mine) for name in ("e_rms", "e_max"))
-        over = 100 * max(one["OS"] for one in mine)
-        text = f"{method}: off by at most {show(most, 'length', 3)}, {show(rms, 'length', 3)} rms"
-        lines.append(Finding("note", f"{text}; overshoot {over:.2g} % of the move"))
-    return lines
-
-
-def _path_trace(one: Tracked) -> Trace:
-    """The path and where the muscle was."""
-    rows = slice(None, None, max(1, -(-len(one.t) // LONGEST_TRACE)))
-    setpoint, load = one.trial.point.get("setpoint", 0.0), one.trial.point.get("load", 0.0)
-    columns = {"t": one.t, "displacement": one.x, "model": one.wanted}
-    if "pressure_command" in one.trial.channels:
-        begin = float(one.trial.found["position"]["t0"])
-        columns["pressure_command"] = np.interp(one.t + begin, one.trial.t, one.trial.channels["pressure_command"])
-    return Trace(
-        f"path-{setpoint * 1e3:g}-{load:g}{'-ahead' if one.method == AHEAD else ''}",
-        "path",
-        f"{show(setpoint, 'length')}, {show(load, 'force')}: {one.method}",
-        {name: column[rows] for name, column in columns.items()},
-        {"t": "time", "displacement": "length", "model": "length", "pressure_command": "pressure"},
-        {"setpoint": setpoint},
-    )
-
-
-def along_paths(
-    pairs: Sequence[tuple[RunData, TrialData]],
-) -> tuple[list[Estimate], list[Finding], list[Trace], list[Dropped]]:
-    """All trials along paths."""
-    dropped: list[Dropped] = []
-    cells: dict[tuple[object, ...], list[Tracked]] = {}
-    for run, trial in pairs:
-        one = tracked(run, trial, trial.found["position"])
-        if isinstance(one, str):
-            dropped.append(Dropped(trial.name, trial.point, one))
-            continue
-        point = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
-        cells.setdefault((one.method, one.path.places, tuple(one.path.times), point), []).append(one)
-    every = list(cells.values())
-    found = [estimate for members in every for estimate in _of_paths(members)]
-    return found, _off_paths(every), [_path_trace(members[0]) for members in every], dropped
-
 
 KIND = "positioning"
 METHOD = "closed-loop"
@@ -195,6 +66,8 @@ class Hold:
     response: Response
     calibration: Mapping[str, float | None]
     """Half width that the scale of the displacement gives each measure."""
+    in_time: Mapping[str, float]
+    """What is open of the time of the displacement makes of each measure."""
     origin: float
     """Position at rest before the step [m]."""
     t: Array
@@ -218,7 +91,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for run in runs:
         model = model_of(run)
         for trial in run.trials:
-            if _followed(trial):
+            if followed(trial):
                 paths.append((run, trial))
                 continue
             hold = hold_of(run, trial, model)
@@ -248,13 +121,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _followed(trial: TrialData) -> bool:
-    """Whether a trial went along a path to its end."""
-    law = trial.found.get("position") or {}
-    whole = trial.status == "finished" and law.get("ended") == "time" and "displacement" in trial.channels
-    return bool(whole and law.get("path"))
-
-
 def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> Hold | str:
     """A trial measured, and simulated where there is a model, or why it is not used."""
     law = trial.found.get("position")
@@ -264,7 +130,7 @@ def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> H
         return str((law or {}).get("reason") or "no closed loop is recorded to its end")
     settings = run.plan.get("settings") or {}
     begin, setpoint = float(law["t0"]), float(law["setpoint"])
-    ok = _looped(trial, law)
+    ok = looped(trial, law)
     t, x = trial.t[ok] - begin, trial.channels["displacement"][ok]
     low, high = settings.get("window") or (0.5 * (float(law["t1"]) - begin), float(law["t1"]) - begin)
     window, band, resolution = (
@@ -272,32 +138,28 @@ def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> H
         float(settings.get("band", BAND)),
         count_of(run, "displacement"),
     )
-    rest = _at_rest(trial, law)
+    rest = at_rest(trial, law)
     origin = float(trial.channels["displacement"][rest].mean()) if rest.any() else 0.0
 
-    def measured(values: Array) -> Response:
-        return respond(t, values, setpoint, window, band, origin=origin, resolution=resolution)
+    def measured(values: Array, lag: float) -> Response:
+        return respond(t, values, setpoint, window, band, origin=origin, resolution=resolution, lag=lag)
 
+    lag = lag_of(run)
     try:
-        response = measured(x)
+        response, later = measured(x, lag), measured(x, lag + late(run))
     except ValueError as reason:
         return str(reason)
     scales = Scales.of([run])
     gain, offset = scales.gains.get("displacement"), scales.offsets.get("displacement")
-    shifted = [(measured(a), measured(b)) for a, b in ([(x * (1 + gain), x * (1 - gain))] if gain else [])]
-    shifted += [(measured(x + offset), measured(x - offset))] if offset else []
-    calibration = {symbol: _half(symbol, shifted, setpoint) for symbol in MEASURES}
+    shifted = [(measured(a, lag), measured(b, lag)) for a, b in ([(x * (1 + gain), x * (1 - gain))] if gain else [])]
+    shifted += [(measured(x + offset, lag), measured(x - offset, lag))] if offset else []
+    calibration = {symbol: _change(symbol, response, shifted, setpoint) for symbol in MEASURES}
+    in_time = {symbol: _change(symbol, response, [(later,)], setpoint) or 0.0 for symbol in MEASURES}
     simulated = simulated_response = None
     if model is not None:
         simulated = closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
-        simulated_response = measured(simulated)
-    return Hold(run, trial, law, response, calibration, origin, t, x, simulated, simulated_response)
-
-
-def _at_rest(trial: TrialData, law: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """The usable samples before the loop began."""
-    known = trial.usable & np.isfinite(trial.channels["displacement"])
-    return np.asarray(known & (trial.t < float(law["t0"]) - 1e-6))
+        simulated_response = measured(simulated, 0.0)
+    return Hold(run, trial, law, response, calibration, in_time, origin, t, x, simulated, simulated_response)
 
 
 def _value(symbol: str, response: Response, setpoint: float) -> float | None:
@@ -331,16 +193,14 @@ def _steady(e: Estimate, moves: Doubt) -> Estimate:
     return replace(found, value=None, parts=Parts(), budget=(), note=sentences(note, e.note), bound=most)
 
 
-def _half(symbol: str, shifted: Sequence[tuple[Response, Response]], setpoint: float) -> float | None:
-    """Half of what the measure changes between both ends of a scale's uncertainty, causes as squares."""
+def _change(symbol: str, response: Response, shifted: Sequence[tuple[Response, ...]], setpoint: float) -> float | None:
+    """What a measure changes by to the further end of each cause's uncertainty, causes as squares."""
+    now = _value(symbol, response, setpoint)
     if not shifted:
         return None
-    total = 0.0
-    for above, below in shifted:
-        one, other = _value(symbol, above, setpoint), _value(symbol, below, setpoint)
-        if one is not None and other is not None:
-            total += (0.5 * (one - other)) ** 2
-    return sqrt(total)
+    ends = [[_value(symbol, end, setpoint) for end in both] for both in shifted]
+    known = [[abs(end - now) for end in both if end is not None and now is not None] for both in ends]
+    return hypot(*(max(changes, default=0.0) for changes in known))
 
 
 def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
@@ -353,7 +213,7 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
             continue
         values = np.array([value for value, _ in known])
         # what sampling, noise and the choice of a band leave open; of e_ss nothing but what moves
-        methods = [getattr(h.response.unsure, name) if name else 0.0 for h in members]
+        methods = [hypot(getattr(h.response.unsure, name) if name else 0.0, h.in_time[symbol]) for h in members]
         scales = [half for _, half in known if half is not None]
         lacking = Scales.of([hold.run for hold in members]).lack(("displacement",), ("displacement",))
         parts = Parts(spread(values), max(methods), max(scales, default=None))
@@ -361,7 +221,8 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
         mean = float(values.mean()) if len(values) else None
         e = Estimate(symbol, mean, unit, quantity, METHOD, at, parts, len(values), note=note, trials=names)
         found.append(_steady(e, _moves(members, setpoint)) if symbol == "e_ss" else e)
-    rms = [float(np.sqrt(np.mean((h.x - h.simulated) ** 2))) for h in members if h.simulated is not None]
+    apart = [smooth(h.t, h.x, lag_of(h.run)).y - smooth(h.t, h.simulated).y for h in members if h.simulated is not None]
+    rms = [float(np.sqrt(np.mean(each**2))) for each in apart]
     if rms:
         found.append(Estimate("e_sim", float(np.mean(rms)), "m", "length", SIMULATION, at, n=len(rms), trials=names))
     simulated = next((h.simulated_response for h in members if h.simulated_response is not None), None)
@@ -395,6 +256,7 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[
     )
     lines.append(Finding("note", text))
     lines += _cycles([hold for members in cells for hold in members])
+    lines += _rests([hold for members in cells for hold in members])
     unsettled = [hold for members in cells for hold in members if hold.response.settling is None]
     if unsettled:
         band = 100 * float(settings.get("band", BAND))
@@ -415,6 +277,20 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[
 def _relative_error(hold: Hold) -> float:
     """Largest error [% of the set-point] that the mean and what moves in the window leave possible."""
     return 100 * (abs(hold.response.error) + hold.response.unsure.error) / float(hold.law["setpoint"])
+
+
+def _rests(holds: Sequence[Hold]) -> list[Finding]:
+    """Where it rested far from 0: the record cannot tell a muscle that rests there from a zero that is off."""
+    zeros = [Scales.of([hold.run]).offsets.get("displacement") for hold in holds]
+    off = [abs(hold.origin) for hold, zero in zip(holds, zeros, strict=True) if zero and abs(hold.origin) > zero]
+    if not off:
+        return []
+    known = show(max(zero for zero in zeros if zero), "length", 2)
+    text = (
+        f"before {len(off)} of {len(holds)} steps it rested up to {show(max(off), 'length', 2)} from 0, which is known"
+    )
+    text += f" to {known}: by friction, creep or its load, or the zero is off, and then as much is in e_ss, OS, t_s and"
+    return [Finding("note", f"{text} IAE. Vent it, wait, and take the zero again to tell")]
 
 
 def _cycles(holds: Sequence[Hold]) -> list[Finding]:
@@ -469,7 +345,7 @@ def _range(values: Sequence[float], form: str, unit: str) -> str:
 def _trace(hold: Hold) -> Trace:
     """Set-point, measured and simulated contraction, and the command, of one hold."""
     setpoint, begin = float(hold.law["setpoint"]), float(hold.law["t0"])
-    rest = _at_rest(hold.trial, hold.law)
+    rest = at_rest(hold.trial, hold.law)
     before = hold.trial.t[rest] - begin
     t = np.concatenate((before, hold.t))
     columns = {

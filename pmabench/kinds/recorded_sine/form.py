@@ -18,7 +18,15 @@ import numpy as np
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.form import Doubt, change_over
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import LAG_KNOWN, STEPS, noise_of, rounded, step_of, three_parameter
+from pmabench.analysis.shared.samples import (
+    LAG_KNOWN,
+    STEPS,
+    UNDECLARED,
+    noise_of,
+    rounded,
+    step_of,
+    three_parameter,
+)
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Parts
 from pmabench.store.records import Array
@@ -84,9 +92,12 @@ def _amplitude(angle: Array, values: Array) -> float:
 
 def slower(sine: Sine, name: str) -> complex:
     """Relative change of a complex amplitude where the sensor's time constant is larger by what it is known to [1]:
-    that of ln(1 + j omega tau).
+    that of ln(1 + j omega tau). Where none is declared, what `UNDECLARED` takes off the amplitude; the phase has its
+    lateness.
     """
     turn = 1j * sine.omega * sine.lags[name]
+    if not turn and name != "pressure_command":
+        return complex(abs(1 + 1j * sine.omega * UNDECLARED) - 1)
     return LAG_KNOWN * turn / (1 + turn)
 
 

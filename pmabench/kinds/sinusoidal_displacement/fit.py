@@ -14,7 +14,7 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
-from pmabench.analysis.shared.sine_loop import Sine, replay
+from pmabench.analysis.shared.sine_loop import Sine, measure, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.form import Point, lost
@@ -67,6 +67,28 @@ class Member:
     run: RunData
     trial: TrialData
     sine: Sine
+    discard: float
+    """Cycles at the start that are left out."""
+    per_pressure: float = 0.0
+    """Force that the pressure makes at the sine's frequency [N/Pa], taken off the measured one; 0 where unknown."""
+
+    @classmethod
+    def of(cls, run: RunData, trial: TrialData, discard: float) -> Member:
+        """Measure a trial; raises `NotUsable`."""
+        return cls(run, trial, measure(run, trial, discard), discard)
+
+    def again(
+        self, later: Mapping[str, float] | None = None, delay: float = 0.0, per_pressure: float | None = None
+    ) -> Member:
+        """The trial measured with other lags and another delay (`measure`), or with another force by pressure."""
+        taken = self.per_pressure if per_pressure is None else per_pressure
+        return replace(self, sine=measure(self.run, self.trial, self.discard, taken, later, delay), per_pressure=taken)
+
+    @property
+    def guess(self) -> float:
+        """Force by pressure [N/Pa] where nothing tells it: F_ce/P."""
+        sine = self.sine
+        return (sine.force + max(0.0, sine.stiffness * sine.mean)) / sine.pressure
 
     @property
     def name(self) -> str:
@@ -277,8 +299,8 @@ class Fitted:
                 method = WIDTH if symbol in ("H", "W") else HARMONIC
                 note = NO_REPEATS if half is None else CYCLES if len(sines) == 1 else ""
                 one = Estimate(
-                    symbol, float(values.mean()), unit, quantity, method, {**at, "frequency": frequency},
-                    Parts(half, abs(bias), part, skewed), len(sines), bias, note=note, trials=names,
+                    symbol, float(values.mean()) - bias, unit, quantity, method, {**at, "frequency": frequency},
+                    Parts(half, abs(bias), part, skewed), len(sines), bias, True, note, names,
                 )  # fmt: skip
                 found.append(settled(one, BETWEEN, self.skew))
         return found

@@ -1,8 +1,7 @@
 """Reduction of driven sines: K, B, F_c and loop widths from the first harmonics of displacement and force.
 
 Knows the samples and the protocol's settings; not how the bench is built. One trial is measured in `sine_loop`, the
-lines through those of one cell are in `fit`. A force that comes late
-(a filter or a delay that nobody declared) looks like less damping.
+lines through those of one cell are in `fit`, what sensors leave open in `sensors`.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import nan, pi
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -18,10 +17,7 @@ import numpy as np
 from pmabench.analysis.imported import import_of
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.ramp_loop import LATE
-from pmabench.analysis.shared.samples import PLACES, STEPS, NotUsable, lag_open, rounded
-from pmabench.analysis.shared.sine_loop import along, evaluate, measure
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
@@ -29,60 +25,9 @@ from pmabench.kinds.sinusoidal_displacement.figures import traces_of
 from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
+from pmabench.kinds.sinusoidal_displacement.sensors import Named, name_of, with_sensors
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
-from pmabench.store.records import Array, RunData
-
-
-def with_late_force(estimates: Sequence[Estimate], fitted: Fitted) -> list[Estimate]:
-    """The estimates with what the undeclared part of the force cell's lag may do to them, as a line of the budget.
-
-    Without a lag tau of the cell, K + j L at a frequency, L with the friction, is (K + j L)(1 + j omega tau): L was
-    larger by omega tau K, and K smaller by omega tau L, L being taken as it was before it fell. B fell by K tau. The K
-    of several frequencies counts as at the slowest, for its interval holds how K changes over the others.
-    """
-    tau = max(lag_open(member.run, "force") for member in fitted.group)
-    sines = {frequency: of[0] for frequency, of in fitted.by_frequency.items()}
-    given = {e.at.get("frequency"): e.value for e in estimates if e.symbol == "W_c"}
-
-    def effect(e: Estimate) -> float:
-        sine = sines.get(e.at.get("frequency", 0.0), sines[min(sines)] if e.symbol == "K" else None)
-        if sine is None:
-            return tau * abs(fitted.replayed.K) if e.symbol == "B" else 0.0
-        turn, A = sine.omega * tau, sine.amplitude
-        late = turn * abs(sine.stiffness)
-        taken = (given.get(sine.frequency) or 0.0) / (e.value or 1.0)
-        return {
-            "K": turn * (abs(sine.loss) / A + late), "phi": turn, "H": 2 * A * late, "W": pi * A**2 * late,
-            "W_c": pi * A**2 * late / 2, "eta": pi * A**2 * late / taken if e.symbol == "eta" and taken else 0.0,
-        }.get(e.symbol, 0.0)  # fmt: skip
-
-    return [weighed(e, [Doubt(LATE, "method", effect(e), False)]) for e in estimates]
-
-
-def with_steps(
-    estimates: Sequence[Estimate], fitted: Fitted, evaluated: Callable[[Fitted], tuple[list[Estimate], Form]]
-) -> list[Estimate]:
-    """The estimates with what the steps of the channels may do to them: the fitted muscle, rounded, evaluated again."""
-    muscle, rows = fitted.replayed, list[tuple[Member, Array, Array]]()
-    for member in {member.sine.frequency: member for member in fitted.group}.values():
-        x, F = along(member.sine, muscle.K, muscle.B, muscle.F_c)
-        rows.append((member, rounded(x, member.sine.steps[0]), rounded(F, member.sine.steps[1], 1)))
-    if not any(np.ptp(signals, axis=0).any() for _, *channels in rows for signals in channels):
-        return list(estimates)
-    values = []
-    for i in range(1 + PLACES):
-        group = [replace(m, sine=evaluate(m.sine.t, x[i], F[i], m.sine.frequency, m.sine.pressure)) for m, x, F in rows]
-        values.append({_name(e): e.value for e in evaluated(Fitted.of(group, 0.0))[0] if e.value is not None})
-    halves = {
-        name: 2 * float(np.sqrt(np.mean([(one.get(name, plain) - plain) ** 2 for one in values[1:]])))
-        for name, plain in values[0].items()
-    }
-    return [weighed(e, [Doubt(STEPS, "method", halves.get(_name(e), 0.0), False)]) for e in estimates]
-
-
-def _name(e: Estimate) -> tuple[object, ...]:
-    return e.symbol, e.method, *e.at.items()
-
+from pmabench.store.records import RunData
 
 KIND = "sinusoidal-displacement"
 CHANNELS = ("displacement", "force")
@@ -122,9 +67,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
         evaluated = partial(_evaluated, at=dict(key), scales=scales, slopes=slopes, slope=rising.get(key))
-        found, form = evaluated(fitted)
-        found = with_steps(found, fitted, evaluated)
-        estimates += with_late_force(found, fitted) if stated[key] == 0 else found
+        form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
+        found = with_sensors(evaluated(fitted, form), fitted, partial(_named, evaluated, form), late=stated[key] == 0)
+        estimates += found
         if (centre := mean_force.centre_of(found, form)) is not None and "pressure" in dict(key):
             centres.setdefault(dict(key)["pressure"], []).append(centre)
         findings += [*fitted.findings(dict(key)), *form.findings(dict(key))]
@@ -160,13 +105,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _evaluated(
-    fitted: Fitted, at: Mapping[str, float], scales: Scales, slopes: Muscle | None, slope: float | None
-) -> tuple[list[Estimate], Form]:
-    """All estimates of a cell, and what its harmonics say."""
-    form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
+    fitted: Fitted, form: Form, at: Mapping[str, float], scales: Scales, slopes: Muscle | None, slope: float | None
+) -> list[Estimate]:
+    """All estimates of a cell, as its harmonics correct and withhold them."""
     found = judged(fitted.estimates(at, scales, slopes), form)
     found += mean_force.mean_force_estimates(at, fitted, form, scales, slope)
-    return [*found, *mean_force.work_estimates(at, fitted.group, scales, fitted.skew)], form
+    return [*found, *mean_force.work_estimates(at, fitted.group, scales, fitted.skew)]
+
+
+def _named(evaluated: Callable[[Fitted, Form], list[Estimate]], form: Form, fitted: Fitted) -> Named:
+    """Those of other lines; where their own form withholds one, that by the `form` of the measured ones."""
+    found = evaluated(fitted, Form.of([member.sine for member in fitted.group], fitted.replayed.B))
+    found = evaluated(fitted, form) + found if any(e.withheld for e in found) else found
+    return {name_of(e): e for e in found if e.value is not None}
 
 
 def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Key, Fitted], dict[Key, float]]:
@@ -216,7 +167,7 @@ def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[
         discard = _setting(run, options, "discard", 1)
         for trial in run.trials:
             try:
-                members.append(Member(run, trial, measure(run, trial, discard)))
+                members.append(Member.of(run, trial, discard))
             except NotUsable as reason:
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
     return _as_alike(members), dropped
@@ -267,12 +218,12 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
         if np.isnan(slope) and not np.isnan(pressures).any() and np.ptp(pressures) > 0.1 * pressures.max():
             slope = float(np.polyfit(pressures, forces, 1)[0])
         for member in group:
-            sine = member.sine
-            guess = sine.force / sine.pressure if np.isnan(slope) else slope
-            share = abs(sine.ripple) * abs(guess) / (abs(sine.ratio) * sine.amplitude) if sine.ripple else 0.0
+            sine, share = member.sine, 0.0
+            if sine.ripple:
+                worth = member.guess if np.isnan(slope) else slope
+                share = abs(sine.ripple) * abs(worth) / (abs(sine.ratio) * sine.amplitude)
             if not np.isnan(slope) and share > 1e-4:
-                discard = _setting(member.run, options, "discard", 1)
-                even.append(Member(member.run, member.trial, measure(member.run, member.trial, discard, slope)))
+                even.append(member.again(per_pressure=slope))
                 continue
             even.append(member)
             if share > UNEVEN:

@@ -45,7 +45,7 @@ ONE_STEP = "no repeats part: one step"
 DRIFTS = 0.02
 """What the force would still change by after a rest, as a share of its step, that is doubted."""
 BLUNT = 0.25
-"""Share of the peak above which what a filter may have taken off it is not left to its interval."""
+"""Share of the rise to a peak above which what a filter may have taken off it is not left to its interval."""
 SEVERAL = 0.4
 """Share of a time constant by which that of the later part may differ where there is one exponential."""
 LONGEST_TRACE = 1500
@@ -187,7 +187,7 @@ class Way:
             self.estimate("K", stiffness, RELAXED, list(at_rest), slope, note=AT_LEAST,
                           doubts=over(before, after, off.left, rub, self.of_steps(float(np.mean(static))))),
             self.estimate("K", stiffness, PEAK, peak, slope, extreme / moved, note=RUBS,
-                          doubts=over(before, blunt, self.of_steps(float(np.mean(peak))))),
+                          doubts=over(before, replace(blunt, most=BLUNT), self.of_steps(float(np.mean(peak))))),
         ]  # fmt: skip
         once, half_rub = self.of_steps(0.0, 1.0), replace(rub, half=rub.half / 2)
         for name, rests, doubt in (("before", (1, 0), before), ("relaxed", (0, 1), after)):
@@ -257,8 +257,9 @@ def _blunt(every: Sequence[Relaxation]) -> Doubt:
     half = max(one.blunted for one in every)
     text = f"a filter of the force cell of {show(constant, 'time', 2)} would take {show(half, 'force', 2)} off the peak"
     reason = f"{text}: declare the `sensor_lag` of the channel, use a faster cell, or step more slowly"
-    rise = abs(float(np.mean([one.peak - one.before for one in every])))
-    return Doubt("filter of the force cell", "method", half, seen=True, reason=reason if half > BLUNT * rise else "")
+    peak, before = (float(np.mean([getattr(one, name) for one in every])) for name in ("peak", "before"))
+    most = BLUNT * abs(peak - before) / max(abs(peak), 1e-9)
+    return Doubt("filter of the force cell", "method", half, True, reason, most)
 
 
 def _still_moving(rests: Sequence[Held]) -> Doubt:

@@ -6,6 +6,7 @@ The units of the print appear only in this file.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -185,7 +186,7 @@ ROWS = {"a": (DEG, "angle"), "b": (DEG, "angle"), "c": (BAR, "pressure"), "d": (
     equation=("L = a + b / [1 + (p / c)^d]^e - r L0 sqrt(p / 1 bar)",),
     source="paper 2 eq. 1; reference values are its eq. 2 at 30 cm with the mended exponent",
     parameters=(
-        PRESSURE,
+        replace(PRESSURE, high=5.05 * BAR, reason=f"{RANGE_BAR}, and regulators rest a little beside a set-point"),
         Parameter("nominal_length", "L0", "length", 30 * CM, "length without pressure", 0.0, 2.0, "", above=True),
         Parameter("a", "a", "length", 21.423 * CM, "length that is left", 0.0, 2.0),
         Parameter("b", "b", "length", 8.577 * CM, "what the sigmoid takes off; a + b = L0 in paper 2", 0.0, 2.0),

@@ -1,0 +1,211 @@
+"""The trials of free contraction at rest: pressure and contraction of each, and the repeats of each set-point.
+
+Knows samples and commands, no coefficient.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of, refuse_incomplete
+from pmabench.store.analyses.results import Dropped
+from pmabench.store.records import Array, RunData, TrialData
+
+LAST = 0.2
+"""Share of each rest at its end whose mean counts."""
+FEWEST = 5
+"""Samples that it needs."""
+CHANNELS = ("displacement", "pressure")
+UNUSABLE_SHARE = 0.5
+NOTHING = 1.0
+"""Set-points up to this are 0 [Pa]."""
+VENTED = 3.0
+"""At set-point 0, a mean pressure within so many of its standard deviations is that of a muscle that is vented."""
+SCATTERED = 3.0
+"""So many times the variance of their noise the pressures of one set-point must have, to differ at all."""
+Shape = Callable[[Array], Array]
+"""Contraction [m] over pressure [Pa]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """One trial: what was measured at rest."""
+
+    run: RunData
+    trial: TrialData
+    pressure: float
+    """[Pa]."""
+    pressure_noise: float
+    """Its standard deviation by the noise of the samples [Pa]."""
+    x: float
+    """Contraction [m]."""
+    start: float
+    """Contraction at rest without pressure, before [m]."""
+    hold: Held
+    """Contraction along the second half of the hold [m]."""
+    noise: float
+    """Standard deviation of `start` and x [m]."""
+
+    @property
+    def side(self) -> float:
+        """-1 reached from below, 1 from above; 0 where the protocol does not tell them apart."""
+        return self.trial.point.get("side", 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """One commanded pressure: all its trials."""
+
+    set: float
+    """[Pa]."""
+    whole: tuple[tuple[Rest, ...], ...]
+    """Of each repeat, the trials of all sides."""
+
+    @property
+    def rests(self) -> tuple[Rest, ...]:
+        """All trials."""
+        return tuple(rest for repeat in self.whole for rest in repeat)
+
+    @cached_property
+    def pressure(self) -> float:
+        """Measured, the mean [Pa]."""
+        return float(self._of("pressure").mean())
+
+    @cached_property
+    def pressure_noise(self) -> float:
+        """Standard deviation of `pressure` by the noise of the samples [Pa]; 0 where the muscle is vented."""
+        return float(np.linalg.norm(self._of("pressure_noise"))) / len(self.rests)
+
+    @cached_property
+    def repeats(self) -> Array:
+        """Contraction of each repeat, the mean of its sides [m]."""
+        return np.array([np.mean([rest.x for rest in repeat]) for repeat in self.whole])
+
+    @cached_property
+    def gaps(self) -> Array:
+        """Contraction reached from above minus from below, of each repeat that has both [m]."""
+        by = [{rest.side: rest.x for rest in repeat} for repeat in self.whole]
+        return np.array([one[1.0] - one[-1.0] for one in by if {1.0, -1.0} <= set(one)])
+
+    @property
+    def x(self) -> float:
+        """Mean contraction [m]."""
+        return float(self.repeats.mean())
+
+    @cached_property
+    def left(self) -> Left:
+        """What x would still change by [m]."""
+        return left([rest.hold for rest in self.rests])
+
+    @cached_property
+    def apart(self) -> Left:
+        """What `gaps` would still change by [m]."""
+        sides = [left([rest.hold for rest in self.rests if rest.side == side]) for side in (1.0, -1.0)]
+        return Left(sides[0].size - sides[1].size, sum(one.most for one in sides), any(one.seen for one in sides))
+
+    @property
+    def off(self) -> float:
+        """Largest contraction that was left without pressure before a trial [m]."""
+        return max(abs(rest.start) for rest in self.rests)
+
+    def reached(self, side: float) -> float:
+        """Mean contraction reached from one side [m]; nan where there is none."""
+        values = [rest.x for rest in self.rests if rest.side == side]
+        return float(np.mean(values)) if values else float("nan")
+
+    def at(self, pressure: float, shape: Shape) -> Point:
+        """With the contraction of each trial as it would be at `pressure` [Pa], by a curve.
+
+        Each for itself: where the curve is bent, as a root is near 0, the mean contraction is not that at the mean
+        pressure.
+        """
+        further = float(shape(np.array([pressure]))[0]) - shape(self._of("pressure"))
+        by = dict(zip(self.rests, further.tolist(), strict=True))
+        return self.changed(lambda rest: replace(rest, x=rest.x + by[rest], pressure=pressure))
+
+    def bent(self, shape: Shape) -> float:
+        """What the mean contraction is off where noise of the pressures is taken through a bent curve [m]."""
+        P, noise = self._of("pressure"), self._of("pressure_noise")
+        below, at, above = (shape(np.maximum(P + way * noise, 0.0)) for way in (-1.0, 0.0, 1.0))
+        return float(np.mean(np.abs(above + below - 2 * at)))
+
+    def without_noise(self) -> Point:
+        """The pressures of the trials nearer to their mean, by the share of their scatter that is noise of the samples.
+
+        Of a muscle that is vented nothing but noise is read: its pressure is 0.
+        """
+        P, noise = self._of("pressure"), self._of("pressure_noise")
+        if self.set <= NOTHING and abs(self.pressure) <= VENTED * self.pressure_noise:
+            return self.changed(lambda rest: replace(rest, pressure=0.0, pressure_noise=0.0))
+        if len(P) < 2:
+            return self
+        share = float(np.mean(noise**2)) / max(float(np.var(P, ddof=1)), 1e-12)
+        real = 1.0 - share if share < 1 / SCATTERED else 0.0
+        return self.changed(lambda rest: replace(rest, pressure=self.pressure + real * (rest.pressure - self.pressure)))
+
+    def _of(self, name: str) -> Array:
+        """A number of each trial."""
+        return np.array([getattr(rest, name) for rest in self.rests])
+
+    def changed(self, change: Callable[[Rest], Rest]) -> Point:
+        """With each trial changed."""
+        return Point(self.set, tuple(tuple(map(change, repeat)) for repeat in self.whole))
+
+
+def measure(run: RunData, trial: TrialData) -> Rest:
+    """One trial at rest; raises `NotUsable`."""
+    refuse_incomplete(trial, *CHANNELS)
+    if "pressure" not in trial.point:
+        raise NotUsable("its point names no pressure")
+    x, P = (trial.channels[name] for name in CHANNELS)
+    good = trial.usable & np.isfinite(x) & np.isfinite(P)
+    if float(np.mean(~good)) > UNUSABLE_SHARE:
+        raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged or missing")
+    ramps = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
+    t = trial.t
+    end = min((c.t for c in ramps if c.phase == "vent" and c.t >= t[0]), default=float(t[-1]))
+    moved = [c for c in ramps if c.phase != "vent" and t[0] - 1e-9 <= c.t <= end]
+    begin = moved[0].t if moved else end
+    paced = [c for c in moved if c.data.get("rate", 0.0) > 0]
+    there = max((c.t + abs(c.value - c.before) / c.data["rate"] for c in paced), default=t[0])
+    first = good & (t >= begin - LAST * (begin - t[0])) & (t < begin - 1e-9)
+    last = good & (t >= end - LAST * (end - there)) & (t <= end)
+    if min(first.sum(), last.sum()) < FEWEST or end <= there:
+        raise NotUsable(f"fewer than {FEWEST} samples at the end of a rest")
+    half = good & (t >= 0.5 * (there + end)) & (t <= end)
+    noise, of_pressure = noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum())), noise_of(P[last])
+    hold = Held.of(t[half], x[half], end - LAST * (end - there))
+    means = float(P[last].mean()), of_pressure / float(np.sqrt(last.sum())), float(x[last].mean())
+    return Rest(run, trial, *means, float(x[first].mean()), hold, noise)
+
+
+def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
+    """The pressures, rising, and the trials that tell nothing."""
+    groups: dict[int, list[Rest]] = {}
+    dropped = []
+    for run in runs:
+        for trial in run.trials:
+            try:
+                rest = measure(run, trial)
+            except NotUsable as reason:
+                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+            else:
+                groups.setdefault(round(trial.point["pressure"]), []).append(rest)
+    points = []
+    for pressure, rests in sorted(groups.items()):
+        by: dict[object, dict[float, Rest]] = {}
+        order, sides = Counter[object](), {rest.side for rest in rests}
+        for rest in rests:  # trials of one file are repeats too, where nothing else tells them apart
+            side = rest.run.id, rest.trial.repeat, rest.side
+            by.setdefault((rest.run.id, rest.trial.repeat, order[side]), {})[rest.side] = rest
+            order[side] += 1
+        lost = [rest for repeat in by.values() if set(repeat) != sides for rest in repeat.values()]
+        dropped += [Dropped(r.trial.name, r.trial.point, "the other side of its repeat is lost") for r in lost]
+        if whole := [tuple(repeat.values()) for repeat in by.values() if set(repeat) == sides]:
+            points.append(Point(float(pressure), tuple(whole)).without_noise())
+    return points, dropped

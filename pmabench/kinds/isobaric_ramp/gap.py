@@ -1,0 +1,130 @@
+"""What the gap between the branches of one pressure and stroke gives: H, F_c, B and work, at each speed and at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from math import hypot, inf, isnan
+
+import numpy as np
+
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.lines import PROPORTIONAL, mean_of_cycles
+from pmabench.analysis.shared.ramp_loop import Loop
+from pmabench.analysis.shared.sine_loop import RECOVERED
+from pmabench.base.quantities import show
+from pmabench.kinds.isobaric_ramp.cell import GAP, MEAN_GAP, ONE_SPEED, OPEN, Cell
+from pmabench.store.analyses.results import Estimate, Parts, withhold
+from pmabench.store.records import Array
+
+GUESSED = 1.5
+"""dF/dP may be so many times F/P, which is taken where one pressure was tested."""
+CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
+SHRINKS = (
+    "a gap that shrinks as the speed rises is no damping: what creeps in about the time of a ramp, or a friction that "
+    "falls with the speed, makes part of it. Ramp more slowly, and more quickly, until the gap changes no more"
+)
+TWO_SPEEDS = "two speeds only: nothing shows whether the friction falls with the speed, which is not all damping then"
+_Row = tuple[str, tuple[str, str], Callable[[Loop], Array], tuple[str, ...], float, float]
+"""Symbol; unit and quantity; value by cycle; channels to which it is proportional; method and skew part."""
+
+
+def of_gap(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
+    """Gap and work, for a contraction and a pressure that may be off; `near` as of the mean curve.
+
+    Calibration, to first order: forces ~ F, work ~ F x.
+    """
+    K, dF_dP = abs(cell.straight), cell.over_pressure(near, lambda cell: cell.force_at(cell.middle))
+    uneven = _uneven(cell, dF_dP)
+    lines = _gap_lines(cell, scales, K, uneven, _rising(cell, dF_dP), near)
+    return [*lines, *_work(cell, scales, K, uneven, near)]
+
+
+def _work(cell: Cell, scales: Scales, K: float, uneven: float, near: Cell | None) -> Iterator[Estimate]:
+    """Gap and work at each speed, and the share of the work that comes back; `uneven` as `_uneven` gives it."""
+    stroke, newton, joule = cell.stroke, ("N", "force"), ("J", "work")
+    for speed in sorted({member.speed for member in cell.members}):
+        mine = [member for member in cell.members if member.speed == speed]
+        here, note = {**cell.at, "speed": speed}, CYCLES if len(mine) == 1 else ""
+        late = 2 * K * speed * cell.skew
+        work = ("force", "displacement")
+        # between the two samples at a turn the force jumps by the gap, somewhere on the way between them
+        corners = max(2 * abs(float(m.loop.middle_gap.mean())) * speed / m.run.rate for m in mine)
+        # and what is gone on the way to a turn and back between two samples is not seen: half of it at either end
+        unseen = max(abs(float(m.loop.given.mean())) / stroke * speed / m.run.rate for m in mine)
+        rows: tuple[_Row, ...] = (
+            ("H", newton, lambda loop: loop.middle_gap, ("force",), uneven, late),
+            ("W", joule, lambda loop: loop.lost, work, uneven * stroke + corners, late * stroke),
+            ("W_c", joule, lambda loop: loop.given, work, unseen, 0.5 * late * stroke),
+        )
+        for symbol, kind, of, by, extra, skewed in rows:
+            value, half = mean_of_cycles([of(member.loop) for member in mine])
+            over_P = cell.over_pressure(near, lambda cell, of=of: cell.over_speed(of).start)  # type: ignore[misc]
+            offsets = {"force": stroke if symbol == "W_c" else 0.0}
+            part = cell.part(scales, dict.fromkeys(by, value), offsets, over_P)
+            parts = Parts(half, extra, part, skewed)
+            yield cell.estimate(symbol, value, kind, GAP, here, parts, note, len(mine))
+        each = [m.loop.given + m.loop.lost for m in mine]
+        taken = float(np.mean([np.mean(one) for one in each]))
+        if min(float(np.min(one)) for one in each) > 0:  # unpressed, it may take up nothing
+            value, half = mean_of_cycles([m.loop.given / one for m, one in zip(mine, each, strict=True)])
+            part = scales.part({}, {"force": stroke * (1 - value) / taken})
+            parts = Parts(half, (uneven * stroke + corners) / taken, part, late * stroke / taken)
+            said = sentences(note, RECOVERED)
+            yield cell.estimate("eta", value, ("1", "ratio"), GAP, here, parts, said, len(mine))
+
+
+def _gap_lines(cell: Cell, scales: Scales, K: float, uneven: float, rising: float, near: Cell | None) -> list[Estimate]:
+    """Hysteresis at speed 0, and what rises with speed; `rising` [N.s/m] is what unequal pressure makes of that."""
+    newton, damping = ("N", "force"), ("N.s/m", "damping")
+    still = {**cell.at, "speed": 0.0}
+    found, few = [], TWO_SPEEDS if len({member.speed for member in cell.members}) == 2 else ""
+    ways: dict[str, Callable[[Loop], Array]]
+    ways = {GAP: lambda loop: loop.middle_gap, MEAN_GAP: lambda loop: loop.mean_gap}
+    if all(member.loop.turns is not None for member in cell.members):  # one open gap for all cycles of a loop
+        ways[OPEN] = lambda loop: np.full(1, 2 * loop.turns.h if loop.turns is not None else np.nan)
+    for method, of in ways.items():
+        line = cell.over_speed(of)
+        if cell.one_speed:
+            found.append(cell.estimate("H", None, newton, method, still, Parts(), ONE_SPEED))
+            found.append(cell.estimate("B", None, damping, method, cell.at, Parts(), ONE_SPEED))
+            continue
+        start, slope = line.start, line.slope
+        start_P, slope_P = (
+            cell.over_pressure(near, lambda cell, of=of, name=name: float(getattr(cell.over_speed(of), name)))  # type: ignore[misc]
+            for name in ("start", "slope")
+        )
+        force = cell.part(scales, {"force": start}, {}, start_P)
+        note = "gap at speed 0: true hysteresis"
+        H = cell.estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note)
+        gains = {"force": slope / 2, "displacement": -slope / 2}
+        both = cell.part(scales, gains, {}, None if slope_P is None else slope_P / 2)
+        low, high = cell.speeds
+        least = PROPORTIONAL * abs(start) / (high - low) / 2
+        parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * cell.skew)
+        B = cell.estimate("B", slope / 2, damping, method, cell.at, parts, sentences("(B_c + B_r)/2", few))
+        friction, said = Parts(_halved(line.half_start), uneven / 2, _halved(force)), "half the gap at speed 0"
+        F_c = cell.estimate("F_c", start / 2, newton, method, cell.at, friction, sentences(said, few))
+        found += [H, B, F_c]
+    least = min((e.value + (e.parts.combined or inf) for e in found if e.symbol == "B" and e.value), default=0.0)
+    why = f"B would be below {show(least, 'damping', 2)}; {SHRINKS}"
+    return found if least >= 0 else [withhold(e, why) for e in found]
+
+
+def _halved(half: float | None) -> float | None:
+    return None if half is None else half / 2
+
+
+def _uneven(cell: Cell, dF_dP: float | None) -> float:
+    """What of the gap unequal pressure of the two branches may be worth [N]."""
+    apart = max((abs(m.loop.apart) for m in cell.members if not isnan(m.loop.apart)), default=0.0)
+    return apart * cell.force_per_pressure(dF_dP)
+
+
+def _rising(cell: Cell, dF_dP: float | None) -> float:
+    """How fast what unequal pressure of the branches may be worth rises with the speed [N.s/m]."""
+    known = [(m.speed, m.loop.apart) for m in cell.members if not isnan(m.loop.apart)]
+    if cell.one_speed or len({speed for speed, _ in known}) < 2:
+        return 0.0
+    speeds, aparts = np.array(known).T
+    guessed = GUESSED if dF_dP is None else 1.0
+    return guessed * abs(float(np.polyfit(speeds, aparts, 1)[0])) * cell.force_per_pressure(dF_dP)

@@ -1,0 +1,138 @@
+"""Driven sines behind sensors that nobody described: filters of any channel, few samples, a pressure that swings along.
+
+The force is a Fourier series of F_ce - K x - B x' - F_c sign x' + S (P - 300 kPa), each wave times the filter at its
+frequency.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmabench.kinds.sinusoidal_displacement.reduction import reduce
+from tests.analysis.loop_rig import as_run
+from tests.analysis.sine_rig import Muscle51, value
+
+A, MEAN, F_CE, S = 5e-3, 0.01, 275.0, 1.01e-3
+K, F_C = 6773.0, 6.0
+PLACES = 2**14
+FILTERS = {
+    "first order": lambda s, tau: 1 / (1 + s * tau),
+    "second order": lambda s, tau: 1 / (1 + s * tau + (s * tau / 1.4) ** 2),
+    "delay": lambda s, tau: np.exp(-s * tau),
+}
+TWO, FOUR = ((0.5, 6), (3.0, 31)), ((0.1, 4), (0.5, 6), (1.0, 11), (3.0, 31))
+
+
+def read(wave, frequency, t, kind="delay", tau=0.0):
+    """One cycle of `wave` at (n + 1/2)/PLACES of it, behind a filter, at times `t` [s]."""
+    s = 2j * np.pi * frequency * np.arange(PLACES // 2 + 1)
+    filtered = np.fft.irfft(np.fft.rfft(wave) * FILTERS[kind](s, tau), PLACES)
+    at = (frequency * t) % 1.0 * PLACES - 0.5
+    return np.interp(at, np.arange(-1, PLACES + 1), np.r_[filtered[-1], filtered, filtered[0]])
+
+
+def trial(index, frequency, cycles, B, behind, rate=500.0, swing=0j, pressure=3e5):
+    """A sine of 5 mm about 10 mm; `behind` is channel -> (filter, tau [s]), `swing` the pressure's amplitude [Pa]."""
+    template = Muscle51().trial(index, frequency, cycles, pressure=pressure)
+    t = np.arange(round(cycles / frequency * rate)) / rate
+    theta = 2 * np.pi * (np.arange(PLACES) + 0.5) / PLACES
+    v = 2 * np.pi * frequency * A * np.cos(theta)
+    P = pressure + np.imag(swing * np.exp(1j * theta))
+    F = F_CE + S * (P - 3e5) - K * (MEAN + A * np.sin(theta)) - np.where(v > 0, *B) * v - F_C * np.sign(v)
+    waves = {"displacement": MEAN + A * np.sin(theta), "force": F, "pressure": P}
+    noise = np.random.default_rng(index).standard_normal((3, len(t)))
+    channels = {
+        name: read(wave, frequency, t, *behind.get(name, ("delay", 0.0))) + size * one
+        for (name, wave), size, one in zip(waves.items(), (2e-6, 0.3, 500.0), noise, strict=True)
+    }
+    return replace(template, t=template.t[0] + t, channels=channels, flags=np.zeros(len(t), dtype=np.uint16))
+
+
+def reduced(plan, B, behind=None, repeats=2, pressures=(3e5,), settings=None, **more):
+    sines = [(f, n, P) for P in pressures for f, n in plan * repeats]
+    trials = [trial(i, f, n, B, behind or {}, pressure=P, **more) for i, (f, n, P) in enumerate(sines)]
+    return reduce([as_run("sinusoidal-displacement", trials, {"discard": 1, **(settings or {})})])
+
+
+def truth(e, B):
+    """What the muscle has of an estimate; None of those that are not asked for."""
+    omega, both = 2 * np.pi * e.at.get("frequency", 0.0), sum(B) / 2
+    L = both * omega + 4 * F_C / np.pi / A
+    given = 2 * A * (F_CE + S * (e.at["pressure"] - 3e5) - K * MEAN - F_C) - np.pi / 2 * B[0] * omega * A**2
+    return {
+        "K": K, "K_A": K, "B": both, "F_c": F_C, "phi": np.arctan2(L, K), "H": 2 * (both * omega * A + F_C),
+        "W": np.pi * L * A**2, "W_c": given, "eta": given / (given + np.pi * L * A**2),
+    }.get(e.symbol)  # fmt: skip
+
+
+def errors(found, B):
+    """Estimate and its error in half widths, of all that have a value."""
+    known = [(e, truth(e, B)) for e in found.estimates if e.value is not None]
+    return [(e, (e.value - right) / e.parts.combined) for e, right in known if right is not None]
+
+
+@pytest.mark.parametrize("B", [(400.0, 400.0), (1680.0, 2120.0)])
+@pytest.mark.parametrize("plan", [TWO, FOUR])
+@pytest.mark.parametrize("kind", ["first order", "second order"])
+@pytest.mark.parametrize("channel", ["force", "displacement"])
+def test_a_filter_of_5_ms_on_force_or_displacement_is_in_all_intervals(channel, kind, plan, B):
+    """B was up to 1.5 half widths off, W_c 1.9, W and H 1.6: a filter counted to first order, and of the force only."""
+    found = errors(reduced(plan, B, {channel: (kind, 5e-3)}), B)
+    assert {e.symbol for e, _ in found} >= {"B", "F_c", "phi", "H", "W", "W_c", "eta"}
+    for e, error in found:
+        assert abs(error) < (1.0 if e.symbol in ("B", "F_c") else 1.2 if e.symbol == "K" else 1.05)
+
+
+def test_a_bench_without_a_filter_keeps_its_intervals():
+    """Of K, B and F_c as before; where the time is stated they are those of the sines alone."""
+    for settings, widest in (
+        ({}, {"K": 0.004, "B": 0.10, "F_c": 0.03}),
+        ({"time_skew": 1e-7}, dict.fromkeys("KB", 0.01)),
+    ):
+        found = reduced(FOUR, (400.0, 400.0), settings=settings)
+        for e, error in errors(found, (400.0, 400.0)):
+            assert abs(error) < 1.3
+            if e.symbol in widest and "frequency" not in e.at:
+                assert e.parts.combined < widest[e.symbol] * e.value
+
+
+def test_a_filter_of_the_displacement_counts_where_that_of_the_force_is_declared():
+    """The force's was known to 0.2 ms, and B of 400 N.s/m 25 half widths off."""
+    B, behind = (400.0, 400.0), {"displacement": ("first order", 5e-3), "force": ("first order", 1e-3)}
+    run = as_run(
+        "sinusoidal-displacement", [trial(i, f, n, B, behind) for i, (f, n) in enumerate(FOUR)], {"discard": 1}
+    )
+    declared = {**run.channels, "force": replace(run.channels["force"], sensor_lag=1e-3)}
+    for e, error in errors(reduce([replace(run, channels=declared)]), B):
+        assert abs(error) < 1.1, (e.symbol, e.at)
+
+
+@pytest.mark.parametrize("swing", [300j, -1000j, 3000.0])
+def test_a_pressure_that_swings_with_the_sine_is_in_the_intervals(swing):
+    """At one pressure nothing tells its force: 3 kPa made K 50 half widths wrong, 0.3 kPa H at 0 Hz 9 and phi 2."""
+    found = errors(reduced(FOUR, (400.0, 400.0), swing=swing), (400.0, 400.0))
+    assert len(found) > 25
+    assert max(abs(error) for _, error in found) < 1.0
+    assert any(line.name == "pressure that swings with the sine" for e, _ in found for line in e.budget)
+
+
+@pytest.mark.parametrize("tau", [2e-3, 4e-3])
+def test_a_filter_of_the_pressure_is_in_the_intervals_where_its_force_is_taken_off(tau):
+    """3 kPa that swing with the sine, at two pressures, the time between force and displacement stated: B 2 off."""
+    settings = {"time_skew": 1e-5}
+    found = reduced(TWO, (400.0, 400.0), {"pressure": ("first order", tau)}, 2, (3e5, 4e5), settings, swing=3000.0)
+    for e, error in errors(found, (400.0, 400.0)):
+        assert abs(error) < 1.1, (e.symbol, e.at)
+
+
+@pytest.mark.parametrize("rate", [60.0, 100.0])
+def test_few_samples_a_cycle_leave_loop_width_and_work_as_they_are(rate):
+    """15 to 100 samples a cycle: H at 4 Hz was 60 half widths off, W_c 2.9, and W by all that its replay had said."""
+    found = reduced(((0.1, 4), (1.0, 11), (4.0, 30)), (400.0, 400.0), rate=rate, settings={"time_skew": 1e-7})
+    checked = [(e, error) for e, error in errors(found, (400.0, 400.0)) if e.symbol in ("H", "W", "W_c", "phi")]
+    assert len(checked) == 13
+    assert max(abs(error) for _, error in checked) < 1.2
+    W = value(found, "W", "loop-width", {"frequency": 4.0})
+    assert W.corrected
+    assert abs(W.value / truth(W, (400.0, 400.0)) - 1) < 2e-3
