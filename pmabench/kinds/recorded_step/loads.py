@@ -201,7 +201,7 @@ def by_cell(steps: Sequence[tuple[RunData, Step]], late: Sequence[float]) -> tup
         text = f"{show(left, 'force', 2)} are left where noise makes {show(expected, 'force', 2)}: K changes with"
         return [], [Finding("note", f"K is not one number in these steps: {text} pressure or contraction; {INSTEAD}")]
     ends = [Rows.of(mine, shift).solved() for shift in (late[0], late[-1])]
-    slower, seen = _filtered(mine, middle, noise)
+    slower = _filtered(mine, middle, noise)
     read = _read(mine, terms) / float(np.ptp(rows.design[:, 1]))
     scales = Scales.of([run for run, _ in mine])
     names = tuple(step.name for _, step in mine)
@@ -214,7 +214,7 @@ def by_cell(steps: Sequence[tuple[RunData, Step]], late: Sequence[float]) -> tup
             continue
         parts = Parts(float(halves[place]), float(spread), scales.part({"force": value, "displacement": -value}))
         e = Estimate(symbol, value, unit, quantity, CELL, {}, parts, len(names), trials=names)
-        doubts = [Doubt(FILTER, "method", abs(float(slower[place] - terms[place])), seen)]
+        doubts = [Doubt(FILTER, "method", abs(float(slower[place] - terms[place])), seen=True)]
         found.append(weighed(e, [*doubts, *([Doubt(STEPS, "method", read, seen=False)] if symbol == "K" else [])]))
     return found, findings
 
@@ -225,20 +225,19 @@ def _read(steps: Sequence[tuple[RunData, Step]], terms: Array) -> float:
     return OF_TWO * max(hypot(*(w * step.unresolved[name] for name, w in weights.items())) for _, step in steps)
 
 
-def _filtered(steps: Sequence[tuple[RunData, Step]], late: float, noise: float) -> tuple[Array, bool]:
-    """Terms were the force later, as a filter of its cell makes it, and whether it is later for certain.
+def _filtered(steps: Sequence[tuple[RunData, Step]], late: float, noise: float) -> Array:
+    """Terms were the force later, as a filter of its cell makes it, which is to one side.
 
     By as much as a filter may be slow that nobody declared, and by more where the rows fit far better then: what is
     left is compared over the noise of rows, which grows with the damping. `noise` is that of the force [N].
     """
     found = []
-    for lag in (0.0, UNDECLARED, *SLOWER):
+    for lag in (UNDECLARED, *SLOWER):
         rows = Rows.of(steps, late, lag)
         terms = rows.solved()
         found.append((terms, len(rows.F) * (rows.left(terms) / _noise_of_rows(steps[0][1], terms, noise)) ** 2))
     best = int(np.argmin([power for _, power in found]))
-    seen = best > 1 and found[1][1] - found[best][1] > CLEARLY**2
-    return found[best if seen else 1][0], seen
+    return found[best if found[0][1] - found[best][1] > CLEARLY**2 else 0][0]
 
 
 def _good(step: Step, channel: str) -> Array:
