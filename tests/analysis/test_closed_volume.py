@@ -203,3 +203,39 @@ def test_strokes_that_take_too_long_end_the_run_and_let_the_air_out(tmp_path):
     assert "isolation_valve shut took longer than 12 s" in outcome.why
     (vent,) = (e for e in open_run(outcome.folder).events if e.kind == "vent")
     assert vent.data["result"] == "confirmed"
+
+
+def moved(run, off, scale=0.0):
+    """The run with a gauge that reads so much more [m], and by another scale."""
+    trials = (
+        replace(one, channels={**one.channels, "displacement": off + (1 + scale) * one.channels["displacement"]})
+        for one in run.trials
+    )
+    return replace(run, trials=tuple(trials))
+
+
+@pytest.mark.parametrize(("off", "scale"), [(2e-4, 0.0), (-2e-4, 0.0), (0.0, 0.02)])
+def test_a_gauge_that_is_off_the_drive_is_in_the_intervals(run, off, scale):
+    """0.2 mm are 1 % of the volume at the start, which is given: it came out changed with +- 0.5 %."""
+    found = reduce([moved(run, off, scale)])
+    for e in (e for e in volumes(found) if not e.withheld):
+        assert e.ci95[0] <= true_volume(e.at["contraction"]) <= e.ci95[1]
+    assert not [e for e in volumes(found) if e.withheld]
+    D_0 = next(e for e in found.estimates if e.symbol == "D_0")
+    assert D_0.ci95[0] <= 0.02 <= D_0.ci95[1]
+
+
+def test_a_gauge_that_is_half_a_millimetre_off_gives_no_volume(run):
+    found = reduce([moved(run, 5e-4)])
+    assert all(e.withheld for e in found.estimates)
+    assert "not where the drive was sent" in volumes(found)[0].note
+
+
+def test_a_pressure_that_comes_back_higher_may_be_heat_or_the_gauge(run):
+    rising = (
+        replace(one, channels={**one.channels, "pressure": one.channels["pressure"] + 200.0 * (one.t - one.t[0])})
+        for one in run.trials
+    )
+    found = reduce([replace(run, trials=tuple(rising))])
+    (said, *_) = [f.text for f in found.findings if "comes back" in f.text]
+    assert "the air or the room warms, or the gauge drifts" in said

@@ -1,6 +1,8 @@
 """Sweeps of a joint through protocol, guard and reduction, against numbers of another program and closed forms."""
 
 import math
+import re
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +14,12 @@ from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
-from pmabench.kinds.joint_sweep.reduction import reduce, sweep_of
+from pmabench.kinds.joint_sweep.reduction import reduce
+from pmabench.kinds.joint_sweep.sweep import sweep_of
 from pmabench.store.reader import open_run
 from tests.analysis.test_honesty import refuse_unexplained_moves
+from tests.kinds import joint_plant
+from tests.kinds.joint_plant import Faults
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECIMEN = ROOT / "fixtures" / "specimens" / "joint-daerden.yaml"
@@ -168,3 +173,94 @@ def test_intervals_hold_the_truth_on_16_seeds(tmp_path):
             inside[symbol] += low < truth < high
     print(inside)
     assert min(inside.values()) >= 14
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory):
+    """A sweep at each of the protocol's pairs of pressures."""
+    plan = compiled(("sweep.zip.speed", "[4 deg/s, 4 deg/s, 4 deg/s]"), ("trial.cycles", "3"))
+    run = open_run(run_plan(plan, bench(), ConfirmedBeforehand(), out=tmp_path_factory.mktemp("pairs")).folder)
+    return replace(run, trials=run.trials[:3])
+
+
+def true(e):
+    at = e.at["pressure_1"], e.at["pressure_2"]
+    return {
+        "K_th": lambda: joint_plant.stiffness(0.0, *at),
+        "H_tau": lambda: 4 * RADIUS * HYSTERESIS,
+        "tau": lambda: joint_plant.torque(e.at["angle"], *at),
+    }[e.symbol]()
+
+
+def found(run, faults):
+    """Values with an interval that holds the truth, and how many are withheld, by symbol; and what is said."""
+    analysis = reduce([joint_plant.measured(run, faults)])
+    kept = [e for e in analysis.estimates if e.symbol != "W" and not e.withheld]
+    for e in kept:
+        low, high = e.ci95
+        assert low < true(e) < high, e
+    withheld = Counter(e.symbol for e in analysis.estimates if e.withheld)
+    return kept, withheld, " ".join([f.text for f in analysis.findings] + [e.note for e in analysis.estimates])
+
+
+def widths(kept, symbol):
+    return np.mean([e.parts.combined for e in kept if e.symbol == symbol])
+
+
+def test_a_good_bench_has_all_values_and_narrow_intervals(pairs):
+    kept, withheld, said = found(pairs, Faults())
+    assert not withheld
+    assert widths(kept, "K_th") < 0.12
+    assert widths(kept, "H_tau") < 0.1
+    assert "commanded" not in said
+
+
+def test_pressures_that_are_not_reached_are_said_and_in_the_intervals(pairs):
+    kept, _, said = found(pairs, Faults(reached=0.95))
+    assert widths(kept, "K_th") > 0.75  # the stiffness is 5.9 % low
+    assert re.search("1[05] kPa below the [34]00 kPa that were commanded|20 kPa below the 400 kPa", said)
+
+
+@pytest.mark.parametrize("faults", [Faults(zero=math.radians(0.3)), Faults(zero=math.radians(-1)), Faults(scale=0.01)])
+def test_an_encoder_that_is_off_the_drive_is_in_the_intervals(pairs, faults):
+    _, _, said = found(pairs, faults)
+    assert faults.scale or "where the drive was sent to 0" in said
+
+
+def test_an_encoder_of_another_scale_than_the_drive_has_no_stiffness(pairs):
+    _, withheld, said = found(pairs, Faults(scale=0.03))
+    assert withheld["K_th"] == 3
+    assert "one of them has a wrong scale" in said
+
+
+def test_pressures_that_follow_the_motion_leave_no_gap(pairs):
+    _, withheld, said = found(pairs, Faults(dragged=700.0))
+    assert (withheld["H_tau"], withheld["W"], withheld["K_th"]) == (3, 3, 0)
+    assert "the pressures differ by 2.8 kPa" in said
+
+
+def test_a_second_hysteresis_is_in_the_stiffness_and_its_interval(pairs):
+    """10 N on 9 deg make it 1.3 % too large, 15 N on 14 deg 4 %."""
+    analysis = reduce([joint_plant.measured(pairs, Faults(second=(10.0, 0.02)))])
+    for e in (e for e in analysis.estimates if e.symbol in ("K_th", "tau") and not e.withheld):
+        assert e.ci95[0] < true(e) < e.ci95[1]
+    assert not value_at(analysis, "K_th").withheld
+    worse = value_at(reduce([joint_plant.measured(pairs, Faults(second=(15.0, 0.03)))]), "K_th")
+    assert worse.withheld
+    assert "Sweep farther" in worse.note
+
+
+def test_play_that_the_torque_loads_is_in_stiffness_and_gap(pairs):
+    """Half a degree takes 2.3 % off the stiffness at mid sweep, 4 % off the gap."""
+    kept, withheld, _ = found(replace(pairs, trials=pairs.trials[:1]), Faults(loaded=math.radians(0.5)))
+    assert not withheld
+    assert widths(kept, "K_th") > 0.3
+
+
+def test_friction_of_a_bearing_is_named_where_it_looks_like_a_filter(pairs):
+    H = value_at(reduce([joint_plant.measured(pairs, Faults(bearing=0.2))]), "H_tau")
+    assert "friction builds up on a small way" in H.note
+
+
+def value_at(analysis, symbol):
+    return next(e for e in analysis.estimates if e.symbol == symbol)

@@ -16,6 +16,8 @@ from pmabench.kinds.compile import make_plan
 from pmabench.kinds.joint_torque.figures import maps, measure
 from pmabench.kinds.joint_torque.reduction import reduce
 from pmabench.store.reader import open_run
+from tests.kinds import joint_plant
+from tests.kinds.joint_plant import Faults, force_by_pressure, stiffness, torque
 
 ROOT = Path(__file__).resolve().parents[2]
 HYSTERESIS, LENGTH, RADIUS, W = 30.0, 0.2, 0.025, 0.006
@@ -33,33 +35,19 @@ def compiled(*changes):
     return make_plan(ROOT / "protocols/joint-torque.yaml", bench(), changes)[0]
 
 
-def mapped(folder, pressures_1, pressures_2, *changes, seed=1):
+def ran(folder, pressures_1, pressures_2, *changes, seed=1):
     axes = (("sweep.matrix.pressure_1", pressures_1), ("sweep.matrix.pressure_2", pressures_2))
     outcome = run_plan(compiled(*axes, *changes), bench(seed), ConfirmedBeforehand(), out=folder)
     assert (outcome.status, outcome.vent.result) == ("finished", "confirmed")
-    return reduce([open_run(outcome.folder)])
+    return open_run(outcome.folder)
+
+
+def mapped(folder, pressures_1, pressures_2, *changes, seed=1):
+    return reduce([ran(folder, pressures_1, pressures_2, *changes, seed=seed)])
 
 
 def of(analysis, symbol):
     return [e for e in analysis.estimates if e.symbol == symbol]
-
-
-def section_and_rubber(eps):
-    """Paper 3, eqs. 8-10, written anew: force by pressure [m2], and the rubber's force [N]."""
-    angle, area = 25 * DEG, math.pi / 4 * 0.02**2
-    section = area * (3 * (1 - eps) ** 2.6 / math.tan(angle) ** 2 - 1 / math.sin(angle) ** 2)
-    return section, 800.0 * eps * (eps - 0.22) / (eps + 0.04)
-
-
-def torque(angle, P1, P2):
-    """Two such muscles on a pulley, both taut [N m]."""
-    (S1, F1), (S2, F2) = (section_and_rubber(0.1 + way * RADIUS * angle / LENGTH) for way in (1, -1))
-    return RADIUS * (S1 * P1 + F1 - S2 * P2 - F2)
-
-
-def stiffness(angle, P1, P2):
-    """Minus its slope, by differences of the closed form [N m/rad]."""
-    return (torque(angle - 1e-5, P1, P2) - torque(angle + 1e-5, P1, P2)) / 2e-5
 
 
 def right(e, truth):
@@ -68,8 +56,14 @@ def right(e, truth):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    return mapped(tmp_path_factory.mktemp("runs"), *["[200 kPa, 300 kPa, 400 kPa]"] * 2, ("trial.rest", "0.8 s"))
+def nine(tmp_path_factory):
+    """Nine pairs of pressures."""
+    return ran(tmp_path_factory.mktemp("runs"), *["[200 kPa, 300 kPa, 400 kPa]"] * 2, ("trial.rest", "0.8 s"))
+
+
+@pytest.fixture(scope="module")
+def whole(nine):
+    return reduce([nine])
 
 
 def test_torque_and_stiffness_are_those_of_the_closed_form(whole):
@@ -107,7 +101,7 @@ def test_torque_by_each_pressure_is_section_times_radius(whole):
         found = of(whole, symbol)
         assert len(found) == 7
         for e in found:
-            true = RADIUS * section_and_rubber(0.1 + way * RADIUS * e.at["angle"] / LENGTH)[0]
+            true = RADIUS * force_by_pressure(0.1 + way * RADIUS * e.at["angle"] / LENGTH)
             assert e.value == pytest.approx(true, rel=0.01)
             assert right(e, true)
     for e in of(whole, "tau_0"):
@@ -160,11 +154,12 @@ def test_where_a_muscle_is_slack_nothing_is_guessed(tmp_path, low, which):
         if P1 > 1e5:
             assert right(e, torque(e.at["angle"], P1, P2))
         elif not e.withheld:
-            section, rubber = section_and_rubber(0.1 - RADIUS * e.at["angle"] / LENGTH)
-            assert right(e, -RADIUS * (section * P2 + rubber))
+            eps = 0.1 - RADIUS * e.at["angle"] / LENGTH
+            rubber = 800.0 * eps * (eps - 0.22) / (eps + 0.04)
+            assert right(e, -RADIUS * (force_by_pressure(eps) * P2 + rubber))
     sections = [e for e in of(found, "s_1") if e.value is not None]
     for e in sections:
-        assert right(e, RADIUS * section_and_rubber(0.1 + RADIUS * e.at["angle"] / LENGTH)[0])
+        assert right(e, RADIUS * force_by_pressure(0.1 + RADIUS * e.at["angle"] / LENGTH))
     if which == "s_1":
         assert not sections
         assert "a muscle is slack" in of(found, "s_1")[0].note
@@ -193,3 +188,86 @@ def test_intervals_hold_the_truth_on_16_seeds(tmp_path):
                 count[symbol] += 1
     print(inside, count)
     assert all(inside[symbol] >= 0.95 * count[symbol] for symbol in inside)
+
+
+def true(e):
+    at = [e.at.get(name) for name in ("angle", "pressure_1", "pressure_2")]
+    eps = RADIUS * e.at.get("angle", 0.0) / LENGTH
+    return {
+        "tau": lambda: torque(*at),
+        "K_th": lambda: stiffness(*at),
+        "H_tau": lambda: 4 * RADIUS * HYSTERESIS,
+        "s_1": lambda: RADIUS * force_by_pressure(0.1 + eps),
+        "s_2": lambda: RADIUS * force_by_pressure(0.1 - eps),
+        "tau_0": lambda: torque(at[0], 0.0, 0.0),
+    }[e.symbol]()
+
+
+def found(run, faults):
+    """The analysis of a bench with faults; each value that it gives has an interval with the truth in it."""
+    analysis = reduce([joint_plant.measured(run, faults)])
+    for e in (e for e in analysis.estimates if e.value is not None):
+        assert right(e, true(e)), e
+    return analysis
+
+
+def widest(analysis, symbol):
+    return max(e.parts.combined / abs(true(e)) for e in of(analysis, symbol))
+
+
+def test_a_good_bench_has_all_values_and_narrow_intervals(nine):
+    good = found(nine, Faults())
+    assert not [e for e in good.estimates if e.withheld]
+    assert widest(good, "H_tau") < 0.03
+    assert widest(good, "K_th") < 0.04
+    assert widest(good, "s_1") < 0.01
+    assert not [f for f in good.findings if f.level == "doubt"]
+
+
+def test_pressures_that_are_not_reached_are_said_and_in_the_intervals(nine):
+    analysis = found(nine, Faults(reached=0.95))
+    assert any("that were commanded: its regulator or its sensor is off" in f.text for f in analysis.findings)
+
+
+def test_an_encoder_that_is_off_the_drive_is_said_and_in_the_stiffness(nine):
+    """At 30 deg the stiffness changes by 2.6 % in a degree."""
+    analysis = found(nine, Faults(zero=DEG))
+    assert any("the encoder reads 1 deg where the drive was sent to 0" in f.text for f in analysis.findings)
+
+
+@pytest.mark.parametrize("play", [0.2, 0.5])
+def test_play_between_encoder_and_joint_leaves_no_gap(nine, play):
+    """With the joint held by friction the gap is 6 % too small for half a degree, and all cycles agree."""
+    analysis = found(nine, Faults(play=play * DEG))
+    withheld = [e for e in of(analysis, "H_tau") if e.withheld]
+    assert play < 0.5 or len(withheld) == 9
+    assert all("play between the encoder and the joint" in e.note for e in withheld)
+
+
+@pytest.mark.parametrize("play", [0.2, 0.5])
+def test_play_that_the_torque_loads_is_in_stiffness_and_gap(nine, play):
+    """Where the torque changes its sign the joint goes over to the other flank: half a degree takes 5 % off K."""
+    equal = replace(nine, trials=nine.trials[::4])
+    found(equal, Faults(loaded=play * DEG))
+    assert widest(found(equal, Faults()), "H_tau") < 0.03
+
+
+def test_a_zero_of_the_torque_that_drifts_is_in_what_the_pressures_do(nine):
+    """The pressures follow each other in time, so that a drift looks like an effect of the first of them."""
+    good, drifts = found(nine, Faults()), found(nine, Faults(drift=0.1))
+    assert widest(drifts, "s_1") > 2 * widest(good, "s_1")
+    away = found(nine, Faults(drift=0.4))
+    assert all(e.withheld for e in of(away, "s_1"))
+    assert "its zero drifts" in of(away, "s_1")[0].note
+
+
+def test_a_muscle_that_creeps_is_no_zero_that_drifts(nine):
+    analysis = reduce([joint_plant.measured(nine, Faults(creep=(1.9, 20.0)))])
+    assert not any("its zero drifts" in e.note for e in analysis.estimates)
+
+
+def test_steps_in_which_the_torque_is_read_are_in_the_stiffness(nine):
+    """12 bit over 100 N m, without noise: each angle's torque is up to 12 mN m off in all cycles alike."""
+    slopes = of(reduce([joint_plant.measured(nine, Faults(step=100 / 2**12))]), "K_th")
+    assert sum(right(e, true(e)) for e in slopes) >= 0.9 * len(slopes)
+    assert all(abs(e.value - true(e)) < 1.5 * e.parts.combined for e in slopes)

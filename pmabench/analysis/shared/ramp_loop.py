@@ -76,11 +76,11 @@ class Turns:
 
     def of_mean(self, x: Array) -> Array:
         """What the turns leave in the mean of the branches [N] at `x` [m]."""
-        first, second = _fading(x, self.lower, self.upper, self.w)
+        first, second = fading(x, self.lower, self.upper, self.w)
         return np.asarray(0.5 * self.h * (first - second))
 
 
-def _fading(x: Array, lower: float, upper: float, w: float) -> tuple[Array, Array]:
+def fading(x: Array, lower: float, upper: float, w: float) -> tuple[Array, Array]:
     """2/(1 + E) exp(-d1/w) and 2/(1 + E) exp(-d2/w)."""
     size = 2.0 / (1.0 + np.exp(-(upper - lower) / w))
     return size * np.exp(-(x - lower) / w), size * np.exp(-(upper - x) / w)
@@ -120,7 +120,7 @@ def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> tupl
         return None, False
 
     def solve(w: float) -> tuple[float, float]:
-        first, second = _fading(x, lower, upper, w)
+        first, second = fading(x, lower, upper, w)
         return left([2.0 - first - second, *powers[1:]])
 
     stroke = upper - lower
@@ -335,6 +335,8 @@ def _late(
         f"at its turns the {axes.pulls} is {size} {way} the {axes.moved}, and that looks like hysteresis or damping: "
         f"look at the {channel} sensor (a filter, backlash, another clock), and declare its `sensor_lag`"
     )
+    if shown.time > 0:
+        reason += "; or friction builds up on a small way, which at another speed is the same way and not the same time"
     most = 1.5 * abs(shown.time) + doubtful  # of a filter the turns may show a part
     return Doubt(LATE, "method", max(known, most), seen, reason)
 

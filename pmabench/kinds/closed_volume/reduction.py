@@ -28,6 +28,7 @@ TIGHT, PRINTED, CURVE = "closed, leak taken out", "closed, as printed", "closed,
 ADIABATIC = 1.4
 LEAKS = 0.02
 """Share of the air lost over a trial that is doubted."""
+LOST = "look for the leak, and whether the air or the room cools, or the gauge drifts"
 NAMES = (("D_0", "length", "m"), ("theta_0", "angle", "rad"), ("alpha", "count", "1"))
 NO_REPEATS = "no repeats part: one stroke"
 
@@ -161,10 +162,11 @@ def _findings(pressure: float, group: Sequence[Stroke], gas: Gas) -> list[Findin
     share = max((m.lost / (m.before + gas.atmosphere) for m in group), key=abs)
     lost = max((m.lost for m in group), key=abs)
     if share < 0 and -lost > 6 * group[0].noise:
-        text = f"{where} the pressure comes back {show(-lost, 'pressure', 3)} higher: air comes in through the valve"
+        higher = f"{where} the pressure comes back {show(-lost, 'pressure', 3)} higher"
+        text = f"{higher}: air comes in through the valve, the air or the room warms, or the gauge drifts"
         found = [Finding("doubt", text)]
     elif share > LEAKS:
-        found = [Finding("doubt", f"{where} {share:.1%} of the air is lost over a trial: look for the leak")]
+        found = [Finding("doubt", f"{where} {share:.1%} of the air is lost over a trial: {LOST}")]
     else:
         found = [Finding("note", f"{where} {max(share, 0.0):.2%} of the air is lost over a trial")]
     if gas.exponent < ADIABATIC:

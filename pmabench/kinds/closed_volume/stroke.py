@@ -71,6 +71,8 @@ class Stroke:
     noise: float
     resting: int
     """Samples of a rest whose mean counts."""
+    aside: Array
+    """Displacement in the rests at the start and at the far end, less where the drive was sent [m], shape (2,)."""
 
     def by(self, P: Array, paid: Array, gas: Gas, *, leak: bool = True) -> Array:
         """V [m3] at gauge pressures P [Pa] and what was `paid` till then, with what leaked taken out or not."""
@@ -120,13 +122,15 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stro
     flow = np.where(shut, P * np.maximum(P + room, 1.0) ** (1 / k - 1), 0.0)
     paid = np.concatenate(([0.0], np.cumsum(0.5 * (flow[1:] + flow[:-1]) * np.diff(t))))
     low, high, every = ramps[0].before, ramps[0].value, float(settings["every"])
+    at_start, late = x[first].mean(), [rows[len(rows) // 2 :] for rows in at_far]
+    aside = np.array([at_start - low, np.mean([x[rows].mean() for rows in late]) - high])
     grid = np.asarray(low + every * np.arange(int((high - low) / every + 1e-6) + 1), dtype=np.float64)
     ways = [np.flatnonzero(good & (t >= ramp.t) & (t <= ends(ramp) + 1e-9)) for ramp in ramps]
     both = np.array([[_about(x[rows], y[rows], grid, every) for y in (P, paid)] for rows in ways])
     stroke = Stroke(
         trial, grid, both[:, 0], both[:, 1], float(paid[last].mean()), before, after,
         np.array([[P[rows].mean(), paid[rows].mean()] for rows in between]).reshape(-1, 2),
-        tuple(Held.of(t[rows], P[rows], float(t[rows[0]])) for rows in at_far), noise_of(P[first]), len(first),
+        tuple(Held.of(t[rows], P[rows], float(t[rows[0]])) for rows in at_far), noise_of(P[first]), len(first), aside,
     )  # fmt: skip
     fall = float(np.mean(before - stroke.P[:, -1]))
     if fall < max(FOLLOWS * (before + room), 6 * stroke.noise):
@@ -186,8 +190,11 @@ def volume_at(eps: Array, length: float, D_0: float, theta_0: float, alpha: floa
 
 SURE = 5.0
 """Standard deviations from which on a difference is seen."""
+UNSEEN = 1e-4
+"""By so much gauge and drive may disagree unseen [m]."""
 BOTH_WAYS, BETWEEN, STILL, ROOM = "both ways", "returns to the start", "motion in the rest", "pressure of the room"
-PARTS = {BOTH_WAYS: "method", BETWEEN: "drift", STILL: "method", ROOM: "method"}
+PLACE = "place of the drive"
+PARTS = {BOTH_WAYS: "method", BETWEEN: "drift", STILL: "method", ROOM: "method", PLACE: "method"}
 ADVICE = {
     BOTH_WAYS: "on the way there the volume is up to {} of it different from that on the way back: the air has no time "
     "to take the temperature of the wall, or the pressure comes late. Move more slowly",
@@ -197,6 +204,8 @@ ADVICE = {
     "the wall. Rest longer",
     ROOM: "start pressures give volumes that would be the same if they were up to {} other: the pressure of the room, "
     "or the zero of the pressure, is wrong. Read a barometer, and check the zero",
+    PLACE: "at rest the displacement is not where the drive was sent, which is worth up to {} of the volume: the zero "
+    "or the scale of the gauge or of the drive is wrong. Check them",
 }
 
 
@@ -236,7 +245,7 @@ class Form:
             share = np.mean([shares[name] for shares in self.shares.values()], axis=0)
             # an effect of known size may go over the contractions with one sign, with two, and so on
             along = np.pi * np.linspace(0.0, 1.0, len(share))
-            shapes = [np.ones(len(share))] if name == ROOM else [np.cos(order * along) for order in range(5)]
+            shapes = [np.ones(len(share))] if name in (ROOM, PLACE) else [np.cos(order * along) for order in range(5)]
             moved = [fit_volume(self.x / length, self.volumes * (1 + shape * share), length) for shape in shapes]
             if base is None or None in moved:
                 continue
@@ -258,6 +267,8 @@ def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
         leaked[P] = whole / means[P] - 1
         shares[P], seen[P] = _of_one(strokes, gas)
         shares[P][ROOM] = room[P] / means[P]
+        shares[P][PLACE], aside = _aside(strokes, means[P])
+        seen[P] |= {PLACE} if aside > UNSEEN else set()
         seen[P] |= {ROOM} if beyond else set()
     x = next(iter(cells.values()))[0].x
     return Form(x, np.mean(list(means.values()), axis=0), shares, seen, leaked)
@@ -281,6 +292,17 @@ def _of_one(strokes: Sequence[Stroke], gas: Gas) -> tuple[dict[str, Array], set[
         STILL: further.seen,
     }
     return shares, {name for name, is_seen in seen.items() if is_seen}
+
+
+def _aside(strokes: Sequence[Stroke], V: Array) -> tuple[Array, float]:
+    """Share of the volume that the place is worth, and how far it is off [m]: the gauge's, or the drive's at the start.
+
+    With a wrong gauge a volume is that of another place, with a wrong drive the one at the start is.
+    """
+    x, (start, far) = strokes[0].x, np.mean([one.aside for one in strokes], axis=0)
+    per_metre = np.abs(np.gradient(V, x)) / V
+    off = np.abs(np.interp(x, [x[0], x[-1]], [start, far]))
+    return np.maximum(per_metre * off, per_metre[0] * abs(start)), float(max(abs(start), abs(far)))
 
 
 def _noise(strokes: Sequence[Stroke], gas: Gas) -> float:

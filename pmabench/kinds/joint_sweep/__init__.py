@@ -1,6 +1,6 @@
 """Slow sweeps of a joint's angle with the pressures of its two muscles held: torque, stiffness, gap and loop area.
 
-- `reduction`
+- `reduction`, made of `sweep` (one trial)
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -16,7 +16,9 @@ METHODS = {
     "branches, 3 w cut": (
         "Slope at mid sweep of a cubic through each branch, with its sign changed; the mean of both branches. 3 w "
         "after each turn are left out, w being the angle on which a turn fades to 1/e, from the gap of the record. "
-        "What is left of the turns there is taken off, and what that changed is in the interval."
+        "What is left of the turns there is taken off, and what that changed is in the interval. It is the stiffness "
+        "at the speed of the sweep: what creeps more slowly than a sweep takes counts as stiff, and so do turns that "
+        "fade on a longer way, which are in the interval where the gap shows them."
     ),
     "loop": (
         "Gap: torque while the angle falls minus torque while it rises, at mid sweep, at the speed of the sweep: the "

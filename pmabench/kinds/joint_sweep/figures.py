@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.kinds.joint_sweep.reduction import sweep_of
+from pmabench.kinds.joint_sweep.sweep import sweep_of
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,

@@ -3,45 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import skew
+from pmabench.analysis.shared import joint_commands, skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.ramp_loop import AXES, BY_PRESSURE, CUT, MUSCLES, Loop, Turns, measure, refuse_turns
-from pmabench.analysis.shared.samples import NotUsable, settings_of
+from pmabench.analysis.shared.ramp_loop import BY_PRESSURE, MUSCLES
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
+from pmabench.kinds.joint_sweep.sweep import OffForm, Sweep, flatter_by, steeper_by, sweep_of
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "joint-sweep"
 BRANCHES, LOOP, MEAN = "branches, 3 w cut", "loop", "mean curve"
-TURN = 0.02
-"""Share of the sweep that is left out at each end before anything is looked at."""
-HALF_SWEEP = 4.0
-"""Least half sweep, in w: of a shorter one a branch would not be itself at mid sweep."""
 NEAR = 0.02
 """The slope of the mean curve at a place is the steepest within this share of the sweep."""
+SURE = 4.0
+"""Standard errors from which on pressures differ between the directions."""
+PLAY = "play under the torque"
 PLACES = 5
 """Places along the sweep at which the mean curve is given."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """One usable trial: its loop, the stiffness of its cycles [N m/rad], and by how much the turns matter there."""
-
-    run: RunData
-    trial: TrialData
-    loop: Loop
-    stiffness: Array
-    taken_off: float
-    """What taking off the rest of the turns changed [N m/rad]."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -63,6 +51,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if turns is not None:
             text = f"{one.trial.name}: a turn fades on w = {show(turns.w, 'angle', 3)}; 3 w are cut after each"
             findings.append(Finding("note", text))
+    findings += joint_commands.findings([(one.trial.point, one.kept) for one in sweeps])
     if estimates and (lack := scales.lack(("torque", "angle", *MUSCLES))):
         findings.append(Finding("note", lack))
     apart = skew.apart(runs, ("angle", "torque")) if runs else 0.0
@@ -73,51 +62,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-class OffForm(NotUsable):
-    """A sweep whose loop is not the one that is measured: something is wrong at its operating point."""
-
-
 def stiffness_of(run: RunData, trial: TrialData) -> float:
     """Stiffness of one trial [N m/rad]; raises `NotUsable`."""
     return float(sweep_of(run, trial, {}).stiffness.mean())
-
-
-def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:
-    """One trial measured; raises `NotUsable`, for a sweep that is too small with what would be enough."""
-    low, high = (trial.point.get(name) for name in ("lowest_angle", "highest_angle"))
-    if low is None or high is None:
-        raise NotUsable("its plan names no lowest and highest angle, so its turns are not known")
-    loop = measure(run, trial, int(settings_of(run, options).get("discard", 1)), TURN * (high - low), AXES)
-    half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
-    noise = float(np.sqrt(0.5 * np.mean(np.diff(loop.gap, axis=1) ** 2)))  # of a point, as neighbours differ
-    try:
-        refuse_turns(loop.turns, half, gap, noise)
-    except NotUsable as reason:
-        raise OffForm(str(reason)) from None
-    if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
-        least, w = show(HALF_SWEEP * loop.turns.w, "angle", 3), show(loop.turns.w, "angle", 3)
-        raise OffForm(
-            f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
-            f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
-        )
-    stiffness, plain = _slopes(loop, loop.turns), _slopes(loop, loop.turns, keep=True)
-    return Sweep(run, trial, loop, stiffness, abs(float(stiffness.mean() - plain.mean())))
-
-
-def _slopes(loop: Loop, turns: Turns | None, *, keep: bool = False) -> Array:
-    """Stiffness of each cycle [N m/rad], the mean of its two branches; with `keep` the rest of the turns stays in."""
-    x, middle = loop.x, 0.5 * (loop.x[0] + loop.x[-1])
-    found = []
-    for branches, rising in ((loop.contracting, True), (loop.expanding, False)):
-        way = np.ones_like(x) if turns is None else (x - turns.lower if rising else turns.upper - x) / turns.w
-        kept = np.ones(x.shape, bool) if turns is None else way >= CUT
-        rest = np.zeros_like(x)
-        if turns is not None and not keep:
-            size = 2 * turns.h / (1 + np.exp(-(turns.upper - turns.lower) / turns.w))
-            rest = (size if rising else -size) * np.exp(-way)
-        terms = np.polyfit(x[kept] - middle, (branches - rest)[:, kept].T, 3)
-        found.append(-terms[2])
-    return np.asarray(np.mean(found, axis=0))
 
 
 def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
@@ -161,6 +108,7 @@ def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[
 def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales) -> Iterator[Estimate]:
     """Everything of one operating point; calibration to first order, a pressure that is off changes the stiffness."""
     trials = tuple(one.trial.name for one in members)
+    kept, seconds = [one.kept for one in members], [one.second for one in members]
     total = sum(at[name] for name in MUSCLES)
 
     def made(
@@ -175,34 +123,32 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
             gains["angle"] = by_angle * where["angle"]
             offsets |= {"torque": 1.0, "angle": by_angle}
         part = scales.part({name: change for name, change in gains.items() if change}, offsets)
+        extra = float(np.hypot(extra, by_pressure * max(one.short for one in kept)))
         note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
         parts = Parts(half, extra, part)
         return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
 
-    late = max((one.loop.late for one in members), key=lambda doubt: (doubt.seen, doubt.half))
     K = float(np.mean([one.stiffness.mean() for one in members]))
-    gap = 2 * abs(K) * max(one.loop.speed for one in members) * late.half
-    drift = 0.5 * max(one.loop.uneven_drift for one in members)
     sweep = max(one.loop.ends[1] - one.loop.ends[0] for one in members)
-
-    def doubted(e: Estimate, share: float) -> Estimate:
-        """With what a torque that comes late, backlash and a drift do to a gap, or so many times that."""
-        drifts = Doubt("drift", "drift", share * drift, False)
-        return weighed(e, [replace(late, half=share * gap), drifts])
-
-    torque = ("N.m", "torque")
-    stiffness = [one.stiffness for one in members]
     slope = BY_PRESSURE * K / total if total > 0 else 0.0
-    taken_off = max(one.taken_off for one in members)
-    yield made("K_th", ("N.m/rad", "torsional stiffness"), BRANCHES, stiffness, taken_off, -1, slope)
+    torque, x = ("N.m", "torque"), members[0].loop.x
+    pulls = slope * total / BY_PRESSURE * float(np.ptp(x))
+    of_gap = _of_gap(members, K, pulls / total if total > 0 else 0.0)
+    stiffness, taken_off = [one.stiffness for one in members], max(one.taken_off for one in members)
+    found = made("K_th", ("N.m/rad", "torsional stiffness"), BRANCHES, stiffness, taken_off, -1, slope)
+    steeper = [steeper_by(s) if s else 0.0 for s in seconds]
+    flat = Doubt(PLAY, "method", max(flatter_by(one) for one in members), False)
+    yield weighed(found, [joint_commands.way(kept, K), _second(members, steeper), flat])
     # how far the fitted open gap is from that at mid sweep, and what the turns leave in the mean curve [N.m]
     fits = [(one.loop, one.loop.turns) for one in members]
     unclosed = max(abs(2 * t.h - float(loop.middle_gap.mean())) if t else 0.0 for loop, t in fits)
+    unclosed = max(unclosed, *(2 * s.w * more if s else 0.0 for s, more in zip(seconds, steeper, strict=True)))
     of_turns = [np.abs(t.of_mean(loop.x)) if t else np.zeros_like(loop.x) for loop, t in fits]
-    yield doubted(made("H_tau", torque, LOOP, [one.loop.middle_gap for one in members], unclosed, 0), 1.0)
+    yield weighed(made("H_tau", torque, LOOP, [one.loop.middle_gap for one in members], unclosed, 0), of_gap)
     corners = max(2 * abs(float(m.loop.middle_gap.mean())) * m.loop.speed / m.run.rate for m in members)
-    yield doubted(made("W", ("J", "work"), LOOP, [one.loop.lost for one in members], corners, 1), sweep)
-    x = members[0].loop.x
+    of_work = [replace(one, half=sweep * one.half) for one in of_gap]
+    W = made("W", ("J", "work"), LOOP, [one.loop.lost for one in members], corners, 1)
+    yield weighed(W, [*of_work, joint_commands.way(kept, W.value or 0.0)])
     steep = np.abs(np.gradient(members[0].loop.mean.mean(axis=0), x))
     fades = min((one.loop.turns.w for one in members if one.loop.turns is not None), default=np.inf)
     for place in np.linspace(x[0], x[-1], PLACES):
@@ -210,9 +156,40 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
         where = {**at, "angle": round(float(place), 7)}
         off = max(float(np.interp(place, m.loop.x, left)) for m, left in zip(members, of_turns, strict=True))
         # torque is no more than what both muscles pull: a share of it for each pressure that is off
-        whole = max(abs(float(np.mean(curve))) for curve in curves) + slope * total / BY_PRESSURE * float(np.ptp(x))
-        yield made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where,
-                   float(steep[np.abs(x - place) <= NEAR * np.ptp(x)].max()) + off / fades)  # fmt: skip
+        whole = max(abs(float(np.mean(curve))) for curve in curves) + pulls
+        steepest = float(steep[np.abs(x - place) <= NEAR * np.ptp(x)].max()) + off / fades
+        found = made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where, steepest)
+        left = _second(members, [float(s.of_mean(np.array([place]))[0]) if s else 0.0 for s in seconds])
+        yield weighed(found, [joint_commands.place(kept, float(place), steepest), left], whole)
+
+
+def _of_gap(members: Sequence[Sweep], K: float, per_pressure: float) -> list[Doubt]:
+    """What a torque that comes late, backlash, a drift and pressures do to a gap [N m]; `per_pressure` [N m/Pa]."""
+    late = max((one.loop.late for one in members), key=lambda doubt: (doubt.seen, doubt.half))
+    gap = 2 * abs(K) * max(one.loop.speed for one in members) * late.half
+    apart = np.concatenate([one.apart for one in members])
+    size = float(np.abs(apart.mean(axis=0)).sum())
+    scatter = float(np.linalg.norm(apart.std(axis=0, ddof=1))) / np.sqrt(len(apart)) if len(apart) > 1 else size
+    text = f"the pressures differ by {show(size, 'pressure', 2)}, both muscles together, between the directions"
+    reason = f"{text}: the regulators cannot follow. Sweep more slowly"
+    return [
+        replace(late, half=gap),
+        Doubt("drift", "drift", 0.5 * max(one.loop.uneven_drift for one in members), False),
+        Doubt(PLAY, "method", 2 * max(one.flank for one in members), False),
+        Doubt("pressures of both directions", "method", per_pressure * size, size > SURE * scatter, reason),
+    ]
+
+
+def _second(members: Sequence[Sweep], each: Sequence[float]) -> Doubt:
+    """What a second turn does to a value, by member."""
+    half = abs(float(np.mean(each)))
+    ways = [one.second.w for one in members if one.second is not None]
+    way = show(float(np.mean(ways)), "angle", 2) if ways else ""
+    reason = (
+        f"a part of the hysteresis, or of what creeps, fades on {way} only, and is not over at mid sweep, where it "
+        "counts as stiffness. Sweep farther"
+    )
+    return Doubt("a second turn", "method", half, bool(ways), reason)
 
 
 def _trace(at: Mapping[str, float], one: Sweep) -> Trace:

@@ -1,6 +1,6 @@
 """Isometric torque of a joint over its angle for pairs of pressures: maps of torque and stiffness.
 
-- `reduction`: one trial, then all of a pair of pressures, with a plane of torque over the pressures at each angle
+- `reduction`: all of a pair of pressures, made of `staircase` (one trial) and `plane` (torque over the pressures)
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -22,7 +22,8 @@ METHODS = {
     ),
     "gap": (
         "Torque with the angle reached from above minus that from below, at the angle farthest from both turns. "
-        "Withheld where torques move in their rests, or pressures or angles differ between the sides, by more than 2 %."
+        "Withheld where torques move in their rests, pressures or angles differ between the sides, or the turns show "
+        "play between encoder and joint, by more than 2 %."
     ),
     "polynomial": (
         "Minus the slope of a polynomial of order 5 of torque over angle; its difference from that of order 3 is in "

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.kinds.joint_torque.reduction import staircase_of
+from pmabench.kinds.joint_torque.staircase import staircase_of
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture, unit_of
 from pmabench.store.analyses.results import Analysis, Trace

@@ -1,0 +1,319 @@
+"""One trial of isometric torques: its rests, its turns, and what its record says against them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from math import log, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared.joint_commands import Kept, flanks
+from pmabench.analysis.shared.ramp_loop import AXES, CUT, MUSCLES, Turns, on_grid, refuse_turns, turns_of
+from pmabench.analysis.shared.samples import (
+    Held,
+    NotUsable,
+    ends,
+    noise_of,
+    on_time,
+    refuse_unusable,
+    settings_of,
+    step_of,
+)
+from pmabench.base.quantities import show
+from pmabench.store.records import Array, Command, RunData, TrialData
+
+POINTS = 81
+"""Points of the gap that show how a turn fades."""
+FEWEST_ANGLES = 7
+"""Angles that a stiffness needs: its slope is that of a polynomial of order 5."""
+ORDERS = 5, 3
+"""Of the polynomial of torque over angle, and of the one that shows what the choice of an order changes."""
+UNEVEN = 0.25
+"""A gap that changes by a larger share over the angles is not that of two taut muscles at all of them."""
+LEAST_SAMPLES = 10
+DITHERED = 0.5
+"""Noise of so many steps averages the steps of a channel away."""
+ELSEWHERE, ASIDE = 0.25, 0.02
+"""Shares of the way between angles by which the joint may be off its place, and from which on that is said."""
+SKIPPED = 0.25
+"""Share of a rest after which the torque is to be still: before it regulators and muscles come to rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rests:
+    """The later half of each rest; arrays of shape (cycles, 2, n), rising first."""
+
+    angles: Array
+    """[rad]."""
+    torques: Array
+    """[N m]."""
+    pressures: Array
+    """[Pa], shape (2, cycles, 2, n)."""
+    holds: tuple[list[Held], list[Held]]
+    """Torque along each rest, rising and falling [N m]."""
+    noise: float
+    """Of a torque [N m]."""
+    step: float
+    """In which the torque is read, where no noise averages that away [N m]; else 0."""
+
+
+@dataclass(frozen=True)
+class AfterTurns:
+    """The gap of a joint that has just turned, over the way since [N m]: open less size exp(-way/w)."""
+
+    size: float
+    """[N m]."""
+    w: float
+    """[rad]."""
+    play: float
+    """Way on which the torque does not change yet [rad]; below 0 where it changes at once by some."""
+
+
+@dataclass(frozen=True, eq=False)
+class Staircase:
+    """One usable trial; angles [rad] of shape (n,), torques [N m] of shape (cycles, n)."""
+
+    run: RunData
+    trial: TrialData
+    angles: Array
+    """Where the joint was, as measured: means of all cycles."""
+    nominal: Array
+    """Where it was to be."""
+    rising: Array
+    falling: Array
+    turns: Turns | None
+    open: NDArray[np.bool_]
+    """True where both turns are far enough away."""
+    pressures: Array
+    """Mean pressures of both muscles as measured [Pa], shape (2,)."""
+    noise: float
+    """Of the torque [N m]."""
+    rests: Rests
+    after: AfterTurns | None
+    """None without turns."""
+    flank: float
+    """Step of the torque where it changes its sign, as play makes it [N m]; 0 where none shows."""
+
+    @cached_property
+    def gap(self) -> Array:
+        """Torque while falling minus torque while rising [N m], shape (cycles, n)."""
+        return np.asarray(self.falling - self.rising)
+
+    @cached_property
+    def left(self) -> Array:
+        """What the turns leave in the mean of both sides [N m], shape (n,)."""
+        return np.zeros_like(self.angles) if self.turns is None else self.turns.of_mean(self.angles)
+
+    @property
+    def apart(self) -> Array:
+        """Angle when it was reached from above minus that from below [rad], shape (n,)."""
+        return np.asarray(np.diff(self.rests.angles.mean(axis=0), axis=0)[0])
+
+    @cached_property
+    def kept(self) -> Kept:
+        """How far pressures and angles of the rests are from their commands, a pressure at most."""
+        scale, zero = np.polyfit(self.nominal, self.angles - self.nominal, 1)
+        off = self.rests.pressures.reshape(2, -1) - [[self.trial.point[name]] for name in MUSCLES]
+        return Kept(off[[0, 1], np.argmax(np.abs(off), axis=1)], float(zero), float(scale))
+
+    @cached_property
+    def mean(self) -> Array:
+        """Torque without hysteresis [N m], shape (cycles, n)."""
+        return np.asarray(0.5 * (self.falling + self.rising) - self.left)
+
+    @cached_property
+    def why_no_stiffness(self) -> str:
+        """Why there is no slope of torque over angle; empty where there is one."""
+        if self.open.sum() < FEWEST_ANGLES:
+            return f"{self.open.sum()} angles are far enough from the turns, and a slope needs {FEWEST_ANGLES}"
+        return self.slack
+
+    @cached_property
+    def slack(self) -> str:
+        """What the gap says of a slack muscle; empty where it says nothing.
+
+        A muscle that pulls on one of the two ways only makes a smaller gap, and the mean is not free of hysteresis.
+        """
+        gap = self.gap.mean(axis=0)[self.open]
+        if np.ptp(gap) > UNEVEN * np.median(gap) + 4 * self.noise:
+            ends = " to ".join(show(float(end), "torque", 3) for end in (gap.min(), gap.max()))
+            return f"the gap between both sides is {ends}: a muscle is slack at some of the angles"
+        return ""
+
+    def _by_torque(self, order: int = ORDERS[0]) -> Array:
+        """Minus the slope of a polynomial at open angles, by the torque at each of them [1/rad]; (torques, angles)."""
+        x = self.angles[self.open]
+        terms = np.polyfit(x - x.mean(), np.eye(len(x)), order)
+        powers = np.arange(order, 0, -1)
+        return np.asarray([-np.polyval(column[:-1] * powers, x - x.mean()) for column in terms.T])
+
+    def stiffness(self, order: int = ORDERS[0]) -> Array:
+        """Minus the slope of a polynomial of torque over angle [N m/rad], at open angles; shape (cycles, open)."""
+        return np.asarray(self.mean[:, self.open] @ self._by_torque(order))
+
+    @cached_property
+    def rounded(self) -> Array:
+        """What the steps in which torques are read do to the stiffness at open angles [N m/rad], shape (open,)."""
+        return np.asarray(ROUNDED * self.rests.step * np.linalg.norm(self._by_torque(), axis=0))
+
+    @cached_property
+    def held_back(self) -> Array:
+        """What it does to that stiffness that the turns begin late [N m/rad], shape (open,)."""
+        if self.after is None or self.turns is None or self.after.play <= 0:
+            return np.zeros(int(self.open.sum()))
+        x, w = self.angles[self.open], self.after.w
+        falling, rising = (np.exp(-way / w) for way in (self.turns.upper - x, x - self.turns.lower))
+        off = 0.5 * self.after.size * (rising - falling) - self.left[self.open]
+        return np.asarray(np.abs(off @ self._by_torque()))
+
+    @cached_property
+    def flatter(self) -> float:
+        """What a step where the torque changes its sign does to that stiffness at most [N m/rad]."""
+        return float(np.max(np.abs(self.flank * np.sign(self.mean.mean(axis=0)[self.open]) @ self._by_torque())))
+
+
+ROUNDED = 2 / sqrt(24)
+"""Half width of the mean of two torques that were rounded, in steps."""
+
+
+def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Staircase:
+    """One trial measured; raises `NotUsable` with the reason, for angles near the turns with what would be enough."""
+    refuse_unusable(trial, "angle", "torque", *MUSCLES)
+    nominal = np.array(settings_of(run, options)["angles"], dtype=np.float64)
+    angle, torque = on_time(run, trial, "angle"), on_time(run, trial, "torque")
+    rests = _rests(trial, nominal, angle, torque)
+    elsewhere = _elsewhere(rests.angles, nominal)
+    lowest, highest = trial.point["lowest_angle"], trial.point["highest_angle"]
+    mean = rests.angles.mean(axis=(0, 1))
+    # the turns are where the encoder reads them, which may be off the drive
+    low, high = np.polyval(np.polyfit(nominal, mean, 1), [lowest, highest])
+    grid, up, down = _moving(trial, angle, torque, low, high)
+    known = np.isfinite(up + down)
+    turns = turns_of(grid[known], (down - up)[known], low, high) if known.sum() > LEAST_SAMPLES else None
+    way = CUT * turns.w * (1 - 1e-9) if turns is not None else -np.inf
+    far = np.asarray((nominal - lowest >= way) & (highest - nominal >= way))
+    pressures = np.array([float(np.mean(trial.channels[name][trial.usable])) for name in MUSCLES])
+    rising, falling = rests.torques.swapaxes(0, 1)
+    after = _after_turns(trial, angle, torque, turns.w) if turns is not None else None
+    cut = CUT * turns.w if turns is not None else 0.0
+    flank = flanks(grid, (np.where(grid - low >= cut, up, np.nan), np.where(high - grid >= cut, down, np.nan)))
+    found = Staircase(
+        run, trial, mean, nominal, rising, falling, turns, far, pressures, rests.noise, rests, after, flank
+    )
+    try:
+        refuse_turns(turns, 0.5 * (highest - lowest), float(np.median(found.gap)), rests.noise)
+    except NotUsable as reason:
+        raise NotUsable(f"{elsewhere}; {reason}" if elsewhere else str(reason)) from None
+    if turns is not None and not found.open.any():
+        least = show(CUT * turns.w, "angle", 3)
+        raise NotUsable(
+            f"a turn fades on {show(turns.w, 'angle', 3)}, and no angle is 3 times that away from both turns: the "
+            f"torque there is that of the turns; give an overrun of at least {least}"
+        )
+    return found
+
+
+def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> Rests:
+    """Mean angles, torques and pressures of the later half of each rest, and what else the rests say."""
+    ramps = ramps_of(trial)
+    cycles = int(trial.point["cycles"])
+    channels = [angle, torque, *(trial.channels[name] for name in MUSCLES)]
+    means = np.full((len(channels), cycles, 2, len(nominal)), np.nan)
+    holds: tuple[list[Held], list[Held]] = ([], [])
+    counts = {"rise": [0] * len(nominal), "fall": [0] * len(nominal)}
+    noise, rough = 0.0, 0.0
+    for ramp, after in pairwise(ramps):
+        at = np.flatnonzero(np.abs(nominal - ramp.value) < 1e-9)
+        if not len(at):
+            continue
+        begin = ends(ramp)
+        late = 0.5 * (begin + after.t)
+        rows = (trial.t >= late) & (trial.t < after.t) & trial.usable
+        if rows.sum() < LEAST_SAMPLES:
+            raise NotUsable(f"fewer than {LEAST_SAMPLES} samples in the later half of a rest")
+        cycle, n = counts[ramp.phase][at[0]], int(at[0])
+        counts[ramp.phase][n] += 1
+        side = 0 if ramp.phase == "rise" else 1
+        means[:, cycle, side, n] = [values[rows].mean() for values in channels]
+        whole = (trial.t >= begin + SKIPPED * (after.t - begin)) & (trial.t < after.t) & trial.usable
+        holds[side].append(Held.of(trial.t[whole], torque[whole], late))
+        noise = max(noise, noise_of(torque[rows]) / float(np.sqrt(rows.sum())))
+        rough = max(rough, float(torque[rows].std()))
+    if not np.isfinite(means).all():
+        raise NotUsable("not every angle was reached from both sides in every cycle")
+    step = step_of(torque[trial.usable])
+    return Rests(means[0], means[1], means[2:], holds, noise, step if rough < DITHERED * step < np.inf else 0.0)
+
+
+def _elsewhere(places: Array, nominal: Array) -> str:
+    """Where the joint was not where it was sent, empty where it nearly was; raises `NotUsable` where it was far off."""
+    off = np.abs(places - nominal).max(axis=(0, 1))
+    worst = int(np.argmax(off))
+    share = off[worst] / float(np.diff(nominal).min())
+    said = (
+        f"the joint was {show(float(off[worst]), 'angle', 3)} off where it was to be at "
+        f"{show(float(nominal[worst]), 'angle', 3)}: look at the encoder's zero and sign, and at the drive"
+    )
+    if share > ELSEWHERE:
+        raise NotUsable(said)
+    return said if share > ASIDE else ""
+
+
+def ramps_of(trial: TrialData) -> list[Command]:
+    """From angle to angle, both ways."""
+    return [c for c in trial.commands if c.output == "angle" and c.kind == "ramp" and c.phase in ("rise", "fall")]
+
+
+def _moving(trial: TrialData, angle: Array, torque: Array, low: float, high: float) -> tuple[Array, Array, Array]:
+    """Angles, and the torque while the joint rises and falls over them; NaN where it does not pass."""
+    moving = {phase: np.zeros(trial.t.shape, bool) for phase in (AXES.rises, AXES.falls)}
+    for ramp in ramps_of(trial):
+        moving[ramp.phase] |= (trial.t >= ramp.t) & (trial.t < ends(ramp)) & trial.usable
+    grid = np.linspace(low, high, POINTS)[1:-1]
+    up, down = (on_grid(grid, angle[rows], torque[rows]) for rows in moving.values())
+    return grid, up, down
+
+
+SETTLED = 0.4
+"""Ways of a turn after it that are left out: there the drive itself turns, and play is taken up."""
+
+
+def _after_turns(trial: TrialData, angle: Array, torque: Array, w: float) -> AfterTurns | None:
+    """How the gap opens after the turns, which fade on about `w` [rad]; None where it does not.
+
+    It grows from 0 at the turn as 1 - exp(-way/w); play, or a torque that comes late, puts that off.
+    """
+    from scipy.optimize import minimize_scalar  # takes long to import
+
+    ways, gaps = [], []
+    for one, two in pairwise(ramps_of(trial)):
+        if one.phase == two.phase:
+            continue
+        before = (trial.t >= one.t) & (trial.t < ends(one)) & trial.usable
+        after = (trial.t >= two.t) & (trial.t < ends(two)) & trial.usable
+        sign = np.sign(one.value - one.before)
+        turn = float(np.max(sign * angle[before | after]))
+        along, way = (turn - sign * angle[rows] for rows in (before, after))
+        order = np.argsort(along)
+        gap = sign * (torque[after] - np.interp(way, along[order], torque[before][order]))
+        inside = (way > SETTLED * w) & (way < along.max())
+        ways.append(way[inside])
+        gaps.append(gap[inside])
+    way, gap = np.concatenate(ways), np.concatenate(gaps)
+    if len(way) < LEAST_SAMPLES:
+        return None
+
+    def fitted(fades: float) -> tuple[float, Array]:
+        design = np.column_stack([np.ones_like(way), -np.exp(-way / np.exp(fades))])
+        terms, *_ = np.linalg.lstsq(design, gap, rcond=None)
+        return float(np.sum((gap - design @ terms) ** 2)), np.asarray(terms)
+
+    best = minimize_scalar(lambda way: fitted(way)[0], bounds=(log(0.3 * w), log(3 * w)), method="bounded").x
+    opened, size = (float(one) for one in fitted(float(best))[1])
+    found = float(np.exp(best))
+    return AfterTurns(size, found, found * log(size / opened)) if min(size, opened) > 0 else None
