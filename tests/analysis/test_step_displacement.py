@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pmabench.base.errors import InvalidFile
-from pmabench.kinds.step_displacement.reduction import recovery, reduce
+from pmabench.kinds.step_displacement.reduction import reduce
+from pmabench.kinds.step_displacement.step import recovery
 from pmabench.store.records import Flag
 from tests.analysis.driven_runs import planned, recorded
 from tests.analysis.test_honesty import unexplained

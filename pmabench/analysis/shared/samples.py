@@ -97,6 +97,8 @@ UNDECLARED = 5e-3
 """Time constant [s] that the filter of a sensor may have where its channel declares no `sensor_lag`."""
 
 STEPS = "steps of the channels"
+OF_TWO = 1.55
+"""What the difference of two means that are read in steps may be off (95 %), over what one may (`unresolved`)."""
 PLACES = 8
 FINE = 1e-3
 """Steps up to this share of a swing change nothing."""
@@ -125,6 +127,18 @@ def step_of(y: Array) -> float:
     apart = apart[apart > 1e-9 * float(apart.sum())]
     least = float(apart.min(initial=np.inf))
     return least if np.all(np.abs(apart / least - np.round(apart / least)) < 0.05) else 0.0
+
+
+def unresolved(y: Array, step: float) -> float:
+    """By how much the mean of samples at rest `y` (n,), which are read in steps, may be off [as y].
+
+    Half a step where there is no noise. That of standard deviation s before rounding leaves exp(-2 (pi s/step)^2) of it
+    (the characteristic function of Gaussian noise at one turn per step: Widrow).
+    """
+    if not 0 < step < np.inf or len(y) < FEWEST:
+        return 0.0
+    noise = sqrt(0.5 * float(np.mean(np.diff(y) ** 2)))
+    return 0.5 * step * float(np.exp(-2 * (pi * noise / step) ** 2))
 
 
 def rounded(y: Array, step: float, channel: int = 0) -> Array:

@@ -22,7 +22,8 @@ RESULTS = (
 METHODS = {
     "cell-and-spring": (
         "F = c + s P − K x − B x′ by least squares over all steps with a column of force that a spring or other loads "
-        "move independently of the contraction; half widths by leaving out one step after another."
+        "move independently of the contraction; the noise of x′ is taken off its square. Half widths by leaving out "
+        "one step after another, with a filter of the cell of 5 ms, or a longer one that the rows show."
     ),
     "secant-of-loads": (
         "Steps between the same pressures under two known loads or more: K = ΔW/Δx between the places of rest, "

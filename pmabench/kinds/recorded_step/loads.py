@@ -16,9 +16,11 @@ from itertools import pairwise
 from math import hypot, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.samples import lags_of, noise_of
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.samples import OF_TWO, STEPS, UNDECLARED, lags_of, noise_of
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step
@@ -56,6 +58,7 @@ def rests_of(steps: Sequence[Step]) -> list[Rest]:
         x, half = mean_with_half([float(np.mean(step.x[end])) for step, end in zip(mine, ends, strict=True)])
         parts = [np.array_split(step.x[end], 5) for step, end in zip(mine, ends, strict=True)]
         noise = 2 * max(float(np.std([part.mean() for part in one])) for one in parts)
+        noise = hypot(noise, max(step.unresolved["displacement"] for step in mine))
         found.append(Rest(_pull(load, mine), x, half, noise, tuple(step.name for step in mine)))
     return found
 
@@ -166,6 +169,11 @@ MISFIT = 1.5
 """What is left, over the noise that a row must have, from which on the straight form does not hold."""
 RANGE = 0.15
 """K and B are given where they lie within so much of their value for all that is possible of the times of pressure."""
+SLOWER = (0.01, 0.015, 0.02, 0.03)
+"""Times [s] by which the force may be late where the rows show it."""
+CLEARLY = 5.0
+"""Standard deviations by which rows fit better with a later force that is taken for late."""
+FILTER = "filter of the force cell"
 SMOOTH = 0.04
 """Rows are means over this time [s]."""
 INSTEAD = "a map of `kind: contraction-relaxation` takes K at each pressure from steps with a column of force"
@@ -182,16 +190,19 @@ def by_cell(steps: Sequence[tuple[RunData, Step]], late: Sequence[float]) -> tup
     if any(lag for run, step in mine for lag in lags_of(run, step.trial).values()):
         return [], [Finding("note", f"the sensors have lags, which K by the cell does not take off; {INSTEAD}")]
     middle = 0.5 * (late[0] + late[-1])
-    F, design, lengths = _rows(mine, middle)
+    rows = Rows.of(mine, middle)
     noise = float(np.median([noise_of(_good(step, "force")) for _, step in mine]))
-    if why := _why_not(F, design, noise):
+    if why := _why_not(rows.F, rows.design, noise):
         return [], [Finding("note", f"the force cell tells nothing of K here: {why}; {INSTEAD}")]
-    terms, halves, left = _fit(F, design, lengths)
+    terms, halves = rows.fitted()
+    left = rows.left(terms)
     expected = _noise_of_rows(mine[0][1], terms, noise)
     if left > MISFIT * expected:
         text = f"{show(left, 'force', 2)} are left where noise makes {show(expected, 'force', 2)}: K changes with"
         return [], [Finding("note", f"K is not one number in these steps: {text} pressure or contraction; {INSTEAD}")]
-    ends = [_fit(*_rows(mine, shift))[0] for shift in (late[0], late[-1])]
+    ends = [Rows.of(mine, shift).solved() for shift in (late[0], late[-1])]
+    slower = _filtered(mine, middle, noise)
+    read = _read(mine, terms) / float(np.ptp(rows.design[:, 1]))
     scales = Scales.of([run for run, _ in mine])
     names = tuple(step.name for _, step in mine)
     found, findings = [], []
@@ -202,8 +213,31 @@ def by_cell(steps: Sequence[tuple[RunData, Step]], late: Sequence[float]) -> tup
             findings.append(Finding("note", f"{text}, accepted is +-{RANGE:.0%}; {INSTEAD}"))
             continue
         parts = Parts(float(halves[place]), float(spread), scales.part({"force": value, "displacement": -value}))
-        found.append(Estimate(symbol, value, unit, quantity, CELL, {}, parts, len(names), trials=names))
+        e = Estimate(symbol, value, unit, quantity, CELL, {}, parts, len(names), trials=names)
+        doubts = [Doubt(FILTER, "method", abs(float(slower[place] - terms[place])), seen=True)]
+        found.append(weighed(e, [*doubts, *([Doubt(STEPS, "method", read, seen=False)] if symbol == "K" else [])]))
     return found, findings
+
+
+def _read(steps: Sequence[tuple[RunData, Step]], terms: Array) -> float:
+    """What the steps in which the channels are read may make of the force between two rests [N]."""
+    weights = {"force": 1.0, "displacement": terms[1], "pressure": terms[3]}
+    return OF_TWO * max(hypot(*(w * step.unresolved[name] for name, w in weights.items())) for _, step in steps)
+
+
+def _filtered(steps: Sequence[tuple[RunData, Step]], late: float, noise: float) -> Array:
+    """Terms were the force later, as a filter of its cell makes it, which is to one side.
+
+    By as much as a filter may be slow that nobody declared, and by more where the rows fit far better then: what is
+    left is compared over the noise of rows, which grows with the damping. `noise` is that of the force [N].
+    """
+    found = []
+    for lag in (UNDECLARED, *SLOWER):
+        rows = Rows.of(steps, late, lag)
+        terms = rows.solved()
+        found.append((terms, len(rows.F) * (rows.left(terms) / _noise_of_rows(steps[0][1], terms, noise)) ** 2))
+    best = int(np.argmin([power for _, power in found]))
+    return found[best if found[0][1] - found[best][1] > CLEARLY**2 else 0][0]
 
 
 def _good(step: Step, channel: str) -> Array:
@@ -214,32 +248,70 @@ def _width(t: Array) -> int:
     return max(1, round(SMOOTH / float(np.median(np.diff(t)))))
 
 
-def _rows(steps: Sequence[tuple[RunData, Step]], late: float) -> tuple[Array, Array, list[int]]:
-    """Rows of all steps, one after another, and how many each has."""
-    rows = [_of_step(step, late) for _, step in steps]
-    return np.concatenate([F for F, _ in rows]), np.concatenate([one for _, one in rows]), [len(F) for F, _ in rows]
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of all steps, one after another."""
+
+    F: Array
+    """[N], shape (n,)."""
+    design: Array
+    """Columns 1, x, x', P, shape (n, 4)."""
+    noisy: Array
+    """Variance of the noise of x', shape (n,): it would make the damping smaller, and is taken off its square."""
+    lengths: Sequence[int]
+    """How many rows each step has."""
+
+    @classmethod
+    def of(cls, steps: Sequence[tuple[RunData, Step]], late: float, force: float = 0.0) -> Rows:
+        """Pressure and force are so much late [s]."""
+        F, design = zip(*(_of_step(step, late, force) for _, step in steps), strict=True)
+        lengths = [len(one) for one in F]
+        noisy = np.repeat([_noise_of_speed(step) ** 2 for _, step in steps], lengths)
+        return cls(np.concatenate(F), np.concatenate(design), noisy, lengths)
+
+    def solved(self, rows: NDArray[np.bool_] | slice = slice(None)) -> Array:
+        """Terms of the columns, by least squares."""
+        design, size = self.design[rows], np.linalg.norm(self.design, axis=0)
+        normal = (design / size).T @ (design / size)
+        normal[2, 2] -= float(self.noisy[rows].sum()) / float(size[2]) ** 2
+        return np.asarray(np.linalg.solve(normal, (design / size).T @ self.F[rows]) / size, dtype=np.float64)
+
+    def left(self, terms: Array) -> float:
+        """Root mean square of what is left [N]."""
+        return float(np.sqrt(np.mean((self.F - self.design @ terms) ** 2)))
+
+    def fitted(self) -> tuple[Array, Array]:
+        """Terms of the columns and their half widths, by leaving out one step after another."""
+        of, count = np.repeat(np.arange(len(self.lengths)), self.lengths), len(self.lengths)
+        without = np.array([self.solved(of != n) for n in range(count)])
+        spread = np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
+        return self.solved(), np.asarray(2 * spread)
 
 
-def _of_step(step: Step, late: float) -> tuple[Array, Array]:
-    """Force [N], shape (n,), and columns 1, x, x', P, shape (n, 4), as means that do not overlap."""
-    width = _width(step.t)
-    whole = len(step.t) // width
-    P = np.interp(step.t + late, step.t, _good(step, "pressure"))
-    contraction = _good(step, "displacement")
-    F, x, P = (
-        values[: whole * width].reshape(whole, width).mean(axis=1) for values in (_good(step, "force"), contraction, P)
-    )
-    edges = np.minimum(width * np.arange(whole + 1), len(contraction) - 1)
-    speed = np.diff(contraction[edges]) / np.diff(step.t[edges])
-    return F, np.column_stack([np.ones(whole), x, speed, P])
+def _of_step(step: Step, late: float, force: float) -> tuple[Array, Array]:
+    """Force [N], shape (n,), and columns 1, x, x', P, shape (n, 4), as means over times that follow one another.
+
+    Means are integrals between the samples at both ends, for the mean of x' is the change of x between just these.
+    """
+    t, width = step.t, _width(step.t)
+    edges = np.arange(0, len(t), width)
+    x = _good(step, "displacement")
+    F, P = np.interp(t + force, t, _good(step, "force")), np.interp(t + late, t, _good(step, "pressure"))
+    length = np.diff(t[edges])
+    areas = (np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t))]) for y in (F, x, P))
+    F, middle, P = (np.diff(area[edges]) / length for area in areas)
+    return F, np.column_stack([np.ones(len(F)), middle, np.diff(x[edges]) / length, P])
 
 
 def _noise_of_rows(step: Step, terms: Array, noise: float) -> float:
     """Noise of a row [N]: that of the force, and of pressure and contraction by the terms found."""
-    width = _width(step.t)
-    period = float(np.median(np.diff(step.t)))
-    of_means = hypot(noise, terms[3] * noise_of(step.P), terms[1] * step.noise) / sqrt(width)
-    return hypot(of_means, terms[2] * step.noise * sqrt(2) / (width * period))
+    of_means = hypot(noise, terms[3] * noise_of(step.P), terms[1] * step.noise) / sqrt(_width(step.t))
+    return hypot(of_means, terms[2] * _noise_of_speed(step))
+
+
+def _noise_of_speed(step: Step) -> float:
+    """Noise of x' of a row [m/s]."""
+    return step.noise * sqrt(2) / (_width(step.t) * float(np.median(np.diff(step.t))))
 
 
 def _why_not(F: Array, design: Array, noise: float) -> str:
@@ -256,13 +328,3 @@ def _why_not(F: Array, design: Array, noise: float) -> str:
         text = f"condition {condition:.0f}, below {CONDITION:g} is needed"
         return f"contraction, its rate and pressure go together ({text}): other loads or other steps separate them"
     return ""
-
-
-def _fit(F: Array, design: Array, lengths: Sequence[int]) -> tuple[Array, Array, float]:
-    """Terms of the columns, their half widths by leaving out one step after another, and what is left [N]."""
-    terms = np.asarray(np.linalg.lstsq(design, F, rcond=None)[0], dtype=np.float64)
-    of = np.repeat(np.arange(len(lengths)), lengths)
-    without = np.array([np.linalg.lstsq(design[of != n], F[of != n], rcond=None)[0] for n in range(len(lengths))])
-    count = len(lengths)
-    spread = np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
-    return terms, np.asarray(2 * spread), float(np.sqrt(np.mean((F - design @ terms) ** 2)))

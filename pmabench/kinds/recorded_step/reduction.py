@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from pmabench.analysis.imported import flagged_counts, import_findings, late_by, measured
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.samples import Held, left
+from pmabench.analysis.shared.samples import OF_TWO, STEPS, Held, left
 from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
@@ -127,7 +128,8 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
     """
     pairs = [(round(step.trial.point["from"], -2), round(step.trial.point["pressure"], -2)) for step in steps]
     mean, half, _ = mean_over([step.dead for step in steps], [sorted(set(pairs)).index(pair) for pair in pairs])
-    parts = Parts(repeats=half, method=late + max(step.dead_half for step in steps), calibration=0.0)
+    method = hypot(late + max(step.dead_half for step in steps), _slower(steps, 0))
+    parts = Parts(repeats=half, method=method, calibration=0.0)
     parents = tuple(step.name for step in steps)
     resolved = "command to pressure, all steps; the log resolves no less than the method part"
     note = sentences(resolved, "no repeats part: no step was repeated" if half is None else "")
@@ -160,20 +162,38 @@ def _at(
     seconds = ("s", "time")
     found: list[Estimate] = []
     if not any(step.found for step in steps):
-        half = late + max(step.dead_half for step in steps)
+        half = hypot(late + max(step.dead_half for step in steps), _slower(steps, 0))
         found.append(estimate("t_d", seconds, [step.dead for step in steps], half, note="to pressure"))
-    half = max(step.rise_half for step in steps)
+    half = hypot(max(step.rise_half for step in steps), _slower(steps, 1))
     found.append(estimate("tau_P", seconds, [step.rise for step in steps], half, note="63 %"))
     strokes = [step.stroke for step in steps]
-    found.append(estimate("X", ("m", "length"), strokes, 0.0, ("displacement",), doubts=_unsettled(steps)))
+    found.append(
+        estimate("X", ("m", "length"), strokes, 0.0, ("displacement",), doubts=[*_unsettled(steps), _of_steps(steps)])
+    )
     moved = [step for step in steps if abs(step.stroke) > 2 * SEEN * step.noise]
     if not moved:
         why = f"the displacement moves by {show(strokes[0], 'length', 2)} only: the load rests on its support"
         return [*found, Estimate("dP/dx", None, "Pa/m", "gain", STEP, at, note=why, n=len(steps), trials=parents)]
     ratios, scaled = [step.size / step.stroke for step in moved], ("pressure", "displacement")
     note = "at rest, includes friction"
-    found.append(estimate("dP/dx", ("Pa/m", "gain"), ratios, 0.0, scaled, note, _unsettled(moved)))
+    doubts = [*_unsettled(moved), _of_steps(moved, "pressure")]
+    found.append(estimate("dP/dx", ("Pa/m", "gain"), ratios, 0.0, scaled, note, doubts))
     return [*times(at, moved, stiffness, late), *found, *ringing(at, moved, options)]
+
+
+def _slower(steps: Sequence[Step], place: int) -> float:
+    """What a filter of the gauge that nobody declared may add to a time [s], the mean of all steps."""
+    return float(np.mean([step.slower[place] for step in steps]))
+
+
+def _of_steps(steps: Sequence[Step], other: str = "") -> Doubt:
+    """What the steps in which displacement, and pressure, are read may make of their change, as a share of it."""
+    shares = [
+        hypot(step.unresolved["displacement"] / step.stroke, step.unresolved.get(other, 0.0) / step.size)
+        for step in steps
+        if step.stroke
+    ]
+    return Doubt(STEPS, "method", OF_TWO * max(shares, default=0.0), seen=False)
 
 
 def _unsettled(steps: Sequence[Step]) -> list[Doubt]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.samples import UNDECLARED
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import motion
@@ -76,6 +77,9 @@ def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str
         note = sentences(OF_SWINGS[symbol], ONCE if half is None else "")
         given = replace(empty, value=value, parts=parts, note=note)
         found.append(weighed(given, _free_doubts(symbol, value, wide, steps, masses)))
+    K, B = found
+    if K.withheld and not B.withheld:
+        found[1] = withhold(B, f"{K.note}. So the same motion gives no B")
     return found
 
 
@@ -206,7 +210,8 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
     where = f"B/K at {show(at['pressure'], 'pressure', 3)}, {'contracting' if rises else 'relaxing'}"
     half = max(one.half_tau for one in found)
     note = sentences(where, ONCE if of_tau is None else "")
-    B_K = replace(B_K, value=tau, parts=Parts(of_tau, half, 0.0), note=note)
+    undeclared = max(0.0 if step.declared else UNDECLARED for step in steps)
+    B_K = replace(B_K, value=tau, parts=Parts(of_tau, hypot(half, undeclared), 0.0), note=note)
     if half > WIDEST * tau:
         spread = f"+-{half / tau:.0%} for the motions that fit alike, accepted is +-{WIDEST:.0%}"
         B_K = withhold(B_K, f"{where}, lies within {spread}: {INSTEAD}")

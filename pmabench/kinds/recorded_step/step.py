@@ -5,13 +5,24 @@ Knows one trial with one command and its samples; no coefficient.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.imported import unusable_because
-from pmabench.analysis.shared.samples import LAG_KNOWN, LEAST, lags_of, noise_of, nothing_moved, onset
+from pmabench.analysis.shared.samples import (
+    LAG_KNOWN,
+    LEAST,
+    UNDECLARED,
+    lags_of,
+    noise_of,
+    nothing_moved,
+    onset,
+    step_of,
+    unresolved,
+)
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step.motion import Motion, before_sensor, behind, fit_motion, from_rest
 from pmabench.store.records import Array, Flag, RunData, TrialData
@@ -59,6 +70,12 @@ class Step:
     """Pressure and contraction of the fit were the lags of the sensors as small and as large as they may be."""
     noise: float
     """Of the displacement at rest before the step, as recorded [m]."""
+    slower: tuple[float, float]
+    """What a filter of the gauge that nobody declared may add to the times to the onset and from it to 63 % [s]."""
+    declared: bool
+    """Whether the sensor of the displacement has a declared lag."""
+    unresolved: dict[str, float]
+    """Channel -> what the steps that it is read in may make of a rest [SI]."""
 
     @property
     def near(self) -> NDArray[np.bool_]:
@@ -127,21 +144,19 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
         needed = f"{FEWEST} each and {AFTER:g} s are needed, so {FEWEST / BEFORE:g} Hz or more"
         return f"too few usable samples around the step: {seen}; {needed} (flagged: {unusable_because(trial)})"
     settled = t > max(AFTER, t[-1] - 1.0)
-    size = float(np.median(P[settled]) - np.median(P[before])) if settled.any() else 0.0
-    stroke = float(np.median(x[settled]) - np.median(x[before])) if settled.any() else 0.0
+    size = float(P[settled].mean() - P[before].mean()) if settled.any() else 0.0
+    stroke = float(x[settled].mean() - x[before].mean()) if settled.any() else 0.0
     noise = float(P[before].std())
     if abs(size) < 2 * SEEN * max(noise, 1.0):
         return f"the pressure follows by {show(size, 'pressure', 3)} only, no more than its noise"
-    rise = (P - np.median(P[before])) * np.sign(size)
-    begun = np.flatnonzero((rise > max(SEEN * noise, 0.05 * abs(size))) & (t > -within))
-    most = np.flatnonzero((rise > (1 - np.exp(-1)) * abs(size)) & (t > -within))
-    if not len(begun) or not len(most) or begun[0] == 0:
+    risen = _rise(t, (P - np.median(P[before])) * np.sign(size), abs(size), noise, within)
+    if risen is None:
         return "no onset of the pressure is seen"
-    begins, doubt = _onset(t, rise, int(begun[0]), within)
+    begins, doubt, crossed = risen
+    slower = (0.0, 0.0) if lags["pressure"] else _slower(t, P, size, noise, within, risen)
     unsure = over / 2 + LAG_KNOWN * lags["pressure"]
     dead = begins + within / 2 - (late[0] + late[1]) / 2
     dead_half = doubt + within / 2 + (late[1] - late[0]) / 2 + unsure
-    crossed = t[max(0, most[0] - 1) : most[0] + 1]
     rise_half = doubt + float(np.ptp(crossed)) / 2 + unsure
     slow, lagging = lags["displacement"], lags["pressure"]
     driving, near = _driving(t, read, x, (slow, lagging)), t[(t >= -BEFORE) & (t <= AFTER)]
@@ -154,7 +169,38 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     return Step(
         trial, t, *alike, size, stroke, dead, dead_half, begins + within / 2, doubt + within / 2 + unsure,
         float(crossed.mean()) - begins, rise_half, motions, others, noise_of(x[t < 0]),
+        slower, slow > 0, _unresolved(trial, good, (before, settled)),
     )  # fmt: skip
+
+
+Rise = tuple[float, float, Array]
+"""When the pressure begins to rise, how far that may be off, and the samples that 63 % lie between [s]."""
+
+
+def _rise(t: Array, rise: Array, size: float, noise: float, within: float) -> Rise | None:
+    """The rise of a pressure by `size` [Pa] above its rest; None where it shows no onset."""
+    begun = np.flatnonzero((rise > max(SEEN * noise, 0.05 * size)) & (t > -within))
+    most = np.flatnonzero((rise > (1 - np.exp(-1)) * size) & (t > -within))
+    if not len(begun) or not len(most) or begun[0] == 0:
+        return None
+    return *_onset(t, rise, int(begun[0]), within), t[max(0, most[0] - 1) : most[0] + 1]
+
+
+def _slower(t: Array, P: Array, size: float, noise: float, within: float, risen: Rise) -> tuple[float, float]:
+    """What one more filter of the gauge adds to the times to the onset and from it to 63 % [s]."""
+    later = behind(t, P, UNDECLARED)
+    rest = np.median(later[(t >= -BEFORE) & (t < -within)])
+    again = _rise(t, (later - rest) * np.sign(size), abs(size), noise, within)
+    if again is None:
+        return 0.0, 0.0
+    delay, until = again[0] - risen[0], float(again[2].mean() - risen[2].mean())
+    return abs(delay), abs(until - delay)
+
+
+def _unresolved(trial: TrialData, good: NDArray[np.bool_], rests: Sequence[NDArray[np.bool_]]) -> dict[str, float]:
+    """Channel -> what the steps that it is read in may make of rests among its `good` samples [SI]."""
+    channels = {name: values[good] for name, values in trial.channels.items()}
+    return {name: max(unresolved(y[rows], step_of(y)) for rows in rests) for name, y in channels.items()}
 
 
 def _driving(t: Array, P: Array, x: Array, lags: tuple[float, float]) -> tuple[Array, Array]:

@@ -1,6 +1,6 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
-- `reduction`: one step, there or back; then all of a cell
+- `reduction` of all steps of a cell: `step` (one, there or back), `at_pressure` (forces at the pressure of the cell)
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -17,13 +17,19 @@ RESULTS = (
 METHODS = {
     "step, relaxed": (
         "Forces and measured contraction at rest, before a step of displacement and at the end of the rest after it: K "
-        "= −ΔF/Δx; above 0 the step contracts."
+        "= −ΔF/Δx; above 0 the step contracts. Forces are those at the pressure of the operating point: what the "
+        "measured one is off is taken off by dF/dP, from the same rest at another pressure or from the way back. "
+        "Friction f between the rests is in them: K is at least that of the muscle, up to 2 f/Δx more, and F is above "
+        "the mean of both directions after a stretch, below it after a contraction."
     ),
     "step, peak": (
-        "As step, relaxed, with the peak of the force in place of the relaxed one: damping, and the pressure that the "
-        "step makes, are in it."
+        "As step, relaxed, with the forces as measured and the peak in place of the relaxed one: damping, the pressure "
+        "that the step makes, and friction are in it."
     ),
-    "step, recovery": "One exponential through force and pressure from the end of the motion on.",
+    "step, recovery": (
+        "One exponential through force and pressure from the end of the motion on. That of the force is withheld where "
+        "a filter of the cell may have made it, unless the pressure shows it, too."
+    ),
 }
 POINT = (("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held"))
 """How the operating point is read off the commands of an import."""

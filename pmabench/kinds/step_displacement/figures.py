@@ -12,7 +12,7 @@ import numpy as np
 from pmabench.analysis.shared.samples import NotUsable, left
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.step_displacement.reduction import measure as steps_of
+from pmabench.kinds.step_displacement.step import measure as steps_of
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,

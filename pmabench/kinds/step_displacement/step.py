@@ -1,0 +1,285 @@
+"""One step of displacement at constant pressure: force and pressure before, at the peak and relaxed, and the way back.
+
+Knows one trial and its samples, no coefficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
+
+from pmabench.analysis.shared.lines import left_by
+from pmabench.analysis.shared.samples import (
+    UNDECLARED,
+    Held,
+    NotUsable,
+    ends,
+    noise_of,
+    on_time,
+    refuse_unusable,
+    settings_of,
+    step_of,
+    unresolved,
+)
+from pmabench.store.records import Array, Command, RunData, TrialData
+
+LAST = 0.2
+"""Share of each rest at its end whose mean counts as relaxed."""
+SEEN = 6.0
+"""A recovery counts where it is larger than so many standard deviations of the noise."""
+THERE = 0.01
+"""Share of the step by which the displacement may still be off when its motion counts as over."""
+FEWEST = 8
+"""Samples that a recovery needs within three time constants."""
+LAGS = 6.0
+"""Lags of a sensor after which nothing of it is left, and up to which a recovery may be made by it."""
+SAME = 0.4
+"""Share by which the time constants of force and pressure may differ where one makes the other."""
+EVEN, MOSTLY = 0.1, 0.8
+"""Samples of a ramp that are a step apart, to a share of it, and how many of them make a ramp without noise."""
+BLOCK = 0.02
+"""Force and pressure of the way back are compared in means over this time [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """y = end + size exp(-t/tau) after the motion; size as y, tau [s]."""
+
+    size: float
+    tau: float
+    apart: float
+    """How far tau is from that of the later part of the way back, from half a time constant on, or from that of a
+    fit with a drift [s]: a course that is no single exponential shows in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """One step, there or back. Forces [N], pressures [Pa]; above 0 it contracts."""
+
+    moved: float
+    """Measured displacement of the step [m]."""
+    before: float
+    peak: float
+    relaxed: float
+    earlier: Held
+    """The force along the second half of the rest before [N]."""
+    later: Held
+    """The same of the rest after [N]."""
+    filter: float
+    """Time constant that the filter of the force cell may have [s]."""
+    blunted: float
+    """What such a filter, or one as slow as the way back shows (`fast`), would change the peak by [N]."""
+    sampled: float
+    """Change of the force over the sample before its peak [N]: so far the peak may lie beyond it."""
+    pressure_peak: float
+    """Largest difference of the pressure from that before; nan where it is not recorded."""
+    pressure_noise: float
+    """Of the pressure [Pa]: the largest difference is that of the noise where the pressure stays."""
+    force_back: Recovery | None
+    pressure_back: Recovery | None
+    noise: float
+    """Of the force [N]."""
+    pressures: tuple[float, float]
+    """Mean pressure of the rests before and after [Pa]; nan where it is not recorded."""
+    together: tuple[Array, Array]
+    """Pressure [Pa] and force [N] of the way back, as means off their mean: x is still, so their ratio is dF/dP."""
+    unresolved: Mapping[str, float]
+    """Channel -> what the steps that it is read in may make of the mean of a rest [SI]."""
+
+    @property
+    def fast(self) -> float:
+        """Time constant of a way back of the force that its filter may have made [s]; 0 where it shows in the pressure.
+
+        A pressure that recovers as fast as the force made it; slower ones are none of a filter.
+        """
+        back, pressure = self.force_back, self.pressure_back
+        if back is None or back.tau > LAGS * self.filter:
+            return 0.0
+        shown = pressure is not None and abs(back.tau - pressure.tau) < SAME * pressure.tau
+        return 0.0 if shown else back.tau
+
+    @property
+    def static(self) -> float:
+        """Stiffness from relaxed forces [N/m]."""
+        return -(self.relaxed - self.before) / self.moved
+
+    @property
+    def instant(self) -> float:
+        """Stiffness from the peak [N/m]: damping and pressure are in it."""
+        return -(self.peak - self.before) / self.moved
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """The steps of one trial, and the samples around the last step away from the start."""
+
+    run: RunData
+    trial: TrialData
+    there: tuple[Relaxation, ...]
+    back: tuple[Relaxation, ...]
+    last: dict[str, Array]
+    """`t` from the command on [s], `force`, `displacement`, `pressure` where it is recorded."""
+    first: Relaxation
+    """The first step of the trial, which may be among those left out."""
+
+
+def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps:
+    """One trial from its samples, without the cycles at its start that `options`, else the plan, `discard`.
+
+    Raises `NotUsable` where it ended early, lacks a channel or a whole step.
+    """
+    refuse_unusable(trial, "displacement", "force")
+    found: dict[str, list[Relaxation]] = {"step": [], "back": []}
+    ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase in found]
+    if not ramps:
+        raise NotUsable("it holds no step")
+    until = [*(c.t for c in ramps[1:]), float(trial.t[-1]) + 1e-9]
+    begins = [float(trial.t[0]), *(c.t for c in ramps[:-1])]
+    values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
+    rows = np.any([(trial.t > c.t) & (trial.t < _arrives(c)) for c in ramps], axis=0)
+    steps = {name: _read_in(trial.channels[name], trial.usable, rows) for name in values if name in trial.channels}
+    for ramp, begin, end in zip(ramps, begins, until, strict=True):
+        found[ramp.phase].append(_one(run, trial, values, steps, ramp, begin, end))
+    discard = int(settings_of(run, options).get("discard", 1))
+    first = found["step"][:1]
+    found = {phase: each[discard:] for phase, each in found.items()}
+    if not found["step"] or not found["back"]:
+        raise NotUsable("it holds no step there and back beyond those left out")
+    place = max(i for i, ramp in enumerate(ramps) if ramp.phase == "step")
+    rows = (trial.t >= ramps[place].t - 0.1 * (until[place] - ramps[place].t)) & (trial.t < until[place]) & trial.usable
+    last = {name: column[rows] for name, column in values.items() if np.isfinite(column).all()}
+    return Steps(
+        run, trial, tuple(found["step"]), tuple(found["back"]), {"t": trial.t[rows] - ramps[place].t, **last}, *first
+    )
+
+
+def _arrives(ramp: Command) -> float:
+    """When a command has come to its end [s]."""
+    return ends(ramp) if ramp.data.get("rate", 0.0) > 0 else ramp.t
+
+
+def _read_in(y: Array, usable: NDArray[np.bool_], ramps: NDArray[np.bool_]) -> float:
+    """Step in which a channel (n,) is read [SI]; 0 for one without noise that only moves as far with each sample."""
+    step, moves = step_of(y[usable]), np.abs(np.diff(y))[(usable & ramps)[1:]]
+    return 0.0 if len(moves) and np.mean(np.abs(moves - step) < EVEN * step) > MOSTLY else step
+
+
+def _one(
+    run: RunData, trial: TrialData, values: dict[str, Array], steps: Mapping[str, float], ramp: Command, begin: float,
+    end: float,
+) -> Relaxation:  # fmt: skip
+    """The step of one command; `begin` and `end` [s] are those of the rests before and after it."""
+    arrived = _arrives(ramp)
+    t, good = trial.t, trial.usable
+    before = good & (t >= ramp.t - LAST * (ramp.t - begin)) & (t < ramp.t - 1e-9)
+    after = good & (t >= end - LAST * (end - arrived)) & (t < end)
+    moving = good & (t >= ramp.t) & (t < end)
+    rest = good & (t > arrived + 1e-9) & (t < end)
+    if min(before.sum(), after.sum()) < 3 or rest.sum() < 2 * FEWEST:
+        raise NotUsable("fewer than 3 samples at the end of a rest")
+    x, F, P = values["displacement"], values["force"], values["pressure"]
+    level, relaxed = float(F[before].mean()), float(F[after].mean())
+    moved = float(x[after].mean() - x[before].mean())
+    if abs(moved) <= 6 * noise_of(x[rest]) or moved == 0:
+        raise NotUsable("the displacement does not move above its noise")
+    away = F[moving] - level
+    place = int(np.argmax(-np.sign(moved) * away))
+    early = good & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
+    late = good & (t >= 0.5 * (arrived + end)) & (t < end)
+    known = bool(np.isfinite(P).all())
+    # the measured motion is over when it stays within `THERE` of its end; not before the command
+    beyond = t[moving][np.abs(x[moving] - float(x[after].mean())) > THERE * abs(moved)]
+    still = rest & (t > (max(float(beyond[-1]), arrived) if len(beyond) else arrived))
+    if still.sum() < 2 * FEWEST:
+        raise NotUsable("the displacement comes to rest too late")
+    since = t[still] - t[still][0]
+    off = P[moving] - float(P[before].mean())
+    back = recovery(since, F[still])
+    one = Relaxation(
+        moved=moved,
+        before=level,
+        peak=level + float(away[place]),
+        relaxed=relaxed,
+        earlier=Held.of(t[early], F[early], ramp.t - LAST * (ramp.t - begin)),
+        later=Held.of(t[late], F[late], end - LAST * (end - arrived)),
+        filter=filter_of(run),
+        blunted=0.0,
+        sampled=abs(float(away[place] - away[max(0, place - 1)])),
+        pressure_peak=float(off[np.argmax(np.abs(off))]) if known else float("nan"),
+        pressure_noise=noise_of(P[moving]) if known else 0.0,
+        force_back=back,
+        pressure_back=recovery(since, P[still]) if known else None,
+        noise=noise_of(F[rest]),
+        pressures=(float(P[before].mean()), float(P[after].mean())),
+        together=_together(since, P[still], F[still]),
+        unresolved={
+            name: max(unresolved(trial.channels[name][rows], step) for rows in (before, after))
+            for name, step in steps.items()
+        },
+    )
+    return replace(one, blunted=_blunted(t[moving], away, moved, max(one.filter, one.fast)))
+
+
+def _together(since: Array, P: Array, F: Array) -> tuple[Array, Array]:
+    """Pressure and force of the way back, shape (n,), as means over `BLOCK` off their mean, without its very begin."""
+    width = max(1, round(BLOCK / float(np.median(np.diff(since)))))
+    rows = np.flatnonzero(since > LAGS * UNDECLARED)
+    rows = rows[: len(rows) // width * width]
+    if len(rows) < 2 * width:
+        return np.zeros(0), np.zeros(0)
+    p, f = (values[rows].reshape(-1, width).mean(axis=1) for values in (P, F))
+    return p - p.mean(), f - f.mean()
+
+
+def filter_of(run: RunData) -> float:
+    """Time constant of the force cell's filter [s], as declared, or what one may have where none is."""
+    declared = run.channels["force"].sensor_lag if "force" in run.channels else 0.0
+    return declared if declared > 0 else UNDECLARED
+
+
+def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:
+    """How much lower the peak is once more behind a filter of first order, shape (n,) both."""
+    keep = float(np.exp(-np.median(np.diff(t)) / constant))
+    slower = np.asarray(lfilter([1 - keep], [1, -keep], away - away[0]) + away[0])
+    way = -np.sign(moved)
+    return abs(float(np.max(way * away) - np.max(way * slower)))
+
+
+def recovery(t: Array, y: Array) -> Recovery | None:
+    """The exponential by which `y` comes to rest, from `t` = 0 [s] on; None where none shows above the noise."""
+    tau, inside = _time_constant(t, y)
+    design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
+    terms, *_ = np.linalg.lstsq(design, y, rcond=None)
+    size, left = float(terms[1]), float(np.mean((y - design @ terms) ** 2))
+    if not inside or np.count_nonzero(t < 3 * tau) < FEWEST:
+        return None
+    if abs(size) < max(SEEN * noise_of(y), 3 * left**0.5, 1e-6 * float(np.max(np.abs(y)))):
+        return None
+    late = t >= 0.5 * tau
+    others = [_time_constant(t, y, 1)[0]]
+    if late.sum() > FEWEST:
+        others.append(_time_constant(t[late] - t[late][0], y[late])[0])
+    return Recovery(size, tau, max(abs(other - tau) for other in others))
+
+
+def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
+    """The time constant that leaves least [s], and whether it is within the range that is looked at."""
+    step = float(np.median(np.diff(t)))
+    grid = np.log(np.geomspace(step, 0.5 * float(t[-1]), 30))
+    fixed = np.stack([np.ones_like(t), *[t] * order])
+
+    def left(logarithms: Array) -> Array:
+        return left_by(fixed, np.exp(-t / np.exp(logarithms)[:, None])[:, None], y) / len(t)
+
+    best = int(np.argmin(left(grid)))
+    low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
+    found = minimize_scalar(
+        lambda s: left(np.array([s]))[0], bounds=(low, high), method="bounded", options={"xatol": 1e-5}
+    )
+    return float(np.exp(found.x)), best not in (0, len(grid) - 1)
