@@ -183,7 +183,7 @@ class Loaded:
     def apart(self) -> float:
         """What the displacement tells more than the angle at all rests alike, beyond the calibrations [rad]; else 0."""
         angle, arc = np.array([(rest.angle, rest.arc) for stair in self.stairs for rest in stair.rests]).T
-        if not np.isfinite(arc).all():
+        if not np.isfinite(arc).all() or np.ptp(angle) <= 4 * self.coarse + LIKE * self.noise:
             return 0.0
         slope, zero = np.polyfit(angle, arc - angle, 1).tolist()
         rest = float(np.sqrt(np.mean((arc - angle - zero - slope * angle) ** 2)))
@@ -478,7 +478,8 @@ def _bent(one: Loaded, terms: Array) -> tuple[Array, Array, Array]:
 def _solve(loads: Sequence[Loaded], terms: Array) -> Array:
     """Change of all coefficients with each angle, shape (4 powers, angles), by linearized least squares."""
     slopes = np.vstack([_slopes(one, terms) for one in loads])
-    scale = np.sqrt(np.sum(slopes**2, axis=0))
+    size = np.sqrt(np.sum(slopes**2, axis=0))
+    scale = np.where(size > 0, size, 1.0)
     return np.asarray(np.linalg.pinv(slopes / scale, rcond=1e-12) / scale[:, None])
 
 
