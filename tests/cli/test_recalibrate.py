@@ -131,7 +131,7 @@ def test_a_pressure_that_is_late_moves_the_dead_time_by_as_much(run, tmp_path):
     out = ("--out", tmp_path / "a", "--json")
     reported = changed(json.loads(call("recalibrate", run, "--skew", "pressure=4 ms", *out).stdout))
     assert reported["t_d", False]["difference"] == pytest.approx(-0.004, abs=1e-9)
-    assert reported["X", True]["difference"] == 0.0
+    assert abs(reported["X", True]["difference"]) < 1e-7  # of means of noise, of which one is over other samples
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,9 @@ from tests.reliability.cases import VARIABLE
 ROOT = Path(__file__).resolve().parents[2]
 
 
+# its tests wait for threads: a process that runs only when nothing else does would not wake in time
+@pytest.mark.realtime
+@pytest.mark.singly
 @pytest.mark.slow
 def test_every_branch_of_the_guard_is_taken(record_property):
     environment = {**os.environ, VARIABLE: "300"}
