@@ -109,7 +109,7 @@ SURE = 4.0
 def second_of(loop: Loop) -> Turns | None:
     """What in the gap turns over on a longer way, too: a second hysteresis, or what creeps.
 
-    A gap that depends on the angle, or on pressures that do, is told from it by its form: a parabola and a slope.
+    A gap that depends on the angle, or on pressures that do, has another form: a parabola and a slope.
     """
     if loop.turns is None:
         return None
