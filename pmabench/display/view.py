@@ -41,6 +41,8 @@ WANTED = (("pause", "will pause"), ("repeat", "will repeat this trial"))
 """Keys of the operator that wait for the end of the trial, in words."""
 FRESH = 3.0
 """Age up to which a pressure is shown with a question to the operator [s]."""
+SILENT = 2.0
+"""Time without a recorded sample after which the picture says so [s]."""
 OLD = 1.0
 """Age of the newest sample from which on it is marked while samples are recorded [s]."""
 
@@ -196,6 +198,9 @@ def _setting(setting: Setting) -> str:
 def _counts(state: RunState) -> Text:
     rate = max((stream.rate for stream in state.files.streams.values()), default=0.0)
     line = Text().append("samples   ", FAINT).append(f"{state.rows:,}" + (f" at {rate:g} Hz" if rate else ""))
+    silent = state.t - state.samples.newest
+    if state.rows and state.status == "running" and silent > SILENT:
+        line.append(f"   none recorded for {silent:.0f} s: the curves end there", STRONG)
     for name, count in state.counts.items():
         line.append("   ").append(f"{name} {count:,}", WARN if count and name != "slack" else "")
     for stream in state.files.streams.values():

@@ -130,6 +130,18 @@ def test_an_old_sample_is_marked_while_a_trial_is_recorded(running):
     assert pressure(4.0).rstrip().endswith("! 4.0 s")
 
 
+def test_curves_that_stand_still_say_why(running):
+    """As in a warm-up, which is not recorded while the values of the channels go on."""
+
+    def counts(age):
+        state = poll(running, age)
+        state.files.bench["realtime"] = True
+        return next(line.plain for line in screen(state, 120, 40) if line.plain.startswith("samples"))
+
+    assert "none recorded for 7 s" in counts(7.0)
+    assert "none recorded" not in counts(0.5)
+
+
 @pytest.mark.parametrize(
     ("value", "alarm", "sign"),
     [
