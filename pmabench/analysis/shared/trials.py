@@ -50,6 +50,11 @@ def point_of(trial: TrialData) -> Point:
     return tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
 
 
+def point_by(trial: TrialData, names: Sequence[str]) -> Point:
+    """Those of the operating point's entries that have one of `names`, in their order, as a key."""
+    return tuple((name, round(trial.point[name], 9)) for name in names if name in trial.point)
+
+
 def by_point(members: Sequence[tuple[RunData, TrialData]]) -> list[tuple[dict[str, float], Members]]:
     """Operating points [SI] in rising order, each with its runs and trials in the order that they came."""
     return [(dict(key), group) for key, group in sorted(grouped(members, lambda one: point_of(one[1])).items())]
@@ -170,6 +175,7 @@ def stroke_of(run: RunData, trial: TrialData) -> float | None:
 
 FIGURE = "repeats"
 POINTS = 360
+LONGEST_TRACE = 1500
 MOST = 8
 """Most repeats."""
 HIDDEN = frozenset(("side", "mass", "cycles"))
@@ -209,6 +215,12 @@ def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
     title = f"{where or 'one operating point'}: {len(samples)} repeats over each other"
     quantities = {"t": "time", **dict.fromkeys(columns, "force" if channel == "force" else "length")}
     return [Trace(FIGURE, FIGURE, title, {"t": grid, **columns}, quantities, dict(point))]
+
+
+def thinned(columns: Mapping[str, Array], most: int = LONGEST_TRACE) -> dict[str, Array]:
+    """Every so many-th row of the columns of a figure, `most` rows at most."""
+    stride = max(1, -(-max(map(len, columns.values()), default=0) // most))
+    return {name: column[::stride] for name, column in columns.items()}
 
 
 def _means(grid: Array, t: Array, y: Array) -> Array:

@@ -75,7 +75,7 @@ def mean_force_estimates(
     doubt = abs(fitted.muscle.B or members[0].sine.loss / speed) * speed / pi if fitted.alone else 0.0
     scatter = line.half_start if line.half_start is not None else _half_by_cycles(fitted)
     half = None if scatter is None or K_half is None else hypot(scatter, K_half * mean)
-    gains, offsets = {"force": line.start}, {"force": 1.0, "displacement": fitted.K.start}
+    gains, offsets = {"force": line.start}, {"force": 1.0, "displacement": fitted.lines.K.start}
     if slope is not None:
         gains["pressure"], offsets["pressure"] = slope * wanted, slope
     one_each = len(members) == len({member.sine.frequency for member in members})
@@ -89,7 +89,7 @@ def mean_force_estimates(
     names = tuple(member.name for member in members)
     n = len(members)
     F_ce = Estimate("F_ce", line.start + off, "N", "force", SINE_MEAN, dict(at), parts, n, note=note, trials=names)
-    F = line.start - (fitted.K.start - K_bias) * mean - form.h2
+    F = line.start - (fitted.lines.K.start - K_bias) * mean - form.h2
     there = Parts(
         scatter,
         hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), REMAINS * form.h2, form.apart),
@@ -125,7 +125,7 @@ def _by_cycle(sine: Sine, values: Array) -> Array:
 def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
     """F_ce [N] over the speed amplitude [m/s]; with one frequency its mean."""
     members = fitted.group
-    K = fitted.K.start - fitted.bias["K"]
+    K = fitted.lines.K.start - fitted.bias["K"]
     off = [slope * (wanted - member.sine.pressure) if slope else 0.0 for member in members]
     rest = np.array([member.sine.force + K * member.sine.mean for member in members]) + off
     frequency = np.array([member.sine.frequency for member in members])
@@ -138,7 +138,7 @@ def _half_by_cycles(fitted: Fitted) -> float | None:
     """Half width of the line's begin [N] by the scatter of cycles, where each trial is needed for the line; None for
     trials of one cycle.
     """
-    K, cycles = fitted.K.start - fitted.bias["K"], []
+    K, cycles = fitted.lines.K.start - fitted.bias["K"], []
     for member in fitted.group:
         cycles.append(_by_cycle(member.sine, member.sine.F + K * member.sine.x))
     if fitted.alone:

@@ -16,8 +16,9 @@ import numpy as np
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.ramp_loop import on_grid
-from pmabench.analysis.shared.samples import noise_of
-from pmabench.analysis.shared.sine_loop import lagless, moving
+from pmabench.analysis.shared.samples import lags_of, noise_of
+from pmabench.analysis.shared.sine_loop import moving, without_lag
+from pmabench.analysis.shared.trials import grouped, point_by, thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import CYCLES, NO_REPEATS, Member, Muscle
 from pmabench.kinds.sinusoidal_displacement.form import cycle_of
@@ -26,6 +27,7 @@ from pmabench.store.records import Array
 
 ERROR, SET, MEASURED = "pressure error", "modelled with set pressure", "modelled with measured pressure"
 SIDES = ("contracting", "expanding")
+PULLS = ("pressure", "force")
 POINTS = 41
 APART = 0.05
 """Two pressures of the slowest sines are apart by at least this share, or no slope over pressure is given."""
@@ -40,7 +42,7 @@ LONGEST_TRACE = 1200
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """A trial's kept cycles: time [s], contraction [m], its rate [m/s], force [N], pressure and set pressure [Pa]."""
+    """A trial's kept cycles: contraction [m], its rate [m/s], force [N], pressure and set pressure [Pa]."""
 
     member: Member
     x: Array
@@ -56,15 +58,10 @@ class Along:
         if "pressure" not in trial.channels or wanted is None:
             return None
         x, v = moving(sine)
-        rows = np.searchsorted(trial.t, sine.t)
-        P = lagless(member.run, trial, "pressure", sine.frequency, rows)
-        F = lagless(member.run, trial, "force", sine.frequency, rows)  # the sine's own may have the ripple taken off
+        rows, lags = np.searchsorted(trial.t, sine.t), lags_of(member.run, trial)
+        # the sine's own force may have the ripple taken off
+        P, F = (without_lag(sine.t, trial.channels[name][rows], sine.frequency, lags[name]) for name in PULLS)
         return cls(member, x, v, F, P, float(wanted))
-
-    @property
-    def t(self) -> Array:
-        """[s]."""
-        return self.member.sine.t
 
     def side(self, name: str) -> Array:
         """Rows that move in a direction, shape (n,)."""
@@ -92,12 +89,9 @@ class Static:
         for wanted in sorted({along.wanted for along in alongs}):
             mine = [along for along in alongs if along.wanted == wanted]
             lowest = min(along.member.sine.frequency for along in mine)
-            widest = max(a.member.sine.amplitude for a in mine if a.member.sine.frequency <= SLOW * lowest)
-            chosen += [
-                along
-                for along in mine
-                if along.member.sine.frequency <= SLOW * lowest and along.member.sine.amplitude > 0.95 * widest
-            ]
+            slow = [along for along in mine if along.member.sine.frequency <= SLOW * lowest]
+            widest = max(along.member.sine.amplitude for along in slow)
+            chosen += [along for along in slow if along.member.sine.amplitude > 0.95 * widest]
         pressures = [along.wanted for along in chosen]
         if not chosen or max(pressures) - min(pressures) < APART * max(pressures):
             return None
@@ -136,14 +130,8 @@ def pressure_and_force(
     """
     alongs = [along for member in members if (along := Along.of(member)) is not None]
     estimates, traces = list[Estimate](), list[Trace]()
-    cells: dict[tuple[tuple[str, float], ...], list[Along]] = {}
-    for along in alongs:
-        at = along.member.trial.point
-        key = tuple((name, round(at[name], 9)) for name in ("pressure", "mean", "amplitude", "frequency") if name in at)
-        cells.setdefault(key, []).append(along)
-    statics = {
-        mean: Static.of([along for along in alongs if _mean(along) == mean]) for mean in {_mean(a) for a in alongs}
-    }
+    cells = grouped(alongs, lambda one: point_by(one.member.trial, ("pressure", "mean", "amplitude", "frequency")))
+    statics = {mean: Static.of(group) for mean, group in grouped(alongs, _mean).items()}
     ratios: list[tuple[str, float, float, str]] = []
     for key, group in sorted(cells.items()):
         at = dict(key)
@@ -208,9 +196,8 @@ def _rms(
 
 def _trace(at: Mapping[str, float], along: Along, static: Static, muscle: Muscle) -> Trace:
     """The last cycle: force measured and modelled, and the pressure's error."""
-    t = along.t
+    t = along.member.sine.t
     last = t >= t[-1] - 1 / along.member.sine.frequency
-    stride = max(1, -(-int(last.sum()) // LONGEST_TRACE))
     columns = {
         "displacement": along.x,
         "force": along.F,
@@ -223,7 +210,7 @@ def _trace(at: Mapping[str, float], along: Along, static: Static, muscle: Muscle
         f"sine-pressure-{name}",
         "sine-pressure",
         f"{show(at['pressure'], 'pressure')}, {at.get('frequency', 0.0):g} Hz: force and pressure along a sine",
-        {key: values[last][::stride] for key, values in columns.items()},
+        thinned({key: values[last] for key, values in columns.items()}, LONGEST_TRACE),
         {"displacement": "length", "force": "force", "set": "force", "measured": "force", "error": "pressure"},
         {key: value for key, value in at.items() if key in ("frequency", "pressure")},
     )

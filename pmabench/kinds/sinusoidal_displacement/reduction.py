@@ -17,7 +17,8 @@ import numpy as np
 from pmabench.analysis.imported import import_of
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import settings_of
+from pmabench.analysis.shared.trials import grouped, measured_trials, point_by
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
@@ -26,7 +27,7 @@ from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member,
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
 from pmabench.kinds.sinusoidal_displacement.sensors import Named, name_of, with_sensors
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 from pmabench.store.records import RunData
 
 KIND = "sinusoidal-displacement"
@@ -55,8 +56,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     without either, the lag of the force cell is open), `force_per_pressure` dF/dP [N/Pa].
     """
     options = options or {}
-    members, dropped = _members(runs, options)
-    members, findings = _even_pressure(members, options)
+    members, dropped = measured_trials(
+        runs, lambda run, trial: Member.of(run, trial, float(settings_of(run, options).get("discard", 1)))
+    )
+    members, findings = _even_pressure(_as_alike(members), options)
     scales = Scales.of(runs)
     estimates: list[Estimate] = []
     traces: list[Trace] = []
@@ -98,7 +101,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         facts={
             "options": dict(options),
             "trials": len(members),
-            "cells": len(_grouped(members, (*CELL, "frequency"))),
+            "cells": len(_cells(members, (*CELL, "frequency"))),
             "lines": lines,
         },
     )
@@ -122,8 +125,10 @@ def _named(evaluated: Callable[[Fitted, Form], list[Estimate]], form: Form, fitt
 
 def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Key, Fitted], dict[Key, float]]:
     """The lines of each cell, and what is stated of the time between displacement and force there [s]."""
-    cells = sorted(_grouped(members, CELL).items())
-    stated = {key: max(_setting(one.run, options, "time_skew", 0.0) for one in group) for key, group in cells}
+    cells = _cells(members, CELL)
+    stated = {
+        key: max(float(settings_of(one.run, options).get("time_skew", 0.0)) for one in group) for key, group in cells
+    }
     clocks = {key: skew.apart([one.run for one in group], CHANNELS) for key, group in cells}
     return {key: Fitted.of(group, stated[key] + clocks[key]) for key, group in cells}, stated
 
@@ -154,25 +159,6 @@ def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:
     return Muscle(float(K), float(B), float(F_c))
 
 
-def _setting(run: RunData, options: Mapping[str, Any], name: str, default: float) -> float:
-    """A setting: the option, else what the plan says, else the default."""
-    settings = run.plan.get("settings") or {}
-    return float(options.get(name, settings.get(name, default)))
-
-
-def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Member], list[Dropped]]:
-    members: list[Member] = []
-    dropped: list[Dropped] = []
-    for run in runs:
-        discard = _setting(run, options, "discard", 1)
-        for trial in run.trials:
-            try:
-                members.append(Member.of(run, trial, discard))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-    return _as_alike(members), dropped
-
-
 def _as_alike(members: Sequence[Member]) -> list[Member]:
     """Motions that nobody commanded, and that were measured to differ by less than `ALIKE`, at the same point.
 
@@ -195,12 +181,9 @@ def _as_alike(members: Sequence[Member]) -> list[Member]:
     return [replace(m, trial=replace(m.trial, point=points.get(m.name, m.trial.point))) for m in members]
 
 
-def _grouped(members: Sequence[Member], names: Sequence[str]) -> dict[Key, list[Member]]:
-    groups: dict[Key, list[Member]] = {}
-    for member in members:
-        point = member.trial.point
-        groups.setdefault(tuple((name, round(point[name], 9)) for name in names if name in point), []).append(member)
-    return groups
+def _cells(members: Sequence[Member], names: Sequence[str]) -> list[tuple[Key, list[Member]]]:
+    """The trials with the same values of `names`, by rising values."""
+    return sorted(grouped(members, lambda one: point_by(one.trial, names)).items())
 
 
 def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[list[Member], list[Finding]]:
@@ -211,7 +194,7 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
     """
     even: list[Member] = []
     findings: list[Finding] = []
-    for _, group in sorted(_grouped(members, ("mean",)).items()):
+    for _, group in _cells(members, ("mean",)):
         pressures = np.array([member.sine.pressure for member in group])
         forces = np.array([member.sine.force for member in group])
         slope = float(options.get("force_per_pressure", nan))
