@@ -104,15 +104,14 @@ def describe(t: Array, y: Array, noise: float) -> Swinging | None:
 
 
 def mode_amplitudes(t: Array, signals: Array, root: complex) -> tuple[Array, Array]:
-    """Means and complex amplitudes of the damped mode `root` [1/s] and its harmonics in `signals`, shape (n, m).
+    """Means and complex amplitudes of the damped mode `root` [1/s] and its harmonics in `signals`, shape (n, ...).
 
     Least squares of c0 + c1 t + exp(sigma t) (a_k cos k omega t + b_k sin k omega t). Returns the mean of c0 + c1 t,
-    shape (m,), and a_k - j b_k, shape (3, m), so that the signal is Re(amplitude exp(s (t - t[0]))).
+    shape (...), and a_k - j b_k, shape (3, ...), so that the signal is Re(amplitude exp(s t)).
     """
-    time = t - t[0]
-    growth = np.exp(root.real * time)
-    columns = [np.ones_like(time), time - time.mean()]
+    growth = np.exp(root.real * t)
+    columns = [np.ones_like(t), t - t.mean()]
     for k in range(1, HARMONICS + 1):
-        columns += [growth * np.cos(k * root.imag * time), growth * np.sin(k * root.imag * time)]
+        columns += [growth * np.cos(k * root.imag * t), growth * np.sin(k * root.imag * t)]
     fitted, *_ = np.linalg.lstsq(np.column_stack(columns), signals, rcond=None)
     return np.asarray(fitted[0]), np.asarray(fitted[2::2] - 1j * fitted[3::2])

@@ -20,13 +20,21 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.oscillation import SEEN, extremes
+from pmabench.analysis.shared.oscillation import HARMONICS, SEEN, extremes, mode_amplitudes
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
-from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, Examined, GainCell, lags_of, oscillating, repeats
+from pmabench.kinds.ultimate_gain.ways import (
+    DESCRIBED,
+    SYMBOLS,
+    Examined,
+    GainCell,
+    in_words,
+    lags_of,
+    oscillating,
+    would,
+)
 from pmabench.model.loop import ComplexArray, Loop, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -36,7 +44,6 @@ SKIPPED = 3
 FEWEST_PERIODS = 4
 FEWEST_SAMPLES = 4
 """In each period."""
-HARMONICS = 3
 PERIOD_VARIATION = 0.05
 LOPSIDED = 0.05
 """Mean command off the bias, over the amplitude, from which on the mean displacement tells a static gain."""
@@ -139,7 +146,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     noise = noise_of(trial.channels["displacement"][trial.usable])
     if min(level.hysteresis for level in known) < 3 * noise:
         doubts.append("the hysteresis is below three times the noise: noise may have switched the relay")
-    return RelayFound(known, refused=tuple(refused), doubts=tuple(doubts))
+    return RelayFound(known, refused=tuple(refused), doubts=tuple(doubts), loop=best.loop)
 
 
 def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
@@ -231,7 +238,7 @@ def _shape(t: Array, x: Array, switches: Array, ups: Array, loop: Loop) -> float
     """Distance of the third harmonic of `x`, over its first, from what `loop` makes of the command's."""
     t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
     omega = 2 * pi * periods / (t1 - t0)
-    X = _harmonics(t - t0, x, omega)
+    X = mode_amplitudes(t - t0, x, 1j * omega)[1]
     U = _command(switches, t0, t1, periods, HARMONICS)
     first, third = (complex(U[k]) * complex(loop.response(1j * omega * k)) for k in (1, 3))
     return float(abs(X[2] / X[0] - third / first))
@@ -252,15 +259,6 @@ def _command(switches: Array, t0: float, t1: float, periods: int, harmonics: int
     return found
 
 
-def _harmonics(t: Array, y: Array, omega: float) -> ComplexArray:
-    """Amplitudes a_k - j b_k of the harmonics of `y`, by least squares together with a mean and a drift."""
-    columns = [np.ones_like(t), t - t.mean()]
-    for k in range(1, HARMONICS + 1):
-        columns += [np.cos(k * omega * t), np.sin(k * omega * t)]
-    fitted, *_ = np.linalg.lstsq(np.column_stack(columns), y, rcond=None)
-    return np.asarray(fitted[2::2] - 1j * fitted[3::2])
-
-
 def _fit(
     t: Array, x: Array, P: Array, switches: Array, ups: Array, lag: Mapping[str, float], hold: float
 ) -> Loop | None:
@@ -277,8 +275,10 @@ def _fit(
     omega = 2 * pi * periods / (t1 - t0)
     s = 1j * omega * np.arange(1, HARMONICS + 1)
     U = _command(switches, t0, t1, periods, HARMONICS)[1:]
-    X = _harmonics(t[at] - t0, x[at], omega) * (1 + lag.get("displacement", 0.0) * s)
-    Q = _harmonics(t[at] - t0, P[at], omega) * (1 + lag.get("pressure", 0.0) * s)
+    X, Q = (
+        mode_amplitudes(t[at] - t0, y[at], 1j * omega)[1] * (1 + lag.get(name, 0.0) * s)
+        for name, y in (("displacement", x), ("pressure", P))
+    )
     if not (np.all(np.isfinite(X)) and np.all(np.isfinite(Q))) or abs(X[0]) == 0 or abs(Q[0]) == 0:
         return None
 
@@ -313,6 +313,7 @@ def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, t
 
 
 FITTED = "relay-fit"
+ALONE = "one trial: the repeats part is the scatter between its periods"
 OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
 """What K_u and T_u may be off, over friction as a share of the amplitude, over the distance of the third harmonic, and
 over their change between the amplitudes: play, a second lag and a slew of the regulator make less of known loops."""
@@ -332,12 +333,6 @@ class RelayCell(GainCell[RelayFound]):
 
     called = "relay trials"
 
-    @property
-    def loop(self) -> Loop | None:
-        """The loop fitted to the largest oscillation of the first trial that has one."""
-        best = [self.found[i].best for i in self.good]
-        return next((level.loop for level in best if level is not None and level.loop is not None), None)
-
     @cached_property
     def estimates(self) -> list[Estimate]:
         """K_u and T_u by the fit, then by the describing function."""
@@ -348,13 +343,7 @@ class RelayCell(GainCell[RelayFound]):
         lines, loop = self.said(), self.loop
         if loop is None:
             return lines
-        lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
-        truth = ultimate(loop)
-        text = (
-            f"at {self.where} the loop fitted to the relay oscillation has {loop.gain * 1e6:.4g} mm/kPa, dead time "
-            f"{loop.dead_time * 1e3:.3g} ms (half a sample period in it) and lags {lags}: it would oscillate at "
-            f"K_u = {show(truth.gain, 'gain', 4)}, T_u = {truth.period:.4g} s"
-        )
+        text = f"at {self.where} the loop fitted to the relay oscillation has {in_words(loop)}: {would(loop)}"
         lines.append(Finding("note", text))
         best = [level for i in self.good if (level := self.found[i].best) is not None]
         if static := [level.static for level in best if isfinite(level.static)]:
@@ -385,41 +374,24 @@ def _values(level: RelayLevel, symbol: str, method: str) -> tuple[float, float]:
 
 
 def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
-    scales = Scales.of(cell.runs)
-    pressure = "pressure_command" if method == DESCRIBED and "pressure_command" in scales.gains else "pressure"
+    says = (
+        "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit"
+        if method == DESCRIBED
+        else "the method part is the difference between the amplitudes, and what the loop's form is worth"
+    )
     found = []
-    for symbol, unit, quantity in SYMBOLS:
+    for symbol in SYMBOLS:
         best = [(i, level) for i in cell.good if (level := cell.found[i].best) is not None]
-        best = [(i, level) for i, level in best if isfinite(_values(level, symbol, method)[0])]
+        best = [(i, level) for i, level in best if isfinite(_values(level, symbol[0], method)[0])]
         if not best:
             reasons = dict.fromkeys(reason for trial in cell.found for reason in (*trial.refused, *trial.doubts))
-            found.append(replace(cell.empty(symbol, unit, quantity, method), note="; ".join(reasons)))
+            found.append(replace(cell.empty(*symbol, method), note="; ".join(reasons)))
             continue
-        values, halves = np.array([_values(level, symbol, method) for _, level in best]).T
-        value = float(values.mean())
-        scaled = (pressure, "displacement") if symbol == "K_u" else ()
-        estimate = replace(
-            cell.empty(symbol, unit, quantity, method),
-            value=value,
-            parts=Parts(
-                repeats=repeats(values, halves),
-                method=_method_part(cell, best, symbol, method),
-                calibration=scales.part(dict.fromkeys(scaled, value)),
-            ),
-            n=len(best),
-            note=sentences(
-                *(doubt for i, _ in best for doubt in cell.found[i].doubts),
-                "one trial: the repeats part is the scatter between its periods" if len(best) == 1 else "",
-                "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit"
-                if method == DESCRIBED
-                else "the method part is the difference between the amplitudes, and what the loop's form is worth",
-                scales.lack(scaled),
-            ),
-            trials=tuple(cell.trials[i].name for i, _ in best),
-        )
-        found.append(
-            weighed(estimate, _doubts([cell.found[i] for i, _ in best], value)) if method == FITTED else estimate
-        )
+        trials, values = [i for i, _ in best], [_values(level, symbol[0], method) for _, level in best]
+        parts = Parts(method=_method_part(cell, best, symbol[0], method))
+        described = method == DESCRIBED
+        e = cell.estimate(symbol, method, trials, values, parts, (says,), alone=ALONE, by_command=described)
+        found.append(e if described else weighed(e, _doubts([cell.found[i] for i in trials], e.value or 0.0)))
     return found
 
 

@@ -12,18 +12,17 @@ import numpy as np
 
 from pmabench.analysis import tuning
 from pmabench.analysis.shared import skew
-from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.calibration import Scales, listed, sentences
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.trials import by_point
+from pmabench.analysis.shared.trials import by_point, grouped, thinned
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop, ultimate
-from pmabench.store.analyses.results import Dropped, Estimate, Finding, Trace
+from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 SYMBOLS = (("K_u", "Pa/m", "gain"), ("T_u", "s", "time"))
 """What every way gives: symbol, unit, quantity."""
 DESCRIBED = "relay-describing-function"
-LONGEST_TRACE = 1500
 COLUMNS = {"t": "time", "displacement": "length", "model": "length", "pressure": "pressure",
            "pressure_command": "pressure", "gain": "gain", "log_ratio": "count", "fit": "count", "period": "time",
            "used": "count"}  # fmt: skip
@@ -38,6 +37,8 @@ class Examined:
     """Why it gives no value; empty where it does."""
     doubts: tuple[str, ...] = ()
     """What weakens its value."""
+    loop: Loop | None = None
+    """The loop behind it; None where it does not show."""
 
 
 Found = TypeVar("Found", bound=Examined)
@@ -55,9 +56,9 @@ class GainCell(ABC, Generic[Found]):
     found: tuple[Found, ...]
 
     @property
-    @abstractmethod
     def loop(self) -> Loop | None:
-        """The loop behind the oscillation, where it is known."""
+        """The loop of the first trial that has one."""
+        return next((loop for i in self.good if (loop := self.found[i].loop) is not None), None)
 
     @property
     @abstractmethod
@@ -122,6 +123,37 @@ class GainCell(ABC, Generic[Found]):
         parents = tuple(trial.name for trial in self.trials)
         return Estimate(symbol, None, unit, quantity, method, self.at, note=note, trials=parents)
 
+    def estimate(
+        self, symbol: tuple[str, str, str], method: str, of: Sequence[int], values: Sequence[tuple[float, float]],
+        parts: Parts, notes: Sequence[str], *, alone: str, bias: float | None = None, by_command: bool = True,
+    ) -> Estimate:  # fmt: skip
+        """The mean of `values`, each with its half width (NaN where it is unknown), of the trials `of`.
+
+        `parts` holds those by method and clocks; `alone` is what is noted of one trial. `by_command`: the scale of the
+        command counts where it has one of its own, else that of the measured pressure.
+        """
+        scales, (numbers, halves) = Scales.of(self.runs), np.array(values, dtype=np.float64).T
+        value = float(numbers.mean())
+        pressure = "pressure_command" if by_command and "pressure_command" in scales.gains else "pressure"
+        used = (pressure, "displacement") if symbol[0] == "K_u" else ()
+        within = sqrt(float(np.mean(halves**2)) / len(values))
+        known = [half for half in (within if isfinite(within) else None, spread(numbers)) if half is not None]
+        return replace(
+            self.empty(*symbol, method),
+            value=value,
+            parts=replace(parts, repeats=max(known, default=None), calibration=scales.part(dict.fromkeys(used, value))),
+            n=len(of),
+            bias=bias,
+            corrected=bias is not None,
+            note=sentences(
+                *(doubt for i in of for doubt in self.found[i].doubts),
+                alone if len(of) == 1 else "",
+                *notes,
+                scales.lack(used),
+            ),
+            trials=tuple(self.trials[i].name for i in of),
+        )
+
     def said(self) -> list[Finding]:
         """Each reason and doubt with the number of trials that it is said of."""
         said = [("fault", reason) for found in self.found for reason in found.refused]
@@ -133,13 +165,12 @@ class GainCell(ABC, Generic[Found]):
 
     def trace(self, figure: str, title: str, columns: Mapping[str, Array], marks: Mapping[str, float]) -> Trace:
         """Columns of a figure, thinned."""
-        stride = max(1, -(-len(next(iter(columns.values()))) // LONGEST_TRACE))
         at = "-".join(f"{self.at.get(name, 0.0):g}" for name in ("setpoint", "load"))
         return Trace(
             f"{figure}-{at}",
             figure,
             f"{title}, set-point {show(self.at.get('setpoint', 0.0), 'length')}",
-            {name: column[::stride] for name, column in columns.items()},
+            thinned(columns),
             {name: COLUMNS[name] for name in columns},
             marks,
         )
@@ -181,18 +212,16 @@ def plain_lags(loop: Loop) -> list[Any]:
     return [[lag.real, lag.imag] if lag.imag else lag.real for lag in map(complex, loop.lags)]
 
 
-def scaled(symbol: str, scales: Scales) -> tuple[str, ...]:
-    """Channels whose scale is in a value; that of the command is its own, else that of the measured pressure."""
-    command = "pressure_command" if "pressure_command" in scales.gains else "pressure"
-    return (command, "displacement") if symbol == "K_u" else ()
+def in_words(loop: Loop, of_dead_time: str = " (half a sample period in it)") -> str:
+    """Gain, dead time and lags of a loop."""
+    lags = listed([f"{complex(lag).real:.3g} s" for lag in loop.lags])
+    return f"{loop.gain * 1e6:.4g} mm/kPa, dead time {loop.dead_time * 1e3:.3g} ms{of_dead_time} and lags {lags}"
 
 
-def repeats(values: Array, halves: Array) -> float | None:
-    """Half width of the mean of trials: by that of each, NaN where it is unknown, and by their scatter."""
-    within = sqrt(float(np.mean(halves**2)) / len(values))
-    known = within if isfinite(within) else None
-    between = spread(values)
-    return known if between is None else max(between, known or 0.0)
+def would(loop: Loop) -> str:
+    """At which gain and period a loop would oscillate."""
+    truth = ultimate(loop)
+    return f"it would oscillate at K_u = {show(truth.gain, 'gain', 4)}, T_u = {truth.period:.4g} s"
 
 
 APART = {"K_u": 0.25, "T_u": 0.1}
@@ -216,11 +245,8 @@ def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
     """
     lines = []
     for symbol in ("K_u", "T_u"):
-        points: dict[tuple[tuple[str, float], ...], list[Estimate]] = {}
-        for e in estimates:
-            if e.symbol == symbol and e.value:
-                points.setdefault(tuple(sorted(e.at.items())), []).append(e)
-        for found in points.values():
+        known = [e for e in estimates if e.symbol == symbol and e.value]
+        for found in grouped(known, lambda e: tuple(sorted(e.at.items()))).values():
             if len(found) < 2:
                 continue
             where = show(found[0].at["setpoint"], "length") if "setpoint" in found[0].at else "one operating point"
