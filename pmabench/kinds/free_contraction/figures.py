@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.optimize import brentq
 
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
@@ -57,15 +58,11 @@ def half_pressure(P: Array, x: Array) -> float | None:
     if len(P) < 3 or not bool((np.diff(P) > 0).all()) or not x[-1] > 0:
         return None
     half = 0.5 * x[-1]
-    after = np.flatnonzero(x >= half)
-    if not len(after) or after[0] == 0:
+    after = int(np.argmax(x >= half))
+    if after == 0:
         return None
-    low, high = float(P[after[0] - 1]), float(P[after[0]])
     curve = PchipInterpolator(P, x)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if float(curve(middle)) < half else (low, middle)
-    return 0.5 * (low + high)
+    return float(brentq(lambda at: float(curve(at)) - half, P[after - 1], P[after], xtol=1e-12 * P[after]))
 
 
 def paper_length(P: Array, length: float) -> Array | None:

@@ -84,9 +84,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     shifted = {} if fit is None or other else _shifted(points, length, shape, zero)
     levels = [Level.of(point, shape, OPEN * abs(zero), fits=fits) for point in points]
     points = [level.point for level in levels]
-    estimates = _lengths(levels, length, scales)
-    estimates += [_half(levels, scales)] if len(points) > 2 else []
-    estimates = _weighed([*estimates, *_largest(levels, length, scales)], points, length)
+    estimates = _weighed(_lengths(levels, length, scales), points, length)
     estimates += _coefficients(fit, why, other, shifted, points, length, scales)
     curve = figures.curves(points, fit, length, compare=compare) if points else None
     findings = [
@@ -117,20 +115,26 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _lengths(levels: Sequence[Level], length: float, scales: Scales) -> list[Estimate]:
-    """L, and the difference of both sides, at each pressure."""
-    found, gaps = [], []
+    """L at each pressure, then the difference of both sides, and the largest contraction as a share of the length."""
+    lengths, gaps = [], []
     for level in levels:
         point, at, n = level.there, {"pressure": level.point.set}, len(level.there.repeats)
         slope = level.rise(scales.offsets.get("pressure", PRESSED))
         rises = {"displacement": point.x, "pressure": slope * level.point.pressure}
         scale = scales.part(rises, {"displacement": 1.0, "pressure": slope})
         parts = Parts(spread(point.repeats), level.method, scale)
-        found.append(_free("L", length - point.x, "length", at, parts, n, [point]))
+        lengths.append(_free("L", length - point.x, "length", at, parts, n, [point]))
         if len(point.gaps):
             value = float(point.gaps.mean())
             parts = Parts(spread(point.gaps), 0.0, scales.part({"displacement": value}))
             gaps.append(_free("x_H", value, "length", at, parts, len(point.gaps), [point]))
-    return found + gaps
+    found = [*lengths, *gaps, *([_half(levels, scales)] if len(levels) > 2 else [])]
+    if not levels or not 0 < length < np.inf:
+        return found
+    # as a share of the nominal length, which is taken as exact
+    top, e = max(zip(levels, lengths, strict=True), key=lambda one: one[0].there.x)
+    largest = replace(e, symbol="eps_max", value=top.there.x / length, unit="1", quantity="ratio")
+    return [*found, replace(largest, parts=e.parts.times(1 / length))]
 
 
 def _free(
@@ -159,21 +163,6 @@ def _half(levels: Sequence[Level], scales: Scales) -> Estimate:
     off = hypot(0.1 * coarse, between, value - (value if other is None else other), levels[0].zero)
     parts = Parts(half, off, scales.part({"pressure": value}, {"pressure": 1.0}))
     return _free("P_half", value, "pressure", {}, parts, n, points)
-
-
-def _largest(levels: Sequence[Level], length: float, scales: Scales) -> list[Estimate]:
-    """The largest contraction of all pressures, as a share of the nominal length, which is taken as exact."""
-    top = max(levels, key=lambda level: level.there.x, default=None)
-    if top is None or not length > 0 or not np.isfinite(length):
-        return []
-    point, rise = top.there, top.rise(scales.offsets.get("pressure", PRESSED))
-    half = spread(point.repeats)
-    scale = scales.part(
-        {"displacement": point.x / length, "pressure": rise * top.point.pressure / length},
-        {"displacement": 1 / length, "pressure": rise / length},
-    )
-    parts = Parts(None if half is None else half / length, top.method / length, scale)
-    return [_free("eps_max", point.x / length, "ratio", {"pressure": point.set}, parts, len(point.repeats), [point])]
 
 
 def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
