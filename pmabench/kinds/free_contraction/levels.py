@@ -14,6 +14,7 @@ from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.kinds.free_contraction.rests import NOTHING, VENTED, Point, Shape
+from pmabench.model.library.description import Model
 from pmabench.store.records import Array
 
 BENDS = {True: 0.2, False: 1.0}
@@ -56,13 +57,17 @@ def curve_of(points: Sequence[Point]) -> tuple[Array, Array]:
     return np.array([point.pressure for point in points]), np.array([point.x for point in points])
 
 
+def highest(model: Model) -> float:
+    """Pressure up to which a model holds [Pa]."""
+    return next(p.high for p in model.parameters if p.name == "pressure")
+
+
 def sigmoid(fit: ModelFit) -> Shape:
     """Contraction by the fitted sigmoid, but for a constant."""
-    most = next(p.high for p in fit.model.parameters if p.name == "pressure")
-    known = {unknown.name: unknown.value for unknown in fit.unknowns}
+    most, known = highest(fit.model), {**fit.fixed, **fit.values}
 
     def shape(P: Array) -> Array:
-        return -np.asarray(fit.model.evaluate({**fit.fixed, **known, "pressure": np.clip(P, 0.0, most)})["length"])
+        return -np.asarray(fit.model.evaluate({**known, "pressure": np.clip(P, 0.0, most)})["length"])
 
     return shape
 

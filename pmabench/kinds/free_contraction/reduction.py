@@ -24,7 +24,7 @@ from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction import RESULTS, figures
-from pmabench.kinds.free_contraction.levels import Level, curve_of, sigmoid, through, zero_of, zeroed
+from pmabench.kinds.free_contraction.levels import Level, curve_of, highest, sigmoid, through, zero_of, zeroed
 from pmabench.kinds.free_contraction.rests import CHANNELS, Point, Shape, measure, points_of
 from pmabench.model.library import MODELS
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, withhold
@@ -86,12 +86,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     points = [level.point for level in levels]
     estimates = _weighed(_lengths(levels, length, scales), points, length)
     estimates += _coefficients(fit, why, other, shifted, points, length, scales)
-    curve = figures.curves(points, fit, length, compare=compare) if points else None
     findings = [
         *figures.of_points(points),
         *said,
         *(figures.of_fit(fit, why, other) if points else []),
-        *(figures.of_paper(curve, length) if curve is not None and compare else []),
+        *(figures.of_paper(points, length) if points and compare else []),
     ]
     if estimates and (missing := scales.lack(CHANNELS)):
         findings.append(Finding("note", missing))
@@ -102,7 +101,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=estimates,
         dropped=dropped,
         findings=findings,
-        traces=[] if curve is None else [figures.trace(curve, length)],
+        traces=[figures.trace(points, fit, length, compare=compare)] if points else [],
         facts={
             "options": dict(options or {}),
             "nominal_length": length,
@@ -176,7 +175,7 @@ def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tu
         return None, f"no fit: {len(points)} pressures for {len(UNKNOWN)} coefficients"
     if not np.isfinite(x).all() or not 0 < length <= 2:
         return None, "no fit: the plan tells no nominal length"
-    most = next(p.high for p in model.parameters if p.name == "pressure")
+    most = highest(model)
     if P.max() > most:
         return None, f"no fit: the sigmoid holds up to {show(most, 'pressure')}"
     fixed = {p.name: p.value for p in model.parameters if p.name not in ("pressure", *UNKNOWN)}
@@ -188,7 +187,7 @@ def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tu
             fit = fit_model(model, "length", columns, fixed, length - x - off, UNKNOWN, start=start)
         except ValueError:
             return None, "no fit: no sigmoid comes near these lengths"
-        start, before, shape = {one.name: one.value for one in fit.unknowns}, x, sigmoid(fit)
+        start, before, shape = fit.values, x, sigmoid(fit)
         x = np.array([point.at(point.pressure, shape).x for point in points])
         if np.abs(x - before).max() < SETTLED:
             break
@@ -257,7 +256,7 @@ def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
 
 def _unseen(points: Sequence[Point], fit: ModelFit) -> str:
     """Why the knee of the sigmoid is not seen, with numbers; empty where a pressure is near it."""
-    knee = next(unknown.value for unknown in fit.unknowns if unknown.name == "c")
+    knee = fit.values["c"]
     if any(abs(point.pressure - knee) <= NEAR * knee for point in points):
         return ""
     ends = f"between {show((1 - NEAR) * knee, 'pressure', 2)} and {show((1 + NEAR) * knee, 'pressure', 2)}"
@@ -315,8 +314,7 @@ def _shifted(points: Sequence[Point], length: float, shape: Shape, zero: float) 
 
 def _leverage(fit: ModelFit) -> tuple[Array, Shape]:
     """Change of a to e by that of each length, shape (5, n), and the fitted length over pressure."""
-    P = fit.columns["pressure"]
-    known = {unknown.name: unknown.value for unknown in fit.unknowns}
+    P, known = fit.columns["pressure"], fit.values
 
     def computed(P: Array, **changed: float) -> Array:
         return np.asarray(fit.model.evaluate({**fit.fixed, "pressure": P, **known, **changed})["length"])
@@ -333,8 +331,7 @@ def _scaled(fit: ModelFit, length: float) -> dict[tuple[str, str], Array]:
     """Change of a to e, shape (5,), by a relative change (`gain`) or an offset of 1 [SI] of each channel."""
     P = fit.columns["pressure"]
     leverage, computed = _leverage(fit)
-    most = next(p.high for p in fit.model.parameters if p.name == "pressure")
-    below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, most)
+    below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, highest(fit.model))
     rises = (computed(above) - computed(below)) / (above - below)
     x = length - fit.measured
     moved = {("pressure", "offset"): -rises, ("pressure", "gain"): -rises * P,
@@ -378,9 +375,9 @@ def _coefficients(
         n = 0 if fit is None else len(fit.measured)
         note = sentences(note, RESIDUALS if half is not None else "")
         e = Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name)
-        others = {way: next(u.value for u in one.unknowns if u.name == name) for way, one in shifted.items()}
         doubts = [
-            Doubt(way, PART.get(way, "method"), abs(other - (value or 0.0)), seen=True) for way, other in others.items()
+            Doubt(way, PART.get(way, "method"), abs(one.values[name] - (value or 0.0)), seen=True)
+            for way, one in shifted.items()
         ]
         found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found

@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of, refuse_incomplete
+from pmabench.analysis.shared.samples import Held, Left, NotUsable, ends, left, noise_of, refuse_incomplete
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -172,7 +173,7 @@ def measure(run: RunData, trial: TrialData) -> Rest:
     moved = [c for c in ramps if c.phase != "vent" and t[0] - 1e-9 <= c.t <= end]
     begin = moved[0].t if moved else end
     paced = [c for c in moved if c.data.get("rate", 0.0) > 0]
-    there = max((c.t + abs(c.value - c.before) / c.data["rate"] for c in paced), default=t[0])
+    there = max(map(ends, paced), default=t[0])
     first = good & (t >= begin - LAST * (begin - t[0])) & (t < begin - 1e-9)
     last = good & (t >= end - LAST * (end - there)) & (t <= end)
     if min(first.sum(), last.sum()) < FEWEST or end <= there:
@@ -186,18 +187,9 @@ def measure(run: RunData, trial: TrialData) -> Rest:
 
 def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
     """The pressures, rising, and the trials that tell nothing."""
-    groups: dict[int, list[Rest]] = {}
-    dropped = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                rest = measure(run, trial)
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-            else:
-                groups.setdefault(round(trial.point["pressure"]), []).append(rest)
+    every, dropped = measured_trials(runs, measure)
     points = []
-    for pressure, rests in sorted(groups.items()):
+    for pressure, rests in sorted(grouped(every, lambda rest: round(rest.trial.point["pressure"])).items()):
         by: dict[object, dict[float, Rest]] = {}
         order, sides = Counter[object](), {rest.side for rest in rests}
         for rest in rests:  # trials of one file are repeats too, where nothing else tells them apart
