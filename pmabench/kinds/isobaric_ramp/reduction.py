@@ -27,7 +27,7 @@ from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
-from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, ONE_SPEED, Cell, Member
+from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, ONE_SPEED, Cell, Member, is_bent
 from pmabench.kinds.isobaric_ramp.creep import creeps_of
 from pmabench.kinds.isobaric_ramp.curve import of_curve
 from pmabench.kinds.isobaric_ramp.doubts import judged
@@ -262,8 +262,6 @@ KIND = "isobaric-ramp"
 CHANNELS = ("displacement", "force")
 UNPRESSED = 1.0
 """Set pressure up to which a loop is of the rubber alone [Pa]."""
-STRAIGHT = 0.02
-"""Rms of a mean curve about a straight line, as a share of its range, up to which it counts as one."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -363,7 +361,8 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
             )  # fmt: skip
             if F_here:
                 yield _along(P, F_here, trace)
-            if P in K and _is_straight(trace):
+            x, F = trace.columns["displacement"], trace.columns["force"]
+            if P in K and len(x) > 2 and not is_bent(x, F):
                 yield _of_stroke(P, K[P], trace)
             elif K_here:
                 yield _along(P, K_here)
@@ -399,8 +398,3 @@ def _of_stroke(P: float, K: Estimate, course: Trace) -> Offer:
         return replace(K, parts=replace(K.parts, method=hypot(K.parts.method or 0.0, off)))
 
     return Offer("K", {(P, None): K}, at)
-
-
-def _is_straight(trace: Trace) -> bool:
-    x, F = trace.columns["displacement"], trace.columns["force"]
-    return len(x) > 2 and float(np.std(F - np.polyval(np.polyfit(x, F, 1), x))) <= STRAIGHT * float(np.ptp(F))

@@ -211,7 +211,7 @@ class Fitted:
             doubt = hypot(bias, apart.get(symbol, 0.0), factor * crept[name])
             slope = None if slopes is None else factor * getattr(slopes, name.removesuffix(" width"))
             gains = {"force": value, "displacement": -value if symbol in ("K", "B") else 0.0}
-            part = _calibration(scales, gains, slope, at.get("pressure", 0.0))
+            part = scales.part_at(at.get("pressure", 0.0), slope, gains, {})
             parts = Parts(half, doubt, part, factor * skewed[name])
             said = sentences(note, self._repeats_note(half))
             e = replace(e, value=value - bias, parts=parts, bias=bias, corrected=True, note=said)
@@ -281,7 +281,7 @@ class Fitted:
                 values = np.array([getattr(sine, of) for sine in sines])
                 half = mean_half(values, [np.array([getattr(one, of) for one in sine.cycles]) for sine in sines])
                 bias = float(np.mean([getattr(self.again[i], of) for i in places])) - truth[symbol]
-                part = _calibration(scales, gains, slope.get(symbol), P)
+                part = scales.part_at(P, slope.get(symbol), gains, {})
                 method = WIDTH if symbol in ("H", "W") else HARMONIC
                 note = NO_REPEATS if half is None else CYCLES if len(sines) == 1 else ""
                 one = Estimate(
@@ -334,14 +334,6 @@ class Fitted:
             "cycles": [len(sine.cycles) for sine in sines],
             "distortion": max(sine.distortion for sine in sines),
         }
-
-
-def _calibration(scales: Scales, gains: Mapping[str, float], slope: float | None, P: float) -> float | None:
-    """The calibration part: scales of force, displacement and pressure."""
-    gains = {name: change for name, change in gains.items() if change}
-    if slope is not None:
-        return scales.part({**gains, "pressure": slope * P}, {"pressure": slope})
-    return scales.part(gains)
 
 
 def _truth(muscle: Muscle, omega: float, A: float) -> dict[str, float]:

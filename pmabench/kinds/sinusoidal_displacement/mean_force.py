@@ -76,15 +76,16 @@ def mean_force_estimates(
     scatter = line.half_start if line.half_start is not None else _half_by_cycles(fitted)
     half = None if scatter is None or K_half is None else hypot(scatter, K_half * mean)
     gains, offsets = {"force": line.start}, {"force": 1.0, "displacement": fitted.lines.K.start}
-    if slope is not None:
-        gains["pressure"], offsets["pressure"] = slope * wanted, slope
     one_each = len(members) == len({member.sine.frequency for member in members})
     repeats = CYCLES if len(members) == 1 else CYCLES_OF_EACH if one_each else ""
     note = sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", repeats)
     off, off_half = form.carried
     open_half = hypot(min(off_half, abs(line.start)), REMAINS * off)
     parts = Parts(
-        half, hypot(K_bias * mean, doubt, open_half), scales.part(gains, offsets), fitted.skewed()["K"] * abs(mean)
+        half,
+        hypot(K_bias * mean, doubt, open_half),
+        scales.part_at(wanted, slope, gains, offsets),
+        fitted.skewed()["K"] * abs(mean),
     )
     names = tuple(member.name for member in members)
     n = len(members)
@@ -93,7 +94,7 @@ def mean_force_estimates(
     there = Parts(
         scatter,
         hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), REMAINS * form.h2, form.apart),
-        scales.part(gains | {"force": F}, offsets),
+        scales.part_at(wanted, slope, {"force": F}, offsets),
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
     F_ce, mean_force = (weighed(one, drift_of(members)) for one in (F_ce, mean_force))
