@@ -16,7 +16,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, Swing, measure, replay
 from pmabench.analysis.shared.skew import courses, settled
-from pmabench.analysis.shared.trials import grouped
+from pmabench.analysis.shared.trials import Point, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.form import lost
 from pmabench.store.analyses.results import Estimate, Finding, Parts
@@ -334,6 +334,13 @@ class Fitted:
             "cycles": [len(sine.cycles) for sine in sines],
             "distortion": max(sine.distortion for sine in sines),
         }
+
+
+def of_like_motion(fits: Mapping[Point, Fitted]) -> list[list[Point]]:
+    """Cells that differ by their pressure alone, two or more together, by rising pressure."""
+    pressed = sorted(key for key in fits if "pressure" in dict(key))
+    groups = grouped(pressed, lambda key: tuple(item for item in key if item[0] != "pressure"))
+    return [keys for keys in groups.values() if len(keys) > 1]
 
 
 def _truth(muscle: Muscle, omega: float, A: float) -> dict[str, float]:

@@ -27,8 +27,17 @@ from pmabench.analysis.shared.form import Doubt, force_from_cycle_to_cycle, weig
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
+from pmabench.analysis.shared.trials import Point
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement.fit import BETWEEN, CYCLES, CYCLES_OF_EACH, NO_REPEATS, Fitted, Member
+from pmabench.kinds.sinusoidal_displacement.fit import (
+    BETWEEN,
+    CYCLES,
+    CYCLES_OF_EACH,
+    NO_REPEATS,
+    Fitted,
+    Member,
+    of_like_motion,
+)
 from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, TURNS, Form, cycle_of
 from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
@@ -39,21 +48,16 @@ AT_MEAN = "at the mean contraction, at speed 0, halfway between both branches"
 NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
 
 
-def force_slopes(fits: Mapping[tuple[tuple[str, float], ...], Fitted]) -> dict[tuple[tuple[str, float], ...], float]:
+def force_slopes(fits: Mapping[Point, Fitted]) -> dict[Point, float]:
     """dF_ce/dP [N/Pa] at each cell, from the cells of like motion; absent without two pressures."""
-    alike: dict[tuple[tuple[str, float], ...], list[tuple[tuple[str, float], ...]]] = {}
-    for key in fits:
-        if "pressure" in dict(key):
-            alike.setdefault(tuple(item for item in key if item[0] != "pressure"), []).append(key)
-    found = {}
-    for keys in alike.values():
+    found: dict[Point, float] = {}
+    for keys in of_like_motion(fits):
         P = np.array([np.mean([m.sine.pressure for m in fits[key].group]) for key in keys])
-        if len(keys) < 2 or np.isnan(P).any() or np.ptp(P) < 1e-3 * P.max():
+        if np.isnan(P).any() or np.ptp(P) < 1e-3 * P.max():
             continue
         order = np.argsort(P)
         F = np.array([_line(fits[keys[i]], 0.0, nan).start for i in order])
-        for place, slope in zip(order, np.gradient(F, P[order]), strict=True):
-            found[keys[place]] = float(slope)
+        found |= {keys[i]: float(slope) for i, slope in zip(order, np.gradient(F, P[order]), strict=True)}
     return found
 
 

@@ -7,7 +7,7 @@ lines through those of one cell are in `fit`, what sensors leave open in `sensor
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import partial
 from math import nan
 from typing import Any
@@ -18,12 +18,12 @@ from pmabench.analysis.imported import import_of
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import settings_of
-from pmabench.analysis.shared.trials import grouped, measured_trials, point_by
+from pmabench.analysis.shared.trials import Point, grouped, measured_trials, point_by
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
 from pmabench.kinds.sinusoidal_displacement.figures import traces_of
-from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
+from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle, of_like_motion
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
 from pmabench.kinds.sinusoidal_displacement.sensors import Named, name_of, with_sensors
@@ -33,8 +33,6 @@ from pmabench.store.records import RunData
 KIND = "sinusoidal-displacement"
 CHANNELS = ("displacement", "force")
 CELL = ("pressure", "mean", "amplitude")
-Key = tuple[tuple[str, float], ...]
-"""A cell: names and values of its point."""
 ALIKE = {"amplitude": (0.02, "amplitude"), "mean": (0.02, "amplitude"), "pressure": (0.01, "pressure")}
 """Coordinates that were measured are one where they differ by no more than a share, and of what."""
 UNEVEN = 0.01
@@ -65,10 +63,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     traces: list[Trace] = []
     lines: list[dict[str, Any]] = []
     fits, stated = _fits(members, options)
-    rising = mean_force.force_slopes(fits)
+    rising, changing = mean_force.force_slopes(fits), _over_pressure(fits)
     centres: dict[float, list[mean_force.Centre]] = {}
     for key, fitted in fits.items():
-        slopes = _over_pressure(key, fits)
+        slopes = changing.get(key)
         evaluated = partial(_evaluated, at=dict(key), scales=scales, slopes=slopes, slope=rising.get(key))
         form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
         found = with_sensors(evaluated(fitted, form), fitted, partial(_named, evaluated, form), late=stated[key] == 0)
@@ -123,7 +121,7 @@ def _named(evaluated: Callable[[Fitted, Form], list[Estimate]], form: Form, fitt
     return {name_of(e): e for e in found if e.value is not None}
 
 
-def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Key, Fitted], dict[Key, float]]:
+def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Point, Fitted], dict[Point, float]]:
     """The lines of each cell, and what is stated of the time between displacement and force there [s]."""
     cells = _cells(members, CELL)
     stated = {
@@ -143,20 +141,14 @@ def _with_centres(
     return [*(e for e in estimates if e not in empty), *given.values()]
 
 
-def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:
-    """Slopes of K, B and F_c over pressure at one cell, from the cells of like motion; None without two pressures."""
-    at = dict(key)
-    like = {
-        dict(other)["pressure"]: fitted.muscle
-        for other, fitted in fits.items()
-        if "pressure" in dict(other) and {**at, "pressure": 0.0} == {**dict(other), "pressure": 0.0}
-    }
-    if "pressure" not in at or len(like) < 2:
-        return None
-    P = sorted(like)
-    values = np.array([(like[p].K, like[p].B, like[p].F_c) for p in P])
-    K, B, F_c = np.gradient(values, np.array(P), axis=0)[P.index(at["pressure"])]
-    return Muscle(float(K), float(B), float(F_c))
+def _over_pressure(fits: Mapping[Point, Fitted]) -> dict[Point, Muscle]:
+    """Slopes of K, B and F_c over pressure, from the cells of like motion; absent without two pressures."""
+    found: dict[Point, Muscle] = {}
+    for keys in of_like_motion(fits):
+        values = np.array([astuple(fits[key].muscle) for key in keys])
+        slopes = np.gradient(values, [dict(key)["pressure"] for key in keys], axis=0)
+        found |= {key: Muscle(*row) for key, row in zip(keys, slopes.tolist(), strict=True)}
+    return found
 
 
 def _as_alike(members: Sequence[Member]) -> list[Member]:
@@ -181,7 +173,7 @@ def _as_alike(members: Sequence[Member]) -> list[Member]:
     return [replace(m, trial=replace(m.trial, point=points.get(m.name, m.trial.point))) for m in members]
 
 
-def _cells(members: Sequence[Member], names: Sequence[str]) -> list[tuple[Key, list[Member]]]:
+def _cells(members: Sequence[Member], names: Sequence[str]) -> list[tuple[Point, list[Member]]]:
     """The trials with the same values of `names`, by rising values."""
     return sorted(grouped(members, lambda one: point_by(one.trial, names)).items())
 
