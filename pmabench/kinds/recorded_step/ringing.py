@@ -42,33 +42,27 @@ STOPPED = 0.3
 def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any]) -> list[Estimate]:
     """K and B where the motion rings, or why not; from times and a mass, no scale of a channel enters."""
     parents = tuple(step.name for step in steps)
-    kinds = (("K", "N/m", "stiffness"), ("B", "N.s/m", "damping"))
     masses = [float(options.get("mass", step.trial.point.get("mass", 0.0))) for step in steps]
+    known = all(masses)
     unknown = "pressure and displacement at one load give ratios only; `point: {mass: ...}` gives the moving mass"
-    why = "" if all(masses) else unknown
-    held = False
-    ranges: dict[str, list[tuple[float, float]]] = {"K": [], "B": []}
-    for step, mass in zip(steps, masses, strict=True):
-        if not why:
-            why = _why_not(step)
-            held = bool(why)
-        if why:
+    why = "" if known else unknown
+    possible: list[list[motion.Delayed]] = []
+    for step in steps if known else ():
+        if why := _why_not(step):
             break
-        possible = possible_motions(step.driven, step.best, step.others)
-        if why := _unlike(step, possible):
-            held = True
+        possible.append(possible_motions(step.driven, step.best, step.others))
+        if why := _unlike(step, possible[-1]):
             break
-        ranges["K"].append(_range([(mass * one.K, mass * one.half_K) for one in possible]))
-        ranges["B"].append(_range([(mass * one.B, mass * one.half_B) for one in possible]))
     found: list[Estimate] = []
-    for symbol, unit, quantity in kinds:
+    for symbol, unit, quantity in (("K", "N/m", "stiffness"), ("B", "N.s/m", "damping")):
         empty = Estimate(symbol, None, unit, quantity, RINGING, at, n=len(steps), trials=parents)
         if why:
             reason = f"{why}; {INSTEAD}"
-            found.append(withhold(empty, reason) if held else replace(empty, note=reason))
+            found.append(withhold(empty, reason) if known else replace(empty, note=reason))
             continue
-        value, half = mean_with_half([(low + high) / 2 for low, high in ranges[symbol]])
-        wide = max((high - low) / 2 for low, high in ranges[symbol])
+        ranges = [_range(symbol, mass, forms) for mass, forms in zip(masses, possible, strict=True)]
+        value, half = mean_with_half([(low + high) / 2 for low, high in ranges])
+        wide = max((high - low) / 2 for low, high in ranges)
         if wide > RANGE * value:
             spread = f"+-{wide / value:.0%} for the motions that fit alike"
             found.append(withhold(empty, f"it lies within {spread}, accepted is +-{RANGE:.0%}; {INSTEAD}"))
@@ -103,8 +97,9 @@ def possible_motions(
     return found
 
 
-def _range(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """From the least to the greatest of values with half widths."""
+def _range(symbol: str, mass: float, forms: Sequence[motion.Delayed]) -> tuple[float, float]:
+    """K or B of a moving mass from the least to the greatest that forms allow."""
+    values = [(mass * getattr(one, symbol), mass * getattr(one, f"half_{symbol}")) for one in forms]
     return min(value - half for value, half in values), max(value + half for value, half in values)
 
 
