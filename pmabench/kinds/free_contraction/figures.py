@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
-from pmabench.kinds.free_contraction.levels import curve_of
+from pmabench.kinds.free_contraction.points import Point, curve_of
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
 from pmabench.plotting.plots import BLUE, BROWN, CROSSES, HALF, INK, Panel, blank, few_ticks, grid
@@ -20,8 +20,6 @@ from pmabench.store.records import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from pmabench.kinds.free_contraction.rests import Point
 
 CURVE = 121
 """Points of a drawn curve."""

@@ -24,8 +24,20 @@ from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction import RESULTS, figures
-from pmabench.kinds.free_contraction.levels import Level, curve_of, highest, sigmoid, through, zero_of, zeroed
-from pmabench.kinds.free_contraction.rests import CHANNELS, Point, Shape, measure, points_of
+from pmabench.kinds.free_contraction.points import (
+    CHANNELS,
+    Level,
+    Point,
+    Shape,
+    curve_of,
+    highest,
+    measure,
+    points_of,
+    sigmoid,
+    through,
+    zero_of,
+    zeroed,
+)
 from pmabench.model.library import MODELS
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData, TrialData

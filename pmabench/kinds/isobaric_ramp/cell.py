@@ -1,6 +1,6 @@
 """The loops of one pressure and stroke at all their speeds: lines over the speed, mean curve, and what they show.
 
-Knows no coefficient: those of the mean curve are in `curve`, those of the gap in `gap`.
+Knows no coefficient: those of the mean curve and of the gap are in `coefficients`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from math import hypot, isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -26,6 +27,8 @@ CURVE, RAW, LOCAL = OF_MEAN = "mean-curve", "mean-curve, turns left in", "mean-c
 GAP, MEAN_GAP, OPEN = "loop-gap", "loop-gap, mean over the stroke", "loop-gap, open loop"
 WINDOW = 0.06
 """Half width of the cubic through the mean curve for force and slope at a place, as a share of the stroke."""
+OPENED = 0.7
+"""Share of the stroke, about its middle, in which turns have faded."""
 BENT = 0.02
 """Rms of the mean curve about a straight line, as a share of its range, that is worth a sentence."""
 UNEVEN = 0.05
@@ -97,6 +100,12 @@ class Cell:
     def middle(self) -> float:
         """[m]."""
         return float(0.5 * (self.x[0] + self.x[-1]))
+
+    @property
+    def opened(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Places on the grid from -1 to 1, and in which of them turns have faded."""
+        place = (self.x - self.middle) / (0.5 * np.ptp(self.x))
+        return place, np.abs(place) < OPENED
 
     @property
     def ends(self) -> tuple[float, float]:

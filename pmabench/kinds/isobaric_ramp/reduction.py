@@ -28,10 +28,9 @@ from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, betw
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
 from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, ONE_SPEED, Cell, Member, is_bent
+from pmabench.kinds.isobaric_ramp.coefficients import CYCLES, of_curve, of_gap
 from pmabench.kinds.isobaric_ramp.creep import creeps_of
-from pmabench.kinds.isobaric_ramp.curve import of_curve
 from pmabench.kinds.isobaric_ramp.doubts import judged
-from pmabench.kinds.isobaric_ramp.gap import CYCLES, of_gap
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
