@@ -23,6 +23,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import Loop, measure_as_planned
 from pmabench.analysis.shared.samples import NotUsable, settings_of
+from pmabench.analysis.shared.student import half_of_trials
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
@@ -124,12 +125,9 @@ def _at_middle(loop: Loop) -> tuple[Array, float]:
 
 
 def _estimate(cell: Cell, known: Sequence[Wider]) -> Estimate:
-    gaps = np.array([one.gap for one in known])
-    line, n = cell.gap, len(known)
-    value = float(gaps.mean()) / line.start
-    between = float(student.ppf(0.975, n - 1) * gaps.std(ddof=1) / sqrt(n)) if n > 1 else 0.0
-    within = sqrt(float(np.mean([one.scatter**2 for one in known])) / n)
-    repeats = hypot(max(between, within) / line.start, value * (line.half_start or 0.0) / line.start)
+    gaps, line, n = [one.gap for one in known], cell.gap, len(known)
+    value, half = float(np.mean(gaps)) / line.start, half_of_trials(gaps, [one.scatter for one in known])
+    repeats = hypot((half or 0.0) / line.start, value * (line.half_start or 0.0) / line.start)
     parts = Parts(repeats, max(one.open for one in known) / line.start, 0.0)
     note = sentences(
         CYCLES if n == 1 else "",

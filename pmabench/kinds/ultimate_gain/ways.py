@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, sqrt
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from pmabench.analysis import tuning
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, listed, sentences
-from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.analysis.shared.student import half_of_trials
 from pmabench.analysis.shared.trials import by_point, grouped, thinned
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop, ultimate
@@ -132,16 +131,16 @@ class GainCell(ABC, Generic[Found]):
         `parts` holds those by method and clocks; `alone` is what is noted of one trial. `by_command`: the scale of the
         command counts where it has one of its own, else that of the measured pressure.
         """
-        scales, (numbers, halves) = Scales.of(self.runs), np.array(values, dtype=np.float64).T
-        value = float(numbers.mean())
+        scales, (numbers, halves) = Scales.of(self.runs), zip(*values, strict=True)
+        value = float(np.mean(numbers))
         pressure = "pressure_command" if by_command and "pressure_command" in scales.gains else "pressure"
         used = (pressure, "displacement") if symbol[0] == "K_u" else ()
-        within = sqrt(float(np.mean(halves**2)) / len(values))
-        known = [half for half in (within if isfinite(within) else None, spread(numbers)) if half is not None]
         return replace(
             self.empty(*symbol, method),
             value=value,
-            parts=replace(parts, repeats=max(known, default=None), calibration=scales.part(dict.fromkeys(used, value))),
+            parts=replace(
+                parts, repeats=half_of_trials(numbers, halves), calibration=scales.part(dict.fromkeys(used, value))
+            ),
             n=len(of),
             bias=bias,
             corrected=bias is not None,
