@@ -55,6 +55,11 @@ def point_by(trial: TrialData, names: Sequence[str]) -> Point:
     return tuple((name, round(trial.point[name], 9)) for name in names if name in trial.point)
 
 
+def roughly(at: Mapping[str, float], without: str = "") -> Point:
+    """An operating point to six digits as a key, so that equal settings agree; without one of its entries."""
+    return tuple((name, float(f"{value:.6g}")) for name, value in sorted(at.items()) if name != without)
+
+
 def by_point(members: Sequence[tuple[RunData, TrialData]]) -> list[tuple[dict[str, float], Members]]:
     """Operating points [SI] in rising order, each with its runs and trials in the order that they came."""
     return [(dict(key), group) for key, group in sorted(grouped(members, lambda one: point_of(one[1])).items())]
@@ -195,7 +200,7 @@ def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
 
     every = [trial for run in in_time(runs) for trial in run.trials if trial.status == "finished"]
     usable = [t for t in every if not t.reference and not t.again and channel in t.channels and known(t).sum() > 1]
-    groups = grouped(usable, lambda one: tuple((n, float(f"{at:.6g}")) for n, at in sorted(one.point.items())))
+    groups = grouped(usable, lambda one: roughly(one.point))
     most = max((len(group) for group in groups.values()), default=0)
     if most < 2:
         return []
