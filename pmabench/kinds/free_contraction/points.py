@@ -59,7 +59,7 @@ class Rest:
 
     @property
     def side(self) -> float:
-        """-1 reached from below, 1 from above; 0 where the protocol does not tell them apart."""
+        """-1 reached from below, 1 from above; 0 where the protocol has no sides."""
         return self.trial.point.get("side", 0.0)
 
 
@@ -191,7 +191,7 @@ def measure(run: RunData, trial: TrialData) -> Rest:
 
 
 def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
-    """The pressures, rising, and the trials that tell nothing."""
+    """The pressures, rising, and the trials that cannot be used."""
     every, dropped = measured_trials(runs, measure)
     points = []
     for pressure, rests in sorted(grouped(every, lambda rest: round(rest.trial.point["pressure"])).items()):

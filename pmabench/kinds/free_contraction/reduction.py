@@ -186,7 +186,7 @@ def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tu
     if len(points) <= len(UNKNOWN):
         return None, f"no fit: {len(points)} pressures for {len(UNKNOWN)} coefficients"
     if not np.isfinite(x).all() or not 0 < length <= 2:
-        return None, "no fit: the plan tells no nominal length"
+        return None, "no fit: the plan gives no nominal length"
     most = highest(model)
     if P.max() > most:
         return None, f"no fit: the sigmoid holds up to {show(most, 'pressure')}"

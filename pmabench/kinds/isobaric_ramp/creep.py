@@ -69,7 +69,7 @@ class _Tried:
     counts: NDArray[np.bool_]
     """Whether it is neither too fast nor too slow for the cell."""
     most: Array
-    """K_1 [N/m]; inf where the cycles do not tell."""
+    """K_1 [N/m]; inf where the cycles do not show it."""
     stiffness: Array
     force: Array
     """Shape (k, n)."""
@@ -79,7 +79,7 @@ class _Tried:
 
 
 def creeps_of(cells: Sequence[Cell]) -> list[Creep | None]:
-    """What creep may be in each cell; None where its cycles do not tell, as one alone.
+    """What creep may be in each cell; None where its cycles do not show it, as one alone.
 
     A cell that is tested after others moves about the same middle, to which the end of the spring has come. What they
     allow, as a share of the stiffness, holds for it too, but for a factor.
@@ -138,7 +138,7 @@ def _columns(cell: Cell, slow: bool) -> Iterator[tuple[int, Sequence[Array]]]:
     """A sign and what else may change it, shape (cycles,) each.
 
     Each trial has a force of its own. The stiffness may also rise with the speed, by a pressure that moves; two speeds
-    do not tell that from creep. The dome is a parabola where creep is slower than any ramp (`slow`).
+    cannot distinguish that from creep. The dome is a parabola where creep is slower than any ramp (`slow`).
     """
     cycles = [len(member.loop.lost) for member in cell.members]
     speeds = np.repeat([member.speed for member in cell.members], cycles)
@@ -234,7 +234,7 @@ class Bound:
 
 
 def bound_of(columns: Sequence[Array], unit: Array, shown: Array) -> Bound | None:
-    """How many times `unit` is in what is `shown`, next to `columns`, shape (n,) each; None where they do not tell."""
+    """How many times `unit` is in what is `shown`, next to `columns`, shape (n,) each; None if unknown."""
     design = np.column_stack([*columns, unit])
     freedom = len(shown) - design.shape[1]
     terms, _, rank, _ = np.linalg.lstsq(design, shown, rcond=None)

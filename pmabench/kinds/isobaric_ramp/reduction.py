@@ -206,7 +206,7 @@ def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], l
     """A, B1, B2 and the force along the stretch from the loops without pressure."""
     length = _length(cell)
     if length is None:
-        return [], [Finding("note", "no rubber term: the record tells no nominal length of the specimen")], []
+        return [], [Finding("note", "no rubber term: the record gives no nominal length of the specimen")], []
     eps = cell.x / length
     if len(eps) < FEWEST or float(np.ptp(cell.curve)) <= 6 * max(m.loop.noise for m in cell.members):
         return [], [Finding("doubt", "no rubber term: the force at 0 kPa does not rise above its noise")], []
@@ -227,7 +227,7 @@ def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], l
         wide = parts.combined
         if wide is None or wide > WIDE * abs(value) or at_bound:
             texts = [show(one, quantity, 3) for one in (value, wide or 0.0)]
-            how = "one loop tells no scatter" if wide is None else " within ".join(texts)
+            how = "one loop shows no scatter" if wide is None else " within ".join(texts)
             e = replace(e, value=None, parts=Parts(), note=f"not identifiable ({how}): {SHORT}")
         found.append(e)
     reach = f"{show(rms, 'force', 2)} rms, from {100 * eps[0]:.3g} to {100 * eps[-1]:.3g} %"
@@ -249,7 +249,7 @@ def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], l
 
 
 def _length(cell: Cell) -> float | None:
-    """Nominal length of the specimen [m], as the record tells it."""
+    """Nominal length of the specimen [m], as recorded; None if unknown."""
     specimen = cell.members[0].run.manifest.get("specimen")
     length = specimen.get("nominal_length") if isinstance(specimen, Mapping) else None
     return float(length) if isinstance(length, int | float) and 0 < length < 100 else None

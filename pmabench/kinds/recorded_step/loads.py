@@ -307,7 +307,7 @@ def _noise_of_speed(step: Step) -> float:
 
 
 def _why_not(F: Array, design: Array, noise: float) -> str:
-    """Why force and contraction do not tell K; empty where they do."""
+    """Why force and contraction do not give K; empty where they do."""
     on_x = design[:, :2]
     rest = F - on_x @ np.linalg.lstsq(on_x, F, rcond=None)[0]
     moves = float(np.std(rest))

@@ -1,4 +1,4 @@
-"""K and B from steps after which a known mass rings, or why they do not tell them; B/K and dead time without it.
+"""K and B from steps after which a known mass rings, or why these steps do not give them; B/K and dead time without it.
 
 Knows measured steps of one load and one pair of pressures; the mass is taken as exact.
 """

@@ -68,7 +68,7 @@ class Lines:
 
     @property
     def values(self) -> dict[str, float]:
-        """Each of `NUMBERS`; NaN for what one frequency cannot tell."""
+        """Each of `NUMBERS`; NaN for what one frequency does not show."""
         return {name: by * float(getattr(getattr(self, line), of)) for name, (line, of, by) in NUMBERS.items()}
 
     @property
@@ -111,7 +111,7 @@ class Member:
 
     @property
     def guess(self) -> float:
-        """Force by pressure [N/Pa] where nothing tells it: F_ce/P."""
+        """Force by pressure [N/Pa] where it is not known: F_ce/P."""
         sine = self.sine
         return (sine.force + max(0.0, sine.stiffness * sine.mean)) / sine.pressure
 
@@ -168,7 +168,7 @@ class Fitted:
 
     @property
     def muscle(self) -> Muscle:
-        """What the lines say; 0 for what one frequency cannot tell."""
+        """What the lines say; 0 for what one frequency does not show."""
         return Muscle(self.replayed.K, 0.0, 0.0) if self.alone else self.replayed
 
     @property

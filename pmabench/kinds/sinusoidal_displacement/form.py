@@ -260,7 +260,7 @@ def lost(sines: Sequence[Sine], cycles: Sequence[Swing]) -> list[tuple[Array, Ar
     """For each shortest time constant: what creep may have added to the loss, and taken from K, of each sine.
 
     Loss by the amplitude, and stiffness [N/m], shape (n,) each. `cycles` are those of all sines: where no sine is
-    repeated their scatter says how sure the change of K is. Empty with one frequency, which does not tell.
+    repeated their scatter says how sure the change of K is. Empty with one frequency, which does not show it.
     """
     frequency, K, size = _columns(sines)
     if len(np.unique(frequency)) < 2:

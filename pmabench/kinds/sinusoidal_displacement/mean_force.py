@@ -45,7 +45,7 @@ from pmabench.store.records import Array
 SINE_MEAN = "sine-mean"
 ALONE = "one frequency only: that B_c and B_r may differ is in the method part"
 AT_MEAN = "at the mean contraction, at speed 0, halfway between both branches"
-NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
+NO_SLOPE = "as at the measured pressure: one pressure does not show F_ce at the set one"
 
 
 def force_slopes(fits: Mapping[Point, Fitted]) -> dict[Point, float]:

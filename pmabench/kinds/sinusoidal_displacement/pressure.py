@@ -126,7 +126,7 @@ def pressure_and_force(
 ) -> tuple[list[Estimate], list[Finding], list[Trace]]:
     """Pressure error and rms error of the modelled force of each cell, by direction.
 
-    `muscles`: by name of a trial, K, B and F_c that its harmonics gave; None where they do not tell all.
+    `muscles`: by name of a trial, K, B and F_c that its harmonics gave; None where not all are known.
     """
     alongs = [along for member in members if (along := Along.of(member)) is not None]
     estimates, traces = list[Estimate](), list[Trace]()

@@ -79,7 +79,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
         if slopes is None:
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
-            text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
+            text = "is not in the calibration parts: one pressure does not show how K, B and F_c change over it"
             findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
     estimates = _with_centres(estimates, centres)
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}

@@ -6,7 +6,7 @@ slip) is then at the end of its loop at lift and at set-down alike, with one sig
 distance, which shows dry friction, does not show it. What shows it is a stroke: such a loop closes at x = 0 and is open
 in the middle, whereas dry friction is as wide at x = 0 as in the middle. Half of what the middle is wider is what the
 mean keeps where the force turns within a small part of the stroke, and more where it takes longer: the shape of the
-loop tells. Damping widens the middle as well. It is what the load goes on by after the ramp upward has stopped.
+loop shows which. Damping widens the middle as well. It is what the load goes on by after the ramp upward has stopped.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ def kept(loops: Sequence[Loop | None], load: Array, gap: Array, slope: float) ->
 
 
 def _turning(turns: Array, gap: Array) -> tuple[int, NDArray[np.bool_]]:
-    """Which of `turns`, a below, the shape of a gap tells (at `ALONG`), and which of them fit nearly as well.
+    """Which of `turns`, a below, fits the shape of a gap best (at `ALONG`), and which fit nearly as well.
 
     A force that turns on a way w after each end of a stroke s opens the loop by h [1 - cosh((1 - 2 u) a) / cosh(a)] at
     the share u of the stroke, a = s / 2 w, and is h tanh(a) behind at the ends. Dry friction and damping open it alike

@@ -102,7 +102,7 @@ class Balance:
 
 @dataclass(frozen=True)
 class Friction:
-    """What rests and motion tell of friction."""
+    """What rests and motion show of friction."""
 
     gap: float
     """Distance between rests at the bias reached from above and from below, over the swing [1]."""
@@ -218,7 +218,7 @@ def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:
 
 
 def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance) -> Moved:
-    """Least squares of a simulated displacement, driven by the measured pressure; `start` tells where to begin.
+    """Least squares of a simulated displacement, driven by the measured pressure; `start` is where to begin.
 
     An inertia cannot be below 0, so that noise alone would make it larger than it is and the loop slower. Where its lag
     is short a delay of either sign takes its place.

@@ -49,7 +49,7 @@ class _Cell(GainCell[TrialFound]):
 
     @property
     def seen(self) -> Loop | None:
-        """The loop behind the first trial that tells one."""
+        """The loop behind the first trial that shows one."""
         return super().loop
 
     @property

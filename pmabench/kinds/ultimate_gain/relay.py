@@ -46,7 +46,7 @@ FEWEST_SAMPLES = 4
 """In each period."""
 PERIOD_VARIATION = 0.05
 LOPSIDED = 0.05
-"""Mean command off the bias, over the amplitude, from which on the mean displacement tells a static gain."""
+"""Mean command off the bias, over the amplitude, from which on the mean displacement gives a static gain."""
 ALIKE = 0.01
 """Ratios of hysteresis to amplitude that differ by less count as one."""
 SPREAD = {"period": {"doubt": 0.008, "fault": 0.02}, "gain": {"doubt": 0.025, "fault": 0.045}}
