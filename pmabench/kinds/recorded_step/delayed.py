@@ -13,6 +13,7 @@ from math import hypot, sqrt
 import numpy as np
 from scipy.optimize import least_squares
 
+from pmabench.analysis.shared.samples import own_products
 from pmabench.kinds.recorded_step.motion import DAMPING, FREQUENCY, Answer, Motion
 from pmabench.store.records import Array
 
@@ -207,9 +208,7 @@ def _together(rest: Array) -> float:
     The noise of a measured pressure drives the model, too, and so what is left is correlated for as long as B/K.
     """
     off = rest - rest.mean()
-    size = 2 * len(off)
-    spectrum = np.abs(np.fft.rfft(off, size)) ** 2
-    correlation = np.fft.irfft(spectrum, size)[: len(off) // 2]
+    correlation = own_products(off, len(off) // 2 - 1)
     correlation = correlation / max(float(correlation[0]), 1e-30)
     below = np.flatnonzero(correlation < 0)
     return max(1.0, float(1 + 2 * correlation[1 : below[0] if len(below) else None].sum()))
