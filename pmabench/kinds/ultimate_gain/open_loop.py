@@ -261,7 +261,7 @@ class StepsCell(GainCell[StepsFound]):
     def findings(self) -> list[Finding]:
         """What speaks against the trials, what the fitted loop is, and what friction leaves of it."""
         lines = self.said()
-        known = next((self.found[i] for i in self.good), None)
+        known = next((one.found for one in self.good), None)
         if known is not None and known.loop is not None and known.moved is not None:
             up, down = known.moved.tau
             muscle = f"that of the muscle {up:.3g} s contracting and {down:.3g} s relaxing"
@@ -271,12 +271,12 @@ class StepsCell(GainCell[StepsFound]):
 
     def traces(self) -> list[Trace]:
         """Command, pressure and displacement of the last cycle, and the fitted displacement."""
-        trial, found = self.trials[self.shown], self.found[self.shown]
+        trial, found = self.shown.trial, self.shown.found
         steps = steps_of(trial)
         if len(steps) < 4:
             return []
         begin = steps[-4].t - 0.2
-        t, x, P = samples_of(trial, steps, 1 / self.runs[self.shown].rate)
+        t, x, P = samples_of(trial, steps, 1 / self.shown.run.rate)
         mask = t >= begin
         columns: dict[str, Array] = {"t": t[mask] - begin, "displacement": x[mask]}
         if found.moved is not None:
@@ -285,7 +285,7 @@ class StepsCell(GainCell[StepsFound]):
         return [self.trace("open-loop", "Open-loop steps", columns, {"setpoint": self.at.get("setpoint", 0.0)})]
 
     def _estimate(self, place: int, symbol: tuple[str, str, str]) -> Estimate:
-        name, good = ("gain", "period")[place], [self.found[i] for i in self.good]
+        name, good = ("gain", "period")[place], [one.found for one in self.good]
         truths = [ultimate(found.loop) for found in good if found.loop is not None]
         if not truths:
             return self.empty(*symbol, METHOD)

@@ -64,7 +64,7 @@ class _Cell(GainCell[TrialFound]):
 
     def _estimate(self, symbol: tuple[str, str, str]) -> Estimate:
         """K_u or T_u: the mean of the trials, with its interval in parts."""
-        name, good = symbol[0], [self.found[i] for i in self.good]
+        name, good = symbol[0], [one.found for one in self.good]
         if not good:
             return self.empty(*symbol, METHOD)
         values = [(getattr(found, name), getattr(found, f"half_{name}")) for found in good]
@@ -96,7 +96,7 @@ class _Cell(GainCell[TrialFound]):
 
     def traces(self) -> list[Trace]:
         """The oscillation nearest to K_u, and the growth plot."""
-        trial, found, K_u = self.trials[self.shown], self.found[self.shown], self.estimates[0].value
+        trial, found, K_u = self.shown.trial, self.shown.found, self.estimates[0].value
         if not found.levels:
             return []
         at = next((i for i, level in enumerate(found.levels) if level is found.nearest), len(found.levels) - 1)

@@ -24,14 +24,7 @@ from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
 from pmabench.kinds.ultimate_gain.relay_fit import command_over, fit, shape_of
-from pmabench.kinds.ultimate_gain.ways import (
-    DESCRIBED,
-    SYMBOLS,
-    Examined,
-    GainCell,
-    in_words,
-    would,
-)
+from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, Examined, GainCell, Member, in_words, would
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
@@ -264,7 +257,7 @@ class RelayCell(GainCell[RelayFound]):
             return lines
         text = f"at {self.where} the loop fitted to the relay oscillation has {in_words(loop)}: {would(loop)}"
         lines.append(Finding("note", text))
-        best = [level for i in self.good if (level := self.found[i].best) is not None]
+        best = [level for one in self.good if (level := one.found.best) is not None]
         if static := [level.static for level in best if isfinite(level.static)]:
             text = (
                 f"at {self.where} the means of the asymmetric oscillation give a static gain of "
@@ -275,7 +268,7 @@ class RelayCell(GainCell[RelayFound]):
 
     def traces(self) -> list[Trace]:
         """Displacement and command over the last periods of the largest oscillation."""
-        trial, best = self.trials[self.shown], self.found[self.shown].best
+        trial, best = self.shown.trial, self.shown.found.best
         if best is None:
             return []
         begin = max(best.t0, best.t1 - 4 * best.period)
@@ -300,17 +293,17 @@ def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
     )
     found = []
     for symbol in SYMBOLS:
-        best = [(i, level) for i in cell.good if (level := cell.found[i].best) is not None]
-        best = [(i, level) for i, level in best if isfinite(_values(level, symbol[0], method)[0])]
+        best = [(one, level) for one in cell.good if (level := one.found.best) is not None]
+        best = [(one, level) for one, level in best if isfinite(_values(level, symbol[0], method)[0])]
         if not best:
-            reasons = dict.fromkeys(reason for trial in cell.found for reason in (*trial.refused, *trial.doubts))
+            reasons = dict.fromkeys(why for one in cell.members for why in (*one.found.refused, *one.found.doubts))
             found.append(replace(cell.empty(*symbol, method), note="; ".join(reasons)))
             continue
-        trials, values = [i for i, _ in best], [_values(level, symbol[0], method) for _, level in best]
+        trials, values = [one for one, _ in best], [_values(level, symbol[0], method) for _, level in best]
         parts = Parts(method=_method_part(cell, best, symbol[0], method))
         described = method == DESCRIBED
         e = cell.estimate(symbol, method, trials, values, parts, (says,), alone=ALONE, by_command=described)
-        found.append(e if described else weighed(e, _doubts([cell.found[i] for i in trials], e.value or 0.0)))
+        found.append(e if described else weighed(e, _doubts([one.found for one in trials], e.value or 0.0)))
     return found
 
 
@@ -336,15 +329,17 @@ def _doubts(trials: Sequence[RelayFound], value: float) -> list[Doubt]:
     ]
 
 
-def _method_part(cell: RelayCell, best: Sequence[tuple[int, RelayLevel]], symbol: str, method: str) -> float | None:
+def _method_part(
+    cell: RelayCell, best: Sequence[tuple[Member[RelayFound], RelayLevel]], symbol: str, method: str
+) -> float | None:
     """Half width by the method: the other amplitudes for the fit, the fit for the describing function; clocks added."""
     apart = []
-    for i, level in best:
+    for one, level in best:
         value = _values(level, symbol, method)[0]
         if method == DESCRIBED:
             others = [_values(level, symbol, FITTED)[0]]
         else:
-            others = [_values(other, symbol, method)[0] for other in cell.found[i].levels if other is not level]
+            others = [_values(other, symbol, method)[0] for other in one.found.levels if other is not level]
         apart += [abs(value - other) for other in others if isfinite(other)]
     if not apart:
         return None

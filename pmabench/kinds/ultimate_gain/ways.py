@@ -43,6 +43,15 @@ class Examined:
 Found = TypeVar("Found", bound=Examined)
 
 
+@dataclass(frozen=True, eq=False)
+class Member(Generic[Found]):
+    """A trial and what was found in it."""
+
+    run: RunData
+    trial: TrialData
+    found: Found
+
+
 @dataclass(frozen=True)
 class GainCell(ABC, Generic[Found]):
     """The trials of one operating point `at` [SI], in the order that they came, looked at in one way."""
@@ -50,14 +59,12 @@ class GainCell(ABC, Generic[Found]):
     called: ClassVar[str] = "trials"
     """What its trials are called in findings."""
     at: Mapping[str, float]
-    runs: tuple[RunData, ...]
-    trials: tuple[TrialData, ...]
-    found: tuple[Found, ...]
+    members: tuple[Member[Found], ...]
 
     @property
     def loop(self) -> Loop | None:
         """The loop of the first trial that has one."""
-        return next((loop for i in self.good if (loop := self.found[i].loop) is not None), None)
+        return next((loop for one in self.good if (loop := one.found.loop) is not None), None)
 
     @property
     @abstractmethod
@@ -73,14 +80,14 @@ class GainCell(ABC, Generic[Found]):
         """What a figure shows of the first trial with a value (else the first)."""
 
     @property
-    def good(self) -> list[int]:
-        """Indices of trials with a value."""
-        return [i for i, found in enumerate(self.found) if not found.refused]
+    def good(self) -> list[Member[Found]]:
+        """Trials with a value."""
+        return [one for one in self.members if not one.found.refused]
 
     @property
-    def shown(self) -> int:
-        """Index of the first trial with a value, else of the first."""
-        return (self.good or [0])[0]
+    def shown(self) -> Member[Found]:
+        """The first trial with a value, else the first."""
+        return (self.good or self.members)[0]
 
     @property
     def where(self) -> str:
@@ -90,16 +97,13 @@ class GainCell(ABC, Generic[Found]):
     @property
     def apart(self) -> float:
         """Bound of the time between pressure and displacement [s]: the loop's dead time holds all of it."""
-        return skew.apart(self.runs, ("pressure", "displacement"))
+        return skew.apart([one.run for one in self.members], ("pressure", "displacement"))
 
     @property
     def dropped(self) -> list[Dropped]:
         """Trials that give nothing, with the reason."""
-        return [
-            Dropped(trial.name, trial.point, "; ".join(found.refused))
-            for trial, found in zip(self.trials, self.found, strict=True)
-            if found.refused
-        ]
+        refused = [one for one in self.members if one.found.refused]
+        return [Dropped(one.trial.name, one.trial.point, "; ".join(one.found.refused)) for one in refused]
 
     @classmethod
     def all_of(
@@ -107,31 +111,27 @@ class GainCell(ABC, Generic[Found]):
     ) -> list[Self]:
         """The trials by operating point, each examined."""
         return [
-            cls(
-                point,
-                tuple(run for run, _ in group),
-                tuple(trial for _, trial in group),
-                tuple(examine(run, trial) for run, trial in group),
-            )
+            cls(point, tuple(Member(run, trial, examine(run, trial)) for run, trial in group))
             for point, group in by_point(members)
         ]
 
     def empty(self, symbol: str, unit: str, quantity: str, method: str) -> Estimate:
         """No value, because of what was refused in all trials."""
-        note = "; ".join(dict.fromkeys(reason for found in self.found for reason in found.refused))
-        parents = tuple(trial.name for trial in self.trials)
+        note = "; ".join(dict.fromkeys(reason for one in self.members for reason in one.found.refused))
+        parents = tuple(one.trial.name for one in self.members)
         return Estimate(symbol, None, unit, quantity, method, self.at, note=note, trials=parents)
 
     def estimate(
-        self, symbol: tuple[str, str, str], method: str, of: Sequence[int], values: Sequence[tuple[float, float]],
-        parts: Parts, notes: Sequence[str], *, alone: str, bias: float | None = None, by_command: bool = True,
+        self, symbol: tuple[str, str, str], method: str, of: Sequence[Member[Found]],
+        values: Sequence[tuple[float, float]], parts: Parts, notes: Sequence[str], *, alone: str,
+        bias: float | None = None, by_command: bool = True,
     ) -> Estimate:  # fmt: skip
         """The mean of `values`, each with its half width (NaN where it is unknown), of the trials `of`.
 
         `parts` holds those by method and clocks; `alone` is what is noted of one trial. `by_command`: the scale of the
         command counts where it has one of its own, else that of the measured pressure.
         """
-        scales, (numbers, halves) = Scales.of(self.runs), zip(*values, strict=True)
+        scales, (numbers, halves) = Scales.of(one.run for one in self.members), zip(*values, strict=True)
         value = float(np.mean(numbers))
         pressure = "pressure_command" if by_command and "pressure_command" in scales.gains else "pressure"
         used = (pressure, "displacement") if symbol[0] == "K_u" else ()
@@ -145,20 +145,20 @@ class GainCell(ABC, Generic[Found]):
             bias=bias,
             corrected=bias is not None,
             note=sentences(
-                *(doubt for i in of for doubt in self.found[i].doubts),
+                *(doubt for one in of for doubt in one.found.doubts),
                 alone if len(of) == 1 else "",
                 *notes,
                 scales.lack(used),
             ),
-            trials=tuple(self.trials[i].name for i in of),
+            trials=tuple(one.trial.name for one in of),
         )
 
     def said(self) -> list[Finding]:
         """Each reason and doubt with the number of trials that it is said of."""
-        said = [("fault", reason) for found in self.found for reason in found.refused]
-        said += [("doubt", doubt) for found in self.found for doubt in found.doubts]
+        said = [("fault", reason) for one in self.members for reason in one.found.refused]
+        said += [("doubt", doubt) for one in self.members for doubt in one.found.doubts]
         return [
-            Finding(level, f"{said.count((level, text))} of {len(self.found)} {self.called} at {self.where}: {text}")
+            Finding(level, f"{said.count((level, text))} of {len(self.members)} {self.called} at {self.where}: {text}")
             for level, text in dict.fromkeys(said)
         ]
 
@@ -176,8 +176,7 @@ class GainCell(ABC, Generic[Found]):
 
     def facts(self, levels: Callable[[Found], Iterable[Any]]) -> list[dict[str, Any]]:
         """What is written down of every trial, as plain data."""
-        trials = zip(self.trials, self.found, strict=True)
-        return [{"trial": trial.name, **level.to_dict()} for trial, found in trials for level in levels(found)]
+        return [{"trial": one.trial.name, **level.to_dict()} for one in self.members for level in levels(one.found)]
 
     def by_clocks(self, name: str) -> float:
         """Change of the ultimate `gain` or `period` by clocks: pressure and displacement may be so far apart, and the
