@@ -55,7 +55,7 @@ def point_by(trial: TrialData, names: Sequence[str]) -> Point:
     return tuple((name, round(trial.point[name], 9)) for name in names if name in trial.point)
 
 
-def roughly(at: Mapping[str, float], without: str = "") -> Point:
+def six_digits(at: Mapping[str, float], without: str = "") -> Point:
     """An operating point to six digits as a key, so that equal settings agree; without one of its entries."""
     return tuple((name, float(f"{value:.6g}")) for name, value in sorted(at.items()) if name != without)
 
@@ -200,7 +200,7 @@ def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
 
     every = [trial for run in in_time(runs) for trial in run.trials if trial.status == "finished"]
     usable = [t for t in every if not t.reference and not t.again and channel in t.channels and known(t).sum() > 1]
-    groups = grouped(usable, lambda one: roughly(one.point))
+    groups = grouped(usable, lambda one: six_digits(one.point))
     most = max((len(group) for group in groups.values()), default=0)
     if most < 2:
         return []

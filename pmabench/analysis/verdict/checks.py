@@ -20,7 +20,7 @@ import numpy as np
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import NotUsable
-from pmabench.analysis.shared.trials import Point, grouped, roughly
+from pmabench.analysis.shared.trials import Point, grouped, six_digits
 from pmabench.base.kind import Kind
 from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import printable
@@ -170,7 +170,7 @@ def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
     for run in in_time(runs):
         sampled = [trial for trial in run.trials if len(trial.t)]
         for trial in (one for one in sampled if one.status == "finished" and not one.again):
-            values.append((roughly(trial.point), run, trial, begun + float(trial.t[0])))
+            values.append((six_digits(trial.point), run, trial, begun + float(trial.t[0])))
         begun += max((float(trial.t[-1]) for trial in sampled), default=0.0)
     times = Counter(point for point, *_ in values)
     rows: list[tuple[Point, int, float, float]] = []

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
-from pmabench.analysis.shared.trials import Point, grouped, roughly
+from pmabench.analysis.shared.trials import Point, grouped, six_digits
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
@@ -270,7 +270,7 @@ def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate
         chosen: dict[tuple[str, str], str] = {}
         for e in (*analysis.estimates, *_terms(analysis)):
             if chosen.setdefault((e.symbol, e.coordinate), method or e.method) == e.method:
-                place = roughly(e.at, "mass")
+                place = six_digits(e.at, "mass")
                 series = (analysis.kind, e.symbol, e.coordinate, tuple(name for name, _ in place))
                 found.setdefault(series, {}).setdefault(place, e)
     return found

@@ -15,7 +15,7 @@ from math import hypot, isfinite
 
 import numpy as np
 
-from pmabench.analysis.shared.trials import Point, grouped, roughly, stroke_of
+from pmabench.analysis.shared.trials import Point, grouped, six_digits, stroke_of
 from pmabench.analysis.verdict.comparison import Difference, named, percent
 from pmabench.base.kind import Result
 from pmabench.base.quantities import in_words, show
@@ -217,7 +217,7 @@ def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series
             if e.symbol not in SYMBOLS or e.coordinate not in ("", "slope"):
                 continue
             if methods.setdefault(e.symbol, e.method) == e.method and e.value is not None:
-                key = (analysis.kind, e.symbol, e.coordinate, e.method, roughly(e.at, "mass"))
+                key = (analysis.kind, e.symbol, e.coordinate, e.method, six_digits(e.at, "mass"))
                 found.setdefault(key, []).append(Moment(past.date, past.before, e, past.run))
     made = [
         Series(str(key[0]), tuple(sorted(moments, key=lambda m: (m.date, m.run))), names.get(key[:2], str(key[1])))
@@ -285,7 +285,9 @@ def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[Referen
         for trial in run.trials:
             used = trial.reference and trial.status == "finished"
             if used and (stroke := stroke_of(trial)) is not None:
-                found.setdefault(roughly(trial.point, "mass"), []).append((past.date, past.before, stroke, trial.name))
+                found.setdefault(six_digits(trial.point, "mass"), []).append(
+                    (past.date, past.before, stroke, trial.name)
+                )
     return [References(point, tuple(sorted(moments, key=lambda m: m[0]))) for point, moments in found.items()]
 
 

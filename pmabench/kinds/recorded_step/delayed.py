@@ -13,7 +13,7 @@ from math import hypot, sqrt
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.shared.samples import own_products
+from pmabench.analysis.shared.samples import autocorrelation
 from pmabench.kinds.recorded_step.motion import DAMPING, FREQUENCY, Answer, Motion
 from pmabench.store.records import Array
 
@@ -208,7 +208,7 @@ def _together(rest: Array) -> float:
     The noise of a measured pressure drives the model, too, and so what is left is correlated for as long as B/K.
     """
     off = rest - rest.mean()
-    correlation = own_products(off, len(off) // 2 - 1)
+    correlation = autocorrelation(off, len(off) // 2 - 1)
     correlation = correlation / max(float(correlation[0]), 1e-30)
     below = np.flatnonzero(correlation < 0)
     return max(1.0, float(1 + 2 * correlation[1 : below[0] if len(below) else None].sum()))

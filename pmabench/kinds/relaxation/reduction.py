@@ -19,7 +19,7 @@ from scipy.optimize import nnls
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.samples import NotUsable, noise_of, own_products, refuse_unusable, settings_of
+from pmabench.analysis.shared.samples import NotUsable, autocorrelation, noise_of, refuse_unusable, settings_of
 from pmabench.analysis.shared.student import half_of_trials
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
@@ -90,7 +90,7 @@ class Relaxing:
         """
         left = self.y - np.polyval(np.polyfit(self.decades, self.means(self.y), order), np.log10(self.t))
         n, most = len(left), max(1, int(LONGEST_LAG * len(self.t)))
-        tapered = own_products(left, most) / n * (1 - np.arange(most + 1) / (most + 1))
+        tapered = autocorrelation(left, most) / n * (1 - np.arange(most + 1) / (most + 1))
         total = tapered[0] + 2 * float(np.sum(tapered[1:]))
         alike = max(1.0, total / tapered[0]) if tapered[0] > 0 else 1.0
         return tapered, n / alike
@@ -101,7 +101,7 @@ class Relaxing:
         Noise is what the straight line leaves, and so holds a bend; with `order` 3 it does not.
         """
         covariance, independent = self._correlation(order)
-        own = own_products(weights, len(covariance) - 1)
+        own = autocorrelation(weights, len(covariance) - 1)
         variance = own[0] * covariance[0] + 2 * float(own[1:] @ covariance[1:])
         white = own[0] * covariance[0]
         return float(student.ppf(0.975, max(independent - 2, 2))) * sqrt(max(variance, white, 0.0))

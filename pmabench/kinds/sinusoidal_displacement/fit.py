@@ -77,7 +77,7 @@ class Lines:
         known = {name: getattr(getattr(self, line), f"half_{of}") for name, (line, of, _) in NUMBERS.items()}
         return {name: None if half is None else NUMBERS[name][2] * half for name, half in known.items()}
 
-    def changed(self, others: Iterable[Lines]) -> dict[str, float]:
+    def largest_changes(self, others: Iterable[Lines]) -> dict[str, float]:
         """The largest change of each of `NUMBERS` to those of other lines."""
         most, mine = dict.fromkeys(NUMBERS, 0.0), self.values
         for other in others:
@@ -226,12 +226,12 @@ class Fitted:
             for loss, _ in creeps
         ]
         softer = max((0.5 * float(np.ptp(change)) for _, change in creeps), default=0.0)
-        return self.lines.changed(lines) | {"K": softer}
+        return self.lines.largest_changes(lines) | {"K": softer}
 
     def skewed(self) -> dict[str, float]:
         """What the time between displacement and force may do to each of `NUMBERS`: the lines once more."""
         both = self.skew * courses([member.trial for member in self.group])
-        return self.lines.changed(
+        return self.lines.largest_changes(
             Lines.of([sine.turned(by) for sine, by in zip(self.sines, course, strict=True)])
             for course in ((*both.tolist(), *(-both).tolist()) if self.skew else ())
         )

@@ -22,7 +22,7 @@ from pmabench.analysis.shared.samples import STEPS, step_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
 from pmabench.kinds.ultimate_gain.open_loop_form import Flow, flow_limited, gauge_filter, read_in_steps
-from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, in_words, lags_of, oscillating, would
+from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, described, lags_of, limit_of, oscillating
 from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -265,7 +265,7 @@ class StepsCell(GainCell[StepsFound]):
         if known is not None and known.loop is not None and known.moved is not None:
             up, down = known.moved.tau
             muscle = f"that of the muscle {up:.3g} s contracting and {down:.3g} s relaxing"
-            text = f"at {self.where} the steps give {in_words(known.loop)}, {muscle}: {would(known.loop)}"
+            text = f"at {self.where} the steps give {described(known.loop)}, {muscle}: {limit_of(known.loop)}"
             lines.append(Finding("note", text))
         return lines
 

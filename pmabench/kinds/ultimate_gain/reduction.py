@@ -87,7 +87,7 @@ class _Cell(GainCell[TrialFound]):
         text = f"at {self.where} the loop oscillates at K_u = {show(K_u, 'gain', 4)}, T_u = {T_u:.4g} s"
         if loop is not None:
             apart = f" +- {skew.milliseconds(self.apart)} (clocks)" if self.apart else ""
-            text += f"; seen from there the plant has {gain_ways.in_words(loop, apart)}"
+            text += f"; seen from there the plant has {gain_ways.described(loop, apart)}"
         elif self.seen is not None:
             between = skew.milliseconds(self.apart)
             text += f"; the plant is not reported: pressure and displacement may be {between} apart, its dead time is "

@@ -24,7 +24,7 @@ from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
 from pmabench.kinds.ultimate_gain.relay_fit import command_over, fit, shape_of
-from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, Examined, GainCell, Member, in_words, would
+from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, Examined, GainCell, Member, described, limit_of
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
@@ -255,7 +255,7 @@ class RelayCell(GainCell[RelayFound]):
         lines, loop = self.said(), self.loop
         if loop is None:
             return lines
-        text = f"at {self.where} the loop fitted to the relay oscillation has {in_words(loop)}: {would(loop)}"
+        text = f"at {self.where} the loop fitted to the relay oscillation has {described(loop)}: {limit_of(loop)}"
         lines.append(Finding("note", text))
         best = [level for one in self.good if (level := one.found.best) is not None]
         if static := [level.static for level in best if isfinite(level.static)]:

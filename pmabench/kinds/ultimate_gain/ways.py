@@ -210,13 +210,13 @@ def plain_lags(loop: Loop) -> list[Any]:
     return [[lag.real, lag.imag] if lag.imag else lag.real for lag in map(complex, loop.lags)]
 
 
-def in_words(loop: Loop, of_dead_time: str = " (half a sample period in it)") -> str:
+def described(loop: Loop, of_dead_time: str = " (half a sample period in it)") -> str:
     """Gain, dead time and lags of a loop."""
     lags = listed([f"{complex(lag).real:.3g} s" for lag in loop.lags])
     return f"{loop.gain * 1e6:.4g} mm/kPa, dead time {loop.dead_time * 1e3:.3g} ms{of_dead_time} and lags {lags}"
 
 
-def would(loop: Loop) -> str:
+def limit_of(loop: Loop) -> str:
     """At which gain and period a loop would oscillate."""
     truth = ultimate(loop)
     return f"it would oscillate at K_u = {show(truth.gain, 'gain', 4)}, T_u = {truth.period:.4g} s"
