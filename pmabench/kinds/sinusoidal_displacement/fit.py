@@ -20,7 +20,7 @@ from pmabench.analysis.shared.trials import Point, grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.form import lost
 from pmabench.store.analyses.results import Estimate, Finding, Parts
-from pmabench.store.records import RunData, TrialData
+from pmabench.store.records import Array, RunData, TrialData
 
 HARMONIC, WIDTH = "sine-harmonic", "loop-width"
 DISTORTED = 0.05
@@ -260,9 +260,9 @@ class Fitted:
         """K, phase, loop width H and loop area W at each frequency; the method part is what the replay is off by."""
         found = []
         P = at.get("pressure", 0.0)
-        for frequency, places in sorted(self._places().items()):
-            sines = [self.group[i].sine for i in places]
-            names = tuple(self.group[i].name for i in places)
+        places = grouped(range(len(self.group)), lambda place: self.group[place].sine.frequency)
+        for frequency, mine in sorted(places.items()):
+            sines = [self.group[i].sine for i in mine]
             first, omega = sines[0], 2 * pi * frequency
             A, K = first.amplitude, first.stiffness
             moved = [first.turned(by) for by in (self.skew, -self.skew)]
@@ -279,21 +279,14 @@ class Fitted:
             )
             for symbol, of, unit, quantity, gains, skewed in rows:
                 values = np.array([getattr(sine, of) for sine in sines])
-                half = mean_half(values, [np.array([getattr(one, of) for one in sine.cycles]) for sine in sines])
-                bias = float(np.mean([getattr(self.again[i], of) for i in places])) - truth[symbol]
-                part = scales.part_at(P, slope.get(symbol), gains, {})
+                cycles = [np.array([getattr(one, of) for one in sine.cycles]) for sine in sines]
+                bias = float(np.mean([getattr(self.again[i], of) for i in mine])) - truth[symbol]
                 method = WIDTH if symbol in ("H", "W") else HARMONIC
-                note = NO_REPEATS if half is None else CYCLES if len(sines) == 1 else ""
-                one = Estimate(
-                    symbol, float(values.mean()) - bias, unit, quantity, method, {**at, "frequency": frequency},
-                    Parts(half, abs(bias), part, skewed), len(sines), bias, True, note, names,
-                )  # fmt: skip
-                found.append(settled(one, BETWEEN, self.skew))
+                parts = Parts(None, abs(bias), scales.part_at(P, slope.get(symbol), gains, {}), skewed)
+                here, names = {**at, "frequency": frequency}, [self.group[i].name for i in mine]
+                e = of_cycles(symbol, (unit, quantity), method, here, names, values - bias, cycles, parts)
+                found.append(settled(replace(e, bias=bias, corrected=True), BETWEEN, self.skew))
         return found
-
-    def _places(self) -> dict[float, list[int]]:
-        """Places in the group by frequency [Hz]."""
-        return grouped(range(len(self.group)), lambda place: self.group[place].sine.frequency)
 
     @property
     def by_frequency(self) -> dict[float, list[Sine]]:
@@ -334,6 +327,19 @@ class Fitted:
             "cycles": [len(sine.cycles) for sine in sines],
             "distortion": max(sine.distortion for sine in sines),
         }
+
+
+def of_cycles(
+    symbol: str, kind: tuple[str, str], method: str, at: Mapping[str, float], trials: Sequence[str], values: Array,
+    cycles: Sequence[Array], parts: Parts, note: str = "", coordinate: str = "",
+) -> Estimate:  # fmt: skip
+    """The mean of one value of each trial, `values` (n,), with the half width of their `cycles` or their scatter."""
+    half = mean_half(values, cycles)
+    said = sentences(NO_REPEATS if half is None else CYCLES if len(trials) == 1 else "", note)
+    return Estimate(
+        symbol, float(values.mean()), *kind, method, dict(at), replace(parts, repeats=half), len(trials), note=said,
+        trials=tuple(trials), coordinate=coordinate,
+    )  # fmt: skip
 
 
 def of_like_motion(fits: Mapping[Point, Fitted]) -> list[list[Point]]:

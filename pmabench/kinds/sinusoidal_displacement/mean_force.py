@@ -36,6 +36,7 @@ from pmabench.kinds.sinusoidal_displacement.fit import (
     NO_REPEATS,
     Fitted,
     Member,
+    of_cycles,
     of_like_motion,
 )
 from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, TURNS, Form, cycle_of
@@ -194,21 +195,15 @@ def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: S
         sine = mine[0].sine
         late = pi * sine.amplitude**2 * abs(sine.stiffness) * sine.omega * skew
         eta = W_c / taken
-        one_each = CYCLES if len(mine) == 1 else ""
-        names = tuple(member.name for member in mine)
+        where, names = {**at, "frequency": frequency}, [member.name for member in mine]
         for symbol, unit, quantity, values, scale, gains, by_force, note in (
             ("W_c", "J", "work", given, 1.0, {"force": W_c, "displacement": W_c}, stroke, ""),
             ("eta", "1", "ratio", share, taken, {}, stroke * (1 - eta) / taken, RECOVERED),
         ):
             means = np.array([float(one.mean()) for one in values])
-            half = mean_half(means, values)
             clocks = late / (2 if symbol == "W_c" else taken)
-            parts = Parts(half, off / scale, scales.part(gains, {"force": by_force}), clocks)
-            said = sentences(NO_REPEATS if half is None else one_each, note)
-            where = {**at, "frequency": frequency}
-            one = Estimate(
-                symbol, float(means.mean()), unit, quantity, LOOP_WORK, where, parts, len(mine), note=said, trials=names
-            )
+            parts = Parts(None, off / scale, scales.part(gains, {"force": by_force}), clocks)
+            one = of_cycles(symbol, (unit, quantity), LOOP_WORK, where, names, means, values, parts, note)
             found.append(settled(weighed(one, drift_of(mine, by_force)), BETWEEN, skew))
     return found
 

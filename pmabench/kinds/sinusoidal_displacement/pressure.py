@@ -13,14 +13,14 @@ from math import nan
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.ramp_loop import on_grid
 from pmabench.analysis.shared.samples import lags_of, noise_of
 from pmabench.analysis.shared.sine_loop import moving, without_lag
 from pmabench.analysis.shared.trials import grouped, point_by, thinned
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement.fit import CYCLES, NO_REPEATS, Member, Muscle
+from pmabench.kinds.sinusoidal_displacement.fit import Member, Muscle, of_cycles
 from pmabench.kinds.sinusoidal_displacement.form import cycle_of
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
@@ -163,15 +163,10 @@ def _error(at: Mapping[str, float], group: Sequence[Along], side: str, scales: S
     errors = [along.by_cycle(along.P - along.wanted, along.side(side)) for along in group]
     cycles = [np.array([float(one[np.argmax(np.abs(one))]) for one in of_trial]) for of_trial in errors]
     means = np.array([float(values.mean()) for values in cycles])
-    half = mean_half(means, cycles)
     coordinates = {"pressure": at["pressure"]}, {"pressure": 1.0}
-    note = sentences(NO_REPEATS if half is None else CYCLES if len(group) == 1 else "", scales.lack(*coordinates))
-    parts = Parts(half, EXTREME * max(noise_of(along.P) for along in group), scales.part(*coordinates))
-    names = tuple(along.member.name for along in group)
-    return Estimate(
-        "P_err", float(means.mean()), "Pa", "pressure", ERROR, dict(at), parts, len(group), note=note, trials=names,
-        coordinate=side,
-    )  # fmt: skip
+    parts = Parts(None, EXTREME * max(noise_of(along.P) for along in group), scales.part(*coordinates))
+    names, lack = [along.member.name for along in group], scales.lack(*coordinates)
+    return of_cycles("P_err", ("Pa", "pressure"), ERROR, at, names, means, cycles, parts, lack, side)
 
 
 def _rms(
