@@ -95,6 +95,11 @@ class ModelFit:
     """Of the intervals: `profile` or `jacobian`."""
     findings: tuple[Finding, ...] = ()
 
+    @property
+    def values(self) -> dict[str, float]:
+        """The fitted inputs [SI] by name."""
+        return {unknown.name: unknown.value for unknown in self.unknowns}
+
     def identified(self, name: str, unit: str) -> tuple[float | None, float | None, str]:
         """Value and half width of an unknown [SI] with its note; both None, and why, where it is not identifiable.
 

@@ -48,6 +48,17 @@ class Scales:
         by_gain = sum((self.gains.get(name, 0.0) * change) ** 2 for name, change in gains.items())
         return sqrt(by_gain + sum((self.offsets.get(name, 0.0) * change) ** 2 for name, change in offsets.items()))
 
+    def part_at(
+        self, pressure: float, over_P: float | None, gains: Sensitivities, offsets: Sensitivities
+    ) -> float | None:
+        """As `part`, of a value for a set `pressure` [Pa], with which it changes by `over_P` [per Pa], where known.
+
+        Channels on which it does not depend do not count as unknown.
+        """
+        if over_P is not None:
+            gains, offsets = {**gains, "pressure": over_P * pressure}, {**offsets, "pressure": over_P}
+        return self.part(*({name: change for name, change in one.items() if change} for one in (gains, offsets)))
+
     def lack(self, gains: Iterable[str], offsets: Iterable[str] = ()) -> str:
         """A sentence that names the channels of `part` whose uncertainty the record does not give; empty if none."""
         gains, offsets = list(gains), list(offsets)

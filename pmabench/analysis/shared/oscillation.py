@@ -63,8 +63,6 @@ class Swinging:
     """Peak-to-peak of each half period, one fewer than `times`."""
     log_ratio: float
     """Mean natural logarithm of the ratio of successive swings [1]."""
-    log_ratio_se: float
-    """Its standard error [1]."""
     period: float
     """[s]."""
     period_variation: float
@@ -92,27 +90,22 @@ def describe(t: Array, y: Array, noise: float) -> Swinging | None:
     design = np.column_stack(columns)
     weight = sizes / sizes.max()
     fitted, *_ = np.linalg.lstsq(design * weight[:, None], np.log(sizes) * weight, rcond=None)
-    residual = (np.log(sizes) - design @ fitted) * weight
-    spread = float(residual @ residual) / max(1, len(sizes) - len(columns))
-    covariance = spread * np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
     place = np.arange(len(times), dtype=float)
     clock = np.column_stack([np.ones_like(place), place, (-1.0) ** place])
     half, *_ = np.linalg.lstsq(clock, times, rcond=None)
     whole = times[2:] - times[:-2]
-    error, variation = float(np.sqrt(covariance[1, 1])), float(np.std(whole, ddof=1) / np.mean(whole))
-    return Swinging(times, sizes, float(fitted[1]), error, 2.0 * float(half[1]), variation)
+    return Swinging(times, sizes, float(fitted[1]), 2.0 * float(half[1]), float(np.std(whole, ddof=1) / np.mean(whole)))
 
 
 def mode_amplitudes(t: Array, signals: Array, root: complex) -> tuple[Array, Array]:
-    """Means and complex amplitudes of the damped mode `root` [1/s] and its harmonics in `signals`, shape (n, m).
+    """Means and complex amplitudes of the damped mode `root` [1/s] and its harmonics in `signals`, shape (n, ...).
 
     Least squares of c0 + c1 t + exp(sigma t) (a_k cos k omega t + b_k sin k omega t). Returns the mean of c0 + c1 t,
-    shape (m,), and a_k - j b_k, shape (3, m), so that the signal is Re(amplitude exp(s (t - t[0]))).
+    shape (...), and a_k - j b_k, shape (3, ...), so that the signal is Re(amplitude exp(s t)).
     """
-    time = t - t[0]
-    growth = np.exp(root.real * time)
-    columns = [np.ones_like(time), time - time.mean()]
+    growth = np.exp(root.real * t)
+    columns = [np.ones_like(t), t - t.mean()]
     for k in range(1, HARMONICS + 1):
-        columns += [growth * np.cos(k * root.imag * time), growth * np.sin(k * root.imag * time)]
+        columns += [growth * np.cos(k * root.imag * t), growth * np.sin(k * root.imag * t)]
     fitted, *_ = np.linalg.lstsq(np.column_stack(columns), signals, rcond=None)
     return np.asarray(fitted[0]), np.asarray(fitted[2::2] - 1j * fitted[3::2])

@@ -91,6 +91,12 @@ def noise_of(y: Array) -> float:
     return float((np.median(third) / 0.6745 or np.sqrt(np.mean(third**2))) / np.sqrt(20.0))
 
 
+def autocorrelation(y: Array, most: int) -> Array:
+    """Sums of y(k) y(k + lag) for lags from 0 to `most` samples, y of shape (n,); by Fourier transforms."""
+    size = 2 ** int(np.ceil(np.log2(2 * len(y))))
+    return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(y, size)) ** 2, size)[: most + 1])
+
+
 LAG_KNOWN = 0.2
 """Share to which the time constant of a sensor counts as known: data sheets give typical values, and one digit."""
 UNDECLARED = 5e-3

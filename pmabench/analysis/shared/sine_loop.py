@@ -11,7 +11,6 @@ from itertools import pairwise
 from math import floor, inf, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import (
     NotUsable,
@@ -43,50 +42,19 @@ HARMONICS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Cycles:
-    """What the loop says, cycle by cycle: arrays of shape (cycles,)."""
+class Swing:
+    """The loop of a driven sine: first harmonics, area and width, of a whole trial or of one cycle."""
 
-    ratio: NDArray[np.complex128]
-    """Force over displacement [N/m] at the sine's frequency."""
-    size: Array
-    """Amplitude of the displacement [m]."""
-    area: Array
-    """Work lost in the loop [J]: -integral of F dx."""
-    width: Array
-    """Force while returning minus force while contracting, at mid stroke [N]."""
-
-
-NO_CYCLES = Cycles(np.empty(0, dtype=np.complex128), np.empty(0), np.empty(0), np.empty(0))
-
-
-@dataclass(frozen=True, eq=False)
-class Sine:
-    """One trial, measured over whole cycles. x(t) = mean + Re(X exp(j omega t)), and so on."""
-
-    t: Array
-    x: Array
-    F: Array
     frequency: float
     """[Hz]."""
-    mean: float
-    """Of the displacement [m]."""
     amplitude: float
     """Of the displacement [m]."""
     ratio: complex
     """Force over displacement [N/m]; -K - j (B omega + 4 F_c/(pi A)) for a muscle."""
-    force: float
-    """Mean force [N]."""
-    pressure: float
-    """Mean pressure [Pa]; nan where it is not recorded."""
-    ripple: complex
-    """Amplitude of the pressure at the sine's frequency [Pa], with the displacement's phase as 0."""
-    distortion: float
-    """Rms of what the sine leaves of the displacement, over its own rms [1]."""
     area: float
+    """Work lost in the loop [J]: -integral of F dx."""
     width: float
-    cycles: Cycles
-    steps: tuple[float, float] = (0.0, 0.0)
-    """In which displacement [m] and force [N] are read."""
+    """Force while returning minus force while contracting, at mid stroke [N]."""
 
     @property
     def omega(self) -> float:
@@ -112,6 +80,40 @@ class Sine:
     def phase(self) -> float:
         """Phase by which the pull leads the extension [rad]: atan(Im/Re)."""
         return float(np.arctan2(-self.ratio.imag, -self.ratio.real))
+
+    def less(self, loss: float) -> Swing:
+        """The same with a loss that is smaller [N]; the width at mid stroke changes by twice that."""
+        return Swing(
+            self.frequency, self.amplitude, self.ratio + 1j * loss / self.amplitude, self.area, self.width - 2 * loss
+        )
+
+    def turned(self, by: float) -> Swing:
+        """The same with the force `by` [s] earlier; the width at mid stroke grows by twice what the loss does."""
+        ratio = self.ratio * complex(np.exp(1j * self.omega * by))
+        more = -ratio.imag * self.amplitude - self.loss
+        return Swing(self.frequency, self.amplitude, ratio, self.area, self.width + 2 * more)
+
+
+@dataclass(frozen=True, eq=False)
+class Sine(Swing):
+    """One trial, measured over whole cycles. x(t) = mean + Re(X exp(j omega t)), and so on."""
+
+    t: Array
+    x: Array
+    F: Array
+    mean: float
+    """Of the displacement [m]."""
+    force: float
+    """Mean force [N]."""
+    pressure: float
+    """Mean pressure [Pa]; nan where it is not recorded."""
+    ripple: complex
+    """Amplitude of the pressure at the sine's frequency [Pa], with the displacement's phase as 0."""
+    distortion: float
+    """Rms of what the sine leaves of the displacement, over its own rms [1]."""
+    cycles: tuple[Swing, ...]
+    steps: tuple[float, float] = (0.0, 0.0)
+    """In which displacement [m] and force [N] are read."""
 
 
 def measure(
@@ -190,25 +192,29 @@ def evaluate(
     left = x - means[0] - np.real(X * np.exp(1j * omega * t))
     whole = max(1, round((t[-1] - t[0]) * frequency))
     edges = np.searchsorted(t, t[0] + np.arange(whole + 1) / frequency - 1e-9)
-    rows = []
+    cycles = []
     for first, last in pairwise(edges) if by_cycle else ():
         one = slice(int(first), int(last))
         _, a = three_parameter(t[one], both[one], frequency)
         width = float(np.subtract(*at_middle(t[one], x[one], F[one], float(means[0]), X, omega)))
-        rows.append((complex(a[1] / a[0]), abs(complex(a[0])), lost_work(x[one], F[one]), width))
+        area = lost_work(x[one], F[one])
+        cycles.append(Swing(frequency, abs(complex(a[0])), complex(a[1] / a[0]), area, width))
     return Sine(
-        t, x, F, frequency,
-        mean=float(means[0]),
+        frequency=frequency,
         amplitude=abs(X),
         ratio=complex(amplitudes[1] / amplitudes[0]),
+        area=lost_work(x, F) / whole,
+        width=float(np.subtract(*at_middle(t, x, F, float(means[0]), X, omega))),
+        t=t,
+        x=x,
+        F=F,
+        mean=float(means[0]),
         force=float(means[1]),
         pressure=pressure,
         ripple=ripple,
         distortion=float(np.sqrt(2.0 * np.mean(left**2))) / abs(X),
-        area=lost_work(x, F) / whole,
-        width=float(np.subtract(*at_middle(t, x, F, float(means[0]), X, omega))),
-        cycles=Cycles(*(np.array(column) for column in zip(*rows, strict=True))) if rows else NO_CYCLES,
-    )  # fmt: skip
+        cycles=tuple(cycles),
+    )
 
 
 def lost_work(x: Array, F: Array) -> float:
@@ -263,18 +269,12 @@ def moving(sine: Sine, by: float = 0.0) -> tuple[Array, Array]:
     return _harmonics(sine.t, sine.x, sine.frequency, by)
 
 
-def lagless(run: RunData, trial: TrialData, name: str, frequency: float, rows: NDArray[np.intp]) -> Array:
-    """A channel at some of a trial's samples, the lag of its sensor taken off; shape of `rows`."""
-    lag = run.channels[name].sensor_lag if name in run.channels else 0.0
-    return without_lag(trial.t[rows], trial.channels[name][rows], frequency, lag)
-
-
 def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:
     """Displacement [m] without noise and force [N] of F = const - K x - B x' - F_c sign x' at the trial's times.
 
     The displacement keeps its first five harmonics; the constant gives the trial's mean force.
     """
-    x, v = _harmonics(sine.t, sine.x, sine.frequency)
+    x, v = moving(sine)
     F = -K * (x - sine.mean) - B * v - F_c * np.sign(v)
     return x, F + sine.force - float(three_parameter(sine.t, F[:, None], sine.frequency)[0][0])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from math import cos, exp, lgamma, pi, sqrt, tan
+from math import cos, exp, isnan, lgamma, pi, sqrt, tan
 from statistics import NormalDist
 
 import numpy as np
@@ -76,6 +76,13 @@ def mean_with_half(values: Sequence[float]) -> tuple[float, float | None]:
     array = np.array(values)
     se = float(array.std(ddof=1)) / sqrt(len(array)) if len(array) > 1 else None
     return float(array.mean()), half_width(se, len(array) - 1)
+
+
+def half_of_trials(values: Sequence[float], halves: Sequence[float]) -> float | None:
+    """95 % half width of the mean of trials: by that of each, NaN where it is unknown, or by their scatter if wider."""
+    within = sqrt(float(np.mean(np.square(halves))) / len(values))
+    known = [half for half in (within, mean_with_half(values)[1]) if half is not None and not isnan(half)]
+    return max(known, default=None)
 
 
 def mean_over(values: Sequence[float], conditions: Sequence[float]) -> tuple[float, float | None, tuple[float, float]]:

@@ -50,6 +50,16 @@ def point_of(trial: TrialData) -> Point:
     return tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
 
 
+def point_by(trial: TrialData, names: Sequence[str]) -> Point:
+    """Those of the operating point's entries that have one of `names`, in their order, as a key."""
+    return tuple((name, round(trial.point[name], 9)) for name in names if name in trial.point)
+
+
+def six_digits(at: Mapping[str, float], without: str = "") -> Point:
+    """An operating point to six digits as a key, so that equal settings agree; without one of its entries."""
+    return tuple((name, float(f"{value:.6g}")) for name, value in sorted(at.items()) if name != without)
+
+
 def by_point(members: Sequence[tuple[RunData, TrialData]]) -> list[tuple[dict[str, float], Members]]:
     """Operating points [SI] in rising order, each with its runs and trials in the order that they came."""
     return [(dict(key), group) for key, group in sorted(grouped(members, lambda one: point_of(one[1])).items())]
@@ -119,7 +129,7 @@ def compared(runs: Sequence[RunData]) -> list[Compared]:
     first: dict[tuple[object, ...], float] = {}
     found = []
     for run, trial in ((one, trial) for one in in_time(runs) for trial in one.trials):
-        stroke = stroke_of(run, trial) if trial.reference and trial.status == "finished" else None
+        stroke = stroke_of(trial) if trial.reference and trial.status == "finished" else None
         if stroke is None:
             continue
         point = tuple(sorted((name, round(value, 3)) for name, value in trial.point.items()))
@@ -154,7 +164,7 @@ def _finding(one: Compared, what: str) -> Finding:
     return Finding("doubt" if drifts else "note", f"{what} {values}{'; the specimen is not what it was' * drifts}")
 
 
-def stroke_of(run: RunData, trial: TrialData) -> float | None:
+def stroke_of(trial: TrialData) -> float | None:
     """Contraction at the end of the hold less that at rest [m]; None where either has no usable sample."""
     if "displacement" not in trial.channels:
         return None
@@ -170,6 +180,7 @@ def stroke_of(run: RunData, trial: TrialData) -> float | None:
 
 FIGURE = "repeats"
 POINTS = 360
+LONGEST_TRACE = 1500
 MOST = 8
 """Most repeats."""
 HIDDEN = frozenset(("side", "mass", "cycles"))
@@ -189,7 +200,7 @@ def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
 
     every = [trial for run in in_time(runs) for trial in run.trials if trial.status == "finished"]
     usable = [t for t in every if not t.reference and not t.again and channel in t.channels and known(t).sum() > 1]
-    groups = grouped(usable, lambda one: tuple((n, float(f"{at:.6g}")) for n, at in sorted(one.point.items())))
+    groups = grouped(usable, lambda one: six_digits(one.point))
     most = max((len(group) for group in groups.values()), default=0)
     if most < 2:
         return []
@@ -209,6 +220,12 @@ def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
     title = f"{where or 'one operating point'}: {len(samples)} repeats over each other"
     quantities = {"t": "time", **dict.fromkeys(columns, "force" if channel == "force" else "length")}
     return [Trace(FIGURE, FIGURE, title, {"t": grid, **columns}, quantities, dict(point))]
+
+
+def thinned(columns: Mapping[str, Array], most: int = LONGEST_TRACE) -> dict[str, Array]:
+    """Every so many-th row of the columns of a figure, `most` rows at most."""
+    stride = max(1, -(-max(map(len, columns.values()), default=0) // most))
+    return {name: column[::stride] for name, column in columns.items()}
 
 
 def _means(grid: Array, t: Array, y: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.analyses.results import Analysis, Curve, Estimate
-from pmabench.store.records import RunData
+from pmabench.store.records import RunData, is_number
 
 MEASURES = {
     "relative_interval": ("±", "+-", ""),
@@ -77,7 +77,7 @@ def limits_of(run: RunData) -> list[Limit]:
     found += [
         Limit(str(name), "relative_interval", float(widest), "")
         for name, widest in limits.items()
-        if name not in known and _are_numbers(widest)
+        if name not in known and is_number(widest)
     ]
     return found
 
@@ -93,16 +93,12 @@ def _limit(entry: Any) -> Limit | None:
     what, measure, limit, place, expected = (
         entry.get(name) for name in ("what", "measure", "limit", "place", "expected")
     )
-    if not isinstance(what, str) or not isinstance(measure, str) or measure not in MEASURES or not _are_numbers(limit):
+    if not isinstance(what, str) or not isinstance(measure, str) or measure not in MEASURES or not is_number(limit):
         return None
     everywhere = float(expected) if isinstance(expected, int | float) else None
     pairs = [point for point in _list(expected) if isinstance(point, list | tuple) and len(point) == 2]
-    points = tuple((float(P), float(value)) for P, value in pairs if _are_numbers(P, value))
+    points = tuple((float(P), float(value)) for P, value in pairs if is_number(P) and is_number(value))
     return Limit(what, measure, float(limit), str(place or ""), points, everywhere)
-
-
-def _are_numbers(*values: Any) -> bool:
-    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
 
 
 def not_accepted_as_form(

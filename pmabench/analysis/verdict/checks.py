@@ -20,12 +20,12 @@ import numpy as np
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import NotUsable
-from pmabench.analysis.shared.trials import Point, grouped
+from pmabench.analysis.shared.trials import Point, grouped, six_digits
 from pmabench.base.kind import Kind
 from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import printable
 from pmabench.store.analyses.results import Analysis, Finding
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, RunData, TrialData, is_number
 
 LONGEST = 1000
 """Characters of a sentence from a record, which may be another's."""
@@ -130,8 +130,7 @@ def checks_of(analysis: Analysis) -> tuple[Check, ...]:
         if isinstance(entry, Mapping) and set(entry) == set(Check.__dataclass_fields__):
             value = entry["value"]
             texts = [entry[name] for name in ("name", "quantity", "level", "text")]
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if number and all(isinstance(text, str) for text in texts) and entry["quantity"] in QUANTITIES:
+            if is_number(value) and all(isinstance(text, str) for text in texts) and entry["quantity"] in QUANTITIES:
                 found.append(Check(**entry))
     return tuple(found)
 
@@ -171,8 +170,7 @@ def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
     for run in in_time(runs):
         sampled = [trial for trial in run.trials if len(trial.t)]
         for trial in (one for one in sampled if one.status == "finished" and not one.again):
-            point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
-            values.append((point, run, trial, begun + float(trial.t[0])))
+            values.append((six_digits(trial.point), run, trial, begun + float(trial.t[0])))
         begun += max((float(trial.t[-1]) for trial in sampled), default=0.0)
     times = Counter(point for point, *_ in values)
     rows: list[tuple[Point, int, float, float]] = []
@@ -219,8 +217,8 @@ def first_repeat(r: Repeats) -> Check | None:
             apart.append(float(first[0] / later.mean() - 1.0))
     if len(apart) < FEWEST:
         return None
-    mean = float(np.mean(apart))
-    half = float(student.ppf(0.975, len(apart) - 1)) * float(np.std(apart, ddof=1)) / sqrt(len(apart))
+    mean, known = student.mean_with_half(apart)
+    half = known or 0.0
     size = f"{100 * mean:+.2g} ± {100 * half:.2g} % of the {r.what} over {len(apart)} operating points"
     level, relation, advice = "note", "is like the" if abs(mean) <= half else "differs a little from", ""
     if abs(mean) > max(half, FIRST):

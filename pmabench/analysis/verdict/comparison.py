@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
-from pmabench.analysis.shared.trials import grouped
+from pmabench.analysis.shared.trials import Point, grouped, six_digits
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
@@ -114,7 +114,6 @@ TERM = "as "
 CHANCE = 0.05
 """Share of right values that lie outside their intervals."""
 
-Point = tuple[tuple[str, float], ...]
 Series = tuple[str, str, str, tuple[str, ...]]
 """Kind of test, symbol, coordinate, and over what it is given."""
 
@@ -257,11 +256,6 @@ def _held(series: Iterable[Series]) -> str:
     return ", ".join(dict.fromkeys(_name(one[1:3]) for one in series)) or "no value"
 
 
-def _point(at: Mapping[str, float]) -> Point:
-    """The operating point to six digits, so that equal settings agree; the moving mass is left out."""
-    return tuple(sorted((name, float(f"{value:.6g}")) for name, value in at.items() if name != "mass"))
-
-
 def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate]]:
     """Series -> values by operating point, of one method; terms of curves count as coefficients."""
     found: dict[Series, dict[Point, Estimate]] = {}
@@ -276,7 +270,7 @@ def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate
         chosen: dict[tuple[str, str], str] = {}
         for e in (*analysis.estimates, *_terms(analysis)):
             if chosen.setdefault((e.symbol, e.coordinate), method or e.method) == e.method:
-                place = _point(e.at)
+                place = six_digits(e.at, "mass")
                 series = (analysis.kind, e.symbol, e.coordinate, tuple(name for name, _ in place))
                 found.setdefault(series, {}).setdefault(place, e)
     return found

@@ -12,16 +12,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot, isfinite
-from typing import Any, TypeGuard
 
 import numpy as np
 
-from pmabench.analysis.shared.trials import Point, grouped, stroke_of
+from pmabench.analysis.shared.trials import Point, grouped, six_digits, stroke_of
 from pmabench.analysis.verdict.comparison import Difference, named, percent
 from pmabench.base.kind import Result
 from pmabench.base.quantities import in_words, show
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
-from pmabench.store.records import Event, RunData
+from pmabench.store.records import Event, RunData, is_number
 
 FACTOR = 2.66
 FEWEST = 5
@@ -212,24 +211,19 @@ def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series
             continue
         past = min(runs, key=lambda run: (run.date, run.run))
         leak = analysis.facts.get("leak")
-        lost = [Estimate("leak", float(leak), "1", "ratio", analysis.kind)] if _is_number(leak) else []
+        lost = [Estimate("leak", float(leak), "1", "ratio", analysis.kind)] if is_number(leak) else []
         methods: dict[str, str] = {}
         for e in (*analysis.estimates, *lost):
             if e.symbol not in SYMBOLS or e.coordinate not in ("", "slope"):
                 continue
             if methods.setdefault(e.symbol, e.method) == e.method and e.value is not None:
-                key = (analysis.kind, e.symbol, e.coordinate, e.method, _place(e.at))
+                key = (analysis.kind, e.symbol, e.coordinate, e.method, six_digits(e.at, "mass"))
                 found.setdefault(key, []).append(Moment(past.date, past.before, e, past.run))
     made = [
         Series(str(key[0]), tuple(sorted(moments, key=lambda m: (m.date, m.run))), names.get(key[:2], str(key[1])))
         for key, moments in found.items()
     ]
     return sorted(made, key=lambda s: SYMBOLS.index(s.first.symbol))
-
-
-def _place(at: Mapping[str, float]) -> Point:
-    """An operating point to six digits, without the moving mass."""
-    return tuple((name, float(f"{value:.6g}")) for name, value in sorted(at.items()) if name != "mass")
 
 
 def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis | None:
@@ -241,16 +235,12 @@ def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis |
         leak = event.data.get("leak") if event.kind == "self-test" else None
         if not isinstance(leak, Mapping):
             continue
-        known = {name: float(value) for name, value in leak.items() if _is_number(value) and isfinite(value)}
+        known = {name: float(value) for name, value in leak.items() if is_number(value) and isfinite(value)}
         if "pressure" in known and "falls" in known:
             at, parts = {"pressure": known["pressure"]}, Parts(repeats=known.get("half_width"))
             leak = Estimate("leak", known["falls"], "Pa/s", "pressure rate", SELF_TEST, at, parts, 1)
             return Analysis(SELF_TEST, (run,), simulated, (leak,), results=(LEAK,))
     return None
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def chosen(series: Sequence[Series]) -> list[Series]:
@@ -294,8 +284,10 @@ def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[Referen
         past = place[run.id]
         for trial in run.trials:
             used = trial.reference and trial.status == "finished"
-            if used and (stroke := stroke_of(run, trial)) is not None:
-                found.setdefault(_place(trial.point), []).append((past.date, past.before, stroke, trial.name))
+            if used and (stroke := stroke_of(trial)) is not None:
+                found.setdefault(six_digits(trial.point, "mass"), []).append(
+                    (past.date, past.before, stroke, trial.name)
+                )
     return [References(point, tuple(sorted(moments, key=lambda m: m[0]))) for point, moments in found.items()]
 
 

@@ -1,6 +1,6 @@
 """The length of a muscle without load over pressure.
 
-- `rests`: pressure and contraction of each trial; `levels`: the curve over pressure; `reduction`
+- `points`: pressure and contraction of each trial, the curve over pressure; `reduction`
 - protocol files: `protocol`; words and figures: `figures`; one trial on the display: `reduction`
 """
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.optimize import brentq
 
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
+from pmabench.kinds.free_contraction.points import Point, curve_of
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
 from pmabench.plotting.plots import BLUE, BROWN, CROSSES, HALF, INK, Panel, blank, few_ticks, grid
@@ -19,8 +20,6 @@ from pmabench.store.records import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from pmabench.kinds.free_contraction.rests import Point
 
 CURVE = 121
 """Points of a drawn curve."""
@@ -37,35 +36,16 @@ BARELY = 1.01
 CM = 1e-2
 
 
-@dataclass(frozen=True, eq=False)
-class Curves:
-    """Points and curves [Pa, m]; shapes (n,) of the points, (CURVE,) of the curves; None where there is none."""
-
-    P: Array
-    L: Array
-    below: Array
-    above: Array
-    grid: Array
-    fit: Array | None
-    paper: Array | None
-    paper_at: Array | None
-    """Of paper 2 at the points."""
-
-
 def half_pressure(P: Array, x: Array) -> float | None:
     """Where x first comes to half of its value at the highest pressure, by monotone cubics [Pa]; None if nowhere."""
     if len(P) < 3 or not bool((np.diff(P) > 0).all()) or not x[-1] > 0:
         return None
     half = 0.5 * x[-1]
-    after = np.flatnonzero(x >= half)
-    if not len(after) or after[0] == 0:
+    after = int(np.argmax(x >= half))
+    if after == 0:
         return None
-    low, high = float(P[after[0] - 1]), float(P[after[0]])
     curve = PchipInterpolator(P, x)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if float(curve(middle)) < half else (low, middle)
-    return 0.5 * (low + high)
+    return float(brentq(lambda at: float(curve(at)) - half, P[after - 1], P[after], xtol=1e-12 * P[after]))
 
 
 def paper_length(P: Array, length: float) -> Array | None:
@@ -78,24 +58,6 @@ def paper_length(P: Array, length: float) -> Array | None:
     L0 = min(max(length, nominal.low), nominal.high)
     found = model.evaluate({"pressure": np.clip(P, 0.0, most), "nominal_length": L0})
     return np.asarray(found["length"], dtype=np.float64)
-
-
-def curves(points: Sequence[Point], fit: ModelFit | None, length: float, *, compare: bool) -> Curves:
-    """All that the figure shows."""
-    P = np.array([point.pressure for point in points])
-    grid = np.linspace(max(float(P.min()), 0.0), float(P.max()), CURVE)
-    return Curves(
-        P=P,
-        L=length - np.array([point.x for point in points]),
-        below=length - np.array([point.reached(-1.0) for point in points]),
-        above=length - np.array([point.reached(1.0) for point in points]),
-        grid=grid,
-        fit=None
-        if fit is None or not fit.converged
-        else fit.band({"pressure": np.minimum(grid, float(fit.columns["pressure"].max()))})[0],
-        paper=paper_length(grid, length) if compare else None,
-        paper_at=paper_length(P, length) if compare else None,
-    )
 
 
 def of_points(points: Sequence[Point]) -> list[Finding]:
@@ -141,22 +103,24 @@ def of_fit(fit: ModelFit | None, why: str, other: str) -> list[Finding]:
     return [*found, Finding("doubt", other)] if other else found
 
 
-def of_paper(curve: Curves, length: float) -> list[Finding]:
+def of_paper(points: Sequence[Point], length: float) -> list[Finding]:
     """Paper 2's formula for this nominal length compared with what was measured: the shape, not the millimetre."""
-    if curve.paper is None or curve.paper_at is None:
+    P, x = curve_of(points)
+    grid = _grid(P)
+    paper, along = paper_length(P, length), paper_length(grid, length)
+    if paper is None or along is None:
         return [Finding("note", "paper 2's formula does not hold for this length or these pressures: not compared")]
-    off = curve.L - curve.paper_at
+    off = length - x - paper
     at = int(np.argmax(np.abs(off)))
-    where = show(float(curve.P[at]), "pressure", 3)
+    where = show(float(P[at]), "pressure", 3)
     text = f"measured less paper 2's formula: up to {show(float(off[at]), 'length', 2)} at {where}"
     rounded = f"rounding of its printed coefficients alone is worth {show(rounding(length), 'length', 2)}"
     found = [Finding("note", f"{text}; {rounded}")]
-    mine = half_pressure(curve.P, length - curve.L)
-    theirs = half_pressure(curve.grid, length - curve.paper)
+    mine, theirs = half_pressure(P, x), half_pressure(grid, length - along)
     if mine is not None and theirs is not None:
         text = f"half of the largest contraction is reached at {show(mine, 'pressure', 3)}"
         found.append(Finding("note", f"{text}, by paper 2's formula at {show(theirs, 'pressure', 3)}"))
-    largest = float((length - curve.L).max()) / length
+    largest = float(x.max()) / length
     if largest > LARGEST:
         found.append(Finding("doubt", f"it contracts by {largest:.1%}; paper 2 takes 35 % for the most"))
     return found
@@ -168,13 +132,25 @@ def rounding(length: float) -> float:
     return 0.5e-4 * (L0 + L0**2 + L0**3) * CM
 
 
-def trace(curve: Curves, length: float) -> Trace:
-    """Points first, then the curves."""
-    none, blank = np.full(len(curve.P), np.nan), np.full(CURVE, np.nan)
-    at_points = {"length": curve.L, "below": curve.below, "above": curve.above}
-    along = {"fit": curve.fit, "model": curve.paper}
+def _grid(P: Array) -> Array:
+    """Pressures of a drawn curve [Pa]."""
+    return np.linspace(max(float(P.min()), 0.0), float(P.max()), CURVE)
+
+
+def trace(points: Sequence[Point], fit: ModelFit | None, length: float, *, compare: bool) -> Trace:
+    """Points first, then the fitted curve and, to `compare`, paper 2's."""
+    P, x = curve_of(points)
+    grid, none, blank = _grid(P), np.full(len(P), np.nan), np.full(CURVE, np.nan)
+    at_points = {
+        "length": length - x,
+        "below": length - np.array([point.reached(-1.0) for point in points]),
+        "above": length - np.array([point.reached(1.0) for point in points]),
+    }
+    along = {"fit": None, "model": paper_length(grid, length) if compare else None}
+    if fit is not None and fit.converged:
+        along["fit"] = fit.band({"pressure": np.minimum(grid, float(fit.columns["pressure"].max()))})[0]
     columns = {
-        "pressure": np.concatenate([curve.P, curve.grid]),
+        "pressure": np.concatenate([P, grid]),
         **{name: np.concatenate([values, blank]) for name, values in at_points.items()},
         **{name: np.concatenate([none, blank if values is None else values]) for name, values in along.items()},
     }

@@ -24,8 +24,20 @@ from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction import RESULTS, figures
-from pmabench.kinds.free_contraction.levels import Level, curve_of, sigmoid, through, zero_of, zeroed
-from pmabench.kinds.free_contraction.rests import CHANNELS, Point, Shape, measure, points_of
+from pmabench.kinds.free_contraction.points import (
+    CHANNELS,
+    Level,
+    Point,
+    Shape,
+    curve_of,
+    highest,
+    measure,
+    points_of,
+    sigmoid,
+    through,
+    zero_of,
+    zeroed,
+)
 from pmabench.model.library import MODELS
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData, TrialData
@@ -84,16 +96,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     shifted = {} if fit is None or other else _shifted(points, length, shape, zero)
     levels = [Level.of(point, shape, OPEN * abs(zero), fits=fits) for point in points]
     points = [level.point for level in levels]
-    estimates = _lengths(levels, length, scales)
-    estimates += [_half(levels, scales)] if len(points) > 2 else []
-    estimates = _weighed([*estimates, *_largest(levels, length, scales)], points, length)
+    estimates = _weighed(_lengths(levels, length, scales), points, length)
     estimates += _coefficients(fit, why, other, shifted, points, length, scales)
-    curve = figures.curves(points, fit, length, compare=compare) if points else None
     findings = [
         *figures.of_points(points),
         *said,
         *(figures.of_fit(fit, why, other) if points else []),
-        *(figures.of_paper(curve, length) if curve is not None and compare else []),
+        *(figures.of_paper(points, length) if points and compare else []),
     ]
     if estimates and (missing := scales.lack(CHANNELS)):
         findings.append(Finding("note", missing))
@@ -104,7 +113,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=estimates,
         dropped=dropped,
         findings=findings,
-        traces=[] if curve is None else [figures.trace(curve, length)],
+        traces=[figures.trace(points, fit, length, compare=compare)] if points else [],
         facts={
             "options": dict(options or {}),
             "nominal_length": length,
@@ -117,20 +126,26 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _lengths(levels: Sequence[Level], length: float, scales: Scales) -> list[Estimate]:
-    """L, and the difference of both sides, at each pressure."""
-    found, gaps = [], []
+    """L at each pressure, then the difference of both sides, and the largest contraction as a share of the length."""
+    lengths, gaps = [], []
     for level in levels:
         point, at, n = level.there, {"pressure": level.point.set}, len(level.there.repeats)
         slope = level.rise(scales.offsets.get("pressure", PRESSED))
         rises = {"displacement": point.x, "pressure": slope * level.point.pressure}
         scale = scales.part(rises, {"displacement": 1.0, "pressure": slope})
         parts = Parts(spread(point.repeats), level.method, scale)
-        found.append(_free("L", length - point.x, "length", at, parts, n, [point]))
+        lengths.append(_free("L", length - point.x, "length", at, parts, n, [point]))
         if len(point.gaps):
             value = float(point.gaps.mean())
             parts = Parts(spread(point.gaps), 0.0, scales.part({"displacement": value}))
             gaps.append(_free("x_H", value, "length", at, parts, len(point.gaps), [point]))
-    return found + gaps
+    found = [*lengths, *gaps, *([_half(levels, scales)] if len(levels) > 2 else [])]
+    if not levels or not 0 < length < np.inf:
+        return found
+    # as a share of the nominal length, which is taken as exact
+    top, e = max(zip(levels, lengths, strict=True), key=lambda one: one[0].there.x)
+    largest = replace(e, symbol="eps_max", value=top.there.x / length, unit="1", quantity="ratio")
+    return [*found, replace(largest, parts=e.parts.times(1 / length))]
 
 
 def _free(
@@ -161,21 +176,6 @@ def _half(levels: Sequence[Level], scales: Scales) -> Estimate:
     return _free("P_half", value, "pressure", {}, parts, n, points)
 
 
-def _largest(levels: Sequence[Level], length: float, scales: Scales) -> list[Estimate]:
-    """The largest contraction of all pressures, as a share of the nominal length, which is taken as exact."""
-    top = max(levels, key=lambda level: level.there.x, default=None)
-    if top is None or not length > 0 or not np.isfinite(length):
-        return []
-    point, rise = top.there, top.rise(scales.offsets.get("pressure", PRESSED))
-    half = spread(point.repeats)
-    scale = scales.part(
-        {"displacement": point.x / length, "pressure": rise * top.point.pressure / length},
-        {"displacement": 1 / length, "pressure": rise / length},
-    )
-    parts = Parts(None if half is None else half / length, top.method / length, scale)
-    return [_free("eps_max", point.x / length, "ratio", {"pressure": point.set}, parts, len(point.repeats), [point])]
-
-
 def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
     """The sigmoid with fitted a to e through the means, `off` (n,) [m] added to x; or why it cannot be fitted.
 
@@ -186,8 +186,8 @@ def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tu
     if len(points) <= len(UNKNOWN):
         return None, f"no fit: {len(points)} pressures for {len(UNKNOWN)} coefficients"
     if not np.isfinite(x).all() or not 0 < length <= 2:
-        return None, "no fit: the plan tells no nominal length"
-    most = next(p.high for p in model.parameters if p.name == "pressure")
+        return None, "no fit: the plan gives no nominal length"
+    most = highest(model)
     if P.max() > most:
         return None, f"no fit: the sigmoid holds up to {show(most, 'pressure')}"
     fixed = {p.name: p.value for p in model.parameters if p.name not in ("pressure", *UNKNOWN)}
@@ -199,7 +199,7 @@ def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tu
             fit = fit_model(model, "length", columns, fixed, length - x - off, UNKNOWN, start=start)
         except ValueError:
             return None, "no fit: no sigmoid comes near these lengths"
-        start, before, shape = {one.name: one.value for one in fit.unknowns}, x, sigmoid(fit)
+        start, before, shape = fit.values, x, sigmoid(fit)
         x = np.array([point.at(point.pressure, shape).x for point in points])
         if np.abs(x - before).max() < SETTLED:
             break
@@ -268,7 +268,7 @@ def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
 
 def _unseen(points: Sequence[Point], fit: ModelFit) -> str:
     """Why the knee of the sigmoid is not seen, with numbers; empty where a pressure is near it."""
-    knee = next(unknown.value for unknown in fit.unknowns if unknown.name == "c")
+    knee = fit.values["c"]
     if any(abs(point.pressure - knee) <= NEAR * knee for point in points):
         return ""
     ends = f"between {show((1 - NEAR) * knee, 'pressure', 2)} and {show((1 + NEAR) * knee, 'pressure', 2)}"
@@ -326,8 +326,7 @@ def _shifted(points: Sequence[Point], length: float, shape: Shape, zero: float) 
 
 def _leverage(fit: ModelFit) -> tuple[Array, Shape]:
     """Change of a to e by that of each length, shape (5, n), and the fitted length over pressure."""
-    P = fit.columns["pressure"]
-    known = {unknown.name: unknown.value for unknown in fit.unknowns}
+    P, known = fit.columns["pressure"], fit.values
 
     def computed(P: Array, **changed: float) -> Array:
         return np.asarray(fit.model.evaluate({**fit.fixed, "pressure": P, **known, **changed})["length"])
@@ -344,8 +343,7 @@ def _scaled(fit: ModelFit, length: float) -> dict[tuple[str, str], Array]:
     """Change of a to e, shape (5,), by a relative change (`gain`) or an offset of 1 [SI] of each channel."""
     P = fit.columns["pressure"]
     leverage, computed = _leverage(fit)
-    most = next(p.high for p in fit.model.parameters if p.name == "pressure")
-    below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, most)
+    below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, highest(fit.model))
     rises = (computed(above) - computed(below)) / (above - below)
     x = length - fit.measured
     moved = {("pressure", "offset"): -rises, ("pressure", "gain"): -rises * P,
@@ -389,9 +387,9 @@ def _coefficients(
         n = 0 if fit is None else len(fit.measured)
         note = sentences(note, RESIDUALS if half is not None else "")
         e = Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name)
-        others = {way: next(u.value for u in one.unknowns if u.name == name) for way, one in shifted.items()}
         doubts = [
-            Doubt(way, PART.get(way, "method"), abs(other - (value or 0.0)), seen=True) for way, other in others.items()
+            Doubt(way, PART.get(way, "method"), abs(one.values[name] - (value or 0.0)), seen=True)
+            for way, one in shifted.items()
         ]
         found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found

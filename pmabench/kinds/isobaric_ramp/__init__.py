@@ -1,7 +1,7 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
-- `reduction`, with the rubber, and the first loop of a rested muscle; of one pressure and stroke (`cell`) the mean
-  `curve` and the `gap`, judged by `doubts`, with `creep`; `bound`: the most that cycles allow
+- `reduction`, with the rubber, and the first loop of a rested muscle; of one pressure and stroke (`cell`) the
+  `coefficients`, judged by `doubts`, with the most `creep` that cycles allow
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

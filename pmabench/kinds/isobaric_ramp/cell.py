@@ -1,6 +1,6 @@
 """The loops of one pressure and stroke at all their speeds: lines over the speed, mean curve, and what they show.
 
-Knows no coefficient: those of the mean curve are in `curve`, those of the gap in `gap`.
+Knows no coefficient: those of the mean curve and of the gap are in `coefficients`.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from math import hypot, isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import Line, mean_of_cycles, weighted_line
 from pmabench.analysis.shared.ramp_loop import Loop
+from pmabench.analysis.shared.trials import thinned
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -25,6 +27,8 @@ CURVE, RAW, LOCAL = OF_MEAN = "mean-curve", "mean-curve, turns left in", "mean-c
 GAP, MEAN_GAP, OPEN = "loop-gap", "loop-gap, mean over the stroke", "loop-gap, open loop"
 WINDOW = 0.06
 """Half width of the cubic through the mean curve for force and slope at a place, as a share of the stroke."""
+OPENED = 0.7
+"""Share of the stroke, about its middle, in which turns have faded."""
 BENT = 0.02
 """Rms of the mean curve about a straight line, as a share of its range, that is worth a sentence."""
 UNEVEN = 0.05
@@ -40,7 +44,6 @@ SLOW_TURNS = 0.2
 In a fluidic muscle, described by stops of several widths, a fifth of it has a reach of 16 mm."""
 SLOW_REACH = 0.75
 """Share of the stroke over which that fades: on a shorter way the gap shows it, on a longer one it adds less."""
-LONGEST_TRACE = 1500
 BETWEEN = "displacement and force"
 PLACES = 5
 """Places along the stroke at which force and stiffness are given."""
@@ -99,6 +102,12 @@ class Cell:
         return float(0.5 * (self.x[0] + self.x[-1]))
 
     @property
+    def opened(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Places on the grid from -1 to 1, and in which of them turns have faded."""
+        place = (self.x - self.middle) / (0.5 * np.ptp(self.x))
+        return place, np.abs(place) < OPENED
+
+    @property
     def ends(self) -> tuple[float, float]:
         """Lower and upper end of the stroke [m]."""
         points = [member.trial.point for member in self.members]
@@ -154,8 +163,7 @@ class Cell:
     @property
     def bent(self) -> bool:
         """Whether the mean curve is no straight line."""
-        left = self.curve - np.polyval(np.polyfit(self.x, self.curve, 1), self.x)
-        return bool(np.sqrt(np.mean(left**2)) > BENT * np.ptp(self.curve))
+        return is_bent(self.x, self.curve)
 
     @cached_property
     def straight(self) -> float:
@@ -216,9 +224,7 @@ class Cell:
         self, scales: Scales, gains: Mapping[str, float], offsets: Mapping[str, float], over_P: float | None
     ) -> float | None:
         """The calibration part of a value that changes by `over_P` [per Pa] with the pressure for which it is given."""
-        if over_P is not None and self.pressure > 0:
-            gains, offsets = {**gains, "pressure": over_P * self.pressure}, {**offsets, "pressure": over_P}
-        return scales.part(*({k: v for k, v in one.items() if v} for one in (gains, offsets)))
+        return scales.part_at(self.pressure, over_P if self.pressure > 0 else None, gains, offsets)
 
     def estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
@@ -290,8 +296,7 @@ class Cell:
         where, quantities = show(self.pressure, "pressure"), {"displacement": "length", "force": "force"}
         for speed in sorted({member.speed for member in self.members}):
             loop = next(m.loop for m in self.members if m.speed == speed)
-            stride = max(1, -(-len(loop.last[0]) // LONGEST_TRACE))
-            columns = dict(zip(quantities, (values[::stride] for values in loop.last), strict=True))
+            columns = thinned(dict(zip(quantities, loop.last, strict=True)))
             title = f"{where}: isobaric loop at {show(speed, 'speed')}"
             marks = {**self.at, "speed": speed, "H": float(loop.middle_gap.mean())}
             yield Trace(f"isobaric-{name}-{speed:g}", "isobaric", title, columns, quantities, marks)
@@ -313,6 +318,12 @@ class Cell:
             "pressure_apart": float(np.max([abs(loop.apart) for loop in loops])),
             "contraction": [float(self.x[0]), float(self.x[-1])],
         }
+
+
+def is_bent(x: Array, curve: Array) -> bool:
+    """Whether a curve [N] over `x` [m], shapes (n,), is no straight line."""
+    left = curve - np.polyval(np.polyfit(x, curve, 1), x)
+    return bool(np.sqrt(np.mean(left**2)) > BENT * np.ptp(curve))
 
 
 def each_local(x: Array, curves: Array, place: float, window: float = WINDOW) -> tuple[Array, Array]:

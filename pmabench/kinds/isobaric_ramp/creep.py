@@ -8,15 +8,16 @@ as the speed rises. Each of them bounds K_1 for each tau, by least squares over 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.form import SURE
 from pmabench.analysis.shared.samples import ends
 from pmabench.base.quantities import show
-from pmabench.kinds.isobaric_ramp.bound import bound_of, joined
 from pmabench.kinds.isobaric_ramp.cell import Cell, Member
 from pmabench.store.records import Array
 
@@ -26,8 +27,6 @@ LONGEST = 2.0
 """The largest, as a share of how long a cell is tested: what takes longer is a spring like any other in all of it."""
 FASTEST = 0.5
 """The least, as a share of the shortest ramp; that ramp itself where one speed shows no faster ones."""
-OPENED = 0.7
-"""Share of the stroke, about its middle, in which turns have faded."""
 OTHERS = 2.0
 """In one cell of a test the muscle may creep so many times as much as in another, as a share of the stiffness."""
 LATE = 0.1
@@ -70,7 +69,7 @@ class _Tried:
     counts: NDArray[np.bool_]
     """Whether it is neither too fast nor too slow for the cell."""
     most: Array
-    """K_1 [N/m]; inf where the cycles do not tell."""
+    """K_1 [N/m]; inf where the cycles do not show it."""
     stiffness: Array
     force: Array
     """Shape (k, n)."""
@@ -80,7 +79,7 @@ class _Tried:
 
 
 def creeps_of(cells: Sequence[Cell]) -> list[Creep | None]:
-    """What creep may be in each cell; None where its cycles do not tell, as one alone.
+    """What creep may be in each cell; None where its cycles do not show it, as one alone.
 
     A cell that is tested after others moves about the same middle, to which the end of the spring has come. What they
     allow, as a share of the stiffness, holds for it too, but for a factor.
@@ -139,7 +138,7 @@ def _columns(cell: Cell, slow: bool) -> Iterator[tuple[int, Sequence[Array]]]:
     """A sign and what else may change it, shape (cycles,) each.
 
     Each trial has a force of its own. The stiffness may also rise with the speed, by a pressure that moves; two speeds
-    do not tell that from creep. The dome is a parabola where creep is slower than any ramp (`slow`).
+    cannot distinguish that from creep. The dome is a parabola where creep is slower than any ramp (`slow`).
     """
     cycles = [len(member.loop.lost) for member in cell.members]
     speeds = np.repeat([member.speed for member in cell.members], cycles)
@@ -199,11 +198,57 @@ def _pulls(cell: Cell, member: Member, times: Array) -> tuple[Array, Array]:
 
 def _signs(cell: Cell, loops: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
     """Mean force [N], stiffness [N/m] and dome of the gap [N] of the cycles of all loops, shape (k, cycles)."""
-    place = (cell.x - cell.middle) / (0.5 * np.ptp(cell.x))
-    inner = np.abs(place) < OPENED
+    place, inner = cell.opened
     means = np.concatenate([0.5 * (contracting + expanding) for contracting, expanding in loops], axis=1)
     gaps = np.concatenate([expanding - contracting for contracting, expanding in loops], axis=1)[..., inner]
     shape = means.shape[:2]
     slopes = np.polyfit(cell.x, means.reshape(-1, len(cell.x)).T, 1)[0].reshape(shape)
     domes = np.polyfit(place[inner], gaps.reshape(-1, int(inner.sum())).T, 2)[0].reshape(shape)
     return means.mean(axis=2), -slopes, domes
+
+
+ONE_SIDE = 0.95
+"""Probability below the most: only that side is open."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A size, and its standard error times Student's t for `ONE_SIDE` and for `SURE`; what is left [square]."""
+
+    size: float
+    open: float
+    sure: float
+    left: float = 0.0
+    likely: float = 1.0
+    """Another form is as likely that leaves up to so many times as much."""
+
+    @property
+    def most(self) -> float:
+        """The largest size that is allowed; what is seen the other way may hide as much."""
+        return max(self.size, 0.0) + self.open if self.size > -self.sure else self.open - self.size
+
+    @property
+    def seen(self) -> bool:
+        """Whether it is significant."""
+        return self.size > self.sure
+
+
+def bound_of(columns: Sequence[Array], unit: Array, shown: Array) -> Bound | None:
+    """How many times `unit` is in what is `shown`, next to `columns`, shape (n,) each; None if unknown."""
+    design = np.column_stack([*columns, unit])
+    freedom = len(shown) - design.shape[1]
+    terms, _, rank, _ = np.linalg.lstsq(design, shown, rcond=None)
+    if freedom < 1 or rank < design.shape[1]:
+        return None
+    left = shown - design @ terms
+    error = float(np.sqrt(left @ left / freedom * np.linalg.inv(design.T @ design)[-1, -1]))
+    once, both, sure = (float(student.ppf(share, freedom)) for share in (ONE_SIDE, 0.975, SURE))
+    return Bound(float(terms[-1]), once * error, sure * error, float(left @ left), 1 + both**2 / freedom)
+
+
+def joined(bounds: Collection[Bound]) -> Iterator[Bound]:
+    """The mean of several by the squares of their errors."""
+    if len(bounds) > 1 and min(bound.open for bound in bounds) > 0:
+        weights = np.array([bound.open**-2 for bound in bounds])
+        mean = float(weights @ [bound.size for bound in bounds] / weights.sum())
+        yield Bound(mean, float(weights.sum() ** -0.5), float(np.sum([one.sure**-2 for one in bounds]) ** -0.5))

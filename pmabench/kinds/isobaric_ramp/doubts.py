@@ -8,10 +8,9 @@ import numpy as np
 
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import lag_open
-from pmabench.kinds.isobaric_ramp.bound import bound_of
 from pmabench.kinds.isobaric_ramp.cell import CURVE, OF_MEAN, RAW, Cell
-from pmabench.kinds.isobaric_ramp.creep import Creep
-from pmabench.kinds.isobaric_ramp.gap import SHRINKS
+from pmabench.kinds.isobaric_ramp.coefficients import SHRINKS
+from pmabench.kinds.isobaric_ramp.creep import Creep, bound_of
 from pmabench.store.analyses.results import Estimate, withhold
 
 UPSIDE_DOWN = (
@@ -25,8 +24,6 @@ CREEPS = (
 UNIFORM = 0.5
 """Share of what the gap shrinks by at mid stroke that it shrinks less by near the ends: three quarters or all by creep,
 none by friction."""
-OPENED = 0.7
-"""Share of the stroke, about its middle, in which turns have faded."""
 FALLS = 0.05
 """Share of the friction at rest that may fade unseen as the speed rises: two speeds show no more than a line."""
 FADING = 8
@@ -112,8 +109,7 @@ def _shrinks_by_creep(cell: Cell) -> bool:
     the speed takes as much of the gap everywhere. It is alike in both directions, whatever it changes with, and
     a displacement that lags or has play moves the mean curve as a whole: they leave K as it is.
     """
-    place = (cell.x - cell.middle) / (0.5 * np.ptp(cell.x))
-    inner = np.abs(place) < OPENED
+    place, inner = cell.opened
     dome = cell.over_speed(lambda loop: np.polyfit(place[inner], loop.gap[:, inner].T, 2)[0])
     return dome.slope > max(dome.half_slope or 0.0, -UNIFORM * cell.gap.slope)
 

@@ -130,7 +130,7 @@ class IsobaricRamp(ProtocolHead):
             value = point.values.get(name, getattr(self.trial, name))
             places[name] = point.places.get(name, ("trial", name))
             if value is None:
-                c.fault(("trial",), f'lacks "{name}", an end of the stroke, which the sweep does not tell either')
+                c.fault(("trial",), f'lacks "{name}", an end of the stroke, which the sweep does not give either')
             else:
                 ends[name] = value
                 c.within("displacement", value, places[name])

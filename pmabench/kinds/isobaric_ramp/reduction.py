@@ -23,15 +23,15 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import Loop, measure_as_planned
 from pmabench.analysis.shared.samples import NotUsable, settings_of
+from pmabench.analysis.shared.student import half_of_trials
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
-from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, ONE_SPEED, Cell, Member
+from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, ONE_SPEED, Cell, Member, is_bent
+from pmabench.kinds.isobaric_ramp.coefficients import CYCLES, of_curve, of_gap
 from pmabench.kinds.isobaric_ramp.creep import creeps_of
-from pmabench.kinds.isobaric_ramp.curve import of_curve
 from pmabench.kinds.isobaric_ramp.doubts import judged
-from pmabench.kinds.isobaric_ramp.gap import CYCLES, of_gap
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -125,12 +125,9 @@ def _at_middle(loop: Loop) -> tuple[Array, float]:
 
 
 def _estimate(cell: Cell, known: Sequence[Wider]) -> Estimate:
-    gaps = np.array([one.gap for one in known])
-    line, n = cell.gap, len(known)
-    value = float(gaps.mean()) / line.start
-    between = float(student.ppf(0.975, n - 1) * gaps.std(ddof=1) / sqrt(n)) if n > 1 else 0.0
-    within = sqrt(float(np.mean([one.scatter**2 for one in known])) / n)
-    repeats = hypot(max(between, within) / line.start, value * (line.half_start or 0.0) / line.start)
+    gaps, line, n = [one.gap for one in known], cell.gap, len(known)
+    value, half = float(np.mean(gaps)) / line.start, half_of_trials(gaps, [one.scatter for one in known])
+    repeats = hypot((half or 0.0) / line.start, value * (line.half_start or 0.0) / line.start)
     parts = Parts(repeats, max(one.open for one in known) / line.start, 0.0)
     note = sentences(
         CYCLES if n == 1 else "",
@@ -209,7 +206,7 @@ def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], l
     """A, B1, B2 and the force along the stretch from the loops without pressure."""
     length = _length(cell)
     if length is None:
-        return [], [Finding("note", "no rubber term: the record tells no nominal length of the specimen")], []
+        return [], [Finding("note", "no rubber term: the record gives no nominal length of the specimen")], []
     eps = cell.x / length
     if len(eps) < FEWEST or float(np.ptp(cell.curve)) <= 6 * max(m.loop.noise for m in cell.members):
         return [], [Finding("doubt", "no rubber term: the force at 0 kPa does not rise above its noise")], []
@@ -230,7 +227,7 @@ def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], l
         wide = parts.combined
         if wide is None or wide > WIDE * abs(value) or at_bound:
             texts = [show(one, quantity, 3) for one in (value, wide or 0.0)]
-            how = "one loop tells no scatter" if wide is None else " within ".join(texts)
+            how = "one loop shows no scatter" if wide is None else " within ".join(texts)
             e = replace(e, value=None, parts=Parts(), note=f"not identifiable ({how}): {SHORT}")
         found.append(e)
     reach = f"{show(rms, 'force', 2)} rms, from {100 * eps[0]:.3g} to {100 * eps[-1]:.3g} %"
@@ -252,7 +249,7 @@ def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], l
 
 
 def _length(cell: Cell) -> float | None:
-    """Nominal length of the specimen [m], as the record tells it."""
+    """Nominal length of the specimen [m], as recorded; None if unknown."""
     specimen = cell.members[0].run.manifest.get("specimen")
     length = specimen.get("nominal_length") if isinstance(specimen, Mapping) else None
     return float(length) if isinstance(length, int | float) and 0 < length < 100 else None
@@ -262,8 +259,6 @@ KIND = "isobaric-ramp"
 CHANNELS = ("displacement", "force")
 UNPRESSED = 1.0
 """Set pressure up to which a loop is of the rubber alone [Pa]."""
-STRAIGHT = 0.02
-"""Rms of a mean curve about a straight line, as a share of its range, up to which it counts as one."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -363,7 +358,8 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
             )  # fmt: skip
             if F_here:
                 yield _along(P, F_here, trace)
-            if P in K and _is_straight(trace):
+            x, F = trace.columns["displacement"], trace.columns["force"]
+            if P in K and len(x) > 2 and not is_bent(x, F):
                 yield _of_stroke(P, K[P], trace)
             elif K_here:
                 yield _along(P, K_here)
@@ -399,8 +395,3 @@ def _of_stroke(P: float, K: Estimate, course: Trace) -> Offer:
         return replace(K, parts=replace(K.parts, method=hypot(K.parts.method or 0.0, off)))
 
     return Offer("K", {(P, None): K}, at)
-
-
-def _is_straight(trace: Trace) -> bool:
-    x, F = trace.columns["displacement"], trace.columns["force"]
-    return len(x) > 2 and float(np.std(F - np.polyval(np.polyfit(x, F, 1), x))) <= STRAIGHT * float(np.ptp(F))

@@ -1,7 +1,7 @@
 """Steps of pressure that other programs recorded: dead time, rise, stroke, what its ringing says of K and B.
 
-- `reduction` of what `step` measures, with `motion`: `ringing` (K and B of a known mass, B/K, dead time), `loads` (K of
-  two loads, or of a column of force)
+- `reduction` of what `step` measures, with `motion`: `ringing` (K and B of a known mass, B/K, dead time) by the forms
+  of `delayed`, `loads` (K of two loads, or of a column of force)
 """
 
 from pmabench.base.imported import Imported

@@ -131,14 +131,6 @@ def _by_friction(K: Estimate, others: Sequence[Estimate | None]) -> Estimate:
     return replace(K, parts=replace(K.parts, method=hypot(K.parts.method or 0.0, max(apart))))
 
 
-def _times(parts: Parts, factor: float) -> Parts:
-    """Parts of a value times a factor."""
-    repeats, method, calibration = (
-        None if part is None else abs(factor) * part for part in (parts.repeats, parts.method, parts.calibration)
-    )
-    return Parts(repeats, method, calibration, abs(factor) * parts.skew, abs(factor) * parts.drift)
-
-
 def _damping(K: Estimate, estimates: Sequence[Estimate]) -> list[Estimate]:
     """B [N.s/m] of the direction of the steps: B/K times K."""
     at = dict(K.at)
@@ -148,7 +140,7 @@ def _damping(K: Estimate, estimates: Sequence[Estimate]) -> list[Estimate]:
     values = [e.value or 0.0 for e in taus]
     tau = float(np.mean(values))
     widest = max(taus, key=lambda e: e.parts.combined or 0.0).parts
-    of_K, of_tau = _times(K.parts, tau), _times(widest, K.value)
+    of_K, of_tau = K.parts.times(tau), widest.times(K.value)
     known = of_K.repeats is not None and of_tau.repeats is not None
     repeats = hypot(of_K.repeats or 0.0, of_tau.repeats or 0.0) if known else None
     apart = K.value * max(abs(value - tau) for value in values)
@@ -315,7 +307,7 @@ def _noise_of_speed(step: Step) -> float:
 
 
 def _why_not(F: Array, design: Array, noise: float) -> str:
-    """Why force and contraction do not tell K; empty where they do."""
+    """Why force and contraction do not give K; empty where they do."""
     on_x = design[:, :2]
     rest = F - on_x @ np.linalg.lstsq(on_x, F, rcond=None)[0]
     moves = float(np.std(rest))

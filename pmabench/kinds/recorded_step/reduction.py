@@ -17,6 +17,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import OF_TWO, STEPS, Held, left
 from pmabench.analysis.shared.student import mean_over, mean_with_half
+from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
@@ -53,22 +54,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     options = options or {}
     steps, dropped, read_off = measured(runs, options, measure)
-    groups: dict[tuple[float, ...], list[tuple[RunData, Step]]] = {}
     loads = len({_load(step) for _, step in steps}) > 1
-    for run, step in steps:
-        point = step.trial.point
-        key: tuple[float, ...] = (round(point["from"], -2), round(point["pressure"], -2))
-        groups.setdefault((*key, *_load(step)) if loads else key, []).append((run, step))
+    groups = grouped(steps, lambda one: (*_pair(one[1]), *(_load(one[1]) if loads else ())))
+    pairs = grouped(steps, lambda one: _pair(one[1]))
     commanded = [step for _, step in steps if not step.found]
     late = 0.0 if read_off else UNTOLD
-    pairs: dict[Pair, list[tuple[RunData, Step]]] = {}
-    for key, group in groups.items():
-        pairs.setdefault((key[0], key[1]), []).extend(group)
     estimates: list[Estimate] = [_dead_time(commanded, late)] if commanded else []
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
-        K = secant((key[0], key[1]), rests_of([step for _, step in pairs[key[0], key[1]]]), Scales({}, {}))
+        pair = key[0], key[1]
+        K = secant(pair, rests_of([step for _, step in pairs[pair]]), Scales({}, {}))
         estimates += _at(at, group, options, late, None if K is None else K.value)
         here = [step for _, step in group]
         findings += _sentences(at, here)
@@ -116,6 +112,11 @@ def _lateness(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[floa
     return min(low for low, _ in known), max(high for _, high in known)
 
 
+def _pair(step: Step) -> Pair:
+    """Commanded pressures before and after [Pa]."""
+    return round(step.trial.point["from"], -2), round(step.trial.point["pressure"], -2)
+
+
 def _load(step: Step) -> tuple[float, float]:
     """Load [N] and moving mass [kg]; 0 where they are not known."""
     return round(step.trial.point.get("load", 0.0), 2), round(step.trial.point.get("mass", 0.0), 3)
@@ -126,7 +127,7 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
 
     `late` [s] is what the pressure may be late where nothing says it.
     """
-    pairs = [(round(step.trial.point["from"], -2), round(step.trial.point["pressure"], -2)) for step in steps]
+    pairs = [_pair(step) for step in steps]
     mean, half, _ = mean_over([step.dead for step in steps], [sorted(set(pairs)).index(pair) for pair in pairs])
     method = hypot(late + max(step.dead_half for step in steps), _slower(steps, 0))
     parts = Parts(repeats=half, method=method, calibration=0.0)

@@ -1,4 +1,4 @@
-"""K and B from steps after which a known mass rings, or why they do not tell them; B/K and dead time without it.
+"""K and B from steps after which a known mass rings, or why these steps do not give them; B/K and dead time without it.
 
 Knows measured steps of one load and one pair of pressures; the mass is taken as exact.
 """
@@ -17,7 +17,8 @@ from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import UNDECLARED
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.kinds.recorded_step import motion
+from pmabench.kinds.recorded_step import delayed, motion
+from pmabench.kinds.recorded_step.delayed import Delayed, fit_delayed, fit_swings
 from pmabench.kinds.recorded_step.step import SEEN, Step
 from pmabench.store.analyses.results import Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array
@@ -42,33 +43,27 @@ STOPPED = 0.3
 def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any]) -> list[Estimate]:
     """K and B where the motion rings, or why not; from times and a mass, no scale of a channel enters."""
     parents = tuple(step.name for step in steps)
-    kinds = (("K", "N/m", "stiffness"), ("B", "N.s/m", "damping"))
     masses = [float(options.get("mass", step.trial.point.get("mass", 0.0))) for step in steps]
+    known = all(masses)
     unknown = "pressure and displacement at one load give ratios only; `point: {mass: ...}` gives the moving mass"
-    why = "" if all(masses) else unknown
-    held = False
-    ranges: dict[str, list[tuple[float, float]]] = {"K": [], "B": []}
-    for step, mass in zip(steps, masses, strict=True):
-        if not why:
-            why = _why_not(step)
-            held = bool(why)
-        if why:
+    why = "" if known else unknown
+    possible: list[list[Delayed]] = []
+    for step in steps if known else ():
+        if why := _why_not(step):
             break
-        possible = possible_motions(step.driven, step.best, step.others)
-        if why := _unlike(step, possible):
-            held = True
+        possible.append(possible_motions(step.driven, step.best, step.others))
+        if why := _unlike(step, possible[-1]):
             break
-        ranges["K"].append(_range([(mass * one.K, mass * one.half_K) for one in possible]))
-        ranges["B"].append(_range([(mass * one.B, mass * one.half_B) for one in possible]))
     found: list[Estimate] = []
-    for symbol, unit, quantity in kinds:
+    for symbol, unit, quantity in (("K", "N/m", "stiffness"), ("B", "N.s/m", "damping")):
         empty = Estimate(symbol, None, unit, quantity, RINGING, at, n=len(steps), trials=parents)
         if why:
             reason = f"{why}; {INSTEAD}"
-            found.append(withhold(empty, reason) if held else replace(empty, note=reason))
+            found.append(withhold(empty, reason) if known else replace(empty, note=reason))
             continue
-        value, half = mean_with_half([(low + high) / 2 for low, high in ranges[symbol]])
-        wide = max((high - low) / 2 for low, high in ranges[symbol])
+        ranges = [_range(symbol, mass, forms) for mass, forms in zip(masses, possible, strict=True)]
+        value, half = mean_with_half([(low + high) / 2 for low, high in ranges])
+        wide = max((high - low) / 2 for low, high in ranges)
         if wide > RANGE * value:
             spread = f"+-{wide / value:.0%} for the motions that fit alike"
             found.append(withhold(empty, f"it lies within {spread}, accepted is +-{RANGE:.0%}; {INSTEAD}"))
@@ -85,26 +80,27 @@ def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str
 
 def possible_motions(
     driven: tuple[Array, Array, Array], best: motion.Motion, others: Sequence[tuple[Array, Array]] = ()
-) -> list[motion.Delayed]:
+) -> list[Delayed]:
     """The motions of a step that fit alike: with more and less lag of its sensors, and with one not declared.
 
     `driven`: time [s], pressure [Pa], contraction [m], shapes (n,); `others`: the last two, were the lags other ones.
     """
     t, P, x = driven
-    nominal = motion.fit_swings(t, P, x, motion.place_of(best))
+    nominal = fit_swings(t, P, x, delayed.place_of(best))
     first = nominal[0].place
-    found = motion.alike(nominal)
+    found = delayed.alike(nominal)
     for pressure, contraction in others:
-        found += motion.alike(motion.fit_swings(t, pressure, contraction, first))
+        found += delayed.alike(fit_swings(t, pressure, contraction, first))
     least = min(one.rms for one in found)
     for lag in motion.LAGS:
-        lagging = motion.fit_swings(t, motion.behind(t, P, lag), x, first, nominal[0].rms)
+        lagging = fit_swings(t, motion.behind(t, P, lag), x, first, nominal[0].rms)
         found += [one for one in lagging if one.rms <= least and one.bounded]
     return found
 
 
-def _range(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """From the least to the greatest of values with half widths."""
+def _range(symbol: str, mass: float, forms: Sequence[Delayed]) -> tuple[float, float]:
+    """K or B of a moving mass from the least to the greatest that forms allow."""
+    values = [(mass * getattr(one, symbol), mass * getattr(one, f"half_{symbol}")) for one in forms]
     return min(value - half for value, half in values), max(value + half for value, half in values)
 
 
@@ -163,7 +159,7 @@ def _damped(ratio: float) -> str:
     return f"the motion does not ring (damping ratio {most}, less than {RINGS:g} is needed): {HIDDEN}"
 
 
-def _unlike(step: Step, possible: Sequence[motion.Delayed]) -> str:
+def _unlike(step: Step, possible: Sequence[Delayed]) -> str:
     """The reason why the motions that fit alike say nothing of K; empty where they do."""
     damped = max(one.B / (2 * sqrt(one.K)) for one in possible)
     if damped >= RINGS:
@@ -172,7 +168,7 @@ def _unlike(step: Step, possible: Sequence[motion.Delayed]) -> str:
     if share > ILL_FITTED:
         return f"the misfit is {share:.0%} of the stroke (trial {step.name})"
     if not all(one.bounded for one in possible):
-        return f"the motion is more than {show(motion.FREE, 'time')} off the pressure (trial {step.name})"
+        return f"the motion is more than {show(delayed.FREE, 'time')} off the pressure (trial {step.name})"
     return ""
 
 
@@ -203,7 +199,7 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
         return [replace(B_K, note=why)]
     mass = float(np.mean([step.trial.point.get("mass", 0.0) for step in steps]))
     w = sqrt(stiffness / mass) if stiffness is not None and mass > 0 else None
-    found = [motion.fit_delayed(*step.driven, step.best, w) for step in steps]
+    found = [fit_delayed(*step.driven, step.best, w) for step in steps]
     if why := _no_time(steps, found):
         return [replace(B_K, note=why)]
     tau, of_tau = mean_with_half([one.tau for one in found])
@@ -220,7 +216,7 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
 
 
 def _to_motion(
-    at: Mapping[str, float], steps: Sequence[Step], found: Sequence[motion.Delayed], late: float
+    at: Mapping[str, float], steps: Sequence[Step], found: Sequence[Delayed], late: float
 ) -> Estimate | None:
     """The time from command to motion [s]; None where no step has a command."""
     commanded = [(step, one) for step, one in zip(steps, found, strict=True) if not step.found]
@@ -250,7 +246,7 @@ def _of_another_kind(steps: Sequence[Step]) -> str:
     return ""
 
 
-def _no_time(steps: Sequence[Step], found: Sequence[motion.Delayed]) -> str:
+def _no_time(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
     """The reason why the driven motion gives no B/K; empty where it does."""
     for step, one in zip(steps, found, strict=True):
         if one.rms > ILL_FITTED * abs(step.stroke):

@@ -19,8 +19,8 @@ from scipy.optimize import nnls
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import NotUsable, noise_of, refuse_unusable, settings_of
+from pmabench.analysis.shared.samples import NotUsable, autocorrelation, noise_of, refuse_unusable, settings_of
+from pmabench.analysis.shared.student import half_of_trials
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
@@ -90,10 +90,7 @@ class Relaxing:
         """
         left = self.y - np.polyval(np.polyfit(self.decades, self.means(self.y), order), np.log10(self.t))
         n, most = len(left), max(1, int(LONGEST_LAG * len(self.t)))
-        size = 2 ** int(np.ceil(np.log2(2 * n)))
-        power = np.abs(np.fft.rfft(left, size)) ** 2
-        covariance = np.fft.irfft(power, size)[: most + 1] / n
-        tapered = covariance * (1 - np.arange(most + 1) / (most + 1))
+        tapered = autocorrelation(left, most) / n * (1 - np.arange(most + 1) / (most + 1))
         total = tapered[0] + 2 * float(np.sum(tapered[1:]))
         alike = max(1.0, total / tapered[0]) if tapered[0] > 0 else 1.0
         return tapered, n / alike
@@ -104,9 +101,7 @@ class Relaxing:
         Noise is what the straight line leaves, and so holds a bend; with `order` 3 it does not.
         """
         covariance, independent = self._correlation(order)
-        n = len(weights)
-        size = 2 ** int(np.ceil(np.log2(2 * n)))
-        own = np.fft.irfft(np.abs(np.fft.rfft(weights, size)) ** 2, size)[: len(covariance)]
+        own = autocorrelation(weights, len(covariance) - 1)
         variance = own[0] * covariance[0] + 2 * float(own[1:] @ covariance[1:])
         white = own[0] * covariance[0]
         return float(student.ppf(0.975, max(independent - 2, 2))) * sqrt(max(variance, white, 0.0))
@@ -386,12 +381,6 @@ def _place(one: Course) -> tuple[float, float]:
     return round(point.get("contraction", 0.0), 6), round(point.get("pressure", 0.0), 3)
 
 
-def _repeats(values: Sequence[float], noise: Sequence[float]) -> float:
-    """Half width of the mean of trials: of their noise or of their scatter, whichever is larger."""
-    own = sqrt(float(np.mean(np.square(noise))) / len(noise))
-    return max(own, spread(values) or 0.0)
-
-
 def _unproportional(P: float, cells: Mapping[float, Sequence[Course]]) -> float:
     """By how much more than in proportion the force may grow with the pressure at P [Pa], relative.
 
@@ -414,7 +403,7 @@ def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales, more
     names = tuple(one.trial.name for one in group)
     note = ONE if len(group) == 1 else ""
     s, F = [one.per_decade for one in group], [one.start for one in group]
-    half = _repeats(s, [one.half for one in group])
+    half = half_of_trials(s, [one.half for one in group])
     level, P = float(np.mean(F)), at.get("pressure", 0.0)
     # the force is brought to the pressure of the step, and relaxation is a share of the force
     zeros = {"force": 1.0} | ({"pressure": level / P} if P > 0 else {})
@@ -424,7 +413,7 @@ def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales, more
     whole = [one.relaxing.half(np.full(len(one.relaxing.t), 1 / len(one.relaxing.t))) for one in group]
     noise = [one.half * one.start * float(one.relaxing.decades.mean()) + w for one, w in zip(group, whole, strict=True)]
     by_scales = scales.part(dict.fromkeys(("force", "pressure"), level), zeros)
-    parts = Parts(_repeats(F, noise), calibration=by_scales)
+    parts = Parts(half_of_trials(F, noise), calibration=by_scales)
     start = Estimate("F_1", level, "N", "force", LINE, dict(at), parts, n, note=note, trials=names)
     left = Doubt(BEFORE, "drift", max(one.left_behind for one in group), seen=False)
     # the force need not grow in proportion to the pressure by which it is brought to that of the step
@@ -455,7 +444,7 @@ def _prony(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> 
             values = [sizes[i] / one.start for (sizes, _, _), one in zip(fits, group, strict=True)]
             noise = [halves[i] / one.start for (_, halves, _), one in zip(fits, group, strict=True)]
             size, note = float(np.mean(values)), ONE if len(group) == 1 else ""
-            parts = Parts(_repeats(values, noise), calibration=scales.part({}, {"force": size / level}))
+            parts = Parts(half_of_trials(values, noise), calibration=scales.part({}, {"force": size / level}))
         found.append(
             Estimate("g", size, "1", "ratio", PRONY, dict(at), parts, len(group), note=note, trials=names,
                      coordinate=show(T, "time"))

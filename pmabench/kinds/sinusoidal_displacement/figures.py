@@ -13,6 +13,7 @@ import numpy as np
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.sine_loop import Sine, along
 from pmabench.analysis.shared.sine_loop import measure as harmonic
+from pmabench.analysis.shared.trials import thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import Muscle
@@ -20,8 +21,6 @@ from pmabench.plotting import pictures, time_plots
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import Array, RunData, TrialData
-
-LONGEST_TRACE = 1500
 
 
 def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: Muscle | None) -> list[Trace]:
@@ -40,7 +39,6 @@ def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], mu
     for frequency, members in groups:
         sine = members[0]
         last = sine.t >= sine.t[-1] - 1 / frequency
-        stride = -(-int(last.sum()) // LONGEST_TRACE)
         columns = {"displacement": sine.x, "force": sine.F}
         if muscle is not None:
             columns["model"] = along(sine, muscle.K, muscle.B, muscle.F_c)[1]
@@ -49,7 +47,7 @@ def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], mu
                 f"loop-{name}-{frequency:g}",
                 "loop",
                 f"Loop at {frequency:g} Hz, {where}",
-                {name: values[last][::stride] for name, values in columns.items()},
+                thinned({name: values[last] for name, values in columns.items()}),
                 {"displacement": "length", "force": "force", "model": "force"},
                 {"frequency": frequency, "width": sine.width, "area": sine.area} | held,
             )

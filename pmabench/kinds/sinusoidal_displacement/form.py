@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.lines import weighted_line
-from pmabench.analysis.shared.sine_loop import Sine, at_middle
+from pmabench.analysis.shared.sine_loop import Sine, Swing, at_middle
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Finding, withhold
 from pmabench.store.records import Array
@@ -226,7 +226,7 @@ def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
     design = np.column_stack([np.ones(len(sine.t)), np.cos(angles), np.sin(angles)])
     both = np.column_stack([sine.x, sine.F])
     rows: list[tuple[float, ...]] = []
-    for number in range(len(sine.cycles.ratio)):
+    for number in range(len(sine.cycles)):
         one = cycle == number
         if np.count_nonzero(one) <= design.shape[1]:
             continue
@@ -256,23 +256,11 @@ MOST = 0.02
 """Share of a contraction that no part of creep exceeds: 4 % in a decade."""
 
 
-@dataclass(frozen=True)
-class Point:
-    """One trial, or one cycle of it, as the lines want it."""
-
-    frequency: float
-    speed: float
-    stiffness: float
-    ratio: complex
-    loss: float
-    width: float
-
-
-def lost(sines: Sequence[Sine], cycles: Sequence[Point]) -> list[tuple[Array, Array]]:
+def lost(sines: Sequence[Sine], cycles: Sequence[Swing]) -> list[tuple[Array, Array]]:
     """For each shortest time constant: what creep may have added to the loss, and taken from K, of each sine.
 
     Loss by the amplitude, and stiffness [N/m], shape (n,) each. `cycles` are those of all sines: where no sine is
-    repeated their scatter says how sure the change of K is. Empty with one frequency, which does not tell.
+    repeated their scatter says how sure the change of K is. Empty with one frequency, which does not show it.
     """
     frequency, K, size = _columns(sines)
     if len(np.unique(frequency)) < 2:
@@ -293,7 +281,7 @@ def lost(sines: Sequence[Sine], cycles: Sequence[Point]) -> list[tuple[Array, Ar
     return [one for one, half in zip(found, unsure, strict=True) if half <= WORSE * min(unsure)]
 
 
-def _columns(points: Sequence[Sine] | Sequence[Point]) -> tuple[Array, Array, Array]:
+def _columns(points: Sequence[Swing]) -> tuple[Array, Array, Array]:
     """Frequency [Hz], stiffness and the size of the whole ratio [N/m]."""
     rows = [(point.frequency, point.stiffness, abs(point.ratio)) for point in points]
     frequency, K, size = np.array(rows, dtype=np.float64).T

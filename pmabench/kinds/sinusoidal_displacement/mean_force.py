@@ -27,8 +27,18 @@ from pmabench.analysis.shared.form import Doubt, force_from_cycle_to_cycle, weig
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
+from pmabench.analysis.shared.trials import Point
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement.fit import BETWEEN, CYCLES, CYCLES_OF_EACH, NO_REPEATS, Fitted, Member
+from pmabench.kinds.sinusoidal_displacement.fit import (
+    BETWEEN,
+    CYCLES,
+    CYCLES_OF_EACH,
+    NO_REPEATS,
+    Fitted,
+    Member,
+    of_cycles,
+    of_like_motion,
+)
 from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, TURNS, Form, cycle_of
 from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
@@ -36,24 +46,19 @@ from pmabench.store.records import Array
 SINE_MEAN = "sine-mean"
 ALONE = "one frequency only: that B_c and B_r may differ is in the method part"
 AT_MEAN = "at the mean contraction, at speed 0, halfway between both branches"
-NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
+NO_SLOPE = "as at the measured pressure: one pressure does not show F_ce at the set one"
 
 
-def force_slopes(fits: Mapping[tuple[tuple[str, float], ...], Fitted]) -> dict[tuple[tuple[str, float], ...], float]:
+def force_slopes(fits: Mapping[Point, Fitted]) -> dict[Point, float]:
     """dF_ce/dP [N/Pa] at each cell, from the cells of like motion; absent without two pressures."""
-    alike: dict[tuple[tuple[str, float], ...], list[tuple[tuple[str, float], ...]]] = {}
-    for key in fits:
-        if "pressure" in dict(key):
-            alike.setdefault(tuple(item for item in key if item[0] != "pressure"), []).append(key)
-    found = {}
-    for keys in alike.values():
+    found: dict[Point, float] = {}
+    for keys in of_like_motion(fits):
         P = np.array([np.mean([m.sine.pressure for m in fits[key].group]) for key in keys])
-        if len(keys) < 2 or np.isnan(P).any() or np.ptp(P) < 1e-3 * P.max():
+        if np.isnan(P).any() or np.ptp(P) < 1e-3 * P.max():
             continue
         order = np.argsort(P)
         F = np.array([_line(fits[keys[i]], 0.0, nan).start for i in order])
-        for place, slope in zip(order, np.gradient(F, P[order]), strict=True):
-            found[keys[place]] = float(slope)
+        found |= {keys[i]: float(slope) for i, slope in zip(order, np.gradient(F, P[order]), strict=True)}
     return found
 
 
@@ -75,25 +80,26 @@ def mean_force_estimates(
     doubt = abs(fitted.muscle.B or members[0].sine.loss / speed) * speed / pi if fitted.alone else 0.0
     scatter = line.half_start if line.half_start is not None else _half_by_cycles(fitted)
     half = None if scatter is None or K_half is None else hypot(scatter, K_half * mean)
-    gains, offsets = {"force": line.start}, {"force": 1.0, "displacement": fitted.K.start}
-    if slope is not None:
-        gains["pressure"], offsets["pressure"] = slope * wanted, slope
+    gains, offsets = {"force": line.start}, {"force": 1.0, "displacement": fitted.lines.K.start}
     one_each = len(members) == len({member.sine.frequency for member in members})
     repeats = CYCLES if len(members) == 1 else CYCLES_OF_EACH if one_each else ""
     note = sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", repeats)
     off, off_half = form.carried
     open_half = hypot(min(off_half, abs(line.start)), REMAINS * off)
     parts = Parts(
-        half, hypot(K_bias * mean, doubt, open_half), scales.part(gains, offsets), fitted.skewed()["K"] * abs(mean)
+        half,
+        hypot(K_bias * mean, doubt, open_half),
+        scales.part_at(wanted, slope, gains, offsets),
+        fitted.skewed()["K"] * abs(mean),
     )
     names = tuple(member.name for member in members)
     n = len(members)
     F_ce = Estimate("F_ce", line.start + off, "N", "force", SINE_MEAN, dict(at), parts, n, note=note, trials=names)
-    F = line.start - (fitted.K.start - K_bias) * mean - form.h2
+    F = line.start - (fitted.lines.K.start - K_bias) * mean - form.h2
     there = Parts(
         scatter,
         hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), REMAINS * form.h2, form.apart),
-        scales.part(gains | {"force": F}, offsets),
+        scales.part_at(wanted, slope, {"force": F}, offsets),
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
     F_ce, mean_force = (weighed(one, drift_of(members)) for one in (F_ce, mean_force))
@@ -125,7 +131,7 @@ def _by_cycle(sine: Sine, values: Array) -> Array:
 def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
     """F_ce [N] over the speed amplitude [m/s]; with one frequency its mean."""
     members = fitted.group
-    K = fitted.K.start - fitted.bias["K"]
+    K = fitted.lines.K.start - fitted.bias["K"]
     off = [slope * (wanted - member.sine.pressure) if slope else 0.0 for member in members]
     rest = np.array([member.sine.force + K * member.sine.mean for member in members]) + off
     frequency = np.array([member.sine.frequency for member in members])
@@ -138,7 +144,7 @@ def _half_by_cycles(fitted: Fitted) -> float | None:
     """Half width of the line's begin [N] by the scatter of cycles, where each trial is needed for the line; None for
     trials of one cycle.
     """
-    K, cycles = fitted.K.start - fitted.bias["K"], []
+    K, cycles = fitted.lines.K.start - fitted.bias["K"], []
     for member in fitted.group:
         cycles.append(_by_cycle(member.sine, member.sine.F + K * member.sine.x))
     if fitted.alone:
@@ -189,21 +195,15 @@ def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: S
         sine = mine[0].sine
         late = pi * sine.amplitude**2 * abs(sine.stiffness) * sine.omega * skew
         eta = W_c / taken
-        one_each = CYCLES if len(mine) == 1 else ""
-        names = tuple(member.name for member in mine)
+        where, names = {**at, "frequency": frequency}, [member.name for member in mine]
         for symbol, unit, quantity, values, scale, gains, by_force, note in (
             ("W_c", "J", "work", given, 1.0, {"force": W_c, "displacement": W_c}, stroke, ""),
             ("eta", "1", "ratio", share, taken, {}, stroke * (1 - eta) / taken, RECOVERED),
         ):
             means = np.array([float(one.mean()) for one in values])
-            half = mean_half(means, values)
             clocks = late / (2 if symbol == "W_c" else taken)
-            parts = Parts(half, off / scale, scales.part(gains, {"force": by_force}), clocks)
-            said = sentences(NO_REPEATS if half is None else one_each, note)
-            where = {**at, "frequency": frequency}
-            one = Estimate(
-                symbol, float(means.mean()), unit, quantity, LOOP_WORK, where, parts, len(mine), note=said, trials=names
-            )
+            parts = Parts(None, off / scale, scales.part(gains, {"force": by_force}), clocks)
+            one = of_cycles(symbol, (unit, quantity), LOOP_WORK, where, names, means, values, parts, note)
             found.append(settled(weighed(one, drift_of(mine, by_force)), BETWEEN, skew))
     return found
 

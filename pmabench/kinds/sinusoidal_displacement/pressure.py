@@ -13,19 +13,21 @@ from math import nan
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.ramp_loop import on_grid
-from pmabench.analysis.shared.samples import noise_of
-from pmabench.analysis.shared.sine_loop import lagless, moving
+from pmabench.analysis.shared.samples import lags_of, noise_of
+from pmabench.analysis.shared.sine_loop import moving, without_lag
+from pmabench.analysis.shared.trials import grouped, point_by, thinned
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement.fit import CYCLES, NO_REPEATS, Member, Muscle
+from pmabench.kinds.sinusoidal_displacement.fit import Member, Muscle, of_cycles
 from pmabench.kinds.sinusoidal_displacement.form import cycle_of
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
 
 ERROR, SET, MEASURED = "pressure error", "modelled with set pressure", "modelled with measured pressure"
 SIDES = ("contracting", "expanding")
+PULLS = ("pressure", "force")
 POINTS = 41
 APART = 0.05
 """Two pressures of the slowest sines are apart by at least this share, or no slope over pressure is given."""
@@ -40,7 +42,7 @@ LONGEST_TRACE = 1200
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """A trial's kept cycles: time [s], contraction [m], its rate [m/s], force [N], pressure and set pressure [Pa]."""
+    """A trial's kept cycles: contraction [m], its rate [m/s], force [N], pressure and set pressure [Pa]."""
 
     member: Member
     x: Array
@@ -56,15 +58,10 @@ class Along:
         if "pressure" not in trial.channels or wanted is None:
             return None
         x, v = moving(sine)
-        rows = np.searchsorted(trial.t, sine.t)
-        P = lagless(member.run, trial, "pressure", sine.frequency, rows)
-        F = lagless(member.run, trial, "force", sine.frequency, rows)  # the sine's own may have the ripple taken off
+        rows, lags = np.searchsorted(trial.t, sine.t), lags_of(member.run, trial)
+        # the sine's own force may have the ripple taken off
+        P, F = (without_lag(sine.t, trial.channels[name][rows], sine.frequency, lags[name]) for name in PULLS)
         return cls(member, x, v, F, P, float(wanted))
-
-    @property
-    def t(self) -> Array:
-        """[s]."""
-        return self.member.sine.t
 
     def side(self, name: str) -> Array:
         """Rows that move in a direction, shape (n,)."""
@@ -92,12 +89,9 @@ class Static:
         for wanted in sorted({along.wanted for along in alongs}):
             mine = [along for along in alongs if along.wanted == wanted]
             lowest = min(along.member.sine.frequency for along in mine)
-            widest = max(a.member.sine.amplitude for a in mine if a.member.sine.frequency <= SLOW * lowest)
-            chosen += [
-                along
-                for along in mine
-                if along.member.sine.frequency <= SLOW * lowest and along.member.sine.amplitude > 0.95 * widest
-            ]
+            slow = [along for along in mine if along.member.sine.frequency <= SLOW * lowest]
+            widest = max(along.member.sine.amplitude for along in slow)
+            chosen += [along for along in slow if along.member.sine.amplitude > 0.95 * widest]
         pressures = [along.wanted for along in chosen]
         if not chosen or max(pressures) - min(pressures) < APART * max(pressures):
             return None
@@ -132,18 +126,12 @@ def pressure_and_force(
 ) -> tuple[list[Estimate], list[Finding], list[Trace]]:
     """Pressure error and rms error of the modelled force of each cell, by direction.
 
-    `muscles`: by name of a trial, K, B and F_c that its harmonics gave; None where they do not tell all.
+    `muscles`: by name of a trial, K, B and F_c that its harmonics gave; None where not all are known.
     """
     alongs = [along for member in members if (along := Along.of(member)) is not None]
     estimates, traces = list[Estimate](), list[Trace]()
-    cells: dict[tuple[tuple[str, float], ...], list[Along]] = {}
-    for along in alongs:
-        at = along.member.trial.point
-        key = tuple((name, round(at[name], 9)) for name in ("pressure", "mean", "amplitude", "frequency") if name in at)
-        cells.setdefault(key, []).append(along)
-    statics = {
-        mean: Static.of([along for along in alongs if _mean(along) == mean]) for mean in {_mean(a) for a in alongs}
-    }
+    cells = grouped(alongs, lambda one: point_by(one.member.trial, ("pressure", "mean", "amplitude", "frequency")))
+    statics = {mean: Static.of(group) for mean, group in grouped(alongs, _mean).items()}
     ratios: list[tuple[str, float, float, str]] = []
     for key, group in sorted(cells.items()):
         at = dict(key)
@@ -175,15 +163,10 @@ def _error(at: Mapping[str, float], group: Sequence[Along], side: str, scales: S
     errors = [along.by_cycle(along.P - along.wanted, along.side(side)) for along in group]
     cycles = [np.array([float(one[np.argmax(np.abs(one))]) for one in of_trial]) for of_trial in errors]
     means = np.array([float(values.mean()) for values in cycles])
-    half = mean_half(means, cycles)
     coordinates = {"pressure": at["pressure"]}, {"pressure": 1.0}
-    note = sentences(NO_REPEATS if half is None else CYCLES if len(group) == 1 else "", scales.lack(*coordinates))
-    parts = Parts(half, EXTREME * max(noise_of(along.P) for along in group), scales.part(*coordinates))
-    names = tuple(along.member.name for along in group)
-    return Estimate(
-        "P_err", float(means.mean()), "Pa", "pressure", ERROR, dict(at), parts, len(group), note=note, trials=names,
-        coordinate=side,
-    )  # fmt: skip
+    parts = Parts(None, EXTREME * max(noise_of(along.P) for along in group), scales.part(*coordinates))
+    names, lack = [along.member.name for along in group], scales.lack(*coordinates)
+    return of_cycles("P_err", ("Pa", "pressure"), ERROR, at, names, means, cycles, parts, lack, side)
 
 
 def _rms(
@@ -208,9 +191,8 @@ def _rms(
 
 def _trace(at: Mapping[str, float], along: Along, static: Static, muscle: Muscle) -> Trace:
     """The last cycle: force measured and modelled, and the pressure's error."""
-    t = along.t
+    t = along.member.sine.t
     last = t >= t[-1] - 1 / along.member.sine.frequency
-    stride = max(1, -(-int(last.sum()) // LONGEST_TRACE))
     columns = {
         "displacement": along.x,
         "force": along.F,
@@ -223,7 +205,7 @@ def _trace(at: Mapping[str, float], along: Along, static: Static, muscle: Muscle
         f"sine-pressure-{name}",
         "sine-pressure",
         f"{show(at['pressure'], 'pressure')}, {at.get('frequency', 0.0):g} Hz: force and pressure along a sine",
-        {key: values[last][::stride] for key, values in columns.items()},
+        thinned({key: values[last] for key, values in columns.items()}, LONGEST_TRACE),
         {"displacement": "length", "force": "force", "set": "force", "measured": "force", "error": "pressure"},
         {key: value for key, value in at.items() if key in ("frequency", "pressure")},
     )

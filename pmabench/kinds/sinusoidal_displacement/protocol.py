@@ -100,7 +100,7 @@ class SinusoidalDisplacement(ProtocolHead):
         amplitude = point.values.get("amplitude", self.trial.amplitude)
         where: Location = point.places.get("amplitude", ("trial", "amplitude"))
         if amplitude is None:
-            c.fault(("trial",), 'lacks "amplitude", which the sweep does not tell either')
+            c.fault(("trial",), 'lacks "amplitude", which the sweep does not give either')
             return None
         c.positive(amplitude, where)
         c.within("displacement", self.trial.mean - abs(amplitude), where)

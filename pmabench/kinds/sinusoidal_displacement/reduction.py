@@ -7,7 +7,7 @@ lines through those of one cell are in `fit`, what sensors leave open in `sensor
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import partial
 from math import nan
 from typing import Any
@@ -17,23 +17,22 @@ import numpy as np
 from pmabench.analysis.imported import import_of
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import settings_of
+from pmabench.analysis.shared.trials import Point, grouped, measured_trials, point_by
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
 from pmabench.kinds.sinusoidal_displacement.figures import traces_of
-from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
+from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle, of_like_motion
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
 from pmabench.kinds.sinusoidal_displacement.sensors import Named, name_of, with_sensors
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 from pmabench.store.records import RunData
 
 KIND = "sinusoidal-displacement"
 CHANNELS = ("displacement", "force")
 CELL = ("pressure", "mean", "amplitude")
-Key = tuple[tuple[str, float], ...]
-"""A cell: names and values of its point."""
 ALIKE = {"amplitude": (0.02, "amplitude"), "mean": (0.02, "amplitude"), "pressure": (0.01, "pressure")}
 """Coordinates that were measured are one where they differ by no more than a share, and of what."""
 UNEVEN = 0.01
@@ -55,17 +54,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     without either, the lag of the force cell is open), `force_per_pressure` dF/dP [N/Pa].
     """
     options = options or {}
-    members, dropped = _members(runs, options)
-    members, findings = _even_pressure(members, options)
+    members, dropped = measured_trials(
+        runs, lambda run, trial: Member.of(run, trial, float(settings_of(run, options).get("discard", 1)))
+    )
+    members, findings = _even_pressure(_as_alike(members), options)
     scales = Scales.of(runs)
     estimates: list[Estimate] = []
     traces: list[Trace] = []
     lines: list[dict[str, Any]] = []
     fits, stated = _fits(members, options)
-    rising = mean_force.force_slopes(fits)
+    rising, changing = mean_force.force_slopes(fits), _over_pressure(fits)
     centres: dict[float, list[mean_force.Centre]] = {}
     for key, fitted in fits.items():
-        slopes = _over_pressure(key, fits)
+        slopes = changing.get(key)
         evaluated = partial(_evaluated, at=dict(key), scales=scales, slopes=slopes, slope=rising.get(key))
         form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
         found = with_sensors(evaluated(fitted, form), fitted, partial(_named, evaluated, form), late=stated[key] == 0)
@@ -78,7 +79,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
         if slopes is None:
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
-            text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
+            text = "is not in the calibration parts: one pressure does not show how K, B and F_c change over it"
             findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
     estimates = _with_centres(estimates, centres)
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
@@ -98,7 +99,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         facts={
             "options": dict(options),
             "trials": len(members),
-            "cells": len(_grouped(members, (*CELL, "frequency"))),
+            "cells": len(_cells(members, (*CELL, "frequency"))),
             "lines": lines,
         },
     )
@@ -120,10 +121,12 @@ def _named(evaluated: Callable[[Fitted, Form], list[Estimate]], form: Form, fitt
     return {name_of(e): e for e in found if e.value is not None}
 
 
-def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Key, Fitted], dict[Key, float]]:
+def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Point, Fitted], dict[Point, float]]:
     """The lines of each cell, and what is stated of the time between displacement and force there [s]."""
-    cells = sorted(_grouped(members, CELL).items())
-    stated = {key: max(_setting(one.run, options, "time_skew", 0.0) for one in group) for key, group in cells}
+    cells = _cells(members, CELL)
+    stated = {
+        key: max(float(settings_of(one.run, options).get("time_skew", 0.0)) for one in group) for key, group in cells
+    }
     clocks = {key: skew.apart([one.run for one in group], CHANNELS) for key, group in cells}
     return {key: Fitted.of(group, stated[key] + clocks[key]) for key, group in cells}, stated
 
@@ -138,39 +141,14 @@ def _with_centres(
     return [*(e for e in estimates if e not in empty), *given.values()]
 
 
-def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:
-    """Slopes of K, B and F_c over pressure at one cell, from the cells of like motion; None without two pressures."""
-    at = dict(key)
-    like = {
-        dict(other)["pressure"]: fitted.muscle
-        for other, fitted in fits.items()
-        if "pressure" in dict(other) and {**at, "pressure": 0.0} == {**dict(other), "pressure": 0.0}
-    }
-    if "pressure" not in at or len(like) < 2:
-        return None
-    P = sorted(like)
-    values = np.array([(like[p].K, like[p].B, like[p].F_c) for p in P])
-    K, B, F_c = np.gradient(values, np.array(P), axis=0)[P.index(at["pressure"])]
-    return Muscle(float(K), float(B), float(F_c))
-
-
-def _setting(run: RunData, options: Mapping[str, Any], name: str, default: float) -> float:
-    """A setting: the option, else what the plan says, else the default."""
-    settings = run.plan.get("settings") or {}
-    return float(options.get(name, settings.get(name, default)))
-
-
-def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Member], list[Dropped]]:
-    members: list[Member] = []
-    dropped: list[Dropped] = []
-    for run in runs:
-        discard = _setting(run, options, "discard", 1)
-        for trial in run.trials:
-            try:
-                members.append(Member.of(run, trial, discard))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-    return _as_alike(members), dropped
+def _over_pressure(fits: Mapping[Point, Fitted]) -> dict[Point, Muscle]:
+    """Slopes of K, B and F_c over pressure, from the cells of like motion; absent without two pressures."""
+    found: dict[Point, Muscle] = {}
+    for keys in of_like_motion(fits):
+        values = np.array([astuple(fits[key].muscle) for key in keys])
+        slopes = np.gradient(values, [dict(key)["pressure"] for key in keys], axis=0)
+        found |= {key: Muscle(*row) for key, row in zip(keys, slopes.tolist(), strict=True)}
+    return found
 
 
 def _as_alike(members: Sequence[Member]) -> list[Member]:
@@ -195,12 +173,9 @@ def _as_alike(members: Sequence[Member]) -> list[Member]:
     return [replace(m, trial=replace(m.trial, point=points.get(m.name, m.trial.point))) for m in members]
 
 
-def _grouped(members: Sequence[Member], names: Sequence[str]) -> dict[Key, list[Member]]:
-    groups: dict[Key, list[Member]] = {}
-    for member in members:
-        point = member.trial.point
-        groups.setdefault(tuple((name, round(point[name], 9)) for name in names if name in point), []).append(member)
-    return groups
+def _cells(members: Sequence[Member], names: Sequence[str]) -> list[tuple[Point, list[Member]]]:
+    """The trials with the same values of `names`, by rising values."""
+    return sorted(grouped(members, lambda one: point_by(one.trial, names)).items())
 
 
 def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[list[Member], list[Finding]]:
@@ -211,7 +186,7 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
     """
     even: list[Member] = []
     findings: list[Finding] = []
-    for _, group in sorted(_grouped(members, ("mean",)).items()):
+    for _, group in _cells(members, ("mean",)):
         pressures = np.array([member.sine.pressure for member in group])
         forces = np.array([member.sine.force for member in group])
         slope = float(options.get("force_per_pressure", nan))

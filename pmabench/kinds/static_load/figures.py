@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pmabench.analysis.shared.trials import thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.static_load.points import PHASES, Points, pressure_of
+from pmabench.kinds.static_load.points import PHASES, Points, pressure_of, pressures_of
 from pmabench.plotting import pictures, plots, time_plots
 from pmabench.plotting.plots import Panel
 from pmabench.plotting.wording import clean, shown
@@ -22,7 +23,6 @@ from pmabench.store.records import RunData, TrialData
 if TYPE_CHECKING:
     from pmabench.kinds.static_load.line import Line, Mean
 
-LONGEST_TRACE = 1500
 SHOWN = 3
 
 
@@ -104,18 +104,14 @@ def traces(runs: Sequence[RunData], points: Points) -> tuple[Trace, ...]:
 def _lift_trace(trial: TrialData) -> list[Trace]:
     if "pressure" not in trial.channels or "displacement" not in trial.channels or not len(trial.t):
         return []
-    stride = -(-len(trial.t) // LONGEST_TRACE)
-    marks = {phase: pressure_of(trial.found.get(phase) or {}) for phase in PHASES}
+    marks = dict(zip(PHASES, pressures_of(trial), strict=True))
+    columns = {"t": trial.t - trial.t[0], **{name: trial.channels[name] for name in ("pressure", "displacement")}}
     return [
         Trace(
             name=f"lift-{trial.point['load']:.0f}N",
             figure="lift",
             title=f"{show(trial.point['load'], 'force', 4)}: lift and set-down",
-            columns={
-                "t": (trial.t - trial.t[0])[::stride],
-                "pressure": trial.channels["pressure"][::stride],
-                "displacement": trial.channels["displacement"][::stride],
-            },
+            columns=thinned(columns),
             quantities={"t": "time", "pressure": "pressure", "displacement": "length"},
             marks={"load": trial.point["load"], **{name: P for name, P in marks.items() if np.isfinite(P)}},
         )

@@ -6,7 +6,7 @@ slip) is then at the end of its loop at lift and at set-down alike, with one sig
 distance, which shows dry friction, does not show it. What shows it is a stroke: such a loop closes at x = 0 and is open
 in the middle, whereas dry friction is as wide at x = 0 as in the middle. Half of what the middle is wider is what the
 mean keeps where the force turns within a small part of the stroke, and more where it takes longer: the shape of the
-loop tells. Damping widens the middle as well. It is what the load goes on by after the ramp upward has stopped.
+loop shows which. Damping widens the middle as well. It is what the load goes on by after the ramp upward has stopped.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ def kept(loops: Sequence[Loop | None], load: Array, gap: Array, slope: float) ->
 
 
 def _turning(turns: Array, gap: Array) -> tuple[int, NDArray[np.bool_]]:
-    """Which of `turns`, a below, the shape of a gap tells (at `ALONG`), and which of them fit nearly as well.
+    """Which of `turns`, a below, fits the shape of a gap best (at `ALONG`), and which fit nearly as well.
 
     A force that turns on a way w after each end of a stroke s opens the loop by h [1 - cosh((1 - 2 u) a) / cosh(a)] at
     the share u of the stroke, a = s / 2 w, and is h tanh(a) behind at the ends. Dry friction and damping open it alike
@@ -317,13 +317,13 @@ class Mean:
 
 def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Stiffness | None) -> Mean | None:
     """The line through the means of both directions, without K x and without hysteresis where the record shows them."""
+    trials = {trial.name: trial for run in runs for trial in run.trials}
+    own = [trials[name] for name in plain.names]
     before = fit_side(plain, MEAN)
-    moved = _carried(runs, plain, slope, stiffness)
+    moved = _carried(own, plain, slope, stiffness)
     points = plain if moved is None else moved
     if before is None or (line := fit_side(points, MEAN)) is None:
         return None
-    trials = {trial.name: trial for run in runs for trial in run.trials}
-    own = [trials[name] for name in plain.names]
     times = [times_of(trial) for trial in own]
     gap = plain.lift - plain.set_down
     loops = [loop_of(trial, when) for trial, when in zip(own, times, strict=True)]
@@ -341,14 +341,13 @@ def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Sti
     return Mean(points, line, before, moved is not None, None, raised, why)
 
 
-def _carried(runs: Sequence[RunData], points: Points, slope: float, stiffness: Stiffness | None) -> Points | None:
-    """The points with lift and set-down carried to x = 0; None where no way carries all of them to some gain.
+def _carried(trials: Sequence[TrialData], points: Points, slope: float, stiffness: Stiffness | None) -> Points | None:
+    """The points of `trials` with lift and set-down carried to x = 0; None where no way carries all to some gain.
 
     K of another test counts only where the load's own ways are too short or too uneven: it may be of another place.
     """
-    trials = {trial.name: trial for run in runs for trial in run.trials}
-    rows = zip(points.names, points.lift, points.set_down, strict=True)
-    found = [(trials[name], {"lift": lift, "set-down": down}) for name, lift, down in rows]
+    rows = zip(trials, points.lift, points.set_down, strict=True)
+    found = [(trial, {"lift": lift, "set-down": down}) for trial, lift, down in rows]
     ways: list[list[Carried | None]] = [[along_ways(*one) for one in found]]
     if stiffness is not None:
         ways.append([by_stiffness(*one, slope, stiffness) for one in found])

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import noise_of, on_time, step_of
+from pmabench.analysis.shared.samples import NotUsable, noise_of, on_time, step_of
+from pmabench.analysis.shared.trials import measured_trials
 from pmabench.analysis.verdict.agreement import Offer
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
@@ -99,7 +100,7 @@ def _crossed(trial: TrialData, lag: float, t: float, phase: str, read: object) -
     width = max(1, round(SMOOTH / float(np.median(np.diff(times))))) if len(times) > 1 else 1
     if len(times) < 2 * width or width < 2:
         return t - lag
-    smooth = np.convolve(np.pad(x, (width // 2, width - 1 - width // 2), mode="edge"), np.ones(width) / width, "valid")
+    smooth = moving_mean(np.pad(x, (width // 2, width - 1 - width // 2), mode="edge"), width)
     given = smooth + lag * np.gradient(smooth, times)
     rest = float(np.median(x[: max(FEWEST, len(x) // 100)]))
     level = read - rest if isinstance(read, int | float) and read - rest > LIFTED else LIFTED
@@ -111,24 +112,23 @@ def _crossed(trial: TrialData, lag: float, t: float, phase: str, read: object) -
 
 def points_of(runs: Sequence[RunData]) -> tuple[Points, list[Dropped]]:
     """One row per trial that found something, and the trials that did not."""
-    rows: list[tuple[str, float, float, float]] = []
-    dropped: list[Dropped] = []
-    for run in runs:
-        for trial in run.trials:
-            name = trial.name
-            found = {phase: trial.found.get(phase) or {} for phase in PHASES}
-            pressures = {phase: pressure_of(result) for phase, result in found.items()}
-            if trial.status not in ("finished", "failed"):
-                dropped.append(Dropped(name, trial.point, f"the trial is {trial.status}"))
-            elif "load" not in trial.point:
-                dropped.append(Dropped(name, trial.point, "no load: a column of force, its name or `point` gives it"))
-            elif not np.isfinite(list(pressures.values())).any():
-                reasons = [str(result["reason"]) for result in found.values() if result.get("reason")]
-                dropped.append(Dropped(name, trial.point, "; ".join(reasons) or "neither lift nor set-down was found"))
-            else:
-                rows.append((name, trial.point["load"], pressures["lift"], pressures["set-down"]))
+    rows, dropped = measured_trials(runs, _searched)
     columns = np.array([row[1:] for row in rows], dtype=np.float64).reshape(len(rows), 3)
     return Points(tuple(row[0] for row in rows), columns[:, 0], columns[:, 1], columns[:, 2]), dropped
+
+
+def _searched(_run: RunData, trial: TrialData) -> tuple[str, float, float, float]:
+    """Name, load [N] and pressures [Pa] of a trial; raises `NotUsable`."""
+    lift, down = pressures_of(trial)
+    if trial.status not in ("finished", "failed"):
+        raise NotUsable(f"the trial is {trial.status}")
+    if "load" not in trial.point:
+        raise NotUsable("no load: a column of force, its name or `point` gives it")
+    if not (np.isfinite(lift) or np.isfinite(down)):
+        found = [trial.found.get(phase) or {} for phase in PHASES]
+        reasons = [str(result["reason"]) for result in found if result.get("reason")]
+        raise NotUsable("; ".join(reasons) or "neither lift nor set-down was found")
+    return trial.name, trial.point["load"], lift, down
 
 
 def pressure_of(result: Mapping[str, Any]) -> float:
@@ -140,6 +140,11 @@ def pressure_of(result: Mapping[str, Any]) -> float:
 def times_of(trial: TrialData) -> dict[str, float]:
     """When lift and set-down were found [s], by phase; NaN where they were not."""
     return {phase: float((trial.found.get(phase) or {}).get("t", float("nan"))) for phase in PHASES}
+
+
+def moving_mean(y: Array, width: int) -> Array:
+    """Means of `width` samples in a row."""
+    return np.convolve(y, np.ones(width) / width, mode="valid")
 
 
 def raised(trial: TrialData, times: Mapping[str, float]) -> Array:
@@ -159,14 +164,17 @@ def smoothed(
     width = max(1, round(SMOOTH / dt)) if dt > 0 else 1
     if np.count_nonzero(rows) < 2 * width:
         return None
-    window, both = np.ones(width) / width, (trial.channels["pressure"], raised(trial, times))
-    P, x = (np.convolve(values[rows], window, mode="valid") for values in both)
-    return P, x
+    return moving_mean(trial.channels["pressure"][rows], width), moving_mean(raised(trial, times)[rows], width)
+
+
+def pressures_of(trial: TrialData) -> list[float]:
+    """Pressures at which its load lifts and sets down [Pa]; NaN where one was not found."""
+    return [pressure_of(trial.found.get(phase) or {}) for phase in PHASES]
 
 
 def mean_pressure(run: RunData, trial: TrialData) -> float | None:
     """Mean of the pressures at which a load lifts and sets down [Pa]; None where one was not found."""
-    known = [pressure_of(trial.found.get(phase) or {}) for phase in PHASES]
+    known = pressures_of(trial)
     return sum(known) / 2 if np.isfinite(known).all() else None
 
 
@@ -252,17 +260,14 @@ def along_ways(trial: TrialData, found: Mapping[str, float]) -> Carried | None:
     if len(t) < 2 * FEWEST:
         return None
     width = max(1, round(SMOOTH / float(np.median(np.diff(t)))))
-    window = np.ones(width) / width
     hanging = (t >= times["lift"]) & (t <= times["set-down"])
-    top = int(np.argmax(np.where(hanging, np.convolve(x, window, mode="same"), -np.inf)))
+    top = int(np.argmax(np.where(hanging, np.convolve(x, np.ones(width) / width, mode="same"), -np.inf)))
+    if min(top, len(t) - top) < 2 * width:
+        return None
     least = max(CLEAR, 5 * noise_of(x))
-    fitted = []
-    for way in (slice(0, top), slice(top, len(t))):
-        if len(t[way]) < 2 * width:
-            return None
-        smooth = [np.convolve(values[way], window, mode="valid") for values in (P, x)]
-        fitted.append(_at_0(smooth[0], smooth[1], least))
-    up, down = fitted
+    up, down = (
+        _at_0(moving_mean(P[way], width), moving_mean(x[way], width), least) for way in (slice(top), slice(top, None))
+    )
     if up is None or down is None:
         return None
     place = (found["set-down"] - down[0]) / down[1]

@@ -85,7 +85,7 @@ class StaticLoad(ProtocolHead):
             self._at_zero(c, points)
         return c.plan("static-load", {"order": self.trial.order, "rate": search.rate, "moved": search.moved})
 
-    def _seek(self, c: Compilation, phase: str, direction: str, highest: float, approach: float) -> Seek:
+    def _seek(self, phase: str, direction: str, highest: float, approach: float) -> Seek:
         search = self.trial.search
         limit = 5.0 + search.settle
         if approach > 0:
@@ -137,10 +137,10 @@ class StaticLoad(ProtocolHead):
             c.steps += [
                 Record("rest", True, index),
                 Hold("rest", 0.2),
-                self._seek(c, "lift", "up", search.up_to, search.approach_rate),
+                self._seek("lift", "up", search.up_to, search.approach_rate),
                 Hold("lifted", search.settle),
                 *self._stroke(),
-                self._seek(c, "set-down", "down", search.up_to, 0.0),
+                self._seek("set-down", "down", search.up_to, 0.0),
                 Record("set-down", False, index),
                 Set("vent", "pressure", 0.0),
                 Hold("vent", VENT_HOLD),
@@ -174,7 +174,7 @@ class StaticLoad(ProtocolHead):
                 Hold("loaded", self.trial.hold),
                 Ask("support", "Take the support of the load away.", "at-pressure"),
                 Hold("hanging", 1.0),
-                self._seek(c, "set-down", "down", pressure, 0.0),
+                self._seek("set-down", "down", pressure, 0.0),
                 Record("set-down", False, index),
                 Set("vent", "pressure", 0.0),
                 Hold("vent", VENT_HOLD),

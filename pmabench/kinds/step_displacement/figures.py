@@ -14,18 +14,7 @@ from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement.step import measure as steps_of
 from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import (
-    Picture,
-    bound,
-    column,
-    has,
-    head,
-    how_many,
-    label,
-    numbers,
-    picture,
-    spread,
-)
+from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, label, numbers, picture, spread
 from pmabench.plotting.plots import Array, Panel
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Trace

@@ -18,7 +18,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, force_from_cycle_to_cycle, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.samples import OF_TWO, STEPS, Held, left
-from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.shared.trials import grouped, measured_trials, point_by, thinned
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
@@ -48,7 +48,6 @@ BLUNT = 0.25
 """Share of the rise to a peak above which what a filter may have taken off it is not left to its interval."""
 SEVERAL = 0.4
 """Share of a time constant by which that of the later part may differ where there is one exponential."""
-LONGEST_TRACE = 1500
 UNTURNED = 0.05
 """Share of the friction between two rests that a small step may not have turned round yet."""
 RUBS = "friction between the two rests is in it"
@@ -71,9 +70,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     members, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
     scales = Scales.of(runs)
-    cells = grouped(
-        members, lambda one: tuple((name, round(one.trial.point[name], 9)) for name in CELL if name in one.trial.point)
-    )
+    cells = grouped(members, lambda one: point_by(one.trial, CELL))
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     traces: list[Trace] = []
@@ -104,6 +101,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces=traces,
         facts={"options": dict(options or {}), "trials": len(members), "cells": len(cells)},
     )
+
+
+def _start(e: Estimate) -> tuple[float, float, float]:
+    """Pressure [Pa], start [m] and speed [m/s] of steps."""
+    return *_place(e.at), e.at.get("speed", 0.0)
 
 
 def _place(at: Mapping[str, float]) -> tuple[float, float]:
@@ -271,11 +273,9 @@ def _still_moving(rests: Sequence[Held]) -> Doubt:
 
 def _sizes(estimates: Sequence[Estimate]) -> Iterator[Finding]:
     """What steps of two sizes from one start say of friction."""
-    starts: dict[tuple[float, ...], list[Estimate]] = {}
-    for e in estimates:
-        if (e.symbol, e.method) == ("K", RELAXED) and e.value is not None and e.at.get("step", 0.0) > 0:
-            starts.setdefault((*_place(e.at), e.at.get("speed", 0.0)), []).append(e)
-    for (P, *_), steps in sorted(starts.items()):
+    known = [e for e in estimates if (e.symbol, e.method) == ("K", RELAXED) and e.value is not None]
+    away = [e for e in known if e.at.get("step", 0.0) > 0]
+    for (P, *_), steps in sorted(grouped(away, _start).items()):
         for one, two in pairwise(sorted(steps, key=lambda e: e.at["step"])):
             (s_1, K_1), (s_2, K_2) = ((e.at["step"], e.value or 0.0) for e in (one, two))
             if K_1 - K_2 > CLEAR * hypot(one.parts.repeats or 0.0, two.parts.repeats or 0.0):
@@ -303,14 +303,13 @@ def _findings(group: Sequence[Steps]) -> Iterator[Finding]:
 
 def _trace(at: Mapping[str, float], member: Steps) -> Trace:
     """Around the last step away from the start."""
-    stride, step = max(1, -(-len(member.last["t"]) // LONGEST_TRACE)), member.there[-1]
-    kinds = {"pressure": "pressure", "step": "length", "speed": "speed"}
+    step, kinds = member.there[-1], {"pressure": "pressure", "step": "length", "speed": "speed"}
     places = ", ".join(show(at[name], quantity) for name, quantity in kinds.items() if name in at)
     return Trace(
         "step-" + "-".join(f"{value:g}" for value in at.values()),
         "displacement-step",
         f"{places}: step of displacement",
-        {name: values[::stride] for name, values in member.last.items()},
+        thinned(member.last),
         {"t": "time", "force": "force", "displacement": "length", "pressure": "pressure"},
         {"before": step.before, "peak": step.peak, "relaxed": step.relaxed},
     )
@@ -322,13 +321,11 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     At rest the force is above the mean of both directions after stretching and below it after contracting, by a
     friction f. A step s takes -K s - 2 f, so that two steps of different size from one start have K between them.
     """
-    cells: dict[tuple[float, ...], list[Estimate]] = {}
-    for e in map(_without_friction, values_of(analysis, "K", RELAXED)):
-        P, start, step = (e.at.get(name, 0.0) for name in ("pressure", "start", "step"))
-        if step > 0:
-            yield replace(exactly("K", {(P, start + step / 2): e}, "at rest"), side=1, why=RUBS)
-            cells.setdefault((P, start, e.at.get("speed", 0.0)), []).append(e)
-    for (P, start, _), steps in cells.items():
+    K = [_without_friction(e) for e in values_of(analysis, "K", RELAXED) if e.at.get("step", 0.0) > 0]
+    for e in K:
+        P, start = _place(e.at)
+        yield replace(exactly("K", {(P, start + e.at["step"] / 2): e}, "at rest"), side=1, why=RUBS)
+    for (P, start, _), steps in grouped(K, _start).items():
         for one, two in pairwise(sorted(steps, key=lambda e: e.at["step"])):
             s_1, s_2 = one.at["step"], two.at["step"]
             found = weighted([(two, s_2 / (s_2 - s_1)), (one, -s_1 / (s_2 - s_1))], "K")

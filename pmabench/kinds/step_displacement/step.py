@@ -20,6 +20,7 @@ from pmabench.analysis.shared.samples import (
     Held,
     NotUsable,
     ends,
+    lags_of,
     noise_of,
     on_time,
     refuse_unusable,
@@ -72,7 +73,7 @@ class Relaxation:
     later: Held
     """The same of the rest after [N]."""
     filter: float
-    """Time constant that the filter of the force cell may have [s]."""
+    """Time constant of the filter of the force cell [s], as declared, or what one may have where none is."""
     blunted: float
     """What such a filter, or one as slow as the way back shows (`fast`), would change the peak by [N]."""
     sampled: float
@@ -177,8 +178,8 @@ def _one(
     """The step of one command; `begin` and `end` [s] are those of the rests before and after it."""
     arrived = _arrives(ramp)
     t, good = trial.t, trial.usable
-    before = good & (t >= ramp.t - LAST * (ramp.t - begin)) & (t < ramp.t - 1e-9)
-    after = good & (t >= end - LAST * (end - arrived)) & (t < end)
+    since, until = ramp.t - LAST * (ramp.t - begin), end - LAST * (end - arrived)
+    before, after = good & (t >= since) & (t < ramp.t - 1e-9), good & (t >= until) & (t < end)
     moving = good & (t >= ramp.t) & (t < end)
     rest = good & (t > arrived + 1e-9) & (t < end)
     if min(before.sum(), after.sum()) < 3 or rest.sum() < 2 * FEWEST:
@@ -198,26 +199,26 @@ def _one(
     still = rest & (t > (max(float(beyond[-1]), arrived) if len(beyond) else arrived))
     if still.sum() < 2 * FEWEST:
         raise NotUsable("the displacement comes to rest too late")
-    since = t[still] - t[still][0]
+    on_way = t[still] - t[still][0]
     off = P[moving] - float(P[before].mean())
-    back = recovery(since, F[still])
+    back = recovery(on_way, F[still])
     one = Relaxation(
         moved=moved,
         before=level,
         peak=level + float(away[place]),
         relaxed=relaxed,
-        earlier=Held.of(t[early], F[early], ramp.t - LAST * (ramp.t - begin)),
-        later=Held.of(t[late], F[late], end - LAST * (end - arrived)),
-        filter=filter_of(run),
+        earlier=Held.of(t[early], F[early], since),
+        later=Held.of(t[late], F[late], until),
+        filter=lags_of(run, trial)["force"] or UNDECLARED,
         blunted=0.0,
         sampled=abs(float(away[place] - away[max(0, place - 1)])),
         pressure_peak=float(off[np.argmax(np.abs(off))]) if known else float("nan"),
         pressure_noise=noise_of(P[moving]) if known else 0.0,
         force_back=back,
-        pressure_back=recovery(since, P[still]) if known else None,
+        pressure_back=recovery(on_way, P[still]) if known else None,
         noise=noise_of(F[rest]),
         pressures=(float(P[before].mean()), float(P[after].mean())),
-        together=_together(since, P[still], F[still]),
+        together=_together(on_way, P[still], F[still]),
         unresolved={
             name: max(unresolved(trial.channels[name][rows], step) for rows in (before, after))
             for name, step in steps.items()
@@ -235,12 +236,6 @@ def _together(since: Array, P: Array, F: Array) -> tuple[Array, Array]:
         return np.zeros(0), np.zeros(0)
     p, f = (values[rows].reshape(-1, width).mean(axis=1) for values in (P, F))
     return p - p.mean(), f - f.mean()
-
-
-def filter_of(run: RunData) -> float:
-    """Time constant of the force cell's filter [s], as declared, or what one may have where none is."""
-    declared = run.channels["force"].sensor_lag if "force" in run.channels else 0.0
-    return declared if declared > 0 else UNDECLARED
 
 
 def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:

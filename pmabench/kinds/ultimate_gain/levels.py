@@ -106,7 +106,6 @@ class TrialFound(Examined):
     bias_T_u: float | None = None
     friction: float = 0.0
     """Relative shift of K_u by growth that depends on the swing [1]."""
-    loop: Loop | None = None
 
 
 def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
@@ -136,7 +135,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
     K_u, T_u = zero.K_u - (bias_K or 0.0), zero.T_u - (bias_T or 0.0)
     return TrialFound(
         levels, tuple(used), nearest, bias, zero.line, K_u, zero.half_K_u, bias_K, T_u, zero.half_T_u, bias_T,
-        abs(friction), loop, doubts=tuple(_doubts(nearest, ratios, friction)),
+        abs(friction), loop=loop, doubts=tuple(_doubts(nearest, ratios, friction)),
     )  # fmt: skip
 
 
@@ -157,7 +156,7 @@ def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, An
         late = t >= swinging.times[0]
         names = ["displacement", "pressure"] if "pressure" in trial.channels else ["displacement"]
         signals = np.column_stack([trial.channels[name][mask][late] for name in names])
-        centre, found = mode_amplitudes(t[late], signals, swinging.root)
+        centre, found = mode_amplitudes(t[late] - t[late][0], signals, swinging.root)
         size = abs(complex(found[0, 0]))
         third = abs(complex(found[2, 0])) / size
         third_noise = noise * sqrt(2.0 / late.sum()) / size

@@ -136,7 +136,7 @@ def by_model(analysis: Analysis, setpoints: Sequence[float], load: float, mass: 
     Without set-points, where the muscle rests at the pressures of the campaign. `period` is that of the loop's samples
     [s], of which half is dead time. Intervals are those of the coefficients, cause by cause.
 
-    Raises ValueError where the analysis does not tell enough, or holds none of the set-points.
+    Raises ValueError where the analysis does not give enough, or holds none of the set-points.
     """
     fitted = Fitted.of(analysis)
     values = [float(e.value or 0.0) for e in fitted.estimates]

@@ -11,19 +11,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from math import isfinite, sqrt
+from math import hypot, isfinite, nan, sqrt
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import STEPS, step_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
 from pmabench.kinds.ultimate_gain.open_loop_form import Flow, flow_limited, gauge_filter, read_in_steps
-from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, lags_of, oscillating, repeats, scaled
+from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, described, lags_of, limit_of, oscillating
 from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -47,7 +46,6 @@ loops of known gain is at most that."""
 class StepsFound(Examined):
     """What one trial says."""
 
-    loop: Loop | None = None
     regulator: Regulator | None = None
     moved: Moved | None = None
     friction: Friction | None = None
@@ -115,43 +113,42 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
         found = fit(t, x, P, steps, lag + late)
     if isinstance(found, str):
         return StepsFound(refused=(found,))
-    known = StepsFound(None, *found, amplitude=amplitude, steps=tuple(steps))
-    refused, doubts = _against(known)
+    regulator, moved, friction = found
+    refused, doubts = _against(friction, amplitude)
     if late:
         doubts.append(
             f"{FILTERED} of {show(late, 'time', 2)}, which is taken off: declare the `sensor_lag` of its channel"
         )
-    moved = found[1]
     off = _pressure_at(moved, trial.point.get("setpoint", moved.x0))
     if off is None or abs(off) > amplitude:
         refused.append(_elsewhere(moved, trial.point, amplitude))
-    loop = _loop(known, period, off or 0.0)
+    loop = _loop(regulator, moved, period, off or 0.0)
     if loop is None:
         refused.append("the fitted parts make no loop that could oscillate")
-    known = replace(known, loop=loop, refused=tuple(refused), doubts=tuple(doubts))
+    known = StepsFound(
+        regulator, moved, friction, amplitude=amplitude, steps=tuple(steps), refused=tuple(refused),
+        doubts=tuple(doubts),
+    )  # fmt: skip
     if refused or loop is None:
-        return replace(known, loop=None)
+        return known
     sizes = [step_of(trial.channels[name][trial.usable]) for name in ("displacement", "pressure")]
-    return _with_spread(known, (t, x, P), cycles, lag + late, off or 0.0, sizes)
+    return _with_spread(known, loop, (regulator, moved), (t, x, P), cycles, lag + late, off or 0.0, sizes)
 
 
 def _with_spread(
-    known: StepsFound, samples: tuple[Array, Array, Array], cycles: Sequence[Sequence[Step]], lag: float, off: float,
-    sizes: Sequence[float],
+    known: StepsFound, loop: Loop, fitted: tuple[Regulator, Moved], samples: tuple[Array, Array, Array],
+    cycles: Sequence[Sequence[Step]], lag: float, off: float, sizes: Sequence[float],
 ) -> StepsFound:  # fmt: skip
-    """With what each cycle says alone, what each direction would, and what other forms of the loop would.
+    """With its `loop` of the `fitted` parts, and what each cycle alone, each direction and other forms would say.
 
     `lag` is that of the gauge [s], `off` the pressure from the bias [Pa], `sizes` are the steps of displacement [m] and
     pressure [Pa].
     """
-    t, regulator, moved = samples[0], known.regulator, known.moved
-    if known.loop is None or regulator is None or moved is None:
-        return known
-    truth, period = ultimate(known.loop), float(t[1] - t[0])
+    t, (regulator, moved), truth = samples[0], fitted, ultimate(loop)
+    period = float(t[1] - t[0])
 
     def ends(parts: Iterable[tuple[Regulator, Moved]]) -> list[Ultimate]:
-        loops = [_loop(StepsFound(None, *pair), period, off) for pair in parts]
-        return [ultimate(loop) for loop in loops if loop is not None]
+        return [ultimate(loop) for pair in parts if (loop := _loop(*pair, period, off)) is not None]
 
     during = [(t >= c[0].t - BEFORE) & (t < c[-1].t + (c[-1].t - c[-2].t)) for c in cycles]
     parts = [[y[at] for y in samples] for at in during]
@@ -163,12 +160,12 @@ def _with_spread(
     )
     flow = flow_limited(t, samples[2], known.steps, lag)
     doubts = [] if flow is None else [_flow(flow, truth, ends([(flow.small(regulator), moved)]))]
-    read = ends(read_in_steps(parts[0], cycles[0], lag, (regulator, moved), sizes))
+    read = ends(read_in_steps(parts[0], cycles[0], lag, fitted, sizes))
     if read:
         shares = np.array([_apart(one, read[0]) for one in read[1:]])
         doubts.append(_both(Doubt(STEPS, "method", 1.0, False), 2 * np.sqrt(np.mean(shares**2, axis=0))))
     spans = np.max([_apart(end, truth) for end in sides] or [(0.0, 0.0)], axis=0).tolist()
-    return replace(known, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
+    return replace(known, loop=loop, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
 
 
 def _apart(one: Ultimate, other: Ultimate) -> tuple[float, float]:
@@ -221,29 +218,23 @@ def _elsewhere(moved: Moved, point: Mapping[str, float], amplitude: float) -> st
     return f"{text}; try a bias of {show(wanted, 'pressure', 3)}" if wanted > 0 else text
 
 
-def _against(found: StepsFound) -> tuple[list[str], list[str]]:
+def _against(friction: Friction, amplitude: float) -> tuple[list[str], list[str]]:
     """What forbids the result, and what weakens it."""
-    friction = found.friction
-    if friction is None:
-        return ["the steps were not fitted"], []
     gap = abs(friction.gap)
     text = f"rests reached from above and from below lie {gap:.1%} of the swing apart"
     if friction.balance.coulomb > 0:
         text += f", dry friction takes {show(friction.balance.coulomb, 'pressure', 2)} of the steps' "
-        text += show(found.amplitude, "pressure", 2)
+        text += show(amplitude, "pressure", 2)
     if not gap <= GAP["fault"]:
         return [f"stiction: {text}"], []
     return [], [f"as with friction, {text}"] if gap > GAP["doubt"] else []
 
 
-def _loop(found: StepsFound, period: float, off: float) -> Loop | None:
+def _loop(regulator: Regulator, moved: Moved, period: float, off: float) -> Loop | None:
     """What a controller sampled every `period` [s] sees `off` [Pa] from the bias; None where it could not oscillate.
 
     The hold adds half a period; lags of filling and venting, and of both directions, count by their means.
     """
-    if found.regulator is None or found.moved is None:
-        return None
-    regulator, moved = found.regulator, found.moved
     gain = regulator.gain * (moved.gain + 2 * moved.curvature * off)
     lags = ((regulator.fill + regulator.vent) / 2, regulator.second, *lags_of(sum(moved.tau) / 2, moved.beta))
     dead_time = max(0.0, regulator.dead_time + moved.late) + period / 2
@@ -262,41 +253,30 @@ class StepsCell(GainCell[StepsFound]):
 
     called = "trials of steps"
 
-    @property
-    def loop(self) -> Loop | None:
-        """The loop of the first trial that has one."""
-        return next((self.found[i].loop for i in self.good), None)
-
     @cached_property
     def estimates(self) -> list[Estimate]:
         """K_u and T_u."""
-        return [_estimate(self, *symbol) for symbol in SYMBOLS]
+        return [self._estimate(place, symbol) for place, symbol in enumerate(SYMBOLS)]
 
     def findings(self) -> list[Finding]:
         """What speaks against the trials, what the fitted loop is, and what friction leaves of it."""
         lines = self.said()
-        known = next((self.found[i] for i in self.good), None)
+        known = next((one.found for one in self.good), None)
         if known is not None and known.loop is not None and known.moved is not None:
-            loop, truth = known.loop, ultimate(known.loop)
-            lags = ", ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
             up, down = known.moved.tau
-            text = (
-                f"at {self.where} the steps give {loop.gain * 1e6:.4g} mm/kPa, dead time {loop.dead_time * 1e3:.3g} ms "
-                f"(half a sample period in it) and lags {lags}, that of the muscle {up:.3g} s contracting and "
-                f"{down:.3g} s relaxing: it would oscillate at K_u = {show(truth.gain, 'gain', 4)}, "
-                f"T_u = {truth.period:.4g} s"
-            )
+            muscle = f"that of the muscle {up:.3g} s contracting and {down:.3g} s relaxing"
+            text = f"at {self.where} the steps give {described(known.loop)}, {muscle}: {limit_of(known.loop)}"
             lines.append(Finding("note", text))
         return lines
 
     def traces(self) -> list[Trace]:
         """Command, pressure and displacement of the last cycle, and the fitted displacement."""
-        trial, found = self.trials[self.shown], self.found[self.shown]
+        trial, found = self.shown.trial, self.shown.found
         steps = steps_of(trial)
         if len(steps) < 4:
             return []
         begin = steps[-4].t - 0.2
-        t, x, P = samples_of(trial, steps, 1 / self.runs[self.shown].rate)
+        t, x, P = samples_of(trial, steps, 1 / self.shown.run.rate)
         mask = t >= begin
         columns: dict[str, Array] = {"t": t[mask] - begin, "displacement": x[mask]}
         if found.moved is not None:
@@ -304,42 +284,20 @@ class StepsCell(GainCell[StepsFound]):
         columns["pressure"] = P[mask] + steps[3].value
         return [self.trace("open-loop", "Open-loop steps", columns, {"setpoint": self.at.get("setpoint", 0.0)})]
 
-
-def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimate:
-    good = [cell.found[i] for i in cell.good]
-    truths = [ultimate(found.loop) for found in good if found.loop is not None]
-    if not truths:
-        return cell.empty(symbol, unit, quantity, METHOD)
-    name, place = ("gain", 0) if symbol == "K_u" else ("period", 1)
-    values = np.array([getattr(truth, name) for truth in truths])
-    value = float(values.mean())
-    halves = [spread([getattr(cycle, name) for cycle in found.cycles]) for found in good]
-    damping = DAMPING * max(found.spans[place] for found in good)
-    bent = max(found.bent for found in good) ** 2 / 2 if symbol == "K_u" else 0.0
-    scales = Scales.of(cell.runs)
-    used = scaled(symbol, scales)
-    estimate = Estimate(
-        symbol,
-        value,
-        unit,
-        quantity,
-        METHOD,
-        cell.at,
-        parts=Parts(
-            repeats=repeats(values, np.array(halves, dtype=np.float64)),
-            method=value * sqrt(damping**2 + bent**2),
-            calibration=scales.part(dict.fromkeys(used, value)),
-            skew=cell.by_clocks(name),
-        ),
-        n=len(good),
-        note=sentences(
-            *(doubt for found in good for doubt in found.doubts),
-            ALONE if len(good) == 1 else "",
-            "the method part is what unlike lags in the two directions and the bend of the steps are worth",
-            scales.lack(used),
-        ),
-        trials=tuple(cell.trials[i].name for i in cell.good),
-    )
-    doubts = [found.sided for found in good] + [pair[place] for found in good for pair in found.departures]
-    worst = {one.name: one for one in sorted(doubts, key=lambda one: one.half)}
-    return weighed(estimate, [replace(one, half=one.half * value) for one in worst.values()])
+    def _estimate(self, place: int, symbol: tuple[str, str, str]) -> Estimate:
+        name, good = ("gain", "period")[place], [one.found for one in self.good]
+        truths = [ultimate(found.loop) for found in good if found.loop is not None]
+        if not truths:
+            return self.empty(*symbol, METHOD)
+        halves = [spread([getattr(cycle, name) for cycle in found.cycles]) for found in good]
+        values = [(getattr(truth, name), nan if half is None else half)
+                  for truth, half in zip(truths, halves, strict=True)]  # fmt: skip
+        value = float(np.mean([one for one, _ in values]))
+        damping = DAMPING * max(found.spans[place] for found in good)
+        bent = 0.0 if place else max(found.bent for found in good) ** 2 / 2
+        parts = Parts(method=value * hypot(damping, bent), skew=self.by_clocks(name))
+        said = "the method part is what unlike lags in the two directions and the bend of the steps are worth"
+        estimate = self.estimate(symbol, METHOD, self.good, values, parts, (said,), alone=ALONE)
+        doubts = [found.sided for found in good] + [pair[place] for found in good for pair in found.departures]
+        worst = {one.name: one for one in sorted(doubts, key=lambda one: one.half)}
+        return weighed(estimate, [replace(one, half=one.half * value) for one in worst.values()])

@@ -102,7 +102,7 @@ class Balance:
 
 @dataclass(frozen=True)
 class Friction:
-    """What rests and motion tell of friction."""
+    """What rests and motion show of friction."""
 
     gap: float
     """Distance between rests at the bias reached from above and from below, over the swing [1]."""
@@ -112,7 +112,7 @@ class Friction:
 
 def fit(
     t: Array, x: Array, P: Array, steps: Sequence[Step], lag: float, like: Regulator | None = None
-) -> tuple[Regulator, Moved, Friction | None] | str:
+) -> tuple[Regulator, Moved, Friction] | str:
     """Both parts fitted to samples at even times; a sentence where something did not move. P is that over the bias.
 
     `like` is the regulator of a longer record, with as many lags.
@@ -124,7 +124,7 @@ def fit(
     moved = _moved(t, x, P, steps, balance(t, x, P, friction=False))
     if moved.gain <= 0:
         return "the muscle does not contract as the pressure rises"
-    return regulator, moved, _friction(t, x, P, steps, moved)
+    return regulator, moved, _friction(t, x, P, steps)
 
 
 def response(s: Array, lags: Sequence[float]) -> Array:
@@ -218,7 +218,7 @@ def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:
 
 
 def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance) -> Moved:
-    """Least squares of a simulated displacement, driven by the measured pressure; `start` tells where to begin.
+    """Least squares of a simulated displacement, driven by the measured pressure; `start` is where to begin.
 
     An inertia cannot be below 0, so that noise alone would make it larger than it is and the loop slower. Where its lag
     is short a delay of either sign takes its place.
@@ -228,37 +228,29 @@ def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance) 
     drive, parts = _driven(t, P / swing, steps)
 
     def solved(p: Array) -> tuple[Array, Array]:
-        made = np.column_stack([np.ones_like(t), _simulated(drive, parts, (p[0], p[1]), p[2], period)])
-        return against(made)
+        """Constant, gain, curvature, and without an inertia the gain times a delay; what is left over the swing."""
+        made = _simulated(drive, parts, (p[0], p[1]), p[2] if len(p) > 2 else SLIGHT / 10, period)
+        late = [] if len(p) > 2 else [-np.gradient(made[:, 0], period)]
+        design = np.column_stack([np.ones_like(t), made, *late])
+        linear = np.asarray(np.linalg.solve(design.T @ design, design.T @ x), dtype=np.float64)
+        return linear, (design @ linear - x) / float(np.ptp(x))
 
-    def against(made: Array) -> tuple[Array, Array]:
-        linear = np.asarray(np.linalg.solve(made.T @ made, made.T @ x), dtype=np.float64)
-        return linear, (made @ linear - x) / float(np.ptp(x))
-
-    def delayed(p: Array) -> tuple[Array, Array]:
-        made = _simulated(drive, parts, (p[0], p[1]), SLIGHT / 10, period)
-        return against(np.column_stack([np.ones_like(t), made, -np.gradient(made[:, 0], period)]))
+    def misfit(p: Array) -> Array:
+        return solved(p)[1]
 
     guess = [
         *np.clip(np.nan_to_num(start.tau), 1e-3, 20.0),
         float(np.clip(np.nan_to_num(start.beta), 10 * SLIGHT, 0.01)),
     ]
     bounds = ([1e-4, 1e-4, SLIGHT / 10], [50.0, 50.0, 1.0])
-
-    def misfit(p: Array) -> Array:
-        return solved(p)[1]
-
-    def late_misfit(p: Array) -> Array:
-        return delayed(p)[1]
-
     found = least_squares(misfit, guess, x_scale=[0.1, 0.1, 1e-3], bounds=bounds, xtol=1e-5, ftol=1e-7)
     (x0, gain, curvature), residual = solved(found.x)
     up, down, beta = (float(value) for value in found.x)
     late = 0.0
     if 2 * beta < LIKE_DELAY * (up + down):
         bounds = ([1e-4] * 2, [50.0] * 2)
-        found = least_squares(late_misfit, [up, down], x_scale=0.1, bounds=bounds, xtol=1e-5, ftol=1e-7)
-        (x0, gain, curvature, late), residual = delayed(found.x)
+        found = least_squares(misfit, [up, down], x_scale=0.1, bounds=bounds, xtol=1e-5, ftol=1e-7)
+        (x0, gain, curvature, late), residual = solved(found.x)
         late, beta = float(late / gain), 0.0
         up, down = (float(value) for value in found.x)
     rms = float(np.std(residual)) * float(np.ptp(x))
@@ -319,14 +311,15 @@ def _transition(tau: float, beta: float, period: float) -> Array:
     return np.asarray(made.real)
 
 
-def _friction(t: Array, x: Array, P: Array, steps: Sequence[Step], moved: Moved) -> Friction:
+def _friction(t: Array, x: Array, P: Array, steps: Sequence[Step]) -> Friction:
     """Rests at the bias after coming from above and from below, and the Coulomb term of the balance while it moves."""
     ends = [step.t for step in steps[1:]] + [steps[-1].t + (steps[-1].t - steps[-2].t)]
     rests = np.array([_rest(t, x, step.t, end) for step, end in zip(steps, ends, strict=True)])
     kinds = np.arange(len(steps)) % 4
     up, above, down, below = (float(rests[kinds == kind].mean()) for kind in range(4))
     swing = up - down
-    return Friction((above - below) / swing if swing else float("nan"), balance(t, x, P, friction=True))
+    gap = (above - below) / swing if swing else float("nan")
+    return Friction(gap, balance(t, x, P, friction=True))
 
 
 def _rest(t: Array, x: Array, begin: float, end: float) -> float:

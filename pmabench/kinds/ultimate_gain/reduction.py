@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isnan, nan, sqrt
+from math import hypot, isnan, nan
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from pmabench.analysis import tuning
 from pmabench.analysis.shared import skew
-from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain import RESULTS
@@ -31,7 +30,7 @@ from pmabench.kinds.ultimate_gain.open_loop import StepsCell, StepsFound, steps_
 from pmabench.kinds.ultimate_gain.open_loop import examine as examine_steps
 from pmabench.kinds.ultimate_gain.relay import RelayCell, RelayFound, search_of
 from pmabench.kinds.ultimate_gain.relay import examine as examine_relay
-from pmabench.kinds.ultimate_gain.ways import SYMBOLS, GainCell, repeats, scaled
+from pmabench.kinds.ultimate_gain.ways import SYMBOLS, GainCell
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -50,8 +49,8 @@ class _Cell(GainCell[TrialFound]):
 
     @property
     def seen(self) -> Loop | None:
-        """The loop behind the first trial that tells one."""
-        return next((self.found[i].loop for i in self.good if self.found[i].loop is not None), None)
+        """The loop behind the first trial that shows one."""
+        return super().loop
 
     @property
     def loop(self) -> Loop | None:
@@ -61,7 +60,23 @@ class _Cell(GainCell[TrialFound]):
     @cached_property
     def estimates(self) -> list[Estimate]:
         """K_u and T_u."""
-        return [_estimate(self, *symbol) for symbol in SYMBOLS]
+        return [self._estimate(symbol) for symbol in SYMBOLS]
+
+    def _estimate(self, symbol: tuple[str, str, str]) -> Estimate:
+        """K_u or T_u: the mean of the trials, with its interval in parts."""
+        name, good = symbol[0], [one.found for one in self.good]
+        if not good:
+            return self.empty(*symbol, METHOD)
+        values = [(getattr(found, name), getattr(found, f"half_{name}")) for found in good]
+        known = [bias for found in good if (bias := getattr(found, f"bias_{name}")) is not None]
+        mean = float(np.mean([value for value, _ in values]))
+        friction = max(found.friction for found in good) * mean if name == "K_u" else 0.0
+        bias = float(np.mean(known)) if known else None
+        method = None if bias is None else hypot(bias, friction)
+        unknown = "" if bias is not None else "no method part: the loop behind it could not be identified and replayed"
+        return self.estimate(
+            symbol, METHOD, self.good, values, Parts(method=method), (unknown,), alone=ALONE, bias=bias
+        )
 
     def findings(self) -> list[Finding]:
         """What speaks against the trials, and what the loop is."""
@@ -72,11 +87,7 @@ class _Cell(GainCell[TrialFound]):
         text = f"at {self.where} the loop oscillates at K_u = {show(K_u, 'gain', 4)}, T_u = {T_u:.4g} s"
         if loop is not None:
             apart = f" +- {skew.milliseconds(self.apart)} (clocks)" if self.apart else ""
-            lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
-            text += (
-                f"; seen from there the plant has {loop.gain * 1e6:.4g} mm/kPa,"
-                f" dead time {loop.dead_time * 1e3:.3g} ms{apart} and lags {lags}"
-            )
+            text += f"; seen from there the plant has {gain_ways.described(loop, apart)}"
         elif self.seen is not None:
             between = skew.milliseconds(self.apart)
             text += f"; the plant is not reported: pressure and displacement may be {between} apart, its dead time is "
@@ -85,7 +96,7 @@ class _Cell(GainCell[TrialFound]):
 
     def traces(self) -> list[Trace]:
         """The oscillation nearest to K_u, and the growth plot."""
-        trial, found, K_u = self.trials[self.shown], self.found[self.shown], self.estimates[0].value
+        trial, found, K_u = self.shown.trial, self.shown.found, self.estimates[0].value
         if not found.levels:
             return []
         at = next((i for i, level in enumerate(found.levels) if level is found.nearest), len(found.levels) - 1)
@@ -202,38 +213,6 @@ def _cells(runs: Sequence[RunData]) -> tuple[list[_Cell], list[RelayCell], list[
 def _search(trial: TrialData) -> Mapping[str, Any] | None:
     """What the search wrote down."""
     return next((found for found in trial.found.values() if found.get("levels")), None)
-
-
-def _estimate(cell: _Cell, symbol: str, unit: str, quantity: str) -> Estimate:
-    """K_u or T_u of one set-point: the mean of its trials, with its interval in parts."""
-    good = [cell.found[i] for i in cell.good]
-    if not good:
-        return cell.empty(symbol, unit, quantity, METHOD)
-    scales = Scales.of(cell.runs)
-    used = scaled(symbol, scales)
-    values = np.array([getattr(found, symbol) for found in good])
-    known = [bias for found in good if (bias := getattr(found, f"bias_{symbol}")) is not None]
-    value = float(values.mean())
-    friction = max(found.friction for found in good) * value if symbol == "K_u" else 0.0
-    bias = float(np.mean(known)) if known else None
-    return Estimate(
-        symbol, value, unit, quantity, METHOD, cell.at,
-        parts=Parts(
-            repeats=repeats(values, np.array([getattr(found, f"half_{symbol}") for found in good])),
-            method=None if bias is None else sqrt(bias**2 + friction**2),
-            calibration=scales.part(dict.fromkeys(used, value)),
-        ),
-        n=len(good),
-        bias=bias,
-        corrected=bias is not None,
-        note=sentences(
-            "; ".join(dict.fromkeys(doubt for found in good for doubt in found.doubts)),
-            ALONE if len(good) == 1 else "",
-            "" if bias is not None else "no method part: the loop behind it could not be identified and replayed",
-            scales.lack(used),
-        ),
-        trials=tuple(cell.trials[i].name for i in cell.good),
-    )  # fmt: skip
 
 
 def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Array:

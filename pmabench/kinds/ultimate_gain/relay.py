@@ -12,34 +12,31 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from math import hypot, isfinite, log, pi, sqrt
+from math import hypot, isfinite, pi, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.oscillation import SEEN, extremes
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
-from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, Examined, GainCell, lags_of, oscillating, repeats
-from pmabench.model.loop import ComplexArray, Loop, ultimate
+from pmabench.kinds.ultimate_gain.relay_fit import command_over, fit, shape_of
+from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, Examined, GainCell, Member, described, limit_of
+from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import RunData, TrialData
 
 SKIPPED = 3
 """Periods after a change of amplitude that do not count."""
 FEWEST_PERIODS = 4
 FEWEST_SAMPLES = 4
 """In each period."""
-HARMONICS = 3
 PERIOD_VARIATION = 0.05
 LOPSIDED = 0.05
-"""Mean command off the bias, over the amplitude, from which on the mean displacement tells a static gain."""
+"""Mean command off the bias, over the amplitude, from which on the mean displacement gives a static gain."""
 ALIKE = 0.01
 """Ratios of hysteresis to amplitude that differ by less count as one."""
 SPREAD = {"period": {"doubt": 0.008, "fault": 0.02}, "gain": {"doubt": 0.025, "fault": 0.045}}
@@ -139,7 +136,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     noise = noise_of(trial.channels["displacement"][trial.usable])
     if min(level.hysteresis for level in known) < 3 * noise:
         doubts.append("the hysteresis is below three times the noise: noise may have switched the relay")
-    return RelayFound(known, refused=tuple(refused), doubts=tuple(doubts))
+    return RelayFound(known, refused=tuple(refused), doubts=tuple(doubts), loop=best.loop)
 
 
 def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
@@ -196,7 +193,7 @@ def _measure(
     if swing > h:
         K_df = 4 * d / (pi * sqrt(swing**2 - h**2))
         half_df = K_df * quantile * float(np.std(swings, ddof=1)) * swing / (swing**2 - h**2) if len(swings) > 1 else 0
-    off = float(_command(switches, float(ups[0]), float(ups[-1]), 1, 0)[0].real) - float(search["bias"])
+    off = float(command_over(switches, float(ups[0]), float(ups[-1]), 1, 0)[0].real) - float(search["bias"])
     static = (float(x.mean()) - float(search["centre"])) / off if abs(off) > LOPSIDED * d else float("nan")
     found = RelayLevel(
         d, h, float(ups[0]), float(ups[-1]), period, float(np.std(periods, ddof=1)) / period, swing, K_df, static,
@@ -211,11 +208,11 @@ def _measure(
         coulomb=balance(t, x, driving, friction=True).coulomb,
         unlike=abs(up - down) / (up + down) if min(up, down) > 0 else 1.0,
     )
-    loop = _fit(t, x, P, switches, ups, lag, hold)
+    loop = fit(t, x, P, switches, ups, lag, hold)
     if loop is None:
         return found
     truth = ultimate(loop)
-    single = [_fit(t, x, P, switches, ups[i : i + 3], lag, hold) for i in range(0, count - 1, 2)]
+    single = [fit(t, x, P, switches, ups[i : i + 3], lag, hold) for i in range(0, count - 1, 2)]
     each = [ultimate(one) for one in single if one is not None]
     halves = [float("nan"), float("nan")]
     if len(each) > 1:
@@ -223,96 +220,12 @@ def _measure(
         halves = [wide * float(np.std([getattr(one, name) for one in each], ddof=1)) for name in ("gain", "period")]
     return replace(
         found, loop=loop, K_u=truth.gain, T_u=truth.period, half_K_u=halves[0], half_T_u=halves[1],
-        shape=_shape(t, x, switches, ups, loop),
+        shape=shape_of(t, x, switches, ups, loop),
     )  # fmt: skip
 
 
-def _shape(t: Array, x: Array, switches: Array, ups: Array, loop: Loop) -> float:
-    """Distance of the third harmonic of `x`, over its first, from what `loop` makes of the command's."""
-    t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
-    omega = 2 * pi * periods / (t1 - t0)
-    X = _harmonics(t - t0, x, omega)
-    U = _command(switches, t0, t1, periods, HARMONICS)
-    first, third = (complex(U[k]) * complex(loop.response(1j * omega * k)) for k in (1, 3))
-    return float(abs(X[2] / X[0] - third / first))
-
-
-def _command(switches: Array, t0: float, t1: float, periods: int, harmonics: int) -> ComplexArray:
-    """Mean and amplitudes a_k - j b_k of the piecewise constant command over the `periods` periods of [t0, t1]."""
-    omega = 2 * pi * periods / (t1 - t0)
-    found = np.zeros(harmonics + 1, dtype=np.complex128)
-    for (begin, value), (end, _) in pairwise(switches):
-        a, b = max(begin, t0) - t0, min(end, t1) - t0
-        if b <= a:
-            continue
-        found[0] += value * (b - a) / (t1 - t0)
-        for k in range(1, harmonics + 1):
-            s = -1j * k * omega
-            found[k] += value * 2 / (t1 - t0) * (np.exp(s * b) - np.exp(s * a)) / s
-    return found
-
-
-def _harmonics(t: Array, y: Array, omega: float) -> ComplexArray:
-    """Amplitudes a_k - j b_k of the harmonics of `y`, by least squares together with a mean and a drift."""
-    columns = [np.ones_like(t), t - t.mean()]
-    for k in range(1, HARMONICS + 1):
-        columns += [np.cos(k * omega * t), np.sin(k * omega * t)]
-    fitted, *_ = np.linalg.lstsq(np.column_stack(columns), y, rcond=None)
-    return np.asarray(fitted[2::2] - 1j * fitted[3::2])
-
-
-def _fit(
-    t: Array, x: Array, P: Array, switches: Array, ups: Array, lag: Mapping[str, float], hold: float
-) -> Loop | None:
-    """The loop behind whole periods between `ups` [s]: command to pressure, and pressure to displacement, apart.
-
-    P = exp(-L s)/(1 + T_r s) U and P = (1 + tau s) X / k_g at the harmonics of the oscillation; sensor lags are taken
-    off. `hold` [s], half a sample period, is added to L for the hold of a sampled controller. None where no such loop
-    comes out.
-    """
-    t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
-    at = (t >= t0) & (t < t1)
-    if at.sum() < 8 * (HARMONICS + 1) * periods:
-        return None
-    omega = 2 * pi * periods / (t1 - t0)
-    s = 1j * omega * np.arange(1, HARMONICS + 1)
-    U = _command(switches, t0, t1, periods, HARMONICS)[1:]
-    X = _harmonics(t[at] - t0, x[at], omega) * (1 + lag.get("displacement", 0.0) * s)
-    Q = _harmonics(t[at] - t0, P[at], omega) * (1 + lag.get("pressure", 0.0) * s)
-    if not (np.all(np.isfinite(X)) and np.all(np.isfinite(Q))) or abs(X[0]) == 0 or abs(Q[0]) == 0:
-        return None
-
-    def misfit(p: Array) -> Array:
-        off = (U * np.exp(-p[1] * s) / (1 + np.exp(p[0]) * s) - Q) / abs(Q[0])
-        return np.concatenate([off.real, off.imag])
-
-    T_r, L = least_squares(misfit, [log(0.2 * 2 * pi / omega), 0.02 * 2 * pi / omega]).x
-    muscle = _muscle(s.astype(np.complex128), X, Q)
-    if muscle is None or L < -hold:
-        return None
-    gain, muscle_lags = muscle
-    sensor = lag.get("displacement", 0.0)
-    lags = (float(np.exp(T_r)), *muscle_lags, *((sensor,) if sensor > 0 else ()))
-    return oscillating(gain, float(max(0.0, L) + hold), lags)
-
-
-def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...]] | None:
-    """Gain k_g [m/Pa] and lags [s] of the displacement X behind the pressure Q at the harmonics `s` [1/s].
-
-    Q = (1 + tau s + beta s^2) X / k_g by least squares; without beta where that comes out negative.
-    """
-    for powers in ((0, 1, 2), (0, 1)):
-        columns = np.column_stack([X * s**power for power in powers])
-        size = np.linalg.norm(columns, axis=0)
-        design = np.concatenate([columns.real, columns.imag]) / size
-        found = np.linalg.lstsq(design, np.concatenate([Q.real, Q.imag]), rcond=None)[0] / size
-        if np.all(found > 0):
-            tau, beta = float(found[1] / found[0]), float(found[2] / found[0]) if len(found) > 2 else 0.0
-            return float(1 / found[0]), lags_of(tau, beta)
-    return None
-
-
 FITTED = "relay-fit"
+ALONE = "one trial: the repeats part is the scatter between its periods"
 OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
 """What K_u and T_u may be off, over friction as a share of the amplitude, over the distance of the third harmonic, and
 over their change between the amplitudes: play, a second lag and a slew of the regulator make less of known loops."""
@@ -332,12 +245,6 @@ class RelayCell(GainCell[RelayFound]):
 
     called = "relay trials"
 
-    @property
-    def loop(self) -> Loop | None:
-        """The loop fitted to the largest oscillation of the first trial that has one."""
-        best = [self.found[i].best for i in self.good]
-        return next((level.loop for level in best if level is not None and level.loop is not None), None)
-
     @cached_property
     def estimates(self) -> list[Estimate]:
         """K_u and T_u by the fit, then by the describing function."""
@@ -348,15 +255,9 @@ class RelayCell(GainCell[RelayFound]):
         lines, loop = self.said(), self.loop
         if loop is None:
             return lines
-        lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
-        truth = ultimate(loop)
-        text = (
-            f"at {self.where} the loop fitted to the relay oscillation has {loop.gain * 1e6:.4g} mm/kPa, dead time "
-            f"{loop.dead_time * 1e3:.3g} ms (half a sample period in it) and lags {lags}: it would oscillate at "
-            f"K_u = {show(truth.gain, 'gain', 4)}, T_u = {truth.period:.4g} s"
-        )
+        text = f"at {self.where} the loop fitted to the relay oscillation has {described(loop)}: {limit_of(loop)}"
         lines.append(Finding("note", text))
-        best = [level for i in self.good if (level := self.found[i].best) is not None]
+        best = [level for one in self.good if (level := one.found.best) is not None]
         if static := [level.static for level in best if isfinite(level.static)]:
             text = (
                 f"at {self.where} the means of the asymmetric oscillation give a static gain of "
@@ -367,7 +268,7 @@ class RelayCell(GainCell[RelayFound]):
 
     def traces(self) -> list[Trace]:
         """Displacement and command over the last periods of the largest oscillation."""
-        trial, best = self.trials[self.shown], self.found[self.shown].best
+        trial, best = self.shown.trial, self.shown.found.best
         if best is None:
             return []
         begin = max(best.t0, best.t1 - 4 * best.period)
@@ -385,41 +286,24 @@ def _values(level: RelayLevel, symbol: str, method: str) -> tuple[float, float]:
 
 
 def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
-    scales = Scales.of(cell.runs)
-    pressure = "pressure_command" if method == DESCRIBED and "pressure_command" in scales.gains else "pressure"
+    says = (
+        "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit"
+        if method == DESCRIBED
+        else "the method part is the difference between the amplitudes, and what the loop's form is worth"
+    )
     found = []
-    for symbol, unit, quantity in SYMBOLS:
-        best = [(i, level) for i in cell.good if (level := cell.found[i].best) is not None]
-        best = [(i, level) for i, level in best if isfinite(_values(level, symbol, method)[0])]
+    for symbol in SYMBOLS:
+        best = [(one, level) for one in cell.good if (level := one.found.best) is not None]
+        best = [(one, level) for one, level in best if isfinite(_values(level, symbol[0], method)[0])]
         if not best:
-            reasons = dict.fromkeys(reason for trial in cell.found for reason in (*trial.refused, *trial.doubts))
-            found.append(replace(cell.empty(symbol, unit, quantity, method), note="; ".join(reasons)))
+            reasons = dict.fromkeys(why for one in cell.members for why in (*one.found.refused, *one.found.doubts))
+            found.append(replace(cell.empty(*symbol, method), note="; ".join(reasons)))
             continue
-        values, halves = np.array([_values(level, symbol, method) for _, level in best]).T
-        value = float(values.mean())
-        scaled = (pressure, "displacement") if symbol == "K_u" else ()
-        estimate = replace(
-            cell.empty(symbol, unit, quantity, method),
-            value=value,
-            parts=Parts(
-                repeats=repeats(values, halves),
-                method=_method_part(cell, best, symbol, method),
-                calibration=scales.part(dict.fromkeys(scaled, value)),
-            ),
-            n=len(best),
-            note=sentences(
-                *(doubt for i, _ in best for doubt in cell.found[i].doubts),
-                "one trial: the repeats part is the scatter between its periods" if len(best) == 1 else "",
-                "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit"
-                if method == DESCRIBED
-                else "the method part is the difference between the amplitudes, and what the loop's form is worth",
-                scales.lack(scaled),
-            ),
-            trials=tuple(cell.trials[i].name for i, _ in best),
-        )
-        found.append(
-            weighed(estimate, _doubts([cell.found[i] for i, _ in best], value)) if method == FITTED else estimate
-        )
+        trials, values = [one for one, _ in best], [_values(level, symbol[0], method) for _, level in best]
+        parts = Parts(method=_method_part(cell, best, symbol[0], method))
+        described = method == DESCRIBED
+        e = cell.estimate(symbol, method, trials, values, parts, (says,), alone=ALONE, by_command=described)
+        found.append(e if described else weighed(e, _doubts([one.found for one in trials], e.value or 0.0)))
     return found
 
 
@@ -445,15 +329,17 @@ def _doubts(trials: Sequence[RelayFound], value: float) -> list[Doubt]:
     ]
 
 
-def _method_part(cell: RelayCell, best: Sequence[tuple[int, RelayLevel]], symbol: str, method: str) -> float | None:
+def _method_part(
+    cell: RelayCell, best: Sequence[tuple[Member[RelayFound], RelayLevel]], symbol: str, method: str
+) -> float | None:
     """Half width by the method: the other amplitudes for the fit, the fit for the describing function; clocks added."""
     apart = []
-    for i, level in best:
+    for one, level in best:
         value = _values(level, symbol, method)[0]
         if method == DESCRIBED:
             others = [_values(level, symbol, FITTED)[0]]
         else:
-            others = [_values(other, symbol, method)[0] for other in cell.found[i].levels if other is not level]
+            others = [_values(other, symbol, method)[0] for other in one.found.levels if other is not level]
         apart += [abs(value - other) for other in others if isfinite(other)]
     if not apart:
         return None

@@ -5,25 +5,23 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, sqrt
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
 from pmabench.analysis import tuning
 from pmabench.analysis.shared import skew
-from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.trials import by_point
+from pmabench.analysis.shared.calibration import Scales, listed, sentences
+from pmabench.analysis.shared.student import half_of_trials
+from pmabench.analysis.shared.trials import by_point, grouped, thinned
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop, ultimate
-from pmabench.store.analyses.results import Dropped, Estimate, Finding, Trace
+from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 SYMBOLS = (("K_u", "Pa/m", "gain"), ("T_u", "s", "time"))
 """What every way gives: symbol, unit, quantity."""
 DESCRIBED = "relay-describing-function"
-LONGEST_TRACE = 1500
 COLUMNS = {"t": "time", "displacement": "length", "model": "length", "pressure": "pressure",
            "pressure_command": "pressure", "gain": "gain", "log_ratio": "count", "fit": "count", "period": "time",
            "used": "count"}  # fmt: skip
@@ -38,9 +36,20 @@ class Examined:
     """Why it gives no value; empty where it does."""
     doubts: tuple[str, ...] = ()
     """What weakens its value."""
+    loop: Loop | None = None
+    """The loop behind it; None where it does not show."""
 
 
 Found = TypeVar("Found", bound=Examined)
+
+
+@dataclass(frozen=True, eq=False)
+class Member(Generic[Found]):
+    """A trial and what was found in it."""
+
+    run: RunData
+    trial: TrialData
+    found: Found
 
 
 @dataclass(frozen=True)
@@ -50,14 +59,12 @@ class GainCell(ABC, Generic[Found]):
     called: ClassVar[str] = "trials"
     """What its trials are called in findings."""
     at: Mapping[str, float]
-    runs: tuple[RunData, ...]
-    trials: tuple[TrialData, ...]
-    found: tuple[Found, ...]
+    members: tuple[Member[Found], ...]
 
     @property
-    @abstractmethod
     def loop(self) -> Loop | None:
-        """The loop behind the oscillation, where it is known."""
+        """The loop of the first trial that has one."""
+        return next((loop for one in self.good if (loop := one.found.loop) is not None), None)
 
     @property
     @abstractmethod
@@ -73,14 +80,14 @@ class GainCell(ABC, Generic[Found]):
         """What a figure shows of the first trial with a value (else the first)."""
 
     @property
-    def good(self) -> list[int]:
-        """Indices of trials with a value."""
-        return [i for i, found in enumerate(self.found) if not found.refused]
+    def good(self) -> list[Member[Found]]:
+        """Trials with a value."""
+        return [one for one in self.members if not one.found.refused]
 
     @property
-    def shown(self) -> int:
-        """Index of the first trial with a value, else of the first."""
-        return (self.good or [0])[0]
+    def shown(self) -> Member[Found]:
+        """The first trial with a value, else the first."""
+        return (self.good or self.members)[0]
 
     @property
     def where(self) -> str:
@@ -90,16 +97,13 @@ class GainCell(ABC, Generic[Found]):
     @property
     def apart(self) -> float:
         """Bound of the time between pressure and displacement [s]: the loop's dead time holds all of it."""
-        return skew.apart(self.runs, ("pressure", "displacement"))
+        return skew.apart([one.run for one in self.members], ("pressure", "displacement"))
 
     @property
     def dropped(self) -> list[Dropped]:
         """Trials that give nothing, with the reason."""
-        return [
-            Dropped(trial.name, trial.point, "; ".join(found.refused))
-            for trial, found in zip(self.trials, self.found, strict=True)
-            if found.refused
-        ]
+        refused = [one for one in self.members if one.found.refused]
+        return [Dropped(one.trial.name, one.trial.point, "; ".join(one.found.refused)) for one in refused]
 
     @classmethod
     def all_of(
@@ -107,47 +111,72 @@ class GainCell(ABC, Generic[Found]):
     ) -> list[Self]:
         """The trials by operating point, each examined."""
         return [
-            cls(
-                point,
-                tuple(run for run, _ in group),
-                tuple(trial for _, trial in group),
-                tuple(examine(run, trial) for run, trial in group),
-            )
+            cls(point, tuple(Member(run, trial, examine(run, trial)) for run, trial in group))
             for point, group in by_point(members)
         ]
 
     def empty(self, symbol: str, unit: str, quantity: str, method: str) -> Estimate:
         """No value, because of what was refused in all trials."""
-        note = "; ".join(dict.fromkeys(reason for found in self.found for reason in found.refused))
-        parents = tuple(trial.name for trial in self.trials)
+        note = "; ".join(dict.fromkeys(reason for one in self.members for reason in one.found.refused))
+        parents = tuple(one.trial.name for one in self.members)
         return Estimate(symbol, None, unit, quantity, method, self.at, note=note, trials=parents)
+
+    def estimate(
+        self, symbol: tuple[str, str, str], method: str, of: Sequence[Member[Found]],
+        values: Sequence[tuple[float, float]], parts: Parts, notes: Sequence[str], *, alone: str,
+        bias: float | None = None, by_command: bool = True,
+    ) -> Estimate:  # fmt: skip
+        """The mean of `values`, each with its half width (NaN where it is unknown), of the trials `of`.
+
+        `parts` holds those by method and clocks; `alone` is what is noted of one trial. `by_command`: the scale of the
+        command counts where it has one of its own, else that of the measured pressure.
+        """
+        scales, (numbers, halves) = Scales.of(one.run for one in self.members), zip(*values, strict=True)
+        value = float(np.mean(numbers))
+        pressure = "pressure_command" if by_command and "pressure_command" in scales.gains else "pressure"
+        used = (pressure, "displacement") if symbol[0] == "K_u" else ()
+        return replace(
+            self.empty(*symbol, method),
+            value=value,
+            parts=replace(
+                parts, repeats=half_of_trials(numbers, halves), calibration=scales.part(dict.fromkeys(used, value))
+            ),
+            n=len(of),
+            bias=bias,
+            corrected=bias is not None,
+            note=sentences(
+                *(doubt for one in of for doubt in one.found.doubts),
+                alone if len(of) == 1 else "",
+                *notes,
+                scales.lack(used),
+            ),
+            trials=tuple(one.trial.name for one in of),
+        )
 
     def said(self) -> list[Finding]:
         """Each reason and doubt with the number of trials that it is said of."""
-        said = [("fault", reason) for found in self.found for reason in found.refused]
-        said += [("doubt", doubt) for found in self.found for doubt in found.doubts]
+        said = [("fault", reason) for one in self.members for reason in one.found.refused]
+        said += [("doubt", doubt) for one in self.members for doubt in one.found.doubts]
         return [
-            Finding(level, f"{said.count((level, text))} of {len(self.found)} {self.called} at {self.where}: {text}")
+            Finding(level, f"{said.count((level, text))} of {len(self.members)} {self.called} at {self.where}: {text}")
             for level, text in dict.fromkeys(said)
         ]
 
     def trace(self, figure: str, title: str, columns: Mapping[str, Array], marks: Mapping[str, float]) -> Trace:
         """Columns of a figure, thinned."""
-        stride = max(1, -(-len(next(iter(columns.values()))) // LONGEST_TRACE))
         at = "-".join(f"{self.at.get(name, 0.0):g}" for name in ("setpoint", "load"))
         return Trace(
             f"{figure}-{at}",
             figure,
             f"{title}, set-point {show(self.at.get('setpoint', 0.0), 'length')}",
-            {name: column[::stride] for name, column in columns.items()},
+            thinned(columns),
             {name: COLUMNS[name] for name in columns},
             marks,
         )
 
     def facts(self, levels: Callable[[Found], Iterable[Any]]) -> list[dict[str, Any]]:
         """What is written down of every trial, as plain data."""
-        trials = zip(self.trials, self.found, strict=True)
-        return [{"trial": trial.name, **level.to_dict()} for trial, found in trials for level in levels(found)]
+        return [{"trial": one.trial.name, **level.to_dict()} for one in self.members for level in levels(one.found)]
 
     def by_clocks(self, name: str) -> float:
         """Change of the ultimate `gain` or `period` by clocks: pressure and displacement may be so far apart, and the
@@ -181,18 +210,16 @@ def plain_lags(loop: Loop) -> list[Any]:
     return [[lag.real, lag.imag] if lag.imag else lag.real for lag in map(complex, loop.lags)]
 
 
-def scaled(symbol: str, scales: Scales) -> tuple[str, ...]:
-    """Channels whose scale is in a value; that of the command is its own, else that of the measured pressure."""
-    command = "pressure_command" if "pressure_command" in scales.gains else "pressure"
-    return (command, "displacement") if symbol == "K_u" else ()
+def described(loop: Loop, of_dead_time: str = " (half a sample period in it)") -> str:
+    """Gain, dead time and lags of a loop."""
+    lags = listed([f"{complex(lag).real:.3g} s" for lag in loop.lags])
+    return f"{loop.gain * 1e6:.4g} mm/kPa, dead time {loop.dead_time * 1e3:.3g} ms{of_dead_time} and lags {lags}"
 
 
-def repeats(values: Array, halves: Array) -> float | None:
-    """Half width of the mean of trials: by that of each, NaN where it is unknown, and by their scatter."""
-    within = sqrt(float(np.mean(halves**2)) / len(values))
-    known = within if isfinite(within) else None
-    between = spread(values)
-    return known if between is None else max(between, known or 0.0)
+def limit_of(loop: Loop) -> str:
+    """At which gain and period a loop would oscillate."""
+    truth = ultimate(loop)
+    return f"it would oscillate at K_u = {show(truth.gain, 'gain', 4)}, T_u = {truth.period:.4g} s"
 
 
 APART = {"K_u": 0.25, "T_u": 0.1}
@@ -216,11 +243,8 @@ def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
     """
     lines = []
     for symbol in ("K_u", "T_u"):
-        points: dict[tuple[tuple[str, float], ...], list[Estimate]] = {}
-        for e in estimates:
-            if e.symbol == symbol and e.value:
-                points.setdefault(tuple(sorted(e.at.items())), []).append(e)
-        for found in points.values():
+        known = [e for e in estimates if e.symbol == symbol and e.value]
+        for found in grouped(known, lambda e: tuple(sorted(e.at.items()))).values():
             if len(found) < 2:
                 continue
             where = show(found[0].at["setpoint"], "length") if "setpoint" in found[0].at else "one operating point"

@@ -78,6 +78,11 @@ class Parts:
             return None
         return sqrt(sum(p * p for p in vars(self).values() if p is not None))
 
+    def times(self, factor: float) -> Parts:
+        """The parts of the value times a factor."""
+        halves: dict[str, Any] = {n: None if half is None else abs(factor) * half for n, half in vars(self).items()}
+        return Parts(**halves)
+
 
 @dataclass(frozen=True)
 class Source:

@@ -1,6 +1,7 @@
-"""The trials of free contraction at rest: pressure and contraction of each, and the repeats of each set-point.
+"""The trials of free contraction at rest, the repeats of each set-point, and the curve of contraction over pressure.
 
-Knows samples and commands, no coefficient.
+Each trial has a pressure and a contraction; along the curve it is carried to the commanded pressure.
+Knows samples, commands and a fitted sigmoid, no coefficient.
 """
 
 from __future__ import annotations
@@ -9,10 +10,15 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import hypot
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
-from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of, refuse_incomplete
+from pmabench.analysis.model_fit import ModelFit
+from pmabench.analysis.shared.samples import Held, Left, NotUsable, ends, left, noise_of, refuse_incomplete
+from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.model.library.description import Model
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -53,7 +59,7 @@ class Rest:
 
     @property
     def side(self) -> float:
-        """-1 reached from below, 1 from above; 0 where the protocol does not tell them apart."""
+        """-1 reached from below, 1 from above; 0 where the protocol has no sides."""
         return self.trial.point.get("side", 0.0)
 
 
@@ -172,7 +178,7 @@ def measure(run: RunData, trial: TrialData) -> Rest:
     moved = [c for c in ramps if c.phase != "vent" and t[0] - 1e-9 <= c.t <= end]
     begin = moved[0].t if moved else end
     paced = [c for c in moved if c.data.get("rate", 0.0) > 0]
-    there = max((c.t + abs(c.value - c.before) / c.data["rate"] for c in paced), default=t[0])
+    there = max(map(ends, paced), default=t[0])
     first = good & (t >= begin - LAST * (begin - t[0])) & (t < begin - 1e-9)
     last = good & (t >= end - LAST * (end - there)) & (t <= end)
     if min(first.sum(), last.sum()) < FEWEST or end <= there:
@@ -185,19 +191,10 @@ def measure(run: RunData, trial: TrialData) -> Rest:
 
 
 def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
-    """The pressures, rising, and the trials that tell nothing."""
-    groups: dict[int, list[Rest]] = {}
-    dropped = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                rest = measure(run, trial)
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-            else:
-                groups.setdefault(round(trial.point["pressure"]), []).append(rest)
+    """The pressures, rising, and the trials that cannot be used."""
+    every, dropped = measured_trials(runs, measure)
     points = []
-    for pressure, rests in sorted(groups.items()):
+    for pressure, rests in sorted(grouped(every, lambda rest: round(rest.trial.point["pressure"])).items()):
         by: dict[object, dict[float, Rest]] = {}
         order, sides = Counter[object](), {rest.side for rest in rests}
         for rest in rests:  # trials of one file are repeats too, where nothing else tells them apart
@@ -209,3 +206,96 @@ def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
         if whole := [tuple(repeat.values()) for repeat in by.values() if set(repeat) == sides]:
             points.append(Point(float(pressure), tuple(whole)).without_noise())
     return points, dropped
+
+
+BENDS = {True: 0.2, False: 1.0}
+"""What the way from the measured pressure to the commanded one may be off, as a share: along a sigmoid that fits, and
+along a curve through the points only."""
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One commanded pressure: its trials at the pressure that was measured, and as they would be at the commanded."""
+
+    point: Point
+    there: Point
+    shape: Shape
+    fits: bool
+    """Whether `shape` is a sigmoid that fits."""
+    zero: float
+    """By which the zero of the pressure is open [Pa]."""
+
+    @classmethod
+    def of(cls, point: Point, shape: Shape, zero: float, *, fits: bool) -> Level:
+        """A point, by the curve of all."""
+        return cls(point.at(point.pressure, shape), point.at(point.set, shape), shape, fits, zero)
+
+    def rise(self, by: float) -> float:
+        """Change of the contraction by the pressure, a change of which by `by` [Pa] is looked at [m/Pa]."""
+        P = max(self.point.pressure, 0.0)
+        x = self.shape(np.array([max(P - by, 0.0), P, P + by]))
+        return float(np.abs(np.diff(x)).max()) / by
+
+    @property
+    def method(self) -> float:
+        """What the way to the commanded pressure, noise and zero of the measured one may do to the contraction [m]."""
+        way = BENDS[self.fits] * (self.there.x - self.point.x)
+        return hypot(way, *(by * self.rise(by) for by in (2 * self.point.pressure_noise, self.zero) if by > 0))
+
+
+def curve_of(points: Sequence[Point]) -> tuple[Array, Array]:
+    """Measured pressure [Pa] and mean contraction [m] of each point."""
+    return np.array([point.pressure for point in points]), np.array([point.x for point in points])
+
+
+def highest(model: Model) -> float:
+    """Pressure up to which a model holds [Pa]."""
+    return next(p.high for p in model.parameters if p.name == "pressure")
+
+
+def sigmoid(fit: ModelFit) -> Shape:
+    """Contraction by the fitted sigmoid, but for a constant."""
+    most, known = highest(fit.model), {**fit.fixed, **fit.values}
+
+    def shape(P: Array) -> Array:
+        return -np.asarray(fit.model.evaluate({**known, "pressure": np.clip(P, 0.0, most)})["length"])
+
+    return shape
+
+
+def through(points: Sequence[Point], fit: ModelFit | None) -> Shape:
+    """The sigmoid, where there is one, and what the points are off it by monotone cubics over the root of the pressure.
+
+    On a root the curve begins: without pressure it is steep.
+    """
+    base = np.zeros_like if fit is None else sigmoid(fit)
+    P, x = curve_of([point.at(point.pressure, base) for point in points])
+    root = np.sqrt(np.maximum(P, 0.0))
+    if len(points) < 2 or not bool((np.diff(root) > 0).all()):
+        return base
+    off = PchipInterpolator(root, x - base(P))
+
+    def shape(P: Array) -> Array:
+        asked = np.sqrt(np.maximum(P, 0.0))
+        within = np.clip(asked, root[0], root[-1])
+        return np.asarray(base(P) + off(within) + off(within, 1) * (asked - within))
+
+    return shape
+
+
+def zero_of(points: Sequence[Point]) -> float:
+    """What the zero of the pressure may be by what is read at set-point 0 [Pa]; 0 where that is noise.
+
+    No gauge pressure is below 0: the zero is at most the least that was read.
+    """
+    first = points[0] if points else None
+    if first is None or first.set > NOTHING:
+        return 0.0
+    least = min(rest.pressure for rest in first.rests)
+    return least if abs(least) > VENTED * first.pressure_noise else 0.0
+
+
+def zeroed(points: Sequence[Point], zero: float) -> list[Point]:
+    """The points with pressures from another zero [Pa]."""
+    moved = [point.changed(lambda rest: replace(rest, pressure=rest.pressure - zero)) for point in points]
+    return [moved[0].without_noise(), *moved[1:]]

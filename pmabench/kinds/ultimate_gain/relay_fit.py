@@ -1,0 +1,96 @@
+"""The loop behind a relay oscillation: dead time, lags and gain by the harmonics of command, pressure and displacement.
+
+Knows samples and the switching of the command; no trial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from math import log, pi
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pmabench.analysis.shared.oscillation import HARMONICS, mode_amplitudes
+from pmabench.kinds.ultimate_gain.ways import lags_of, oscillating
+from pmabench.model.loop import ComplexArray, Loop
+from pmabench.store.records import Array
+
+
+def shape_of(t: Array, x: Array, switches: Array, ups: Array, loop: Loop) -> float:
+    """Distance of the third harmonic of `x`, over its first, from what `loop` makes of the command's."""
+    t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
+    omega = 2 * pi * periods / (t1 - t0)
+    X = mode_amplitudes(t - t0, x, 1j * omega)[1]
+    U = command_over(switches, t0, t1, periods, HARMONICS)
+    first, third = (complex(U[k]) * complex(loop.response(1j * omega * k)) for k in (1, 3))
+    return float(abs(X[2] / X[0] - third / first))
+
+
+def command_over(switches: Array, t0: float, t1: float, periods: int, harmonics: int) -> ComplexArray:
+    """Mean and amplitudes a_k - j b_k of the piecewise constant command over the `periods` periods of [t0, t1]."""
+    omega = 2 * pi * periods / (t1 - t0)
+    found = np.zeros(harmonics + 1, dtype=np.complex128)
+    for (begin, value), (end, _) in pairwise(switches):
+        a, b = max(begin, t0) - t0, min(end, t1) - t0
+        if b <= a:
+            continue
+        found[0] += value * (b - a) / (t1 - t0)
+        for k in range(1, harmonics + 1):
+            s = -1j * k * omega
+            found[k] += value * 2 / (t1 - t0) * (np.exp(s * b) - np.exp(s * a)) / s
+    return found
+
+
+def fit(
+    t: Array, x: Array, P: Array, switches: Array, ups: Array, lag: Mapping[str, float], hold: float
+) -> Loop | None:
+    """The loop behind whole periods between `ups` [s]: command to pressure, and pressure to displacement, apart.
+
+    P = exp(-L s)/(1 + T_r s) U and P = (1 + tau s) X / k_g at the harmonics of the oscillation; sensor lags are taken
+    off. `hold` [s], half a sample period, is added to L for the hold of a sampled controller. None where no such loop
+    comes out.
+    """
+    t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
+    at = (t >= t0) & (t < t1)
+    if at.sum() < 8 * (HARMONICS + 1) * periods:
+        return None
+    omega = 2 * pi * periods / (t1 - t0)
+    s = 1j * omega * np.arange(1, HARMONICS + 1)
+    U = command_over(switches, t0, t1, periods, HARMONICS)[1:]
+    X, Q = (
+        mode_amplitudes(t[at] - t0, y[at], 1j * omega)[1] * (1 + lag.get(name, 0.0) * s)
+        for name, y in (("displacement", x), ("pressure", P))
+    )
+    if not (np.all(np.isfinite(X)) and np.all(np.isfinite(Q))) or abs(X[0]) == 0 or abs(Q[0]) == 0:
+        return None
+
+    def misfit(p: Array) -> Array:
+        off = (U * np.exp(-p[1] * s) / (1 + np.exp(p[0]) * s) - Q) / abs(Q[0])
+        return np.concatenate([off.real, off.imag])
+
+    T_r, L = least_squares(misfit, [log(0.2 * 2 * pi / omega), 0.02 * 2 * pi / omega]).x
+    muscle = _muscle(s.astype(np.complex128), X, Q)
+    if muscle is None or L < -hold:
+        return None
+    gain, muscle_lags = muscle
+    sensor = lag.get("displacement", 0.0)
+    lags = (float(np.exp(T_r)), *muscle_lags, *((sensor,) if sensor > 0 else ()))
+    return oscillating(gain, float(max(0.0, L) + hold), lags)
+
+
+def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...]] | None:
+    """Gain k_g [m/Pa] and lags [s] of the displacement X behind the pressure Q at the harmonics `s` [1/s].
+
+    Q = (1 + tau s + beta s^2) X / k_g by least squares; without beta where that comes out negative.
+    """
+    for powers in ((0, 1, 2), (0, 1)):
+        columns = np.column_stack([X * s**power for power in powers])
+        size = np.linalg.norm(columns, axis=0)
+        design = np.concatenate([columns.real, columns.imag]) / size
+        found = np.linalg.lstsq(design, np.concatenate([Q.real, Q.imag]), rcond=None)[0] / size
+        if np.all(found > 0):
+            tau, beta = float(found[1] / found[0]), float(found[2] / found[0]) if len(found) > 2 else 0.0
+            return float(1 / found[0]), lags_of(tau, beta)
+    return None
