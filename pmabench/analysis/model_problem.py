@@ -251,6 +251,7 @@ def solve(problem: Problem, start: Array, held: int | None = None) -> End:
     def residuals(part: Array) -> Array:
         return problem.residuals(whole(part))
 
-    how: dict[str, Any] = {"x_scale": "jac", "xtol": 1e-11, "ftol": 1e-13, "gtol": 1e-13}
+    fine = 1.0 if held is None else 1e4  # with one held only the sum of squares is asked for
+    how: dict[str, Any] = {"x_scale": "jac", "xtol": fine * 1e-11, "ftol": fine * 1e-13, "gtol": fine * 1e-13}
     found = least_squares(residuals, inside, slopes, (low, high), max_nfev=MOST_EVALUATIONS, **how)
     return 2.0 * float(found.cost), whole(np.asarray(found.x)), bool(found.status > 0)

@@ -167,13 +167,24 @@ def on_time(run: RunData, trial: TrialData, name: str) -> Array:
     return np.interp(trial.t + lag, trial.t, values) if lag else values
 
 
+def least_squares(design: Array, values: Array) -> Array:
+    """Coefficients of the columns of `design`, shape (n, p), that come closest to `values`, shape (n,) or (n, m).
+
+    By the normal equations, a fifth of the time of a decomposition: for columns far from parallel, as waves are.
+    """
+    try:
+        return np.linalg.solve(design.T @ design, design.T @ values)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0])
+
+
 def three_parameter(t: Array, signals: Array, frequency: float) -> tuple[Array, NDArray[np.complex128]]:
     """Means, shape (m,), and complex amplitudes A with Re(A exp(j 2 pi f t)), shape (m,), of `signals`, shape (n, m).
 
     Least squares of c + a cos + b sin at the known frequency (IEEE 1057, three-parameter sine fit).
     """
     angle = 2 * pi * frequency * t
-    fitted, *_ = np.linalg.lstsq(np.column_stack([np.ones_like(t), np.cos(angle), np.sin(angle)]), signals, rcond=None)
+    fitted = least_squares(np.column_stack([np.ones_like(t), np.cos(angle), np.sin(angle)]), signals)
     return np.asarray(fitted[0]), np.asarray(fitted[1] - 1j * fitted[2], dtype=np.complex128)
 
 

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from math import floor, inf, pi
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import (
     NotUsable,
     lags_of,
+    least_squares,
     noise_of,
     refuse_flagged,
     refuse_incomplete,
@@ -114,6 +117,11 @@ class Sine(Swing):
     cycles: tuple[Swing, ...]
     steps: tuple[float, float] = (0.0, 0.0)
     """In which displacement [m] and force [N] are read."""
+
+    @cached_property
+    def motion(self) -> Waves:
+        """The displacement without noise."""
+        return Waves(self.t, self.x, self.frequency)
 
 
 def measure(
@@ -237,36 +245,41 @@ def at_middle(t: Array, x: Array, F: Array, mean: float, X: complex, omega: floa
     return at[0], at[1]
 
 
-def _harmonics(t: Array, y: Array, frequency: float, by: float = 0.0) -> tuple[Array, Array]:
-    """The first five harmonics of `y`, with its mean, and their slope [1/s], `by` [s] after `t` [s]; shapes (n,)."""
-    order = min(HARMONICS, int(0.2 * len(t) / max(1.0, (t[-1] - t[0]) * frequency)))
-    k = 2 * pi * frequency * np.arange(1, max(1, order) + 1)
-    turns = np.outer(t, k)
-    waves = np.column_stack([np.cos(turns), np.sin(turns)])
-    fitted, *_ = np.linalg.lstsq(np.column_stack([np.ones_like(t), waves]), y, rcond=None)
-    wave = (fitted[1 : len(k) + 1] - 1j * fitted[len(k) + 1 :]) * np.exp(1j * k * by)  # Re(wave exp(j k t))
-    slope = 1j * k * wave
-    return (
-        fitted[0] + waves @ np.concatenate([wave.real, -wave.imag]),
-        waves @ np.concatenate([slope.real, -slope.imag]),
-    )
+class Waves:
+    """The first five harmonics of `y` over `t` [s], with its mean, by least squares; shapes (n,)."""
+
+    def __init__(self, t: Array, y: Array, frequency: float) -> None:
+        order = max(1, min(HARMONICS, int(0.2 * len(t) / max(1.0, (t[-1] - t[0]) * frequency))))
+        self._k = 2 * pi * frequency * np.arange(1, order + 1)
+        turn = np.exp(1j * self._k[0] * t)
+        turns = np.cumprod(np.broadcast_to(turn[:, None], (len(t), order)), axis=1)  # exp(j k t)
+        self._waves = np.column_stack([turns.real, turns.imag])
+        fitted = least_squares(np.column_stack([np.ones_like(t), self._waves]), y)
+        self._mean, self._amplitude = fitted[0], fitted[1 : order + 1] - 1j * fitted[order + 1 :]
+
+    def value(self, by: float = 0.0) -> Array:
+        """What it is `by` [s] after `t`."""
+        return np.asarray(self._mean + self._sum(self._amplitude * np.exp(1j * self._k * by)))
+
+    def slope(self, by: float = 0.0) -> Array:
+        """Its rate [1/s] `by` [s] after `t`."""
+        return self._sum(1j * self._k * self._amplitude * np.exp(1j * self._k * by))
+
+    def _sum(self, amplitude: NDArray[np.complex128]) -> Array:
+        return np.asarray(self._waves @ np.concatenate([amplitude.real, -amplitude.imag]))
 
 
 def without_lag(t: Array, y: Array, frequency: float, lag: float) -> Array:
     """The input of a sensor with a first-order `lag` [s] that reads `y`: y + lag y'. Its noise stays as it is."""
-    return y + lag * _harmonics(t, y, frequency)[1] if lag else y
+    return y + lag * Waves(t, y, frequency).slope() if lag else y
 
 
 def earlier(t: Array, y: Array, frequency: float, by: float) -> Array:
     """`y` with its first five harmonics `by` [s] earlier: the input of a delay. Its noise stays as it is."""
-    return y + _harmonics(t, y, frequency, by)[0] - _harmonics(t, y, frequency)[0] if by else y
-
-
-def moving(sine: Sine, by: float = 0.0) -> tuple[Array, Array]:
-    """Displacement [m] and its rate [m/s] of a trial `by` [s] after its samples, without noise: its first five
-    harmonics; shapes (n,).
-    """
-    return _harmonics(sine.t, sine.x, sine.frequency, by)
+    if not by:
+        return y
+    waves = Waves(t, y, frequency)
+    return y + waves.value(by) - waves.value()
 
 
 def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:
@@ -274,7 +287,7 @@ def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:
 
     The displacement keeps its first five harmonics; the constant gives the trial's mean force.
     """
-    x, v = moving(sine)
+    x, v = sine.motion.value(), sine.motion.slope()
     F = -K * (x - sine.mean) - B * v - F_c * np.sign(v)
     return x, F + sine.force - float(three_parameter(sine.t, F[:, None], sine.frequency)[0][0])
 

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.lines import weighted_line
+from pmabench.analysis.shared.samples import least_squares
 from pmabench.analysis.shared.sine_loop import Sine, Swing, at_middle
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Finding, withhold
@@ -230,7 +231,7 @@ def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
         one = cycle == number
         if np.count_nonzero(one) <= design.shape[1]:
             continue
-        fitted = np.linalg.lstsq(design[one], both[one], rcond=None)[0]
+        fitted = least_squares(design[one], both[one])
         waves = fitted[1:4] - 1j * fitted[4:7]  # shape (3, 2): Re(wave exp(j k omega t))
         turn = -1j * np.conj(waves[0, 0]) / abs(waves[0, 0])  # from omega t to theta
         X, F = (waves * turn ** orders[:, None]).T

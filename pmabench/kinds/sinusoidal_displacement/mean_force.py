@@ -25,7 +25,7 @@ import numpy as np
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, force_from_cycle_to_cycle, weighed
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
-from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
+from pmabench.analysis.shared.sine_loop import RECOVERED, Sine
 from pmabench.analysis.shared.skew import settled
 from pmabench.analysis.shared.trials import Point
 from pmabench.base.quantities import show
@@ -167,7 +167,7 @@ def work(sine: Sine) -> tuple[Array, Array]:
     """
     step = float(np.median(np.diff(sine.t))) / BETWEEN_SAMPLES
     shifts = step * np.arange(BETWEEN_SAMPLES)
-    v = np.array([moving(sine, by)[1] for by in shifts])
+    v = np.array([sine.motion.slope(by) for by in shifts])
     power = np.array([np.interp(sine.t + by, sine.t, sine.F) for by in shifts]) * v
     cycle = cycle_of(sine)
     rows = [one for c in range(int(cycle.max()) + 1) if (one := cycle == c).any()]

@@ -17,7 +17,7 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.ramp_loop import on_grid
 from pmabench.analysis.shared.samples import lags_of, noise_of
-from pmabench.analysis.shared.sine_loop import moving, without_lag
+from pmabench.analysis.shared.sine_loop import without_lag
 from pmabench.analysis.shared.trials import grouped, point_by, thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import Member, Muscle, of_cycles
@@ -57,7 +57,7 @@ class Along:
         sine, trial, wanted = member.sine, member.trial, member.trial.point.get("pressure")
         if "pressure" not in trial.channels or wanted is None:
             return None
-        x, v = moving(sine)
+        x, v = sine.motion.value(), sine.motion.slope()
         rows, lags = np.searchsorted(trial.t, sine.t), lags_of(member.run, trial)
         # the sine's own force may have the ripple taken off
         P, F = (without_lag(sine.t, trial.channels[name][rows], sine.frequency, lags[name]) for name in PULLS)

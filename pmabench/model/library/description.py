@@ -39,6 +39,10 @@ P = ParamSpec("P")
 INF = math.inf
 
 
+ROUNDING = 1e-12
+"""Share of an end of a domain that rounding of units may be worth."""
+
+
 @dataclass(frozen=True)
 class Parameter:
     """An input of a model. `quantity` is the name of a physical quantity, `count` for a pure number."""
@@ -58,6 +62,11 @@ class Parameter:
     """Whether `low` itself is outside."""
     choices: tuple[str, ...] = ()
     """The names to choose from; then `quantity` is empty and `value` one of them."""
+
+    def holds(self, value: float) -> bool:
+        """Whether a finite value [SI] lies in the domain, with room for rounding of units."""
+        low, high = self.low - ROUNDING * abs(self.low), self.high + ROUNDING * abs(self.high)
+        return (value > self.low if self.above else not value < low) and not value > high
 
 
 @dataclass(frozen=True)
@@ -225,19 +234,17 @@ def _check(parameters: tuple[Parameter, ...], values: Mapping[str, Any]) -> None
             if value not in p.choices:
                 refusals.append(Refusal(p.name, f'"{value}" is none of {", ".join(p.choices)}'))
             continue
-        array = np.asarray(value, dtype=np.float64)
-        if not np.isfinite(array).all():
-            refusals.append(Refusal(p.name, "a finite number is expected"))
+        if isinstance(value, float):
+            least = most = value
+        elif np.size(value):
+            least, most = float(np.min(value)), float(np.max(value))
+        else:
             continue
-        low, high = _widened(p.low, -1), _widened(p.high, 1)
-        outside = (array <= p.low if p.above else array < low) | (array > high)
-        if outside.any():
-            first = float(array[outside].flat[0]) if array.ndim else float(array)
-            refusals.append(Refusal(p.name, p.reason, first, p.low, p.high, p.above))
+        if not (math.isfinite(least) and math.isfinite(most)):
+            refusals.append(Refusal(p.name, "a finite number is expected"))
+        elif not p.holds(least) or not p.holds(most):
+            array = np.asarray(value, dtype=np.float64)
+            first = next(one for one in array.flat if not p.holds(one))
+            refusals.append(Refusal(p.name, p.reason, float(first), p.low, p.high, p.above))
     if refusals:
         raise OutsideDomain(*refusals)
-
-
-def _widened(end: float, way: int) -> float:
-    """An end of a domain with room for rounding of units."""
-    return end + way * 1e-12 * abs(end) if math.isfinite(end) else end
