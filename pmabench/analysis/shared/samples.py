@@ -173,7 +173,7 @@ def least_squares(design: Array, values: Array) -> Array:
     By the normal equations, a fifth of the time of a decomposition: for columns far from parallel, as waves are.
     """
     try:
-        return np.linalg.solve(design.T @ design, design.T @ values)
+        return np.asarray(np.linalg.solve(design.T @ design, design.T @ values), dtype=np.float64)
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0])
 
