@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.joint import MUSCLES
 from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.ramp_loop import MUSCLES
 from pmabench.analysis.shared.response import Response, respond
 from pmabench.analysis.shared.samples import (
     NotUsable,

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.joint_commands import Kept, flanks
+from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, Kept, flank, refuse_turns
 from pmabench.analysis.shared.lines import left_by
-from pmabench.analysis.shared.ramp_loop import AXES, CUT, MUSCLES, Loop, Turns, fading, measure, refuse_turns
+from pmabench.analysis.shared.ramp_loop import Loop, Turns, fading, measure
 from pmabench.analysis.shared.samples import NotUsable, ends, on_time, settings_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
@@ -65,11 +65,8 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
     stiffness, plain = _slopes(loop, loop.turns), _slopes(loop, loop.turns, keep=True)
     kept, apart = _by_commands(run, trial, len(loop.gap))
     taken_off = abs(float(stiffness.mean() - plain.mean()))
-    cut = CUT * loop.turns.w if loop.turns is not None else 0.0
-    rising = np.where(loop.x - loop.ends[0] >= cut, loop.contracting.mean(axis=0), np.nan)
-    falling = np.where(loop.ends[1] - loop.x >= cut, loop.expanding.mean(axis=0), np.nan)
-    flank = flanks(loop.x, (rising, falling))
-    return Sweep(run, trial, loop, stiffness, taken_off, second_of(loop), kept, flank, apart)
+    step = flank(loop.x, loop.contracting.mean(axis=0), loop.expanding.mean(axis=0), loop.ends, loop.turns)
+    return Sweep(run, trial, loop, stiffness, taken_off, second_of(loop), kept, step, apart)
 
 
 def flatter_by(one: Sweep) -> float:

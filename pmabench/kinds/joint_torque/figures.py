@@ -57,4 +57,4 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     why = one.why_no_stiffness
     stiffness = None if why else float(one.stiffness().mean(axis=0)[one.open.sum() // 2])
     K, gap = Measured("K_th", "torsional stiffness", stiffness), float(one.gap[:, one.open].mean())
-    return [K, Measured("H_tau", "torque", gap, noise=one.noise)], [why] if why else []
+    return [K, Measured("H_tau", "torque", gap, noise=one.rests.noise)], [why] if why else []
