@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
 from pmabench.analysis.shared.joint import MUSCLES
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.response import Response, respond
 from pmabench.analysis.shared.samples import (
     NotUsable,
+    lag_of,
     lag_open,
-    lags_of,
     noise_of,
     refuse_flagged,
     refuse_incomplete,
@@ -24,7 +24,7 @@ from pmabench.analysis.shared.samples import (
     step_of,
     three_parameter,
 )
-from pmabench.analysis.shared.skew import off
+from pmabench.analysis.shared.skew import late, off
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.analysis.shared.trials import grouped, measured_trials, point_of
 from pmabench.base.quantities import show
@@ -136,7 +136,7 @@ def _stepped(
         raise NotUsable(
             f"before the step it was at {show(origin, 'angle', 3)}, which leaves no step to {show(goal, 'angle', 3)}"
         )
-    lag, window = lags_of(run, trial)["angle"], (float(settings["window"][0]), float(settings["window"][1]))
+    window = (float(settings["window"][0]), float(settings["window"][1]))
 
     def measured(more: float = 0.0, gain: float = 0.0, later: float = 0.0) -> tuple[Response, dict[str, float | None]]:
         """With an angle that is `more` [rad] and a share `gain` larger, of a sensor with a filter `later` [s]."""
@@ -144,28 +144,26 @@ def _stepped(
         size = sign * goal - start
         r = respond(
             t[after], x, sign * goal, window, band / size, origin=start, resolution=step if step < np.inf else 0.0,
-            lag=lag + later,
+            lag=lag_of(run, "angle") + later,
         )  # fmt: skip
         return r, {"e_th": -sign * r.error, "t_s": r.settling, "t_r": r.rise, "OS_th": r.overshoot * size}
 
+    open_ = lag_open(run, "angle")
     try:
         response, values = measured()
-        late, scales = lag_open(run, "angle"), Scales.of([run])
-        slower = measured(later=late)[1]
-        offset, gain = scales.offsets.get("angle", 0.0), scales.gains.get("angle", 0.0)
-        ends = [[measured(more=way * offset)[1] for way in (-1, 1)], [measured(gain=way * gain)[1] for way in (-1, 1)]]
+        filtered = changes(values, measured(later=open_)[1])
+        calibration = of_one_channel(lambda *end: measured(*end)[1], values, Scales.of([run]), "angle")
     except ValueError as error:
         raise NotUsable(str(error)) from error
-    size, filtered, clock = sign * (goal - origin), _changes(values, [slower]), off([run], "angle")
-    seen, late = response.unsure, late + 0.5 * float(np.median(np.diff(t)))  # the first sample within is late, too
+    seen, size = response.unsure, sign * (goal - origin)
+    # the first sample within the band is late, too
+    settles = max(filtered["t_s"], open_ + 0.5 * float(np.median(np.diff(t))))
     unsure = {
         "e_th": seen.error,
-        "t_s": hypot(seen.settling, max(filtered["t_s"], late), clock),
+        "t_s": hypot(seen.settling, settles, off([run], "angle")),
         "t_r": hypot(seen.rise, filtered["t_r"]),
         "OS_th": hypot(seen.overshoot * size, filtered["OS_th"]),
     }
-    by_offset, by_gain = (_changes(values, both) for both in ends)
-    calibration = {name: hypot(by_offset[name], by_gain[name]) for name in values} if offset or gain else None
     two = float(law["reference_lag"])
     since = np.maximum(t, 0.0) / two if two > 0 else np.where(t > 0, np.inf, 0.0)
     reference = goal * (1 - (1 + np.minimum(since, 700.0)) * np.exp(-np.minimum(since, 700.0)))
@@ -173,20 +171,11 @@ def _stepped(
     return Stepped(run, trial, t, angle, reference, saturated, sign, response, values, unsure, calibration)
 
 
-def _changes(now: Mapping[str, float | None], ends: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
-    """The largest change of each value to one of `ends`; 0 where one of the two is not known."""
-    pairs = {name: [(value, end[name]) for end in ends] for name, value in now.items()}
-    return {
-        name: max((abs(a - b) for a, b in both if a is not None and b is not None), default=0.0)
-        for name, both in pairs.items()
-    }
-
-
 def _swung(
     run: RunData, trial: TrialData, t: Array, angle: Array, window: tuple[float, float], saturated: float
 ) -> Swung:
     frequency, amplitude = trial.point["frequency"], trial.point["goal"]
-    filtered = 1 + 2j * pi * frequency * lags_of(run, trial)["angle"]
+    lag = lag_of(run, "angle")
     reference = amplitude * np.sin(2 * pi * frequency * np.maximum(t, 0.0))
     whole = int((window[1] - window[0]) * frequency * (1 + 1e-9))
     if whole < FEWEST_CYCLES:
@@ -198,8 +187,8 @@ def _swung(
         if rows.sum() < 20:
             raise NotUsable("fewer than 20 samples in a cycle of the sine")
         _, signals = three_parameter(t[rows], np.column_stack([angle[rows], reference[rows]]), frequency)
-        answers.append(complex(filtered * signals[0] / signals[1]))
-        left = np.interp(t[rows] + lags_of(run, trial)["angle"], t, angle) - reference[rows]
+        answers.append(complex((1 + 2j * pi * frequency * lag) * signals[0] / signals[1]))
+        left = np.interp(t[rows] + lag, t, angle) - reference[rows]
         errors.append(float(np.sqrt(np.mean(left**2))))
     return Swung(run, trial, t, angle, reference, saturated, np.array(answers), np.array(errors))
 
@@ -258,19 +247,14 @@ def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], band: float) ->
         yield one
 
 
-def _late(courses: Sequence[Course]) -> float:
-    """What is open of the time between the angle and the commands [s]: the sensor's filter and its clock."""
-    return max(lag_open(one.run, "angle") + off([one.run], "angle") for one in courses)
-
-
 def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in sines)
     # phases of cycles are compared about their common direction: one near -180 deg may turn up as +180
     middle = complex(np.mean(np.concatenate([one.answers for one in sines])))
     phases = [np.angle(one.answers / middle) + np.angle(middle) for one in sines]
-    turned = 2 * pi * at["frequency"] * _late(sines)
-    filtered = 2 * pi * at["frequency"] * max(lags_of(one.run, one.trial)["angle"] for one in sines)
-    late = {"g_th": turned * (turned + filtered), "phi_th": turned, "e_s": turned * abs(at["goal"]) / 2**0.5}
+    turned = 2 * pi * at["frequency"] * max(late(one.run, "angle") for one in sines)
+    filtered = 2 * pi * at["frequency"] * max(lag_of(one.run, "angle") for one in sines)
+    in_time = {"g_th": turned * (turned + filtered), "phi_th": turned, "e_s": turned * abs(at["goal"]) / 2**0.5}
     rows: tuple[tuple[str, tuple[str, str], list[Array], dict[str, float]], ...] = (
         ("g_th", ("1", "ratio"), [np.abs(one.answers) for one in sines], {"angle": abs(middle)}),
         ("phi_th", ("rad", "angle"), phases, {}),
@@ -278,7 +262,7 @@ def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -
     )
     for symbol, kind, values, gains in rows:
         mean, half = mean_of_cycles(values)
-        parts = Parts(half, late[symbol], scales.part(gains) if gains else None)
+        parts = Parts(half, in_time[symbol], scales.part(gains) if gains else None)
         yield Estimate(symbol, mean, *kind, SINE, at, parts, len(sines), trials=trials)
 
 

@@ -1,6 +1,6 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
-- `reduction` of holds; `paths`: trials along a path; `record`: what both take from the record of a loop
+- `reduction` of holds; `paths`: the samples of a loop, and trials along a path
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

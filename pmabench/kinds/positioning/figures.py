@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning.paths import tracked
-from pmabench.kinds.positioning.reduction import hold_of
+from pmabench.kinds.positioning.paths import Tracked
+from pmabench.kinds.positioning.reduction import measured
 from pmabench.plotting import pictures, plots, time_plots
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
@@ -165,19 +166,17 @@ def _reach(panel: plots.Panel) -> float:
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Steady-state error and overshoot of a held position, and its limit cycle where it hunts; errors along a path."""
-    law = trial.found.get("position") or {}
-    if law.get("path") and law.get("ended") == "time":
-        one = tracked(run, trial, law)
-        if isinstance(one, str):
-            return [Measured("e_rms", "length", None)], [one]
+    try:
+        one = measured(run, trial)
+    except NotUsable as reason:
+        on_path = (trial.found.get("position") or {}).get("path")
+        wanted = {"e_rms": "length"} if on_path else {"e_ss": "ratio", "OS": "ratio"}
+        return [Measured(symbol, quantity, None) for symbol, quantity in wanted.items()], [str(reason)]
+    if isinstance(one, Tracked):
         values = one.values()
         return [Measured("e_rms", "length", values["e_rms"]), Measured("OS", "ratio", values["OS"])], []
-    hold = hold_of(run, trial)
-    if isinstance(hold, str):
-        return [Measured("e_ss", "ratio", None), Measured("OS", "ratio", None)], [hold]
-    response = hold.response
-    aim = float(hold.law["setpoint"])
-    found = [Measured("e_ss", "ratio", response.error / aim), Measured("OS", "ratio", response.overshoot)]
+    response = one.response
+    found = [Measured(symbol, "ratio", one.values[symbol]) for symbol in ("e_ss", "OS")]
     doubts = [] if response.settling is not None else ["it does not settle in the band"]
     cycle = response.cycle
     if cycle is not None:
