@@ -17,7 +17,8 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle.stairs import Loaded, zero_off
+from pmabench.kinds.arm_angle.departures import zero_off
+from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, column, has, how_many, label, numbers, panel, picture, spread
@@ -298,7 +299,7 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Angle at the preload, the largest one, and by how much both ways are apart at most."""
     try:
-        stair = stair_of(run, trial, settings_of(run))
+        stair = stair_of(trial, settings_of(run))
     except NotUsable as reason:
         return [Measured("alpha_0", "angle", None), Measured("alpha_max", "angle", None)], [str(reason)]
     sets = [rest.set for rest in stair.rests if rest.side < 0]
