@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -11,9 +10,9 @@ from pmabench.files.document import Strict
 from pmabench.files.quantity import Angle, AngularSpeed, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.driven import MUSCLES, not_faster, vented
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step, TrialRecord
-from pmabench.protocol.sweep import AngularSpeedAxis, Point, PressureAxis, Sweep, expand
+from pmabench.protocol.driven import MUSCLES, at_pressures, not_faster, vented
+from pmabench.protocol.plan import Plan, Ramp, TrialRecord
+from pmabench.protocol.sweep import AngularSpeedAxis, PressureAxis, Sweep, expand
 
 
 class SweepAxes(Strict):
@@ -70,22 +69,10 @@ class JointSweep(ProtocolHead):
             held = {name: point.values[name] for name in MUSCLES} | {"angular_speed": speed}
             ends = {"lowest_angle": trial.lower, "highest_angle": trial.upper, "cycles": float(trial.cycles)}
             c.trials.append(TrialRecord(index, held | ends, point.repeat))
-            c.steps += self._steps(index, point)
+            cycle = (
+                Ramp("rise", "angle", trial.lower, trial.upper, speed),
+                Ramp("fall", "angle", trial.upper, trial.lower, speed),
+            )
+            c.steps += at_pressures(held, trial.settle, trial.lower, trial.approach, index, cycle * trial.cycles)
         c.steps += vented()
         return c.plan("joint-sweep", {"discard": trial.discard})
-
-    def _steps(self, index: int, point: Point) -> Sequence[Step]:
-        trial, speed = self.trial, point.values["speed"]
-        cycle = (
-            Ramp("rise", "angle", trial.lower, trial.upper, speed),
-            Ramp("fall", "angle", trial.upper, trial.lower, speed),
-        )
-        return [
-            *(Set("pressurise", name, point.values[name]) for name in MUSCLES),
-            Hold("pressurise", trial.settle),
-            Ramp("approach", "angle", 0.0, trial.lower, trial.approach),
-            Record("rise", True, index),
-            *cycle * trial.cycles,
-            Record("fall", False, index),
-            Ramp("return", "angle", trial.lower, 0.0, trial.approach),
-        ]

@@ -118,18 +118,22 @@ def schedule(c: Compilation, controller: Controller, at: Location) -> list[tuple
     if isinstance(given, Ultimate):
         c.positive(given.K_u, (*place, "K_u"))
         c.positive(given.T_u, (*place, "T_u"))
-        loop = None if c.problems else _given_loop(c, given, place)
-        made = None if c.problems else _by_rule(c, controller, given.K_u, given.T_u, loop, (*at, "rule"))
-        return [] if made is None else [(float("nan"), made)]
+        if c.problems:
+            return []
+        with c.noting(place):
+            loop = _given_loop(given)
+            with c.noting((*at, "rule")):
+                return [(float("nan"), _by_rule(controller, given.K_u, given.T_u, loop))]
+        return []
     if "rule" in controller.model_fields_set:
         c.fault((*at, "rule"), "these gains are taken as they stand; a rule is for {K_u, T_u}, an analysis, or model")
     if isinstance(given, list):
         rows = [(one.setpoint, _checked(c, controller.form, one, (*place, i))) for i, one in enumerate(given)]
         if any(a[0] >= b[0] for a, b in pairwise(rows)):
             c.fault(place, "the set-points of a schedule must rise")
-        return [(x, settings) for x, settings in rows if settings]
-    settings = _checked(c, controller.form, given, place)
-    return [(float("nan"), settings)] if settings else []
+    else:
+        rows = [(float("nan"), _checked(c, controller.form, given, place))]
+    return [(x, settings) for x, settings in rows if settings]
 
 
 def gains_at(c: Compilation, table: list[tuple[float, Settings]], setpoint: float, place: Location) -> Settings:
@@ -161,30 +165,24 @@ def _checked(c: Compilation, form: str, gains: Gains, place: Location) -> Settin
     return {} if len(c.problems) > before else {name: float(getattr(gains, name)) for name in needed}
 
 
-def model_for_gains(c: Compilation, model: Mapping[str, Any] | None, place: Location) -> Described | None:
-    """The plan's model, where it has what makes a loop; None with a problem noted."""
+def model_for_gains(model: Mapping[str, Any] | None) -> Described:
+    """The plan's model; raises ValueError in words where it has not what makes a loop."""
     from pmabench.model.presets import Described
 
     if model is None:
-        if not c.problems:
-            c.fault((*place, "gains"), 'the protocol has no "model"; give one, or other gains')
-        return None
+        raise ValueError('the protocol has no "model"; give one, or other gains')
     known = Described.of(model)
     if known.air is not None:
-        c.fault(
-            (*place, "gains"),
+        raise ValueError(
             f"the model, {known.source}, has air that its regulator has to move, which makes no loop of lags alone; "
-            'give a "model.regulator" in its place, or take an analysis of relays or steps',
+            'give a "model.regulator" in its place, or take an analysis of relays or steps'
         )
-        return None
     if known.regulator.dead_time or known.regulator.lag or known.regulator.natural_frequency:
         return known
-    c.fault(
-        (*place, "gains"),
+    raise ValueError(
         f"the model, {known.source}, tells no dead time and no lag of the regulator; give them in the protocol as "
-        '"model.regulator: {dead_time: 40 ms, lag: 95 ms}"',
+        '"model.regulator: {dead_time: 40 ms, lag: 95 ms}"'
     )
-    return None
 
 
 def of_model(
@@ -202,48 +200,37 @@ def of_model(
     except ValueError as error:
         c.fault(place, f"by the model, {model.source}: {error}")
         return {}
-    return _by_rule(c, controller, found.gain, found.period, loop, ("controller", "rule")) or {}
+    with c.noting(("controller", "rule")):
+        return _by_rule(controller, found.gain, found.period, loop)
+    return {}
 
 
-def _given_loop(c: Compilation, given: Ultimate, place: Location) -> Loop | None:
-    """The loop of the given times, which oscillates at the given gain; a problem noted where its period is another."""
+def _given_loop(given: Ultimate) -> Loop | None:
+    """The loop of the given times, which oscillates at the given gain; ValueError in words where there is none."""
     from pmabench.analysis.tuning import loop_of
 
     if given.dead_time is None and given.lags is None:
         return None
     if given.dead_time is None or given.lags is None:
-        c.fault(place, "dead_time and lags of a loop go together; give both, or neither")
-        return None
-    try:
-        loop, finding = loop_of(given.K_u, given.T_u, given.dead_time, given.lags)
-    except ValueError as error:
-        c.fault(place, str(error))
-        return None
+        raise ValueError("dead_time and lags of a loop go together; give both, or neither")
+    loop, finding = loop_of(given.K_u, given.T_u, given.dead_time, given.lags)
     if loop is None:
-        c.fault(place, finding.text)
+        raise ValueError(finding.text)
     return loop
 
 
-def _by_rule(
-    c: Compilation, controller: Controller, K_u: float, T_u: float, loop: Loop | None, place: Location
-) -> Settings | None:
+def _by_rule(controller: Controller, K_u: float, T_u: float, loop: Loop | None) -> Settings:
+    """The gains that the controller's rule makes; raises ValueError in words."""
     rule = rules.find(controller.rule, controller.form)
     if rule is None:
-        c.fault(place, f"{controller.rule} has no rule for a {controller.form} controller")
-        return None
+        raise ValueError(f"{controller.rule} has no rule for a {controller.form} controller")
     if rule.from_loop and loop is None:
-        c.fault(
-            place,
+        raise ValueError(
             f"{controller.rule} needs the dead time and the lags of the loop: give them with K_u and T_u "
             '("dead_time: 41 ms, lags: [95 ms, 0.27 s]"), or "gains: model" and a "model", or an analysis of '
-            "relays or steps",
+            "relays or steps"
         )
-        return None
-    try:
-        found = rule.settings(K_u, T_u, loop)
-    except ValueError as error:
-        c.fault(place, str(error))
-        return None
+    found = rule.settings(K_u, T_u, loop)
     integral = {"T_i": found.T_i} if isfinite(found.T_i) else {}
     return {"K_p": found.K_p} | integral | ({"T_d": found.T_d} if controller.form == "PID" else {})
 
@@ -252,23 +239,18 @@ def _measured(c: Compilation, controller: Controller, folder: str, place: Locati
     """From the K_u, T_u and loop that an analysis found at each set-point, of several ways those of the first."""
     from pmabench.analysis.tuning import measured_loops
 
-    try:
-        analysis = read_folder(c, folder, ("K_u", "T_u"))
-    except ValueError as error:
-        c.fault(place, str(error))
-        return []
     rows: dict[float, Settings] = {}
-    for K_u, T_u, loop in measured_loops(analysis):
-        setpoint = K_u.at.get("setpoint")
-        if setpoint is None or setpoint in rows or not K_u.value or not T_u.value:
-            continue
-        made = _by_rule(c, controller, K_u.value, T_u.value, loop, (*place[:-1], "rule"))
-        if made is None:
-            return []
-        rows[setpoint] = made
-    if not rows:
-        c.fault(place, f'the analysis "{folder}" gives no ultimate gain and period')
-    return sorted(rows.items())
+    with c.noting(place):
+        analysis = read_folder(c, folder, ("K_u", "T_u"))
+        with c.noting((*place[:-1], "rule")):
+            for K_u, T_u, loop in measured_loops(analysis):
+                setpoint = K_u.at.get("setpoint")
+                if setpoint is not None and setpoint not in rows and K_u.value and T_u.value:
+                    rows[setpoint] = _by_rule(controller, K_u.value, T_u.value, loop)
+            if not rows:
+                c.fault(place, f'the analysis "{folder}" gives no ultimate gain and period')
+            return sorted(rows.items())
+    return []
 
 
 EVERY = 0.04
@@ -296,34 +278,29 @@ def path_of(c: Compilation, file: PathFile, setpoint: float, at: Location) -> Re
 
 
 def feedforward(
-    c: Compilation, model: dict[str, Any] | None, path: ReferencePath, load: float, ends: tuple[float, float],
-    at: Location,
-) -> dict[str, Any] | None:  # fmt: skip
-    """The command over time by the inverse of the protocol's model, as plain data; None with a problem noted."""
+    model: dict[str, Any] | None, path: ReferencePath, load: float, ends: tuple[float, float]
+) -> dict[str, Any]:
+    """The command over time by the inverse of the protocol's model, as plain data; raises ValueError in words."""
     from pmabench.model.identified.plant import led, pressures
     from pmabench.model.presets import Described
 
     known = None if model is None else Described.of(model)
     if known is None or known.surface is None:
-        if not c.problems:
-            c.fault(
-                at, 'a feed-forward needs a muscle as a surface: "model: {coefficients: FOLDER}" with the folder of an '
-                'analysis that was made with "process --form surface"',
-            )  # fmt: skip
-        return None
+        raise ValueError(
+            'a feed-forward needs a muscle as a surface: "model: {coefficients: FOLDER}" with the folder of an '
+            'analysis that was made with "process --form surface"'
+        )
     surface = known.surface
     if max(path.places) > surface.reach[1] * (1 + 1e-9):
         text = f"the path goes to {show(max(path.places), 'length')}; the surface was tested up to"
-        c.fault(at, f"{text} {show(surface.reach[1], 'length')}")
-        return None
+        raise ValueError(f"{text} {show(surface.reach[1], 'length')}")
     t = np.arange(0.0, path.duration + EVERY, EVERY)
     x, v = (np.array([of(float(now)) for now in t]) for of in (path.place, path.speed))
     most = min(ends[1], known.domain[1])
     P = pressures(surface, t, x, v, load, (ends[0], most))
     if P.max() > most - 1.0:
         text = f"under {show(load, 'force')} the path needs more than {show(most, 'pressure')}"
-        c.fault(at, f"{text}, the highest pressure of the controller's output and of the surface")
-        return None
+        raise ValueError(f"{text}, the highest pressure of the controller's output and of the surface")
     return {"every": EVERY, "values": [round(float(one), 1) for one in led(t, P, known.regulator, ends)]}
 
 
@@ -369,9 +346,11 @@ class Positioning(ProtocolHead):
         self._sound(c)
         low, high = controller.output
         model = None if self.model is None else described(c, self.model, ("model",))
-        by_model = controller.gains == MODEL
-        muscle = model_for_gains(c, model, ("controller",)) if by_model else None
-        table = [] if by_model else schedule(c, controller, ("controller",))
+        muscle: Described | None = None
+        table = [] if controller.gains == MODEL else schedule(c, controller, ("controller",))
+        if controller.gains == MODEL and (model is not None or not c.problems):
+            with c.noting(("controller", "gains")):
+                muscle = model_for_gains(model)
         longest = c.mounted.specimen_file.limits.contraction * c.mounted.bench.length
         for index, point in enumerate(expand(self.sweep, c.document)):
             setpoint, place = point.values["setpoint"], point.places["setpoint"]
@@ -436,12 +415,13 @@ class Positioning(ProtocolHead):
         if path is None:
             return None
         extra: dict[str, Any] = {"path": {"places": list(path.places), "speed": file.speed, "rest": file.rest}}
-        if self.controller.feedforward:
-            values = feedforward(c, model, path, point["load"], self.controller.output, ahead)
-            if values is None:
-                return None
-            extra["feedforward"] = values
-        return path, extra
+        if not self.controller.feedforward:
+            return path, extra
+        if model is not None or not c.problems:
+            with c.noting(ahead):
+                values = feedforward(model, path, point["load"], self.controller.output)
+                return path, {**extra, "feedforward": values}
+        return None
 
     def _sound(self, c: Compilation) -> None:
         """Check hold, window, band and the controller's output by themselves."""
@@ -449,13 +429,7 @@ class Positioning(ProtocolHead):
         c.needs_channel("displacement")
         c.positive(trial.hold, ("trial", "hold"))
         c.positive(trial.band, ("trial", "band"))
-        begin, end = trial.window
-        if not 0 <= begin < end <= trial.hold:
-            c.fault(("trial", "window"), "must rise and lie inside the hold")
-        low, high = controller.output
-        c.within("pressure", low, ("controller", "output", 0))
-        c.within("pressure", high, ("controller", "output", 1))
-        if not low < high:
-            c.fault(("controller", "output"), "must rise")
+        c.inside_hold(trial.window, trial.hold)
+        c.controls(("pressure",), controller.output)
         if controller.tracking is not None:
             c.positive(controller.tracking, ("controller", "tracking"))

@@ -47,9 +47,7 @@ class Validation(ProtocolHead):
         """The plan: per trial a rest, one step of pressure, and a vent."""
         trial = self.trial
         c.positive(trial.hold, ("trial", "hold"))
-        begin, end = trial.window
-        if not 0 <= begin < end <= trial.hold:
-            c.fault(("trial", "window"), "must rise and lie inside the hold")
+        c.inside_hold(trial.window, trial.hold)
         for index, point in enumerate(expand(self.sweep, c.document)):
             pressure = point.values["pressure"]
             c.within("pressure", pressure, point.places["pressure"])
@@ -70,6 +68,6 @@ class Validation(ProtocolHead):
                 Set("vent", "pressure", 0.0),
                 Hold("vent", trial.rest),
             ]
-        settings: dict[str, Any] = {"window": [begin, end]}
+        settings: dict[str, Any] = {"window": list(trial.window)}
         model = described(c, self.model, ("model",))
         return c.plan("validation", settings | ({"model": model} if model is not None else {}))
