@@ -63,8 +63,6 @@ class Swinging:
     """Peak-to-peak of each half period, one fewer than `times`."""
     log_ratio: float
     """Mean natural logarithm of the ratio of successive swings [1]."""
-    log_ratio_se: float
-    """Its standard error [1]."""
     period: float
     """[s]."""
     period_variation: float
@@ -92,15 +90,11 @@ def describe(t: Array, y: Array, noise: float) -> Swinging | None:
     design = np.column_stack(columns)
     weight = sizes / sizes.max()
     fitted, *_ = np.linalg.lstsq(design * weight[:, None], np.log(sizes) * weight, rcond=None)
-    residual = (np.log(sizes) - design @ fitted) * weight
-    spread = float(residual @ residual) / max(1, len(sizes) - len(columns))
-    covariance = spread * np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
     place = np.arange(len(times), dtype=float)
     clock = np.column_stack([np.ones_like(place), place, (-1.0) ** place])
     half, *_ = np.linalg.lstsq(clock, times, rcond=None)
     whole = times[2:] - times[:-2]
-    error, variation = float(np.sqrt(covariance[1, 1])), float(np.std(whole, ddof=1) / np.mean(whole))
-    return Swinging(times, sizes, float(fitted[1]), error, 2.0 * float(half[1]), variation)
+    return Swinging(times, sizes, float(fitted[1]), 2.0 * float(half[1]), float(np.std(whole, ddof=1) / np.mean(whole)))
 
 
 def mode_amplitudes(t: Array, signals: Array, root: complex) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle.departures import zero_off
+from pmabench.kinds.arm_angle.departures import POWERS, zero_off
 from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
@@ -153,27 +153,21 @@ def left_out(fits: Sequence[Fitted]) -> tuple[float, float] | None:
     The cubics are monotone, through the angles of the other loads at the same commanded pressure. None for fewer than
     six loads.
     """
-    powers = 4
-    if len(fits) < powers + 2:
+    if len(fits) < POWERS + 1:
         return None
     w = np.array([one.of.mass for one in fits])
     known = np.array([[u.value for u in one.up.unknowns] for one in fits if one.up is not None])
+    angles = [dict(zip(one.of.sets, one.of.up.mean(axis=0).tolist(), strict=True)) for one in fits]
+    shared = [P for P in fits[0].of.sets if all(P in one for one in angles)]
     by_powers, by_cubics = [0.0], [0.0]
     for i in range(1, len(fits) - 1):
-        rest = np.arange(len(fits)) != i
-        one, others = fits[i].of, [fits[k].of for k in range(len(fits)) if k != i]
-        polynomial = np.polynomial.polynomial
-        a, b, c, d = (
-            float(polynomial.polyval(w[i], polynomial.polyfit(w[rest], column, powers))) for column in known[rest].T
-        )
-        measured = one.up.mean(axis=0)
-        able = c > 0 and d > 0
-        by_powers.append(
-            float(np.abs(a + b / (1 + (one.pressure / c) ** d) - measured).max()) if able else float("inf")
-        )
-        for P in (P for P in one.sets if all(P in other.sets for other in others)):
-            there = [float(other.up.mean(axis=0)[other.sets.index(P)]) for other in others]
-            by_cubics.append(abs(float(PchipInterpolator(w[rest], there)(w[i])) - float(measured[one.sets.index(P)])))
+        rest, one = np.arange(len(fits)) != i, fits[i].of
+        a, b, c, d = np.polyval(np.polyfit(w[rest], known[rest], POWERS - 1), w[i]).tolist()
+        miss = a + b / (1 + (one.pressure / c) ** d) - one.up.mean(axis=0) if c > 0 and d > 0 else np.inf
+        by_powers.append(float(np.abs(miss).max()))
+        at_shared = np.array([[angle[P] for P in shared] for angle in angles])
+        cubics = PchipInterpolator(w[rest], at_shared[rest])(w[i])
+        by_cubics.append(float(np.abs(cubics - at_shared[i]).max(initial=0.0)))
     return max(by_powers), max(by_cubics)
 
 
