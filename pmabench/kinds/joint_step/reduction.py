@@ -58,10 +58,6 @@ class Course:
 class Stepped(Course):
     """A step."""
 
-    sign: float
-    """Of the step."""
-    response: Response
-    """Of `sign` times the angle."""
     values: Mapping[str, float | None]
     """e_th [rad], t_s and t_r [s], OS_th [rad]; None where the angle does not get there."""
     unsure: Mapping[str, float]
@@ -90,10 +86,7 @@ def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Ste
     settings, ok = settings_of(run, options), trial.usable
     t, angle = (trial.t - (float(law["t0"]) + float(settings["begin"])))[ok], trial.channels["angle"][ok]
     refuse_leaps(t, angle)
-    if "frequency" in trial.point:
-        window = (float(settings["window"][0]), float(settings["window"][1]))
-        return _swung(run, trial, t, angle, window, float(law.get("saturated", 0.0)))
-    return _stepped(run, trial, t, angle, law, settings)
+    return (_swung if "frequency" in trial.point else _stepped)(run, trial, t, angle, law, settings)
 
 
 def refuse_leaps(t: Array, angle: Array) -> None:
@@ -164,19 +157,17 @@ def _stepped(
         "t_r": hypot(seen.rise, filtered["t_r"]),
         "OS_th": hypot(seen.overshoot * size, filtered["OS_th"]),
     }
-    two = float(law["reference_lag"])
-    since = np.maximum(t, 0.0) / two if two > 0 else np.where(t > 0, np.inf, 0.0)
-    reference = goal * (1 - (1 + np.minimum(since, 700.0)) * np.exp(-np.minimum(since, 700.0)))
+    since = np.clip(t / max(float(law["reference_lag"]), 1e-9), 0.0, 700.0)  # in lags, of which there are two
+    reference = goal * (1 - (1 + since) * np.exp(-since))
     saturated = float(law.get("saturated", 0.0))
-    return Stepped(run, trial, t, angle, reference, saturated, sign, response, values, unsure, calibration)
+    return Stepped(run, trial, t, angle, reference, saturated, values, unsure, calibration)
 
 
 def _swung(
-    run: RunData, trial: TrialData, t: Array, angle: Array, window: tuple[float, float], saturated: float
+    run: RunData, trial: TrialData, t: Array, angle: Array, law: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> Swung:
-    frequency, amplitude = trial.point["frequency"], trial.point["goal"]
-    lag = lag_of(run, "angle")
-    reference = amplitude * np.sin(2 * pi * frequency * np.maximum(t, 0.0))
+    frequency, lag, window = trial.point["frequency"], lag_of(run, "angle"), settings["window"]
+    reference = trial.point["goal"] * np.sin(2 * pi * frequency * np.maximum(t, 0.0))
     whole = int((window[1] - window[0]) * frequency * (1 + 1e-9))
     if whole < FEWEST_CYCLES:
         raise NotUsable(f"{whole} whole cycles in the window; an interval needs {FEWEST_CYCLES}")
@@ -190,6 +181,7 @@ def _swung(
         answers.append(complex((1 + 2j * pi * frequency * lag) * signals[0] / signals[1]))
         left = np.interp(t[rows] + lag, t, angle) - reference[rows]
         errors.append(float(np.sqrt(np.mean(left**2))))
+    saturated = float(law.get("saturated", 0.0))
     return Swung(run, trial, t, angle, reference, saturated, np.array(answers), np.array(errors))
 
 
@@ -230,7 +222,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], band: float) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in steps)
-    errors = [-one.sign * one.response.error for one in steps]
     for symbol, kind in STEPPED.items():
         values = [one.values[symbol] for one in steps]
         known = [value for value in values if value is not None]
@@ -240,7 +231,10 @@ def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], band: float) ->
         parts = Parts(half, max(one.unsure[symbol] for one in steps), max(by_scales, default=None))
         one = Estimate(symbol, mean, *kind, STEP, at, parts, len(known), note=note, trials=trials)
         if len(known) < len(values):
-            end, count = show(float(np.mean(errors)), "angle", 3), len(values) - len(known)
+            end, count = (
+                show(float(np.mean([one.values["e_th"] for one in steps])), "angle", 3),
+                len(values) - len(known),
+            )
             place = f"within {show(band, 'angle')} of the goal" if symbol == "t_s" else "from 10 to 90 % of the step"
             why = f"{count} of {len(values)} trials do not come {place}: they end {end} off it"
             one = replace(one, value=None, parts=Parts(), note=why)

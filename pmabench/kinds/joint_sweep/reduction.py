@@ -13,8 +13,7 @@ from pmabench.analysis.shared import joint
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.joint import BY_PRESSURE, MUSCLES, STIFFNESS, TORQUE
-from pmabench.analysis.shared.samples import NotUsable
-from pmabench.analysis.shared.trials import grouped
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
 from pmabench.kinds.joint_sweep.sweep import OffForm, Sweep, flatter_by, steeper_by, sweep_of
@@ -65,17 +64,16 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
 
 def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
     """The trials that can be used; none of a point at which half of the loops have another form."""
-    sweeps: list[Sweep] = []
-    dropped: list[Dropped] = []
     off: dict[tuple[float, ...], list[str]] = {}
-    for run in runs:
-        for trial in run.trials:
-            try:
-                sweeps.append(sweep_of(run, trial, options))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-                if isinstance(reason, OffForm):
-                    off.setdefault(_place(trial.point), []).append(str(reason))
+
+    def measured(run: RunData, trial: TrialData) -> Sweep:
+        try:
+            return sweep_of(run, trial, options)
+        except OffForm as reason:
+            off.setdefault(_place(trial.point), []).append(str(reason))
+            raise
+
+    sweeps, dropped = measured_trials(runs, measured)
     alike = [_place(one.trial.point) for one in sweeps]
     spoiled = {place for place, reasons in off.items() if len(reasons) >= alike.count(place)}
     for one, place in zip(sweeps, alike, strict=True):
