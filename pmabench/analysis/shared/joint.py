@@ -84,14 +84,14 @@ class Kept:
 
 
 def place(kept: Sequence[Kept], angle: float, by_angle: float) -> Doubt:
-    """What it does to a value that changes `by_angle` [1/rad] that the joint was not at `angle` [rad]."""
+    """Effect of an encoder that disagrees with the drive on a value at `angle` [rad], changing `by_angle` [1/rad]."""
     off = max(abs(one.zero + one.scale * angle) for one in kept)
     reason = f"the encoder reads {show(off, 'angle', 2)} off the angle that the drive was sent to: one of them is wrong"
     return Doubt("angle of the drive", "method", abs(by_angle) * off, off > ZERO, reason)
 
 
 def way(kept: Sequence[Kept], stiffness: float) -> Doubt:
-    """What it does to a stiffness that encoder and drive disagree on how far the joint went."""
+    """Effect on a stiffness of an encoder that disagrees with the drive on how far the joint went."""
     scale = max((one.scale for one in kept), key=abs)
     reason = f"the encoder reads {scale:+.1%} of the way that the drive was sent: one of them has a wrong scale"
     return Doubt("scale of the angle", "method", abs(scale * stiffness), abs(scale) > SCALE, reason)

@@ -47,19 +47,19 @@ def _slips(one: Loaded, share: float = 1.0) -> Doubt:
 
 
 def zero_off(one: Loaded) -> str:
-    """What the pressure shows without pressure, in words. Less than none is no pressure, and more may be some."""
+    """That the gauge does not read 0 when vented, in words. Above 0 it may also be air that is left in the muscle."""
     text = f"with {one.mass:g} kg the pressure reads {show(one.zero, 'pressure', 2)} when it is vented, more than its"
     other = "" if one.zero < 0 else ", or let out what the valve leaves in the muscle"
     return f"{text} calibration allows: zero the gauge{other}"
 
 
 def _zero(one: Loaded, slope: float) -> Doubt:
-    """Of a value that changes by `slope` for each pascal that the pressure reads more."""
+    """Effect on a value that changes by `slope` for each pascal that the gauge reads more."""
     return Doubt("zero of the pressure", "calibration", abs(slope * one.zero), one.zero < 0, zero_off(one))
 
 
 def _apart(one: Loaded, share: float = 1.0) -> Doubt:
-    """Of a value that changes by `share` of what the angle reads more."""
+    """Effect on a value that changes by `share` of what the angle reads more."""
     return Doubt("zero of the angle against the displacement", "calibration", abs(share * one.apart), seen=False)
 
 
@@ -68,14 +68,14 @@ def _steps(half: float) -> Doubt:
 
 
 def at_rest(one: Loaded, place: int, slope: float) -> list[Doubt]:
-    """Of an angle on the way up, which changes by `slope` with the pressure [rad/Pa]."""
+    """Effects on an angle on the way up, which changes by `slope` with the pressure [rad/Pa]."""
     further, reason = _moving(one, place, -1)
     moving = Doubt("motion after the hold", "method", further.most, further.seen, reason)
     return [moving, _slips(one), _zero(one, slope), _apart(one), _steps(one.coarse)]
 
 
 def of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
-    """Of the gap of both ways: what is left of the motions closes it."""
+    """Effects on the gap of both ways, which motions that are not over would close."""
     found = [_moving(one, place, side) for side in (-1, 1)]
     half, seen = sum(further.most for further, _ in found), any(further.seen for further, _ in found)
     reason = next((text for further, text in found if further.seen), "")
@@ -85,7 +85,7 @@ def of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
 
 
 def of_flat(one: Loaded, top: int, value: float) -> list[Doubt]:
-    """Of the pressure from which on the angle stays: what the largest angle would still change by moves it."""
+    """Effects on the pressure from which on the angle stays, which moves with the largest angle."""
     further, reason = _moving(one, top, -1)
     P, angles = one.pressure[: top + 1], one.up.mean(axis=0)[: top + 1]
 

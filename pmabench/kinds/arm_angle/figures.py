@@ -2,7 +2,7 @@
 
 The figure: bending angle over pressure at each load, what paper 2 has, and how far both ways are apart.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ APART = 0.02
 
 
 def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Finding]:
-    """What catches the eye in the angles themselves."""
+    """Findings on the angles alone: their direction, drift, bend at the preload, hysteresis and zeros."""
     if not loads:
         return []
     rests = [(stair, rest) for one in loads for stair in one.stairs for rest in stair.rests]
@@ -76,7 +76,7 @@ def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Findi
     if (worst := max(loads, key=lambda one: abs(one.zero))).zero:
         found.append(Finding("doubt", zero_off(worst)))
     if (worst := max(loads, key=lambda one: abs(one.apart))).apart:
-        text = f"with {worst.mass:g} kg the displacement tells {show(worst.apart, 'angle', 2)} more than the angle"
+        text = f"with {worst.mass:g} kg the displacement gives {show(worst.apart, 'angle', 2)} more than the angle"
         text += " at all pressures alike: one of their zeros is off. Zero both with the arm straight"
         found.append(Finding("doubt", text))
     if settings.get("angle") != "from-displacement":
@@ -107,7 +107,7 @@ def _arcs(rests: Sequence[Any], largest: float, settings: Mapping[str, Any]) -> 
     off = pairs[:, 1] - pairs[:, 0]
     most = float(off[np.argmax(np.abs(off))])
     radius = show(float(settings["radius"]), "length", 3)
-    text = f"the displacement of the bending muscle by its radius of {radius} tells"
+    text = f"the displacement of the bending muscle by its radius of {radius} gives"
     if abs(most) <= max(APART * largest, np.radians(0.5)):
         return [Finding("note", f"{text} the same angle within {show(max(abs(most), SAME), 'angle', 2)}")]
     way = "the arm is no arc of one curvature, its middle is pressed together, or the radius is another"

@@ -148,7 +148,7 @@ class Loaded:
         return int(np.argmax(np.abs(self.gaps[:, :-1].mean(axis=0)))) if self.both else None
 
     def motion(self, place: int, side: int) -> Left:
-        """What the angle would still change by at one pressure, reached from one side [rad]."""
+        """Change of the angle that is still to come at one pressure, reached from one side [rad]."""
         rests = [rest for stair in self.stairs for rest in stair.rests if rest.side == side]
         found = left([rest.held for rest in rests if round(rest.set) == round(self.sets[place])])
         slow = self.creep.get((side, round(self.sets[place])), 0.0)
@@ -167,12 +167,12 @@ class Loaded:
 
     @property
     def coarse(self) -> float:
-        """What steps of the angle leave open of the mean of a rest, the largest [rad]."""
+        """Largest error of the mean of a rest by the steps in which the angle is read [rad]."""
         return max(rest.coarse for stair in self.stairs for rest in stair.rests)
 
     @cached_property
     def zero(self) -> float:
-        """What the pressure reads without pressure, beyond its calibration [Pa]: the least of all trials, else 0."""
+        """Reading of the gauge when vented, where it is beyond the calibration [Pa]: the least of the trials; else 0."""
         reads = [read for stair in self.stairs for read in stair.vented]
         least = min(reads, key=abs, default=0.0)
         alike = all(read * least > 0 for read in reads)
@@ -180,7 +180,7 @@ class Loaded:
 
     @cached_property
     def apart(self) -> float:
-        """What the displacement tells more than the angle at all rests alike, beyond the calibrations [rad]; else 0."""
+        """What the displacement gives more than the angle at all rests alike, beyond the calibrations [rad]; else 0."""
         angle, arc = np.array([(rest.angle, rest.arc) for stair in self.stairs for rest in stair.rests]).T
         if not np.isfinite(arc).all() or np.ptp(angle) <= 4 * self.coarse + LIKE * self.noise:
             return 0.0
@@ -192,7 +192,7 @@ class Loaded:
 
     @cached_property
     def slip(self) -> tuple[float, bool]:
-        """By how much more than the others a trial does not come back to the preload [rad], and whether it is seen."""
+        """Largest difference between the trials in coming back to the preload [rad], and whether it is significant."""
         if not self.both or len(self.stairs) < MANY:
             return 0.0, False
         off = float(np.abs(self.gaps[:, 0] - np.median(self.gaps[:, 0])).max())

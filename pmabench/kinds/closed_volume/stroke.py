@@ -215,7 +215,7 @@ Effect = tuple[Array, bool]
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """What each departure may change the volumes by."""
+    """Effects of the departures on the volumes."""
 
     x: Array
     volumes: Array
@@ -226,7 +226,7 @@ class Form:
     """Share that the volume is larger by where no leak is taken out, at `x`."""
 
     def of_volume(self, e: Estimate, *, leak: bool) -> list[Doubt]:
-        """Of the volume at one start pressure and contraction."""
+        """Effects on the volume at one start pressure and contraction."""
         P, place = round(e.at["pressure"], 6), int(np.argmin(np.abs(self.x - e.at["contraction"])))
         size = abs(e.value or 0.0)
         found = []

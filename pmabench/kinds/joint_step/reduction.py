@@ -36,7 +36,7 @@ BEFORE = 0.3
 """So long before the step its origin is taken [s]."""
 FEWEST_CYCLES = 3
 LEAP = 10.0
-"""So many standard deviations of the noise are no noise."""
+"""A leap is larger than so many standard deviations of the noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ def _swung(
 
 STEP, SINE = "step in closed loop", "sine in closed loop"
 SATURATED = 0.05
-"""Share of the samples with a pressure at a limit above which it is said."""
+"""Share of the samples with a pressure at a limit above which it is reported."""
 STEPPED = {"e_th": ("rad", "angle"), "t_s": ("s", "time"), "t_r": ("s", "time"), "OS_th": ("rad", "angle")}
 """Symbol of a step -> unit and quantity."""
 

@@ -41,7 +41,7 @@ class Sweep:
 
 
 class OffForm(NotUsable):
-    """A sweep whose loop is not the one that is measured: something is wrong at its operating point."""
+    """A sweep whose loop has another form than the reduction needs: something is wrong at its operating point."""
 
 
 def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:

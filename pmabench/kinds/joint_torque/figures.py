@@ -1,6 +1,6 @@
 """Figures of isometric torques of a joint: torque and stiffness over angle for each pair of pressures.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ def _by_cycle(one: Staircase) -> Array:
 
 @dataclass(frozen=True)
 class Drift:
-    """What the torque changes by from cycle to cycle in all trials alike: its zero does, and goes on between them."""
+    """Drift of the zero of the torque: it changes from cycle to cycle in all trials alike, and between them, too."""
 
     rate: float
     """[N m/s]; 0 where trials differ too much to tell."""
@@ -54,11 +54,11 @@ class Drift:
         return cls(rate, since)
 
     def by(self, e: Estimate) -> float:
-        """What it makes of a torque [N m]."""
+        """Its effect on a torque [N m]."""
         return self.rate * float(np.mean([self.since[name] for name in e.trials]))
 
     def weigh(self, e: Estimate, half: float, scale: float | None = None) -> Estimate:
-        """The estimate with what the drift does to it, `half`, in its interval."""
+        """The estimate with the effect of the drift on it, `half`, in its interval."""
         if self.rate == 0:
             return e
         whole = show(abs(self.rate) * max(self.since.values()), "torque", 2)

@@ -1,6 +1,6 @@
 """Figures of steps of a platform: attitude with its reference, the three pressures, and when each valve is open.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """From steps of a platform's attitude to time, overshoot, end error and openings of valves, each with an interval.
 
-The attitude is without what the accelerometer's height adds. An accelerometer says about itself whether it is right: at
-rest it shows g whatever the attitude, and in motion nearly.
+The attitude is without what the accelerometer's height adds. Faults of the accelerometer are seen in its own readings:
+at rest their magnitude is g at every attitude, and nearly so in motion.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ def _rests(one: Course) -> tuple[Array, Array]:
 
 
 def _attitude(courses: Sequence[Course]) -> Doubt:
-    """By an offset or a scale of one axis: |f| is another one when tilted than when level, or is not g at all."""
+    """Effect of an offset or a wrong scale of one axis: |f| differs between level and tilted, or is not g."""
     rows = []
     for one in courses:
         norm, (level, held) = _norm(one), _rests(one)
         more = abs(float(norm[held].mean() - norm[level].mean()) / math.sin(one.size))
         error = noise_of(norm) * math.sqrt(1 / level.sum() + 1 / held.sum()) / math.sin(one.size)
         rows.append((more, error, float(norm[level].mean()) / G - 1))
-    more, error, _ = rows[int(np.argmax([row[0] for row in rows]))]  # one that is not known counts as the largest
+    more, error, _ = rows[int(np.argmax([row[0] for row in rows]))]  # NaN counts as the largest
     off_level = float(np.mean([row[2] for row in rows]))
     scale = max(abs(off_level) - GRAVITY, 0.0)
     half = (more + 2 * error) / G + scale * max(one.size for one in courses)
@@ -77,7 +77,7 @@ def _attitude(courses: Sequence[Course]) -> Doubt:
 
 
 def _between_axes(courses: Sequence[Course]) -> Doubt:
-    """By a filter on one axis: while it tilts, |f| departs from g by how far the horizontal axis is behind.
+    """Effect of a filter on one axis: while it tilts, |f| departs from g by the delay of the horizontal axis.
 
     f is g sin(q) across and g cos(q) - h q'^2 along, and h q'' across: columns of a least squares for delay and height.
     """

@@ -1,6 +1,6 @@
 """Figures of held positions: the approach with its reference, and the error over the whole hold.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations

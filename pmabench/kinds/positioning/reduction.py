@@ -178,8 +178,10 @@ def _values(response: Response, setpoint: float) -> dict[str, float | None]:
 
 
 def _steady(e: Estimate, members: Sequence[Hold]) -> Estimate:
-    """The steady-state error with what moves in the window. Where that is seen and may be more than the error itself,
-    a bound and no value: not even the sign of a steady error is known. What moves less than cycles that count is rest.
+    """The steady-state error, its interval with what moves in the window.
+
+    Where a motion is seen that may be larger than the error itself, it has a bound in place of a value: not even the
+    sign is known. A motion smaller than the cycles that count is rest.
     """
     worst = max(members, key=lambda hold: hold.response.unsure.error)
     half, seen = worst.response.unsure.error, any(hold.response.unsure.moves for hold in members)
