@@ -172,7 +172,7 @@ class Loaded:
 
     @cached_property
     def zero(self) -> float:
-        """Reading of the gauge when vented, where it is beyond the calibration [Pa]: the least of the trials; else 0."""
+        """Reading of the vented gauge, where it is beyond its calibration [Pa]: the least of all trials; else 0."""
         reads = [read for stair in self.stairs for read in stair.vented]
         least = min(reads, key=abs, default=0.0)
         alike = all(read * least > 0 for read in reads)

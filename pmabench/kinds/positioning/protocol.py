@@ -144,10 +144,8 @@ def gains_at(c: Compilation, table: list[tuple[float, Settings]], setpoint: floa
         ends = f"{show(table[0][0], 'length')} to {show(table[-1][0], 'length')}"
         c.fault(place, f"{show(setpoint, 'length')} lies outside the schedule of gains, {ends}")
         return table[0][1]
-    above = next((i for i, (x, _) in enumerate(table) if x >= setpoint - 1e-9), len(table) - 1)
-    (x1, before), (x2, after) = table[max(0, above - 1)], table[above]
-    share = (setpoint - x1) / (x2 - x1) if x2 > x1 else 1.0
-    return {name: before[name] + share * (after[name] - before[name]) for name in before}
+    rising = [x for x, _ in table]
+    return {name: float(np.interp(setpoint, rising, [gains[name] for _, gains in table])) for name in table[0][1]}
 
 
 def _checked(c: Compilation, form: str, gains: Gains, place: Location) -> Settings:
@@ -265,16 +263,6 @@ class PathFile(Strict):
     """Highest speed of a move, whose speed begins and ends with 0."""
     rest: Time = 1.0
     """Time at each place, the first included."""
-
-
-def path_of(c: Compilation, file: PathFile, setpoint: float, at: Location) -> ReferencePath | None:
-    """The path to a set-point [m]; None with a problem noted."""
-    c.positive(file.speed, (*at, "speed"))
-    if any(not 0 <= share <= 1 for share in file.shares) or max(file.shares) < 1:
-        c.fault((*at, "shares"), "shares of the set-point lie between 0 % and 100 %, and one of them is 100 %")
-        return None
-    places = [0.0, *(share * setpoint for share in file.shares)]
-    return ReferencePath(places, file.speed, file.rest) if file.speed > 0 else None
 
 
 def feedforward(
@@ -411,9 +399,15 @@ class Positioning(ProtocolHead):
             if self.controller.feedforward:
                 c.fault(ahead, "a feed-forward is for a trial with a path: give trial.path")
             return None if self.controller.feedforward else (None, {})
-        path = path_of(c, file, point["setpoint"], ("trial", "path"))
-        if path is None:
+        at = ("trial", "path")
+        c.positive(file.speed, (*at, "speed"))
+        if any(not 0 <= share <= 1 for share in file.shares) or max(file.shares) < 1:
+            c.fault((*at, "shares"), "shares of the set-point lie between 0 % and 100 %, and one of them is 100 %")
             return None
+        if not file.speed > 0:
+            return None
+        places = [0.0, *(share * point["setpoint"] for share in file.shares)]
+        path = ReferencePath(places, file.speed, file.rest)
         extra: dict[str, Any] = {"path": {"places": list(path.places), "speed": file.speed, "rest": file.rest}}
         if not self.controller.feedforward:
             return path, extra
