@@ -113,12 +113,12 @@ def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *
     further, seen = _motions(one)
     level, tilted = np.ones(len(mean)), np.linspace(-1.0, 1.0, len(mean))
     moved = np.hypot(*(_fit(P, mean + tilt * further, fitted) - fitted for tilt in (level, tilted)))
-    slip, terms = _slips(one), fitted[:, None]
+    slip, (solve, shifts) = _slips(one), linearized([one], fitted[:, None])
     slipped = np.abs(_fit(P, mean + slip.half * 0.5 * (level + tilted), fitted) - fitted)
     slipped[0] += slip.half  # a is off as a whole, too
-    steps = one.coarse * np.linalg.norm(_solve([one], terms), axis=1)
+    steps = one.coarse * np.linalg.norm(solve, axis=1)
     repeats = np.array([spread(column) or 0.0 for column in each.T])
-    return _wider(estimates, [one], terms, repeats, moved, seen, slipped, steps, slip.reason)
+    return _wider(estimates, [one], repeats, moved, seen, slipped, shifts, steps, slip.reason)
 
 
 def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Estimate]:
@@ -131,7 +131,7 @@ def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Est
     terms = np.array([[known[f"{name}_{n}"] for n in range(POWERS)] for name in "abcd"], dtype=np.float64)
     if np.isnan(terms).any():
         return list(estimates)
-    solve = _solve(loads, terms)
+    solve, shifts = linearized(loads, terms)
     parts = np.split(solve, np.cumsum([len(one.sets) for one in loads])[:-1], axis=1)
     pairs = list(zip(parts, loads, strict=True))
     off = np.concatenate([one.up.mean(axis=0) - _curve(one.pressure, _at(one, terms)) for one in loads])
@@ -149,7 +149,7 @@ def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Est
     slipped = np.hypot.reduce([_slips(one).half * part.sum(axis=1) for part, one in pairs])
     steps = np.hypot.reduce([one.coarse * np.linalg.norm(part, axis=1) for part, one in pairs])
     seen = any(seen for _, seen in motions)
-    return _wider(estimates, loads, terms, repeats, moved, seen, slipped, steps)
+    return _wider(estimates, loads, repeats, moved, seen, slipped, shifts, steps)
 
 
 def _motions(one: Loaded) -> tuple[Array, bool]:
@@ -169,15 +169,15 @@ def _misses(miss: float, error: float, largest: float, text: str) -> str:
 
 
 def _wider(
-    estimates: Sequence[Estimate], loads: Sequence[Loaded], terms: Array, repeats: Array, moved: Array, seen: bool,
-    slipped: Array, steps: Array, slips: str = "",
+    estimates: Sequence[Estimate], loads: Sequence[Loaded], repeats: Array, moved: Array, seen: bool, slipped: Array,
+    shifts: Array, steps: Array, slips: str = "",
 ) -> list[Estimate]:  # fmt: skip
     """The coefficients with the scatter of the trials, and with what motions, slips, zeros and steps of the angle do.
 
-    All of shape (coefficients,); `seen` is whether motions are, `slips` says of a slip what withholds a value.
+    All of shape (coefficients,), `shifts` by pascal; `seen` is whether motions are, `slips` why a slip withholds.
     """
     zero, apart = max(loads, key=lambda one: abs(one.zero)), max(loads, key=lambda one: abs(one.apart))
-    shifts, found = per_pascal(loads, terms), []
+    found = []
     for n, e in enumerate(estimates):
         if e.value is None:
             found.append(e)
@@ -194,44 +194,30 @@ def _wider(
     return found
 
 
-def per_pascal(loads: Sequence[Loaded], terms: Array) -> Array:
-    """Change of all coefficients, shape (4 powers,), where the pressure reads 1 Pa more; `terms` as in `_at`."""
-    bends = []
+def linearized(loads: Sequence[Loaded], terms: Array) -> tuple[Array, Array]:
+    """Change of all coefficients with each angle, shape (4 powers, angles), by linearized least squares; and where the
+    pressure reads 1 Pa more, shape (4 powers,).
+    """
+    rows, bends = [], []
     for one in loads:
-        *_, d = _at(one, terms)
-        P, _, bent = _bent(one, terms)
+        _, b, c, d = _at(one, terms)
+        P = np.maximum(one.pressure, 1.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # a form far from these angles may have infinite powers
+            share = (P / abs(c)) ** d
+            bent = np.nan_to_num(b * share / (1 + share) ** 2)
+        each = np.column_stack([np.ones(len(P)), 1 / (1 + share), bent * d / c, -bent * np.log(P / abs(c))])
+        rows.append((each[:, :, None] * one.mass ** np.arange(terms.shape[1])).reshape(len(P), -1))
         bends.append(bent * d / P)
-    return np.asarray(_solve(loads, terms) @ np.concatenate(bends))
-
-
-def _bent(one: Loaded, terms: Array) -> tuple[Array, Array, Array]:
-    """The pressures [Pa], at them (p/c)^d, and b (p/c)^d / (1 + (p/c)^d)^2."""
-    _, b, c, d = _at(one, terms)
-    P = np.maximum(one.pressure, 1.0)
-    with np.errstate(over="ignore", invalid="ignore"):  # a form far from these angles may have infinite powers
-        share = (P / abs(c)) ** d
-        return P, share, np.nan_to_num(b * share / (1 + share) ** 2)
-
-
-def _solve(loads: Sequence[Loaded], terms: Array) -> Array:
-    """Change of all coefficients with each angle, shape (4 powers, angles), by linearized least squares."""
-    slopes = np.vstack([_slopes(one, terms) for one in loads])
+    slopes = np.vstack(rows)
     size = np.sqrt(np.sum(slopes**2, axis=0))
     scale = np.where(size > 0, size, 1.0)
-    return np.asarray(np.linalg.pinv(slopes / scale, rcond=1e-12) / scale[:, None])
+    solve = np.linalg.pinv(slopes / scale, rcond=1e-12) / scale[:, None]
+    return np.asarray(solve), np.asarray(solve @ np.concatenate(bends))
 
 
 def _at(one: Loaded, terms: Array) -> Array:
     """a, b, c, d at a load by their powers, shape (4, powers)."""
     return np.asarray(terms @ one.mass ** np.arange(terms.shape[1]))
-
-
-def _slopes(one: Loaded, terms: Array) -> Array:
-    """Derivatives of the angles at a load by all powers, shape (pressures, 4 powers)."""
-    _, _, c, d = _at(one, terms)
-    P, share, bent = _bent(one, terms)
-    each = np.column_stack([np.ones(len(P)), 1 / (1 + share), bent * d / c, -bent * np.log(P / abs(c))])
-    return np.asarray((each[:, :, None] * one.mass ** np.arange(terms.shape[1])).reshape(len(P), -1))
 
 
 def _error(one: Loaded, rows: Array) -> float:

@@ -221,9 +221,9 @@ def _by_scales(fit: ModelFit, loads: Sequence[Loaded]) -> dict[str, float | None
     The gain of the angle stretches a and b, its zero lifts a; the gain of the pressure moves c, its zero bends all.
     """
     values = {u.name: u.value for u in fit.unknowns}
-    shifts = departures.per_pascal(loads, np.reshape(list(values.values()), (len(UNKNOWN), -1))).tolist()
+    _, shifts = departures.linearized(loads, np.reshape(list(values.values()), (len(UNKNOWN), -1)))
     found, channel = {}, loads[0].channel
-    for (name, value), shift in zip(values.items(), shifts, strict=True):
+    for (name, value), shift in zip(values.items(), shifts.tolist(), strict=True):
         gains = {channel: value if name[0] in "ab" else 0.0, "pressure": value if name[0] == "c" else 0.0}
         lifted = loads[0].per_offset if name in ("a", "a_0") else 0.0
         found[name] = loads[0].scales.part(gains, {channel: lifted, "pressure": shift})
