@@ -233,6 +233,14 @@ class Compilation:
         if rest:
             self.steps.append(Hold("precondition", rest))
 
+    def add_trial(self, values: dict[str, float], repeat: int) -> int:
+        """Add a trial at an operating point [SI], after the preparation where it is the first; its index."""
+        index = len(self.trials)
+        if index == 0:
+            self.precondition()
+        self.trials.append(TrialRecord(index, values, repeat))
+        return index
+
     def needs_bench(self) -> None:
         """Check free end and channels."""
         bench = self.mounted.bench

@@ -28,7 +28,7 @@ from pmabench.files.quantity import (
 )
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import MUSCLES, vented
-from pmabench.protocol.plan import Control, Hold, Plan, Record, Set, TrialRecord
+from pmabench.protocol.plan import Control, Hold, Plan, Record, Set
 from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
 from pmabench.store.records import Array
 
@@ -189,13 +189,11 @@ class JointStep(ProtocolHead):
         self._sound(c)
         trial, controller = self.trial, self.controller
         low, high = controller.output
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             values = {name: float(value) for name, value in point.values.items() if value is not None}
             table = self._table(c, point)
             if table is None or c.problems or c.too_long():
                 continue
-            if index == 0:
-                c.precondition()
             middle = {name: float(np.interp(0.0, table["angle"], table[name])) for name in MUSCLES}
             ready = trial.dwell * len(trial.approach)
             begin, duration = ready + trial.baseline, ready + trial.baseline + trial.hold
@@ -209,7 +207,7 @@ class JointStep(ProtocolHead):
             if "frequency" in values:
                 sine = {"begin": begin, "amplitude": values["goal"], "frequency": values["frequency"]}
                 parameters["sine"] = sine
-            c.trials.append(TrialRecord(index, values, point.repeat))
+            index = c.add_trial(values, point.repeat)
             c.steps += [
                 *(Set("pressurise", name, value) for name, value in middle.items()),
                 Hold("pressurise", trial.settle),

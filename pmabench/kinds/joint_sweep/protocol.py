@@ -11,7 +11,7 @@ from pmabench.files.quantity import Angle, AngularSpeed, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import MUSCLES, at_pressures, not_faster, vented
-from pmabench.protocol.plan import Plan, Ramp, TrialRecord
+from pmabench.protocol.plan import Plan, Ramp
 from pmabench.protocol.sweep import AngularSpeedAxis, PressureAxis, Sweep, expand
 
 
@@ -57,18 +57,16 @@ class JointSweep(ProtocolHead):
             c.fault(("trial", "upper"), "must lie above the lower end")
         for name in ("lower", "upper"):
             c.within("angle", getattr(trial, name), ("trial", name))
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             for name in MUSCLES:
                 c.within(name, point.values[name], point.places[name])
             speed = point.values["speed"]
             not_faster(c, speed, point.places["speed"])
             if speed <= 0 or trial.approach <= 0 or c.too_long():
                 continue
-            if index == 0:
-                c.precondition()
             held = {name: point.values[name] for name in MUSCLES} | {"angular_speed": speed}
             ends = {"lowest_angle": trial.lower, "highest_angle": trial.upper, "cycles": float(trial.cycles)}
-            c.trials.append(TrialRecord(index, held | ends, point.repeat))
+            index = c.add_trial(held | ends, point.repeat)
             cycle = (
                 Ramp("rise", "angle", trial.lower, trial.upper, speed),
                 Ramp("fall", "angle", trial.upper, trial.lower, speed),

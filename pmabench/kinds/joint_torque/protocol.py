@@ -13,7 +13,7 @@ from pmabench.files.quantity import Angle, AngularSpeed, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import MUSCLES, at_pressures, not_faster, vented
-from pmabench.protocol.plan import Hold, Plan, Ramp, Step, TrialRecord
+from pmabench.protocol.plan import Hold, Plan, Ramp, Step
 from pmabench.protocol.sweep import PressureAxis, Sweep, expand
 
 
@@ -60,16 +60,14 @@ class JointTorque(ProtocolHead):
         lowest, highest = trial.angles[0] - trial.overrun, trial.angles[-1] + trial.overrun
         c.within("angle", lowest, ("trial", "overrun"))
         c.within("angle", highest, ("trial", "overrun"))
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             for name in MUSCLES:
                 c.within(name, point.values[name], point.places[name])
             if c.problems or c.too_long():
                 continue
-            if index == 0:
-                c.precondition()
             held = {name: point.values[name] for name in MUSCLES}
             ends = {"lowest_angle": lowest, "highest_angle": highest, "cycles": float(trial.cycles)}
-            c.trials.append(TrialRecord(index, held | ends, point.repeat))
+            index = c.add_trial(held | ends, point.repeat)
             there = self._branch("rise", [lowest, *trial.angles, highest])
             back = self._branch("fall", [highest, *reversed(trial.angles), lowest])
             c.steps += at_pressures(held, trial.settle, lowest, trial.speed, index, [*there, *back] * trial.cycles)

@@ -25,7 +25,7 @@ from pmabench.kinds.positioning.controller import (
 )
 from pmabench.model.reference_path import ReferencePath
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.plan import Hold, Plan, Record, Seek, Set, TrialRecord
+from pmabench.protocol.plan import Hold, Plan, Record, Seek, Set
 from pmabench.protocol.reference_model import ReferenceModel, described
 from pmabench.protocol.sweep import LengthAxis, Sweep, expand
 
@@ -121,7 +121,7 @@ class Positioning(ProtocolHead):
             with c.noting(PLACE):
                 muscle = model_for_gains(model)
         longest = c.mounted.specimen_file.limits.contraction * c.mounted.bench.length
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             setpoint, place = point.values["setpoint"], point.places["setpoint"]
             c.positive(setpoint, place)
             if setpoint > longest:
@@ -134,11 +134,9 @@ class Positioning(ProtocolHead):
             else:
                 gains = gains_at(c, table, setpoint, place)
             c.put_on(values)
-            if index == 0:
-                c.precondition()
             if c.too_long():
                 break
-            c.trials.append(TrialRecord(index, values, point.repeat))
+            index = c.add_trial(values, point.repeat)
             follows = self._following(c, values, model)
             if follows is None:
                 continue
