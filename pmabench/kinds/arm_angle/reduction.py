@@ -14,8 +14,8 @@ import numpy as np
 from pmabench.analysis.model_fit import ModelFit, fit_model
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
-from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import settings_of
+from pmabench.analysis.shared.trials import mean_of_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle import RESULTS, departures, figures
 from pmabench.kinds.arm_angle.stairs import Loaded, channel_of, flat_from, loads_of
@@ -97,11 +97,8 @@ def _of_load(fitted: Fitted) -> list[Estimate]:
         offsets: Mapping[str, float] | None = None, note: str = "", kind: tuple[str, str] = ("rad", "angle"),
     ) -> Estimate:  # fmt: skip
         """Mean of the trials' `values`; `method` is its part; gains and offsets as `Scales.part` takes them."""
-        half = spread(values)
-        parts = Parts(half, method, one.scales.part(gains, offsets))
-        note = sentences("" if half is not None else ONCE, note)
-        value = float(values.mean())
-        return Estimate(symbol, value, *kind, REST, at, parts, len(values), note=note, trials=names)
+        part = one.scales.part(gains, offsets)
+        return mean_of_trials(symbol, kind, REST, at, names, values, method, part, ONCE, note)
 
     def angle(symbol: str, place: int, method: float) -> Estimate:
         values, by_pressure = one.up[:, place], float(slope[place])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot, pi
 from typing import Any
 
@@ -25,8 +25,7 @@ from pmabench.analysis.shared.samples import (
     three_parameter,
 )
 from pmabench.analysis.shared.skew import late, off
-from pmabench.analysis.shared.student import mean_with_half
-from pmabench.analysis.shared.trials import grouped, measured_trials, point_of
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
@@ -222,23 +221,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], band: float) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in steps)
+    end = show(float(np.mean([one.values["e_th"] or 0.0 for one in steps])), "angle", 3)
     for symbol, kind in STEPPED.items():
-        values = [one.values[symbol] for one in steps]
-        known = [value for value in values if value is not None]
-        mean, half = mean_with_half(known) if known else (0.0, None)
-        by_scales = [one.calibration[symbol] for one in steps if one.calibration is not None]
-        note = "one trial: no interval" if len(steps) == 1 else ""
-        parts = Parts(half, max(one.unsure[symbol] for one in steps), max(by_scales, default=None))
-        one = Estimate(symbol, mean, *kind, STEP, at, parts, len(known), note=note, trials=trials)
-        if len(known) < len(values):
-            end, count = (
-                show(float(np.mean([one.values["e_th"] for one in steps])), "angle", 3),
-                len(values) - len(known),
-            )
+        known = [value for one in steps if (value := one.values[symbol]) is not None]
+        if len(known) < len(steps):
             place = f"within {show(band, 'angle')} of the goal" if symbol == "t_s" else "from 10 to 90 % of the step"
-            why = f"{count} of {len(values)} trials do not come {place}: they end {end} off it"
-            one = replace(one, value=None, parts=Parts(), note=why)
-        yield one
+            why = f"{len(steps) - len(known)} of {len(steps)} trials do not come {place}: they end {end} off it"
+            yield Estimate(symbol, None, *kind, STEP, at, n=len(known), note=why, trials=trials)
+            continue
+        by_scale = max((one.calibration[symbol] for one in steps if one.calibration is not None), default=None)
+        unsure = max(one.unsure[symbol] for one in steps)
+        yield mean_of_trials(symbol, kind, STEP, at, trials, known, unsure, by_scale, "one trial: no interval")
 
 
 def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -> Iterator[Estimate]:

@@ -16,15 +16,14 @@ from scipy.signal import lfilter
 
 from pmabench.analysis.shared.calibration import Scales, changes
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
-from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.samples import NotUsable, count_of, lag_open, noise_of, on_time, settings_of
 from pmabench.analysis.shared.skew import off
-from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.kinds.platform_step import ACCELERATIONS, MUSCLES, RESULTS, VALVES
 from pmabench.model.many.platform import Lags
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 GRAVITY = 0.003
@@ -274,17 +273,13 @@ def _estimates(
     offset = max(scales.offsets.get(name, 0.0) for name in ACCELERATIONS) / G
     attitude, wobble = _attitude(courses), max(map(_wobble, courses))
     noise, size = max(one.noise for one in members), math.hypot(*at.values())
+    names = tuple(one.trial.name for one in members)
 
     def made(
-        symbol: str, quantity: tuple[str, str], values: Sequence[float], extra: float, known: float | None
+        symbol: str, kind: tuple[str, str], values: Sequence[float], extra: float, known: float | None
     ) -> Estimate:
-        numbers = np.array(values)
-        parts = Parts(mean_half(numbers, []), extra, known)
-        note = "" if len(values) > 1 else "one trial: how far another one would be off is not known"
-        trials = tuple(one.trial.name for one in members)
-        return Estimate(
-            symbol, float(numbers.mean()), *quantity, method, at, parts, len(values), note=note, trials=trials
-        )
+        once = "one trial: how far another one would be off is not known"
+        return mean_of_trials(symbol, kind, method, at, names, values, extra, known, once)
 
     times, by_height, by_band, why = _time(members, others, math.hypot(offset, attitude.half, wobble))
     t_1 = made("t_1", ("s", "time"), times, by_height, by_band)

@@ -13,15 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel, sentences
-from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
 from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of, noise_of
 from pmabench.analysis.shared.skew import late
 from pmabench.analysis.shared.smoothing import SURE, Smooth, smooth
-from pmabench.analysis.shared.trials import grouped, point_of
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.model.reference_path import ReferencePath
-from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Estimate, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 CHANNEL = "displacement"
@@ -106,14 +105,12 @@ def _of_paths(members: Sequence[Tracked]) -> list[Estimate]:
     # an overshoot is never below 0: half of what lies between both ends would be too little
     by_scale = of_one_channel(members[0].values, each[0], scales, CHANNEL)
     method, at, names = members[0].method, dict(members[0].trial.point), tuple(one.trial.name for one in members)
-    note = sentences("" if len(members) > 1 else ALONE, scales.lack((CHANNEL,), (CHANNEL,)))
+    lacking = scales.lack((CHANNEL,), (CHANNEL,))
     found = []
-    for symbol, (unit, quantity) in OF_PATHS.items():
-        values = np.array([one[symbol] for one in each])
-        calibration = None if by_scale is None else by_scale[symbol]
-        parts = Parts(spread(values), max(one[symbol] for one in unsure), calibration)
-        mean, n = float(values.mean()), len(values)
-        found.append(Estimate(symbol, mean, unit, quantity, method, at, parts, n, note=note, trials=names))
+    for symbol, kind in OF_PATHS.items():
+        values, open_ = ([one[symbol] for one in several] for several in (each, unsure))
+        scale = None if by_scale is None else by_scale[symbol]
+        found.append(mean_of_trials(symbol, kind, method, at, names, values, max(open_), scale, ALONE, lacking))
     return found
 
 

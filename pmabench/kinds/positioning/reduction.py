@@ -15,13 +15,12 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
 from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.analysis.shared.skew import late
 from pmabench.analysis.shared.smoothing import smooth
-from pmabench.analysis.shared.trials import grouped, measured_trials, point_of
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS
 from pmabench.kinds.positioning.paths import (
@@ -203,16 +202,15 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
     found = []
     for symbol, (unit, quantity, _) in MEASURES.items():
         known = [(value, hold.calibration) for hold in members if (value := hold.values[symbol]) is not None]
-        if not known and symbol in CYCLE:
-            continue
-        values = np.array([value for value, _ in known])
-        scales = [halves[symbol] for _, halves in known if halves is not None]
         method = max(hold.unsure[symbol] for hold in members)
-        parts = Parts(spread(values), method, max(scales, default=None))
-        note = sentences("" if len(values) > 1 else ALONE, lacking) if len(values) else NONE.get(symbol, NOT_RISEN)
-        mean = float(values.mean()) if len(values) else None
-        e = Estimate(symbol, mean, unit, quantity, METHOD, at, parts, len(values), note=note, trials=names)
-        found.append(_steady(e, members) if symbol == "e_ss" else e)
+        scale = max((halves[symbol] for _, halves in known if halves is not None), default=None)
+        if known:
+            kind, values = (unit, quantity), [value for value, _ in known]
+            e = mean_of_trials(symbol, kind, METHOD, at, names, values, method, scale, ALONE, lacking)
+            found.append(_steady(e, members) if symbol == "e_ss" else e)
+        elif symbol not in CYCLE:
+            note, parts = NONE.get(symbol, NOT_RISEN), Parts(None, method)
+            found.append(Estimate(symbol, None, unit, quantity, METHOD, at, parts, note=note, trials=names))
     apart = [
         smooth(h.t, h.x, lag_of(h.run, CHANNEL)).y - smooth(h.t, h.simulated).y
         for h in members
