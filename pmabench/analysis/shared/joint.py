@@ -17,7 +17,6 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import Axes, Turns
-from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData
@@ -49,26 +48,29 @@ SHORT = 0.01
 """Share of a commanded pressure by which the measured one may be off it without a word."""
 
 
-def refuse_turns(turns: Turns | None, half: float, gap: float, noise: float) -> None:
-    """Raise `NotUsable` for a gap [N m] of the wrong sign, or one that is never open within +-`half` [rad].
+def why_no_turns(turns: Turns | None, half: float, gap: float, noise: float) -> str:
+    """Why a gap [N m] has the wrong sign, or is never open within +-`half` [rad], in words; empty where it is open.
 
     `noise` is that of a point of the gap [N m].
     """
     seen = gap / NOT_SEEN
+    small = f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: "
     if seen < -noise:
-        raise NotUsable(
+        return (
             "the torque is larger while the angle rises, and no muscles give work back like that: look for a wrong "
             "sign, or angle and torque that are apart in time"
         )
-    why = ""
     if turns is None and seen > noise:
-        why = "its branches are never parallel, and their slope is that of the turns, not the stiffness; "
-        why += "sweep at least three times as far, or look for a filter on the torque"
-    elif turns is None and half < SMALLEST:
-        why = "it shows no gap, and may be three times as steep as the joint is stiff; sweep at least "
-        why += f"+-{show(SMALLEST, 'angle', 3)}"
-    if why:
-        raise NotUsable(f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: {why}")
+        return (
+            f"{small}its branches are never parallel, and their slope is that of the turns, not the stiffness; sweep "
+            "at least three times as far, or look for a filter on the torque"
+        )
+    if turns is None and half < SMALLEST:
+        least = show(SMALLEST, "angle", 3)
+        return (
+            f"{small}it shows no gap, and may be three times as steep as the joint is stiff; sweep at least +-{least}"
+        )
+    return ""
 
 
 @dataclass(frozen=True, eq=False)

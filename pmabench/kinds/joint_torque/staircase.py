@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, Kept, flank, refuse_turns
+from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, Kept, flank, why_no_turns
 from pmabench.analysis.shared.ramp_loop import Turns, on_grid, turns_of
 from pmabench.analysis.shared.samples import (
     Held,
@@ -196,10 +196,8 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
     far = np.asarray((nominal - lowest >= way) & (highest - nominal >= way))
     step = flank(grid, up, down, (low, high), turns)
     found = Staircase(run, trial, nominal, rests, turns, far, after, step)
-    try:
-        refuse_turns(turns, 0.5 * (highest - lowest), float(np.median(found.gap)), rests.noise)
-    except NotUsable as reason:
-        raise NotUsable(f"{elsewhere}; {reason}" if elsewhere else str(reason)) from None
+    if why := why_no_turns(turns, 0.5 * (highest - lowest), float(np.median(found.gap)), rests.noise):
+        raise NotUsable(f"{elsewhere}; {why}" if elsewhere else why)
     if turns is not None and not found.open.any():
         least = show(CUT * turns.w, "angle", 3)
         raise NotUsable(

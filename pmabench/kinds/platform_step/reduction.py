@@ -215,14 +215,12 @@ def _steered(run: RunData, trial: TrialData) -> Iterator[Mapping[str, Any]]:
             yield event.data
 
 
-def wanted(course: Course) -> dict[str, Array]:
-    """Pressures that the law wanted at each sample [Pa]; NaN before the first."""
-    rows = [row for data in _steered(course.run, course.trial) for row in data["aims"]]
-    if not rows:
-        return {name: np.full(len(course.t), np.nan) for name in MUSCLES}
-    table = np.array(rows, dtype=np.float64)
-    place = np.searchsorted(table[:, 0], course.trial.t + 1e-9, side="right") - 1
-    return {name: np.where(place >= 0, table[np.maximum(place, 0), 1 + i], np.nan) for i, name in enumerate(MUSCLES)}
+def _wanted(one: Course) -> dict[str, Array]:
+    """Pressures that the law wanted at each sample [Pa], as `wanted_1` and so on; NaN before the first."""
+    rows = [row[:4] for data in _steered(one.run, one.trial) for row in data["aims"]]
+    aims = np.array([[-np.inf, *(np.nan for _ in MUSCLES)], *rows], dtype=np.float64)
+    place = np.searchsorted(aims[:, 0], one.trial.t + 1e-9, side="right") - 1
+    return {f"wanted_{i}": aims[place, i] for i in (1, 2, 3)}
 
 
 KIND = "platform-step"
@@ -324,10 +322,9 @@ def _time(
 def _trace(chain: str, one: Course) -> Trace:
     """The whole of one trial, thinned."""
     stride = max(1, round(one.run.rate / THINNED))
-    aims, reference = wanted(one), _reference(one)
+    reference = _reference(one)
     angles = {"phi": one.phi, "psi": one.psi, "reference_phi": reference[0], "reference_psi": reference[1]}
-    pressures = {name: np.asarray(one.trial.channels[name]) for name in MUSCLES}
-    pressures |= {f"wanted_{i + 1}": aims[name] for i, name in enumerate(MUSCLES)}
+    pressures = {name: np.asarray(one.trial.channels[name]) for name in MUSCLES} | _wanted(one)
     thin = {name: values[::stride] for name, values in ({"t": one.t} | angles | pressures).items()}
     thin |= {valve: _open_share(one, valve, thin["t"], stride / one.run.rate) for valve in VALVES}
     quantities = {"t": "time", **dict.fromkeys(angles, "angle"), **dict.fromkeys(pressures, "pressure")}
@@ -338,8 +335,8 @@ def _trace(chain: str, one: Course) -> Trace:
     return Trace(name, "attitude", f"To phi {phi}, psi {psi}, chain {chain}", thin, quantities, marks)
 
 
-def _reference(one: Course) -> tuple[Array, Array]:
-    """What the attitude is to follow, at each sample: the goals through the law's two lags."""
+def _reference(one: Course) -> Array:
+    """What the attitude is to follow, at each sample: the goals through the law's two lags; shape (2, n) [rad]."""
     lags = Lags(float(one.law["reference_lag"]), (float(one.phi[0]), float(one.psi[0])))
     goals = [(float(begin), (float(phi), float(psi))) for begin, phi, psi in one.law["goals"]]
     start = float(one.law["t0"])
@@ -347,7 +344,7 @@ def _reference(one: Course) -> tuple[Array, Array]:
     for t, h in zip(one.trial.t, np.diff(one.trial.t, prepend=one.trial.t[0]), strict=True):
         goal = next((at for begin, at in reversed(goals) if t - start >= begin - 1e-9), goals[0][1])
         rows.append(lags.update(float(h), goal))
-    return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+    return np.array(rows).T
 
 
 def _open_share(one: Course, valve: str, t: Array, step: float) -> Array:
