@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import hypot
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -202,21 +202,22 @@ def _pooled(estimates: Sequence[Estimate], cycles: int) -> list[Estimate]:
     The scatter of two trials is small by chance once in a while; that of all is not. Where no pair was repeated, it is
     that of the `cycles`.
     """
-    found = list(estimates)
-    for symbol in {e.symbol for e in estimates}:
-        known = [e for e in estimates if e.symbol == symbol and e.value is not None and e.parts.repeats is not None]
-        several = [e for e in known if e.n > 1] or known
-        freedom = [e.n - 1 if e.n > 1 else cycles - 1 for e in several]
-        if sum(freedom) == 0:
-            continue
-        halves = np.array([e.parts.repeats for e in several])
-        deviations = halves * np.sqrt([e.n for e in several]) / student.ppf(0.975, np.array(freedom))
-        together = np.sqrt(np.average(np.square(deviations), weights=freedom)) * student.ppf(0.975, sum(freedom))
-        for place, e in enumerate(found):
-            if e.symbol == symbol and e.parts.repeats is not None:
-                repeats = max(e.parts.repeats, float(together / np.sqrt(e.n)))
-                found[place] = replace(e, parts=replace(e.parts, repeats=repeats))
-    return found
+    known = [e for e in estimates if e.value is not None and e.parts.repeats is not None]
+    least = {}
+    for symbol, group in grouped(known, lambda e: e.symbol).items():
+        several = [e for e in group if e.n > 1] or group
+        freedom = np.array([e.n - 1 if e.n > 1 else cycles - 1 for e in several])
+        if freedom.sum() > 0:
+            halves, n = (np.array(column) for column in zip(*((e.parts.repeats, e.n) for e in several), strict=True))
+            deviations = halves * np.sqrt(n) / student.ppf(0.975, freedom)
+            together = np.sqrt(np.average(deviations**2, weights=freedom))
+            least[symbol] = float(together * student.ppf(0.975, float(freedom.sum())))
+
+    def widened(e: Estimate) -> Estimate:
+        repeats = max(e.parts.repeats or 0.0, least.get(e.symbol, 0.0) / sqrt(e.n))
+        return e if e.parts.repeats is None else replace(e, parts=replace(e.parts, repeats=repeats))
+
+    return list(map(widened, estimates))
 
 
 def _map(cells: Cells, estimates: Sequence[Estimate]) -> Iterator[Trace]:

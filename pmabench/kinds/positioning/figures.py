@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import ceil
 from typing import TYPE_CHECKING
 
@@ -42,11 +43,9 @@ def positions(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Pict
     names = {"t": "t", "setpoint": "setpoint", "measured": "displacement"} | ({"model": "model"} if modelled else {})
     panels = []
     for trace in chosen:
-        scale = pictures.unit_of(trace, "displacement").scale
         base = pictures.panel(trace, names, pictures.head(trace))
-        panels.append(
-            plots.Panel(base.title, base.columns, {**base.marks, "setpoint": trace.marks["setpoint"] / scale})
-        )
+        aim = trace.marks["setpoint"] / pictures.unit_of(trace, "displacement").scale
+        panels.append(replace(base, marks={**base.marks, "setpoint": aim}))
     unit = pictures.unit_of(chosen[0], "displacement").unit
     labels = {
         "t": pictures.label(chosen[0], "t"),
