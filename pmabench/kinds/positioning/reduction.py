@@ -47,15 +47,15 @@ EARLY = 4.0
 BAND = 0.02
 """Band that counts as settled where the plan gives none."""
 MEASURES = {
-    "e_ss": ("1", "ratio", "error"),
-    "OS": ("1", "ratio", "overshoot"),
-    "t_r": ("s", "time", "rise"),
-    "t_s": ("s", "time", "settling"),
-    "IAE": ("m.s", "", "IAE"),
-    "x_pp": ("m", "length", "size"),
-    "T_c": ("s", "time", "period"),
+    "e_ss": (("1", "ratio"), "error"),
+    "OS": (("1", "ratio"), "overshoot"),
+    "t_r": (("s", "time"), "rise"),
+    "t_s": (("s", "time"), "settling"),
+    "IAE": (("m.s", ""), "IAE"),
+    "x_pp": (("m", "length"), "size"),
+    "T_c": (("s", "time"), "period"),
 }
-"""Symbol -> unit, quantity, and field of `Response`, or of its cycle, and of what is unsure of both."""
+"""Symbol -> unit and quantity, and field of `Response`, or of its cycle, and of what is unsure of both."""
 NOT_RISEN = "it does not come to 90 % of the set-point"
 NONE = {"t_s": "it does not stay in the band"}
 """Why there is no value of a measure."""
@@ -156,12 +156,12 @@ def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Describ
         response = respond_to(x, lag)
         values = _values(response, setpoint)
         in_time = changes(values, _values(respond_to(x, lag + late(run, CHANNEL)), setpoint))
+        calibration = of_one_channel(scaled, values, Scales.of([run]), CHANNEL)
     except ValueError as reason:
         raise NotUsable(str(reason)) from None
     # of e_ss nothing but what moves in the window, which is weighed for all trials together
-    seen = {symbol: 0.0 if symbol == "e_ss" else getattr(response.unsure, MEASURES[symbol][2]) for symbol in MEASURES}
+    seen = {symbol: getattr(response.unsure, field) for symbol, (_, field) in MEASURES.items()} | {"e_ss": 0.0}
     unsure = {symbol: hypot(seen[symbol], in_time[symbol]) for symbol in MEASURES}
-    calibration = of_one_channel(scaled, values, Scales.of([run]), CHANNEL)
     simulated = simulated_response = None
     if model is not None:
         simulated = closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
@@ -171,9 +171,9 @@ def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Describ
 
 def _values(response: Response, setpoint: float) -> dict[str, float | None]:
     """All measures of a response."""
-    sources = {symbol: response.cycle if symbol in CYCLE else response for symbol in MEASURES}
-    found = {symbol: getattr(of, MEASURES[symbol][2], None) for symbol, of in sources.items()}
-    return {**found, "e_ss": response.error / setpoint}
+    of_cycle = {symbol: getattr(response.cycle, MEASURES[symbol][1], None) for symbol in CYCLE}
+    found = {symbol: getattr(response, field) for symbol, (_, field) in MEASURES.items() if symbol not in CYCLE}
+    return {**found, "e_ss": response.error / setpoint, **of_cycle}
 
 
 def _steady(e: Estimate, members: Sequence[Hold]) -> Estimate:
@@ -200,17 +200,17 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
     names = tuple(hold.trial.name for hold in members)
     lacking = Scales.of([hold.run for hold in members]).lack((CHANNEL,), (CHANNEL,))
     found = []
-    for symbol, (unit, quantity, _) in MEASURES.items():
+    for symbol, (kind, _) in MEASURES.items():
         known = [(value, hold.calibration) for hold in members if (value := hold.values[symbol]) is not None]
         method = max(hold.unsure[symbol] for hold in members)
         scale = max((halves[symbol] for _, halves in known if halves is not None), default=None)
         if known:
-            kind, values = (unit, quantity), [value for value, _ in known]
+            values = [value for value, _ in known]
             e = mean_of_trials(symbol, kind, METHOD, at, names, values, method, scale, ALONE, lacking)
             found.append(_steady(e, members) if symbol == "e_ss" else e)
         elif symbol not in CYCLE:
             note, parts = NONE.get(symbol, NOT_RISEN), Parts(None, method)
-            found.append(Estimate(symbol, None, unit, quantity, METHOD, at, parts, note=note, trials=names))
+            found.append(Estimate(symbol, None, *kind, METHOD, at, parts, note=note, trials=names))
     apart = [
         smooth(h.t, h.x, lag_of(h.run, CHANNEL)).y - smooth(h.t, h.simulated).y
         for h in members
@@ -221,9 +221,8 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
         found.append(Estimate("e_sim", float(np.mean(rms)), "m", "length", SIMULATION, at, n=len(rms), trials=names))
     simulated = next((h.simulated_response for h in members if h.simulated_response is not None), None)
     for symbol, value in (_values(simulated, at["setpoint"]) if simulated is not None else {}).items():
-        unit, quantity, _ = MEASURES[symbol]
         if value is not None:
-            found.append(Estimate(symbol, value, unit, quantity, SIMULATION, at, n=1, note="a simulation"))
+            found.append(Estimate(symbol, value, *MEASURES[symbol][0], SIMULATION, at, n=1, note="a simulation"))
     return found
 
 
