@@ -209,14 +209,11 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
 
 def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> Rests:
     """Mean angles, torques and pressures of the later half of each rest, and what else the rests say."""
-    ramps = ramps_of(trial)
-    cycles = int(trial.point["cycles"])
     channels = [angle, torque, *(trial.channels[name] for name in MUSCLES)]
-    means = np.full((len(channels), cycles, 2, len(nominal)), np.nan)
+    means: dict[tuple[int, int], list[list[float]]] = {}
     holds: tuple[list[Held], list[Held]] = ([], [])
-    counts = {"rise": [0] * len(nominal), "fall": [0] * len(nominal)}
     noise, rough = 0.0, 0.0
-    for ramp, after in pairwise(ramps):
+    for ramp, after in pairwise(ramps_of(trial)):
         at = np.flatnonzero(np.abs(nominal - ramp.value) < 1e-9)
         if not len(at):
             continue
@@ -225,18 +222,20 @@ def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> Res
         rows = (trial.t >= late) & (trial.t < after.t) & trial.usable
         if rows.sum() < LEAST_SAMPLES:
             raise NotUsable(f"fewer than {LEAST_SAMPLES} samples in the later half of a rest")
-        cycle, n = counts[ramp.phase][at[0]], int(at[0])
-        counts[ramp.phase][n] += 1
         side = 0 if ramp.phase == "rise" else 1
-        means[:, cycle, side, n] = [values[rows].mean() for values in channels]
+        means.setdefault((side, int(at[0])), []).append([float(values[rows].mean()) for values in channels])
         whole = (trial.t >= begin + SKIPPED * (after.t - begin)) & (trial.t < after.t) & trial.usable
         holds[side].append(Held.of(trial.t[whole], torque[whole], late))
         noise = max(noise, noise_of(torque[rows]) / float(np.sqrt(rows.sum())))
         rough = max(rough, float(torque[rows].std()))
-    if not np.isfinite(means).all():
+    each = [[means.get((side, n), []) for n in range(len(nominal))] for side in (0, 1)]
+    cycles = int(trial.point["cycles"])
+    if any(len(one) != cycles for branch in each for one in branch) or not np.isfinite(each).all():
         raise NotUsable("not every angle was reached from both sides in every cycle")
+    angles, torques, *pressures = np.transpose(each, (3, 2, 0, 1))
     step = step_of(torque[trial.usable])
-    return Rests(means[0], means[1], means[2:], holds, noise, step if rough < DITHERED * step < np.inf else 0.0)
+    coarse = step if rough < DITHERED * step < np.inf else 0.0
+    return Rests(angles, torques, np.array(pressures), holds, noise, coarse)
 
 
 def _elsewhere(places: Array, nominal: Array) -> str:
