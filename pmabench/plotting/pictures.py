@@ -196,9 +196,9 @@ def head(trace: Trace) -> str:
     return clean(trace.title.partition(":")[0], 60)
 
 
-def how_many(shown_traces: Sequence[Trace], all_traces: Sequence[Trace]) -> str:
+def how_many(chosen: Sequence[object], able: Sequence[object]) -> str:
     """A sentence where not all are shown."""
-    return f" {len(shown_traces)} of {len(all_traces)} are shown." if len(shown_traces) < len(all_traces) else ""
+    return f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
 
 
 def bound(draw: Callable[..., Figure], *arguments: object) -> Callable[[], Figure]:

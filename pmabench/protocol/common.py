@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
@@ -91,6 +93,14 @@ class Compilation:
         if problem not in self.problems:
             self.problems.append(problem)
 
+    @contextmanager
+    def noting(self, location: Location) -> Iterator[None]:
+        """What a `ValueError` says in words becomes a problem at a place of the protocol."""
+        try:
+            yield
+        except ValueError as error:
+            self.fault(location, str(error))
+
     def within(self, output: str, value: float, location: Location) -> None:
         """Check a value to be commanded against the active limits."""
         record = self.mounted.bench.commanded.get(output)
@@ -124,6 +134,19 @@ class Compilation:
         """Check a duration, rate or count that must be above zero."""
         if not value > 0:
             self.fault(location, "must be above zero")
+
+    def inside_hold(self, window: tuple[float, float], hold: float) -> None:
+        """Check the part of a trial's hold that is looked at."""
+        if not 0 <= window[0] < window[1] <= hold:
+            self.fault(("trial", "window"), "must rise and lie inside the hold")
+
+    def controls(self, outputs: Iterable[str], ends: tuple[float, float]) -> None:
+        """Check the range that a controller's commands cannot leave."""
+        for name in outputs:
+            for number, end in enumerate(ends):
+                self.within(name, end, ("controller", "output", number))
+        if not ends[0] < ends[1]:
+            self.fault(("controller", "output"), "must rise")
 
     def load(self, written: tuple[str, float], location: Location) -> dict[str, float]:
         """F_L [N] and moving mass [kg] of a load written as mass or force."""
@@ -209,6 +232,14 @@ class Compilation:
                     self.steps.append(Hold("precondition", cycles.hold))
         if rest:
             self.steps.append(Hold("precondition", rest))
+
+    def add_trial(self, values: dict[str, float], repeat: int) -> int:
+        """Add a trial at an operating point [SI], after the preparation where it is the first; its index."""
+        index = len(self.trials)
+        if index == 0:
+            self.precondition()
+        self.trials.append(TrialRecord(index, values, repeat))
+        return index
 
     def needs_bench(self) -> None:
         """Check free end and channels."""

@@ -4,12 +4,12 @@ A muscle that is stretched loses volume. What its regulator cannot let out in ti
 equation), which is compared with what the bench and the muscle bear. Predicted with the bench's `air: conductance`;
 where that is not given, a fast motion counts as closed.
 
-For a joint of two muscles also the names of its pressures, what its drive can do, and the way out.
+For a joint of two muscles also the names of its pressures, what its drive can do, and the steps of a trial.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, cos, inf, pi, sin, tan
 
@@ -17,7 +17,7 @@ from pmabench.base.quantities import show
 from pmabench.bench.files.specimen import ExpectedFile
 from pmabench.files.document import Location
 from pmabench.protocol.common import Compilation
-from pmabench.protocol.plan import Hold, Ramp, Set, Step
+from pmabench.protocol.plan import Hold, Ramp, Record, Set, Step
 
 ARRIVED = 1.0
 """Rest after the approach [s]."""
@@ -258,6 +258,21 @@ def _down(value: float) -> float:
 
 
 MUSCLES = ("pressure_1", "pressure_2")
+
+
+def at_pressures(
+    pressures: Mapping[str, float], settle: float, lowest: float, speed: float, index: int, cycles: Iterable[Step]
+) -> list[Step]:
+    """A recorded trial of a joint: both muscles to pressure at angle 0, to the lowest angle, `cycles`, back to 0."""
+    return [
+        *(Set("pressurise", name, pressures[name]) for name in MUSCLES),
+        Hold("pressurise", settle),
+        Ramp("approach", "angle", 0.0, lowest, speed),
+        Record("rise", True, index),
+        *cycles,
+        Record("fall", False, index),
+        Ramp("return", "angle", lowest, 0.0, speed),
+    ]
 
 
 def vented() -> list[Step]:

@@ -6,7 +6,7 @@
 - `isometric_lines` (F over P at a contraction), `ramp_loop` (loops of a driven end, or of a joint), `sine_loop`,
   `oscillation` (swings of a signal), `smoothing` (noise and the filter of a sensor off a signal, and its peaks),
   `response` (one step of a set-point), `simulated` (a model run next to a trial)
-- `joint_commands` (a joint that is not where, or not at the pressures, that were commanded)
+- `joint` (what sweeps and locked torques of a joint share: turns, play, commands that are not kept)
 - `form` (whether trials follow the form of a value), `calibration` (what the channels' uncertainties do to a result),
   `skew` (what clocks apart do), `turn_times` (whether motion and force turn at one moment)
 """

@@ -6,14 +6,16 @@ reading [SI of the channel], and a gain, a share of the reading: true value = (1
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import hypot, sqrt
 
 from pmabench.store.records import RunData
 
 Sensitivities = Mapping[str, float]
 """Channel -> change of a result."""
+Values = Mapping[str, float | None]
+"""Symbol -> value; None where there is none."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,29 @@ class Scales:
         """Channels without a known uncertainty."""
         known = {*(set(gains) & set(self.gains)), *(set(offsets) & set(self.offsets))}
         return [name for name in dict.fromkeys((*gains, *offsets)) if name not in known]
+
+
+def changes(now: Values, *others: Values) -> dict[str, float]:
+    """The largest change of each value to one of `others`; 0 where one of the two is not known."""
+    pairs = {name: [(value, other[name]) for other in others] for name, value in now.items()}
+    return {
+        name: max((abs(a - b) for a, b in both if a is not None and b is not None), default=0.0)
+        for name, both in pairs.items()
+    }
+
+
+def of_one_channel(
+    values: Callable[[float, float], Values], now: Values, scales: Scales, channel: str
+) -> dict[str, float] | None:
+    """Half widths that the scale of one channel gives to several values, not to first order; None where it is unknown.
+
+    `values` gives them for a channel with another offset [SI] and gain [1]. Each changes to the further end of either
+    uncertainty, and both add as squares.
+    """
+    offset, gain = scales.offsets.get(channel, 0.0), scales.gains.get(channel, 0.0)
+    causes = [(more, share) for more, share in ((offset, 0.0), (0.0, gain)) if more or share]
+    each = [changes(now, values(-more, -share), values(more, share)) for more, share in causes]
+    return {name: hypot(*(one[name] for one in each)) for name in now} if each else None
 
 
 def listed(names: Sequence[str]) -> str:

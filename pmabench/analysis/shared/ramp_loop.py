@@ -9,7 +9,7 @@ between ends `lower` and `upper` with E = exp(-(upper - lower)/w), and d1, d2 th
 What the muscle does without hysteresis is not in the gap, so h and w are found whatever it is.
 
 Knows one trial of slow ramps; no campaign and no fit over pressure or speed. A joint's torque over its angle is the
-same with other `Axes`: its torque falls while the angle rises as the force does while the muscle contracts.
+same with other `Axes`: its torque falls while the angle rises as the force does while the muscle contracts (`joint`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from math import radians
 from typing import Any
 
 import numpy as np
@@ -398,38 +397,3 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
     """Slope of the mean curve of one trial with its sign changed [N/m]; raises `NotUsable`."""
     loop = measure_as_planned(run, trial, {})
     return -float(np.polyfit(loop.x, loop.mean.mean(axis=0), 1)[0])
-
-
-MUSCLES = ("pressure_1", "pressure_2")
-AXES = Axes("angle", "torque", MUSCLES, "rise", "fall")
-CUT = 3.0
-"""So many w after a turn a branch is itself: 5 % of the turn are left."""
-NOT_SEEN = 4.0
-"""A gap below so many times the noise of its points counts as none."""
-SMALLEST = radians(10)
-"""Half a sweep that shows no gap must be as wide [rad]: in a smaller one the gap of any hysteresis is below the noise,
-and its branches are three times as steep all the same. Turns of braided muscles fade on 0.5 to 2 % of contraction."""
-BY_PRESSURE = 1.5
-"""The stiffness may change by so many times its share with the pressures: rubber takes a part of it away."""
-
-
-def refuse_turns(turns: Turns | None, half: float, gap: float, noise: float) -> None:
-    """Raise `NotUsable` for a gap [N m] of the wrong sign, or one that is never open within +-`half` [rad].
-
-    `noise` is that of a point of the gap [N m].
-    """
-    seen = gap / NOT_SEEN
-    if seen < -noise:
-        raise NotUsable(
-            "the torque is larger while the angle rises, and no muscles give work back like that: look for a wrong "
-            "sign, or angle and torque that are apart in time"
-        )
-    why = ""
-    if turns is None and seen > noise:
-        why = "its branches are never parallel, and their slope is that of the turns, not the stiffness; "
-        why += "sweep at least three times as far, or look for a filter on the torque"
-    elif turns is None and half < SMALLEST:
-        why = "it shows no gap, and may be three times as steep as the joint is stiff; sweep at least "
-        why += f"+-{show(SMALLEST, 'angle', 3)}"
-    if why:
-        raise NotUsable(f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: {why}")

@@ -197,14 +197,7 @@ def cycle_of(t: Array, x: Array, smallest: float, lag: float = 0.0) -> Cycle | N
 
 def _upward(x: Array, middle: float, hysteresis: float) -> list[int]:
     """Indices at which `x` comes through `middle` upwards, each after it was `hysteresis` below and before above."""
-    found: list[int] = []
-    below, crossing = False, -1
-    for i, value in enumerate((x - middle).tolist()):
-        if value < 0:
-            below, crossing = below or value < -hysteresis, -1
-        elif below:
-            crossing = i if crossing < 0 else crossing
-            if value > hysteresis:
-                found.append(crossing)
-                below = False
-    return found
+    far = np.flatnonzero(np.abs(x - middle) > hysteresis)
+    above = x[far] > middle
+    reached, below = far[1:][above[1:] & ~above[:-1]], np.flatnonzero(x < middle)
+    return [int(place) + 1 for place in below[np.searchsorted(below, reached) - 1]]

@@ -110,15 +110,21 @@ FINE = 1e-3
 """Steps up to this share of a swing change nothing."""
 
 
+def lag_of(run: RunData, channel: str) -> float:
+    """Declared time constant of the sensor of a channel [s], 0 where none is declared."""
+    info = run.channels.get(channel)
+    return 0.0 if info is None else info.sensor_lag
+
+
 def lags_of(run: RunData, trial: TrialData) -> dict[str, float]:
     """Channel of the trial -> declared time constant of its sensor [s], 0 where none is declared."""
-    return {name: run.channels[name].sensor_lag if name in run.channels else 0.0 for name in trial.channels}
+    return {name: lag_of(run, name) for name in trial.channels}
 
 
 def lag_open(run: RunData, channel: str) -> float:
     """By how much the declared time constant of a sensor may be off [s], or what it may be where none is declared."""
-    info = run.channels.get(channel)
-    return LAG_KNOWN * info.sensor_lag if info is not None and info.sensor_lag > 0 else UNDECLARED
+    lag = lag_of(run, channel)
+    return LAG_KNOWN * lag if lag > 0 else UNDECLARED
 
 
 def count_of(run: RunData, channel: str) -> float:
@@ -163,7 +169,7 @@ def rounded(y: Array, step: float, channel: int = 0) -> Array:
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:
     """A channel without the lag of its sensor, which along a ramp shows what was there one lag ago; NaN if missing."""
     values = trial.channels.get(name, np.full(trial.t.shape, np.nan))
-    lag = lags_of(run, trial).get(name, 0.0)
+    lag = lag_of(run, name)
     return np.interp(trial.t + lag, trial.t, values) if lag else values
 
 

@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from pmabench.analysis.shared.calibration import listed, sentences
+from pmabench.analysis.shared.samples import lag_open
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -36,6 +37,11 @@ def off(runs: Iterable[RunData], channel: str) -> float:
     streams = [(run, run.channels[channel].stream) for run in runs if channel in run.channels]
     bounds = [run.clocks[stream].uncertainty for run, stream in streams if stream in run.clocks]
     return round(max(bounds, default=0.0), 9)
+
+
+def late(run: RunData, channel: str) -> float:
+    """What is open of the time between a channel and the commands [s]: the filter of its sensor, and its clock."""
+    return lag_open(run, channel) + off([run], channel)
 
 
 def causes(runs: Iterable[RunData], channels: Sequence[str]) -> dict[tuple[str, ...], float]:

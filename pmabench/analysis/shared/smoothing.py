@@ -53,16 +53,10 @@ class Smooth:
         can make it.
         """
         at = int(np.argmax(self.y))
-        heights = self.fitted[:, max(0, at - self.reach) : at + self.reach + 1].max(axis=1).tolist()
-        open_ = [(SURE + 1) * gain * noise for gain in self.gains]
-        alike = (
-            height
-            for row, height in enumerate(heights)
-            if all(
-                abs(height - other) <= most for other, most in zip(heights[row + 1 :], open_[row + 1 :], strict=True)
-            )
-        )
-        return float(next(alike))
+        heights = self.fitted[:, max(0, at - self.reach) : at + self.reach + 1].max(axis=1)
+        alike = np.abs(heights[:, None] - heights) <= (SURE + 1) * noise * np.array(self.gains)
+        longer_or_itself = np.tri(len(heights), dtype=bool)
+        return float(heights[np.argmax((alike | longer_or_itself).all(axis=1))])
 
 
 def smooth(t: Array, y: Array, lag: float = 0.0) -> Smooth:

@@ -71,7 +71,7 @@ def half_width(se: float | None, freedom: int) -> float | None:
     return None if se is None or freedom < 1 else float(ppf(0.975, freedom)) * se
 
 
-def mean_with_half(values: Sequence[float]) -> tuple[float, float | None]:
+def mean_with_half(values: Sequence[float] | Array) -> tuple[float, float | None]:
     """Mean and its 95 % half width."""
     array = np.array(values)
     se = float(array.std(ddof=1)) / sqrt(len(array)) if len(array) > 1 else None

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.imported import in_time
+from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import POINT_QUANTITIES, Dropped, Finding, Trace
+from pmabench.store.analyses.results import POINT_QUANTITIES, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 Members = list[tuple[RunData, TrialData]]
@@ -100,6 +101,19 @@ def mean_over_sessions(values: Sequence[float] | Array, sessions: Sequence[str])
     None in place of the half width where there are fewer than two values.
     """
     return mean_with_half([float(value) for value in by_session(values, sessions)])
+
+
+def mean_of_trials(
+    symbol: str, kind: tuple[str, str], method: str, at: Mapping[str, float], trials: tuple[str, ...],
+    values: Sequence[float] | Array, extra: float | None, calibration: float | None, once: str, more: str = "",
+) -> Estimate:  # fmt: skip
+    """The mean of one value of each trial, in `kind`: unit and quantity; half width by their scatter.
+
+    `extra` is its method part. `once` notes that there is no scatter of one trial, `more` anything else.
+    """
+    mean, half = mean_with_half(values)
+    note, parts = sentences(once if half is None else "", more), Parts(half, extra, calibration)
+    return Estimate(symbol, mean, *kind, method, at, parts, len(values), note=note, trials=trials)
 
 
 DOUBTED = 0.02

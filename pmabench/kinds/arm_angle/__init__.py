@@ -1,6 +1,6 @@
 """The bending angle of an arm of muscles over pressure and load.
 
-- `reduction`, on `stairs` with what departures do, one of which is `creep`
+- `reduction`, on `stairs` (the rests, and creep) with what `departures` do
 - protocol files: `protocol`; words, figures and one trial on the display: `figures`
 """
 

@@ -2,7 +2,7 @@
 
 The figure: bending angle over pressure at each load, what paper 2 has, and how far both ways are apart.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle.stairs import Loaded, zero_off
+from pmabench.kinds.arm_angle.departures import POWERS, zero_off
+from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, column, has, how_many, label, numbers, panel, picture, spread
@@ -51,7 +52,7 @@ APART = 0.02
 
 
 def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Finding]:
-    """What catches the eye in the angles themselves."""
+    """Findings on the angles alone: their direction, drift, bend at the preload, hysteresis and zeros."""
     if not loads:
         return []
     rests = [(stair, rest) for one in loads for stair in one.stairs for rest in stair.rests]
@@ -75,7 +76,7 @@ def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Findi
     if (worst := max(loads, key=lambda one: abs(one.zero))).zero:
         found.append(Finding("doubt", zero_off(worst)))
     if (worst := max(loads, key=lambda one: abs(one.apart))).apart:
-        text = f"with {worst.mass:g} kg the displacement tells {show(worst.apart, 'angle', 2)} more than the angle"
+        text = f"with {worst.mass:g} kg the displacement gives {show(worst.apart, 'angle', 2)} more than the angle"
         text += " at all pressures alike: one of their zeros is off. Zero both with the arm straight"
         found.append(Finding("doubt", text))
     if settings.get("angle") != "from-displacement":
@@ -106,7 +107,7 @@ def _arcs(rests: Sequence[Any], largest: float, settings: Mapping[str, Any]) -> 
     off = pairs[:, 1] - pairs[:, 0]
     most = float(off[np.argmax(np.abs(off))])
     radius = show(float(settings["radius"]), "length", 3)
-    text = f"the displacement of the bending muscle by its radius of {radius} tells"
+    text = f"the displacement of the bending muscle by its radius of {radius} gives"
     if abs(most) <= max(APART * largest, np.radians(0.5)):
         return [Finding("note", f"{text} the same angle within {show(max(abs(most), SAME), 'angle', 2)}")]
     way = "the arm is no arc of one curvature, its middle is pressed together, or the radius is another"
@@ -152,27 +153,21 @@ def left_out(fits: Sequence[Fitted]) -> tuple[float, float] | None:
     The cubics are monotone, through the angles of the other loads at the same commanded pressure. None for fewer than
     six loads.
     """
-    powers = 4
-    if len(fits) < powers + 2:
+    if len(fits) < POWERS + 1:
         return None
     w = np.array([one.of.mass for one in fits])
     known = np.array([[u.value for u in one.up.unknowns] for one in fits if one.up is not None])
+    angles = [dict(zip(one.of.sets, one.of.up.mean(axis=0).tolist(), strict=True)) for one in fits]
+    shared = [P for P in fits[0].of.sets if all(P in one for one in angles)]
     by_powers, by_cubics = [0.0], [0.0]
     for i in range(1, len(fits) - 1):
-        rest = np.arange(len(fits)) != i
-        one, others = fits[i].of, [fits[k].of for k in range(len(fits)) if k != i]
-        polynomial = np.polynomial.polynomial
-        a, b, c, d = (
-            float(polynomial.polyval(w[i], polynomial.polyfit(w[rest], column, powers))) for column in known[rest].T
-        )
-        measured = one.up.mean(axis=0)
-        able = c > 0 and d > 0
-        by_powers.append(
-            float(np.abs(a + b / (1 + (one.pressure / c) ** d) - measured).max()) if able else float("inf")
-        )
-        for P in (P for P in one.sets if all(P in other.sets for other in others)):
-            there = [float(other.up.mean(axis=0)[other.sets.index(P)]) for other in others]
-            by_cubics.append(abs(float(PchipInterpolator(w[rest], there)(w[i])) - float(measured[one.sets.index(P)])))
+        rest, one = np.arange(len(fits)) != i, fits[i].of
+        a, b, c, d = np.polyval(np.polyfit(w[rest], known[rest], POWERS - 1), w[i]).tolist()
+        miss = a + b / (1 + (one.pressure / c) ** d) - one.up.mean(axis=0) if c > 0 and d > 0 else np.inf
+        by_powers.append(float(np.abs(miss).max()))
+        at_shared = np.array([[angle[P] for P in shared] for angle in angles])
+        cubics = PchipInterpolator(w[rest], at_shared[rest])(w[i])
+        by_cubics.append(float(np.abs(cubics - at_shared[i]).max(initial=0.0)))
     return max(by_powers), max(by_cubics)
 
 
@@ -298,7 +293,7 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Angle at the preload, the largest one, and by how much both ways are apart at most."""
     try:
-        stair = stair_of(run, trial, settings_of(run))
+        stair = stair_of(trial, settings_of(run))
     except NotUsable as reason:
         return [Measured("alpha_0", "angle", None), Measured("alpha_max", "angle", None)], [str(reason)]
     sets = [rest.set for rest in stair.rests if rest.side < 0]

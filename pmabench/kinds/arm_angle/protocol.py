@@ -16,7 +16,7 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Load, Pressure, PressureRate, Time
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step
 from pmabench.protocol.sweep import PressureAxis, PressureRange, Sweep, expand
 
 LEAST = 0.5
@@ -83,11 +83,7 @@ class ArmAngle(ProtocolHead):
             if c.problems or c.too_long():
                 continue
             c.put_on(load, also=others)
-            index = len(c.trials)
-            if index == 0:
-                c.precondition()
-            c.trials.append(TrialRecord(index, {"tip_mass": mass}, point.repeat))
-            c.steps += _steps(trial, pressures, index)
+            c.steps += _steps(trial, pressures, c.add_trial({"tip_mass": mass}, point.repeat))
         c.hazards.append(HAZARD)
         settings = {"preload": trial.preload, "angle": trial.angle, "radius": trial.radius, "compare": self.compare}
         return c.plan("arm-angle", settings)

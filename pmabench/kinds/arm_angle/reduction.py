@@ -10,16 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit, fit_model
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
-from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import settings_of
+from pmabench.analysis.shared.trials import mean_of_trials
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle import RESULTS, figures, stairs
-from pmabench.kinds.arm_angle.stairs import Loaded, loads_of
+from pmabench.kinds.arm_angle import RESULTS, departures, figures
+from pmabench.kinds.arm_angle.stairs import Loaded, channel_of, flat_from, loads_of
 from pmabench.model.library import MODELS
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData
@@ -31,8 +30,6 @@ FORM, FORM_LOADS = "arm-angle-at-load", "arm-angle-coefficients"
 """Models of the library."""
 UNKNOWN = ("a", "b", "c", "d")
 UNITS = {"angle": "rad", "pressure": "Pa", "count": "1"}
-NEAR = np.radians(1.0)
-"""How near to the largest angle the curve counts as flat [rad]."""
 ONCE = "no repeats part: one repeat only"
 RESIDUALS = "repeats part: residuals of the fit, or the scatter of the trials where that is larger"
 
@@ -57,11 +54,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     settings = settings_of(runs[0], options) if runs else dict(options or {})
     compare = settings.get("compare") == "paper-2"
     loads, dropped = loads_of(runs, settings)
-    scales, channel = Scales.of(runs), "displacement" if settings.get("angle") == "from-displacement" else "angle"
     fits = [_fitted(one) for one in loads]
     matrix, why = _matrix(fits)
-    estimates = [estimate for one in fits for estimate in _of_load(one, channel)]
-    powers = _coefficients(matrix, why, MATRIX, {}, [one.of for one in fits if one.up is not None], channel)
+    estimates = [estimate for one in fits for estimate in _of_load(one)]
+    powers = _coefficients(matrix, why, MATRIX, {}, [one.of for one in fits if one.up is not None])
     other = next((e.note for e in estimates if e.withheld and e.method == UP), "")
     estimates += [withhold(e, other) if other and e.value is not None else e for e in powers]
     findings = [
@@ -70,7 +66,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *figures.of_matrix(matrix, why, fits),
         *(figures.of_paper(fits) if compare else []),
     ]
-    if estimates and (lacking := scales.lack((channel, "pressure"))):
+    if estimates and (lacking := Scales.of(runs).lack((channel_of(settings), "pressure"))):
         findings.append(Finding("note", lacking))
     return Analysis.of(
         KIND,
@@ -89,41 +85,45 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _of_load(fitted: Fitted, channel: str) -> list[Estimate]:
-    """The values of one load; `channel` gives the angle."""
-    one, scales = fitted.of, fitted.of.scales
-    at, names = {"tip_mass": one.mass}, tuple(stair.trial.name for stair in one.stairs)
+def _of_load(fitted: Fitted) -> list[Estimate]:
+    """The values of one load."""
+    one = fitted.of
+    at, names, channel = {"tip_mass": one.mass}, tuple(stair.trial.name for stair in one.stairs), one.channel
     slope, largest = _slopes(one.pressure, one.mean), float(np.abs(one.mean).max())
     exact = "the radius is taken as exact" if channel == "displacement" else ""
 
-    def made(symbol: str, values: Array, method: float, note: str, gains: Any, offsets: Any = None) -> Estimate:
-        """Mean of the trials' `values` [rad]; `method` is its part; gains and offsets as `Scales.part` takes them."""
-        half = spread(values)
-        parts = Parts(half, method, scales.part(gains, offsets))
-        note = sentences("" if half is not None else ONCE, note)
-        value = float(values.mean())
-        return Estimate(symbol, value, "rad", "angle", REST, at, parts, len(values), note=note, trials=names)
+    def made(
+        symbol: str, values: Array, method: float, gains: Mapping[str, float],
+        offsets: Mapping[str, float] | None = None, note: str = "", kind: tuple[str, str] = ("rad", "angle"),
+    ) -> Estimate:  # fmt: skip
+        """Mean of the trials' `values`; `method` is its part; gains and offsets as `Scales.part` takes them."""
+        part = one.scales.part(gains, offsets)
+        return mean_of_trials(symbol, kind, REST, at, names, values, method, part, ONCE, note)
 
     def angle(symbol: str, place: int, method: float) -> Estimate:
-        values = one.up[:, place]
-        gains = {channel: float(values.mean()), "pressure": float(slope[place] * one.pressure[place])}
-        e = made(symbol, values, method, exact, gains, {channel: _per(one, channel), "pressure": float(slope[place])})
-        return weighed(e, stairs.at_rest(one, place, float(slope[place])), largest)
+        values, by_pressure = one.up[:, place], float(slope[place])
+        gains = {channel: float(values.mean()), "pressure": by_pressure * float(one.pressure[place])}
+        e = made(symbol, values, method, gains, {channel: one.per_offset, "pressure": by_pressure}, exact)
+        return weighed(e, departures.at_rest(one, place, by_pressure), largest)
 
     top, widest = int(np.argmax(one.up.mean(axis=0))), one.widest
     side = 0.0 if widest is None else 0.5 * float(np.abs(one.gaps[:, widest].mean()))
-    found = [angle("alpha_0", 0, 0.0), angle("alpha_max", top, side), _flat(one, top, names)]
+    found = [angle("alpha_0", 0, 0.0), angle("alpha_max", top, side)]
+    P, flat = one.pressure[: top + 1], ("Pa", "pressure")
+    each = [from_ for row in one.up if (from_ := flat_from(P, row[: top + 1])) is not None]
+    if len(each) < len(one.up):
+        note = "the angle at the preload is within 1 deg of the largest"
+        found.append(Estimate("P_flat", None, *flat, REST, at, n=len(one.up), note=note, trials=names))
+    else:
+        value, coarse = float(np.mean(each)), 0.1 * float(np.diff(P).max()) / 2
+        e = made("P_flat", np.array(each), coarse, {"pressure": value}, {"pressure": 1.0}, kind=flat)
+        found.append(weighed(e, departures.of_flat(one, top, value)))
     if widest is not None:
         gap = float(one.gaps[:, widest].mean())
-        e = made("alpha_H", one.gaps[:, widest], 0.0, "", {channel: gap})
-        found.append(weighed(e, stairs.of_gap(one, widest, gap)))
-    found += _coefficients(fitted.up, fitted.why, UP, at, [one], channel)
-    return found + (_coefficients(fitted.mean, fitted.why, MEAN, at, [one], channel) if one.both else [])
-
-
-def _per(one: Loaded, channel: str) -> float:
-    """Change of the angle with the offset of the channel that gives it [rad per its unit]."""
-    return 1.0 / one.radius if channel == "displacement" else 1.0
+        e = made("alpha_H", one.gaps[:, widest], 0.0, {channel: gap})
+        found.append(weighed(e, departures.of_gap(one, widest, gap)))
+    found += _coefficients(fitted.up, fitted.why, UP, at, [one])
+    return found + (_coefficients(fitted.mean, fitted.why, MEAN, at, [one]) if one.both else [])
 
 
 def _slopes(P: Array, angle: Array) -> Array:
@@ -131,34 +131,6 @@ def _slopes(P: Array, angle: Array) -> Array:
     if len(P) > 1 and (np.diff(P) > 0).all():
         return np.asarray(np.gradient(angle, P))
     return np.full(len(P), np.ptp(angle) / np.ptp(P) if len(P) > 1 else 0.0)
-
-
-def _flat(one: Loaded, top: int, names: tuple[str, ...]) -> Estimate:
-    """The pressure from which on the way up stays within 1 deg of its largest angle, by monotone cubics."""
-    each = [found for row in one.up if (found := flat_from(one.pressure[: top + 1], row[: top + 1])) is not None]
-    at = {"tip_mass": one.mass}
-    if len(each) < len(one.up):
-        note = "the angle at the preload is within 1 deg of the largest"
-        return Estimate("P_flat", None, "Pa", "pressure", REST, at, n=len(one.up), note=note, trials=names)
-    value, half = float(np.mean(each)), spread(each)
-    note = "" if half is not None else ONCE
-    coarse = 0.1 * float(np.diff(one.pressure[: top + 1]).max()) / 2
-    parts = Parts(half, coarse, one.scales.part({"pressure": value}, {"pressure": 1.0}))
-    e = Estimate("P_flat", value, "Pa", "pressure", REST, at, parts, len(each), note=note, trials=names)
-    return weighed(e, stairs.of_flat(one, top, value, flat_from))
-
-
-def flat_from(P: Array, angle: Array) -> float | None:
-    """The last pressure [Pa] at which `angle` [rad], whose largest is its last, is `NEAR` below that; None if never."""
-    low = np.flatnonzero(angle < angle[-1] - NEAR)
-    if not len(low):
-        return None
-    left, right = float(P[low[-1]]), float(P[low[-1] + 1])
-    curve = PchipInterpolator(P, angle)
-    for _ in range(50):
-        middle = 0.5 * (left + right)
-        left, right = (middle, right) if float(curve(middle)) < angle[-1] - NEAR else (left, middle)
-    return 0.5 * (left + right)
 
 
 # -- paper 2's form ------------------------------------------------------------------------------------------------
@@ -190,8 +162,8 @@ def _fit(P: Array, angle: Array) -> ModelFit:
 def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
     """Paper 2's 20 numbers: the coefficients as powers of the load, through the ways up of all loads at once."""
     used = [(one.of, one.up) for one in fits if one.up is not None]
-    if len(used) < stairs.POWERS:
-        return None, f"no powers of the load: {len(used)} loads with a fit, {stairs.POWERS} are needed"
+    if len(used) < departures.POWERS:
+        return None, f"no powers of the load: {len(used)} loads with a fit, {departures.POWERS} are needed"
     model = MODELS[FORM_LOADS]
     w = np.array([one.mass for one, _ in used])
     most = next(p.high for p in model.parameters if p.name == "load")
@@ -199,7 +171,7 @@ def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
         return None, f"no powers of the load: they hold up to {most:g} kg"
     start: dict[str, float] = {}
     for i, row in enumerate(UNKNOWN):
-        powers = np.polynomial.polynomial.polyfit(w, [up.unknowns[i].value for _, up in used], stairs.POWERS - 1)
+        powers = np.polynomial.polynomial.polyfit(w, [up.unknowns[i].value for _, up in used], departures.POWERS - 1)
         start |= {f"{row}_{n}": float(power) for n, power in enumerate(powers)}
     columns = {
         "pressure": np.concatenate([np.clip(one.pressure, 0.0, figures.HIGHEST) for one, _ in used]),
@@ -213,13 +185,13 @@ def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
 
 
 def _coefficients(
-    fit: ModelFit | None, why: str, method: str, at: Mapping[str, float], loads: Sequence[Loaded], channel: str
+    fit: ModelFit | None, why: str, method: str, at: Mapping[str, float], loads: Sequence[Loaded]
 ) -> list[Estimate]:
     """The coefficients of a fit, those without an interval as not identifiable."""
     model = MODELS[FORM_LOADS if method == MATRIX else FORM]
     quantities = {p.name: p.quantity for p in model.parameters}
     names = tuple(stair.trial.name for one in loads for stair in one.stairs)
-    by_scales = dict.fromkeys(model.fitted) if fit is None else _by_scales(fit, loads, channel)
+    by_scales = dict.fromkeys(model.fitted) if fit is None else _by_scales(fit, loads)
     found = []
     for name in model.fitted:
         unit = UNITS[quantities[name]]
@@ -236,20 +208,20 @@ def _coefficients(
     if fit is None:
         return found
     if method == MATRIX:
-        return stairs.of_loads(found, loads)
-    return stairs.of_fit(found, loads[0], [u.value for u in fit.unknowns], both=method == MEAN)
+        return departures.of_loads(found, loads)
+    return departures.of_fit(found, loads[0], [u.value for u in fit.unknowns], both=method == MEAN)
 
 
-def _by_scales(fit: ModelFit, loads: Sequence[Loaded], channel: str) -> dict[str, float | None]:
+def _by_scales(fit: ModelFit, loads: Sequence[Loaded]) -> dict[str, float | None]:
     """Calibration part of each coefficient.
 
     The gain of the angle stretches a and b, its zero lifts a; the gain of the pressure moves c, its zero bends all.
     """
     values = {u.name: u.value for u in fit.unknowns}
-    shifts = stairs.per_pascal(loads, np.reshape(list(values.values()), (len(UNKNOWN), -1))).tolist()
-    found = {}
-    for (name, value), shift in zip(values.items(), shifts, strict=True):
+    _, shifts = departures.linearized(loads, np.reshape(list(values.values()), (len(UNKNOWN), -1)))
+    found, channel = {}, loads[0].channel
+    for (name, value), shift in zip(values.items(), shifts.tolist(), strict=True):
         gains = {channel: value if name[0] in "ab" else 0.0, "pressure": value if name[0] == "c" else 0.0}
-        lifted = _per(loads[0], channel) if name in ("a", "a_0") else 0.0
+        lifted = loads[0].per_offset if name in ("a", "a_0") else 0.0
         found[name] = loads[0].scales.part(gains, {channel: lifted, "pressure": shift})
     return found

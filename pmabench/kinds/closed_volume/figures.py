@@ -1,6 +1,6 @@
 """Figure of a closed volume: V over contraction from each start pressure, and the curve through all.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Pressure, Speed, Time, Volume
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import Tube, arrive, leave, not_too_fast
-from pmabench.protocol.plan import Hold, Plan, Record, Seek, TrialRecord
+from pmabench.protocol.plan import Hold, Plan, Record, Seek
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 
 ROOM = (50e3, 110e3)
@@ -124,21 +124,19 @@ class ClosedVolume(ProtocolHead):
         volume, half = self._reference(c)
         room, room_half = self._room(c)
         at: float | None = None
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             pressure = point.values["pressure"]
             c.within("pressure", pressure, point.places["pressure"])
             c.positive(pressure, point.places["pressure"])
             if not good or not valve or pressure <= 0 or c.too_long():
                 continue
             self._stays_above(c, point, volume, room)
-            if index == 0:
-                c.precondition()
+            values = {"pressure": pressure, "lower": trial.start, "upper": trial.to, "speed": trial.speed}
+            index = c.add_trial(values, point.repeat)
             if at is None or not isclose(at, pressure):
                 came_from = None if at is None else trial.start
                 c.steps += arrive(pressure, trial.start, trial.settle, trial.approach, came_from)
                 at = pressure
-            values = {"pressure": pressure, "lower": trial.start, "upper": trial.to, "speed": trial.speed}
-            c.trials.append(TrialRecord(index, values, point.repeat))
             stroke = (trial.to - trial.start) / trial.speed + trial.rest
             parameters = {"valve": valve, "start": trial.start, "to": trial.to, "rate": trial.speed,
                           "rest": trial.rest, "cycles": trial.cycles}  # fmt: skip

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import hypot
+from math import hypot, isfinite
 from typing import Any
 
 import numpy as np
@@ -79,25 +79,26 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _systematic(
-    of: Callable[[Gas, float, float], Array], settings: Mapping[str, Any], scales: Scales
-) -> tuple[Array, Array | None]:
-    """Half widths of `of`(gas, gain, offset) from what the plan gives, and from the pressure's calibration.
+def _values(
+    of: Callable[[Gas, float, float], Array], each: Sequence[Array], settings: Mapping[str, Any], scales: Scales
+) -> Iterator[tuple[float, Parts]]:
+    """Each value of `of`(gas, gain, offset), shape (n,), with its parts; `each` are those of the cycles of one stroke.
 
-    The plan gives the half width of each quantity that `Gas` is made of as `<name>_half`, in its unit.
-
-    `gain` and `offset` are what is wrong with the measured pressure: share, and [Pa].
+    Gain and offset are what is wrong with the measured pressure: share, and [Pa]. The plan gives the half width of each
+    quantity that `Gas` is made of as `<name>_half`, in its unit: what these do is the method part.
     """
     gas = Gas.of(settings)
-    base = of(gas, 0.0, 0.0)
+    value = of(gas, 0.0, 0.0)
     names = ("reference", "dead", "atmosphere")
     others = [replace(gas, **{name: getattr(gas, name) + float(settings[f"{name}_half"])}) for name in names]
-    spread = np.sqrt(sum((of(other, 0.0, 0.0) - base) ** 2 for other in others))
+    method = np.sqrt(sum((of(other, 0.0, 0.0) - value) ** 2 for other in others))
     gain, offset = scales.gains.get("pressure"), scales.offsets.get("pressure")
-    if gain is None and offset is None:
-        return spread, None
-    parts = (of(gas, gain or 0.0, 0.0) - base, of(gas, 0.0, offset or 0.0) - base)
-    return spread, np.sqrt(sum(part**2 for part in parts))
+    by_scale = of(gas, gain or 0.0, 0.0) - value, of(gas, 0.0, offset or 0.0) - value
+    calibration = np.sqrt(sum(part**2 for part in by_scale))
+    for i, one in enumerate(value.tolist()):
+        _, half = mean_of_cycles([cycles[:, i] for cycles in each])
+        known = (gain is not None or offset is not None) and np.isfinite(calibration[i])
+        yield one, Parts(half, float(method[i]), float(calibration[i]) if known else None)
 
 
 def _wrong(stroke: Stroke, gain: float, offset: float) -> Stroke:
@@ -114,22 +115,17 @@ def _volumes(
         each = [_wrong(m, gain, offset).volumes(gas, leak=leak).mean(axis=0) for m in group]
         return np.asarray(np.mean(each, axis=0))
 
-    gas = Gas.of(settings)
-    value = mean(gas, 0.0, 0.0)
-    method_part, calibration = _systematic(mean, settings, scales)
-    each = [m.volumes(gas, leak=leak) for m in group]
+    each = [m.volumes(Gas.of(settings), leak=leak) for m in group]
     names = tuple(m.trial.name for m in group)
-    for i, x in enumerate(group[0].x):
-        _, half = mean_of_cycles([V[:, i] for V in each])
-        parts = Parts(half, float(method_part[i]), None if calibration is None else float(calibration[i]))
-        at, note = {"pressure": pressure, "contraction": float(x)}, "" if half is not None else NO_REPEATS
-        yield Estimate("V", float(value[i]), "m3", "volume", method, at, parts, len(group), note=note, trials=names)
+    for x, (value, parts) in zip(group[0].x.tolist(), _values(mean, each, settings, scales), strict=True):
+        at, note = {"pressure": pressure, "contraction": x}, "" if parts.repeats is not None else NO_REPEATS
+        yield Estimate("V", value, "m3", "volume", method, at, parts, len(group), note=note, trials=names)
 
 
 def _curve(members: Sequence[Stroke], settings: Mapping[str, Any], scales: Scales) -> Iterator[Estimate]:
     """D0, theta0 and alpha through the volumes of all pressures; repeats are the strokes, each fitted alone."""
-    length, gas = float(settings["length"]), Gas.of(settings)
-    eps = members[0].x / length
+    length, n = float(settings["length"]), len(members)
+    eps, names = members[0].x / length, tuple(m.trial.name for m in members)
 
     def fitted(V: Array) -> Array:
         found = fit_volume(eps, V, length)
@@ -139,21 +135,19 @@ def _curve(members: Sequence[Stroke], settings: Mapping[str, Any], scales: Scale
         V = [_wrong(m, gain, offset).volumes(gas, leak=True).mean(axis=0) for m in members]
         return fitted(np.mean(V, axis=0))
 
-    value = all_in_one(gas, 0.0, 0.0)
-    systematic, calibration = _systematic(all_in_one, settings, scales)
-    each = [np.array([fitted(V) for V in m.volumes(gas, leak=True)]) for m in members]
-    known = all(np.isfinite(one).all() for one in (value, systematic, *each))
-    names = tuple(m.trial.name for m in members)
-    for i, (symbol, quantity, unit) in enumerate(NAMES):
-        if not known:
+    each = [np.array([fitted(V) for V in m.volumes(Gas.of(settings), leak=True)]) for m in members]
+    found = list(_values(all_in_one, each, settings, scales))
+    known = (
+        all(isfinite(value + (parts.method or 0.0)) for value, parts in found)
+        and np.isfinite(np.concatenate(each)).all()
+    )
+    for (symbol, quantity, unit), (value, parts) in zip(NAMES, found, strict=True):
+        if known:
+            note = sentences("" if parts.repeats is not None else NO_REPEATS, f"l0 {show(length, 'length')} as given")
+            yield Estimate(symbol, value, unit, quantity, CURVE, {}, parts, n, note=note, trials=names)
+        else:
             why = "V(eps) is not of this form within the intervals, or four contractions are not there"
-            yield Estimate(symbol, None, unit, quantity, CURVE, n=len(members), note=why)
-            continue
-        _, half = mean_of_cycles([one[:, i] for one in each])
-        part = None if calibration is None or not np.isfinite(calibration[i]) else float(calibration[i])
-        note = sentences("" if half is not None else NO_REPEATS, f"l0 {show(length, 'length')} as given")
-        parts = Parts(half, float(systematic[i]), part)
-        yield Estimate(symbol, float(value[i]), unit, quantity, CURVE, {}, parts, len(members), note=note, trials=names)
+            yield Estimate(symbol, None, unit, quantity, CURVE, n=n, note=why)
 
 
 def _findings(pressure: float, group: Sequence[Stroke], gas: Gas) -> list[Finding]:

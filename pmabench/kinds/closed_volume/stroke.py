@@ -209,28 +209,30 @@ ADVICE = {
 }
 
 
+Effect = tuple[Array, bool]
+"""Of a departure: share of the volume at each contraction, shape (n,), and whether it is significant."""
+
+
 @dataclass(frozen=True, eq=False)
 class Form:
-    """What each departure may change the volumes by."""
+    """Effects of the departures on the volumes."""
 
     x: Array
     volumes: Array
     """Of all start pressures [m3]; shape (n,)."""
-    shares: Mapping[float, Mapping[str, Array]]
-    """Start pressure -> departure -> its effect as a share of the volume at `x`."""
-    seen: Mapping[float, set[str]]
-    """Start pressure -> departures that are significant."""
+    shares: Mapping[float, Mapping[str, Effect]]
+    """By start pressure, and departure."""
     leaked: Mapping[float, Array]
     """Share that the volume is larger by where no leak is taken out, at `x`."""
 
     def of_volume(self, e: Estimate, *, leak: bool) -> list[Doubt]:
-        """Of the volume at one start pressure and contraction."""
+        """Effects on the volume at one start pressure and contraction."""
         P, place = round(e.at["pressure"], 6), int(np.argmin(np.abs(self.x - e.at["contraction"])))
         size = abs(e.value or 0.0)
         found = []
-        for name, share in self.shares[P].items():
+        for name, (share, seen) in self.shares[P].items():
             reason = ADVICE[name].format(f"{float(np.abs(share).max()):.2%}")
-            found.append(Doubt(name, PARTS[name], size * abs(float(share[place])), name in self.seen[P], reason))
+            found.append(Doubt(name, PARTS[name], size * abs(float(share[place])), seen, reason))
         if not leak:
             lost = abs(float(self.leaked[P][place]))
             reason = f"no leak is taken out, and what leaked makes the volume {lost:.2%} larger. Look for the leak"
@@ -242,7 +244,7 @@ class Form:
         base = fit_volume(self.x / length, self.volumes, length)
         found = []
         for name in ADVICE:
-            share = np.mean([shares[name] for shares in self.shares.values()], axis=0)
+            share = np.mean([effects[name][0] for effects in self.shares.values()], axis=0)
             # an effect of known size may go over the contractions with one sign, with two, and so on
             along = np.pi * np.linspace(0.0, 1.0, len(share))
             shapes = [np.ones(len(share))] if name in (ROOM, PLACE) else [np.cos(order * along) for order in range(5)]
@@ -250,14 +252,13 @@ class Form:
             if base is None or None in moved:
                 continue
             half = hypot(*(one[index] - base[index] for one in moved if one is not None))
-            found.append(Doubt(name, PARTS[name], half, any(name in names for names in self.seen.values())))
+            found.append(Doubt(name, PARTS[name], half, any(effects[name][1] for effects in self.shares.values())))
         return found
 
 
 def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
     """Of the strokes by start pressure [Pa]."""
-    shares: dict[float, dict[str, Array]] = {}
-    seen: dict[float, set[str]] = {}
+    shares: dict[float, dict[str, Effect]] = {}
     leaked, means = {}, {}
     room, beyond = _room(cells, gas)
     for P, strokes in cells.items():
@@ -265,17 +266,13 @@ def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
             np.mean([one.volumes(gas, leak=leak).mean(axis=0) for one in strokes], axis=0) for leak in (True, False)
         )
         leaked[P] = whole / means[P] - 1
-        shares[P], seen[P] = _of_one(strokes, gas)
-        shares[P][ROOM] = room[P] / means[P]
-        shares[P][PLACE], aside = _aside(strokes, means[P])
-        seen[P] |= {PLACE} if aside > UNSEEN else set()
-        seen[P] |= {ROOM} if beyond else set()
+        shares[P] = _of_one(strokes, gas) | {ROOM: (room[P] / means[P], beyond), PLACE: _aside(strokes, means[P])}
     x = next(iter(cells.values()))[0].x
-    return Form(x, np.mean(list(means.values()), axis=0), shares, seen, leaked)
+    return Form(x, np.mean(list(means.values()), axis=0), shares, leaked)
 
 
-def _of_one(strokes: Sequence[Stroke], gas: Gas) -> tuple[dict[str, Array], set[str]]:
-    """Shares of the volume at one start pressure, and what is seen."""
+def _of_one(strokes: Sequence[Stroke], gas: Gas) -> dict[str, Effect]:
+    """What the strokes from one start pressure show."""
     noise = _noise(strokes, gas)
     by_way = np.array([one.by(one.P, one.paid, gas) for one in strokes])
     V = by_way.mean(axis=(0, 1))
@@ -285,24 +282,23 @@ def _of_one(strokes: Sequence[Stroke], gas: Gas) -> tuple[dict[str, Array], set[
     most = float(np.abs(returns.mean(axis=0)).max(initial=0.0))
     further = left([held for one in strokes for held in one.far])
     lowest = float(np.mean([one.P[:, -1].mean() for one in strokes])) + gas.atmosphere
-    shares = {BOTH_WAYS: 0.5 * gap, BETWEEN: np.full(len(V), most), STILL: np.full(len(V), further.most / lowest)}
-    seen = {
-        BOTH_WAYS: float(gap.max()) > SURE * (noise * sqrt(2 / len(gaps))),
-        BETWEEN: most > SURE * noise * sqrt(1.5 / len(strokes)),
-        STILL: further.seen,
+    return {
+        BOTH_WAYS: (0.5 * gap, float(gap.max()) > SURE * noise * sqrt(2 / len(gaps))),
+        BETWEEN: (np.full(len(V), most), most > SURE * noise * sqrt(1.5 / len(strokes))),
+        STILL: (np.full(len(V), further.most / lowest), further.seen),
     }
-    return shares, {name for name, is_seen in seen.items() if is_seen}
 
 
-def _aside(strokes: Sequence[Stroke], V: Array) -> tuple[Array, float]:
-    """Share of the volume that the place is worth, and how far it is off [m]: the gauge's, or the drive's at the start.
+def _aside(strokes: Sequence[Stroke], V: Array) -> Effect:
+    """Of a displacement that is not where the drive was sent: the gauge's place is wrong, or the drive's at the start.
 
     With a wrong gauge a volume is that of another place, with a wrong drive the one at the start is.
     """
     x, (start, far) = strokes[0].x, np.mean([one.aside for one in strokes], axis=0)
     per_metre = np.abs(np.gradient(V, x)) / V
     off = np.abs(np.interp(x, [x[0], x[-1]], [start, far]))
-    return np.maximum(per_metre * off, per_metre[0] * abs(start)), float(max(abs(start), abs(far)))
+    share = np.maximum(per_metre * off, per_metre[0] * abs(start))
+    return share, bool(max(abs(start), abs(far)) > UNSEEN)
 
 
 def _noise(strokes: Sequence[Stroke], gas: Gas) -> float:

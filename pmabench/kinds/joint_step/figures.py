@@ -1,6 +1,6 @@
 """Figures of a joint in closed loop: reference, angle and one pressure over time.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations

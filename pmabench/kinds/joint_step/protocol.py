@@ -28,7 +28,7 @@ from pmabench.files.quantity import (
 )
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import MUSCLES, vented
-from pmabench.protocol.plan import Control, Hold, Plan, Record, Set, TrialRecord
+from pmabench.protocol.plan import Control, Hold, Plan, Record, Set
 from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
 from pmabench.store.records import Array
 
@@ -189,13 +189,11 @@ class JointStep(ProtocolHead):
         self._sound(c)
         trial, controller = self.trial, self.controller
         low, high = controller.output
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             values = {name: float(value) for name, value in point.values.items() if value is not None}
             table = self._table(c, point)
             if table is None or c.problems or c.too_long():
                 continue
-            if index == 0:
-                c.precondition()
             middle = {name: float(np.interp(0.0, table["angle"], table[name])) for name in MUSCLES}
             ready = trial.dwell * len(trial.approach)
             begin, duration = ready + trial.baseline, ready + trial.baseline + trial.hold
@@ -209,7 +207,7 @@ class JointStep(ProtocolHead):
             if "frequency" in values:
                 sine = {"begin": begin, "amplitude": values["goal"], "frequency": values["frequency"]}
                 parameters["sine"] = sine
-            c.trials.append(TrialRecord(index, values, point.repeat))
+            index = c.add_trial(values, point.repeat)
             c.steps += [
                 *(Set("pressurise", name, value) for name, value in middle.items()),
                 Hold("pressurise", trial.settle),
@@ -226,23 +224,17 @@ class JointStep(ProtocolHead):
 
     def _sound(self, c: Compilation) -> None:
         """Check everything that does not depend on the point."""
-        trial, (low, high) = self.trial, self.controller.output
+        trial = self.trial
         if (self.model is None) == (self.map is None):
             c.fault(("kind",), "needs one of model and map: what the pressures are computed from")
         for name in ("settle", "dwell", "baseline", "hold", "band"):
             c.positive(getattr(trial, name), ("trial", name))
-        begin, end = trial.window
-        if not 0 <= begin < end <= trial.hold:
-            c.fault(("trial", "window"), "must rise and lie inside the hold")
-        for name in MUSCLES:
-            c.within(name, low, ("controller", "output", 0))
-            c.within(name, high, ("controller", "output", 1))
-        if not low < high:
-            c.fault(("controller", "output"), "must rise")
+        c.inside_hold(trial.window, trial.hold)
+        c.controls(MUSCLES, self.controller.output)
         if any(output.name == "angle" for output in c.mounted.bench.outputs):
             c.fault(("needs",), "a drive holds the joint of this bench; steps need one that turns freely")
 
-    def _table(self, c: Compilation, point: Point) -> dict[str, list[float]] | None:
+    def _table(self, c: Compilation, point: Point) -> Table | None:
         """Pressures of both muscles over the angles from 0 to the goal; None with a problem noted."""
         goal, place = float(point.values["goal"]), point.places["goal"]
         joint, approach = c.mounted.bench_file.joint, self.trial.approach
@@ -255,12 +247,11 @@ class JointStep(ProtocolHead):
         if goal == 0:
             c.fault(place, "must not be 0: nothing would move")
             return None
-        ends = min(*ends, *approach), max(*ends, *approach)
-        stiffness, limits = self.controller.stiffness, self.controller.output
+        reach = (min(*ends, *approach), max(*ends, *approach)), self.controller.stiffness, self.controller.output
         try:
             if self.model is not None:
-                return by_model(self.model.model_dump(), ends, stiffness, limits)
-            return by_map(Path(self.map or ""), ends, stiffness, limits)
+                return by_model(self.model.model_dump(), *reach)
+            return by_map(Path(self.map or ""), *reach)
         except ValueError as error:
             c.fault(place, f"the joint cannot be held there: {error}")
             return None

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot, pi
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
+from pmabench.analysis.shared.joint import MUSCLES
 from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.ramp_loop import MUSCLES
 from pmabench.analysis.shared.response import Response, respond
 from pmabench.analysis.shared.samples import (
     NotUsable,
+    lag_of,
     lag_open,
-    lags_of,
     noise_of,
     refuse_flagged,
     refuse_incomplete,
@@ -24,9 +24,8 @@ from pmabench.analysis.shared.samples import (
     step_of,
     three_parameter,
 )
-from pmabench.analysis.shared.skew import off
-from pmabench.analysis.shared.student import mean_with_half
-from pmabench.analysis.shared.trials import grouped, measured_trials, point_of
+from pmabench.analysis.shared.skew import late, off
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
@@ -36,7 +35,7 @@ BEFORE = 0.3
 """So long before the step its origin is taken [s]."""
 FEWEST_CYCLES = 3
 LEAP = 10.0
-"""So many standard deviations of the noise are no noise."""
+"""A leap is larger than so many standard deviations of the noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +57,6 @@ class Course:
 class Stepped(Course):
     """A step."""
 
-    sign: float
-    """Of the step."""
-    response: Response
-    """Of `sign` times the angle."""
     values: Mapping[str, float | None]
     """e_th [rad], t_s and t_r [s], OS_th [rad]; None where the angle does not get there."""
     unsure: Mapping[str, float]
@@ -90,10 +85,7 @@ def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Ste
     settings, ok = settings_of(run, options), trial.usable
     t, angle = (trial.t - (float(law["t0"]) + float(settings["begin"])))[ok], trial.channels["angle"][ok]
     refuse_leaps(t, angle)
-    if "frequency" in trial.point:
-        window = (float(settings["window"][0]), float(settings["window"][1]))
-        return _swung(run, trial, t, angle, window, float(law.get("saturated", 0.0)))
-    return _stepped(run, trial, t, angle, law, settings)
+    return (_swung if "frequency" in trial.point else _stepped)(run, trial, t, angle, law, settings)
 
 
 def refuse_leaps(t: Array, angle: Array) -> None:
@@ -136,7 +128,7 @@ def _stepped(
         raise NotUsable(
             f"before the step it was at {show(origin, 'angle', 3)}, which leaves no step to {show(goal, 'angle', 3)}"
         )
-    lag, window = lags_of(run, trial)["angle"], (float(settings["window"][0]), float(settings["window"][1]))
+    window = (float(settings["window"][0]), float(settings["window"][1]))
 
     def measured(more: float = 0.0, gain: float = 0.0, later: float = 0.0) -> tuple[Response, dict[str, float | None]]:
         """With an angle that is `more` [rad] and a share `gain` larger, of a sensor with a filter `later` [s]."""
@@ -144,50 +136,37 @@ def _stepped(
         size = sign * goal - start
         r = respond(
             t[after], x, sign * goal, window, band / size, origin=start, resolution=step if step < np.inf else 0.0,
-            lag=lag + later,
+            lag=lag_of(run, "angle") + later,
         )  # fmt: skip
         return r, {"e_th": -sign * r.error, "t_s": r.settling, "t_r": r.rise, "OS_th": r.overshoot * size}
 
+    open_ = lag_open(run, "angle")
     try:
         response, values = measured()
-        late, scales = lag_open(run, "angle"), Scales.of([run])
-        slower = measured(later=late)[1]
-        offset, gain = scales.offsets.get("angle", 0.0), scales.gains.get("angle", 0.0)
-        ends = [[measured(more=way * offset)[1] for way in (-1, 1)], [measured(gain=way * gain)[1] for way in (-1, 1)]]
+        filtered = changes(values, measured(later=open_)[1])
+        calibration = of_one_channel(lambda *end: measured(*end)[1], values, Scales.of([run]), "angle")
     except ValueError as error:
         raise NotUsable(str(error)) from error
-    size, filtered, clock = sign * (goal - origin), _changes(values, [slower]), off([run], "angle")
-    seen, late = response.unsure, late + 0.5 * float(np.median(np.diff(t)))  # the first sample within is late, too
+    seen, size = response.unsure, sign * (goal - origin)
+    # the first sample within the band is late, too
+    settles = max(filtered["t_s"], open_ + 0.5 * float(np.median(np.diff(t))))
     unsure = {
         "e_th": seen.error,
-        "t_s": hypot(seen.settling, max(filtered["t_s"], late), clock),
+        "t_s": hypot(seen.settling, settles, off([run], "angle")),
         "t_r": hypot(seen.rise, filtered["t_r"]),
         "OS_th": hypot(seen.overshoot * size, filtered["OS_th"]),
     }
-    by_offset, by_gain = (_changes(values, both) for both in ends)
-    calibration = {name: hypot(by_offset[name], by_gain[name]) for name in values} if offset or gain else None
-    two = float(law["reference_lag"])
-    since = np.maximum(t, 0.0) / two if two > 0 else np.where(t > 0, np.inf, 0.0)
-    reference = goal * (1 - (1 + np.minimum(since, 700.0)) * np.exp(-np.minimum(since, 700.0)))
+    since = np.clip(t / max(float(law["reference_lag"]), 1e-9), 0.0, 700.0)  # in lags, of which there are two
+    reference = goal * (1 - (1 + since) * np.exp(-since))
     saturated = float(law.get("saturated", 0.0))
-    return Stepped(run, trial, t, angle, reference, saturated, sign, response, values, unsure, calibration)
-
-
-def _changes(now: Mapping[str, float | None], ends: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
-    """The largest change of each value to one of `ends`; 0 where one of the two is not known."""
-    pairs = {name: [(value, end[name]) for end in ends] for name, value in now.items()}
-    return {
-        name: max((abs(a - b) for a, b in both if a is not None and b is not None), default=0.0)
-        for name, both in pairs.items()
-    }
+    return Stepped(run, trial, t, angle, reference, saturated, values, unsure, calibration)
 
 
 def _swung(
-    run: RunData, trial: TrialData, t: Array, angle: Array, window: tuple[float, float], saturated: float
+    run: RunData, trial: TrialData, t: Array, angle: Array, law: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> Swung:
-    frequency, amplitude = trial.point["frequency"], trial.point["goal"]
-    filtered = 1 + 2j * pi * frequency * lags_of(run, trial)["angle"]
-    reference = amplitude * np.sin(2 * pi * frequency * np.maximum(t, 0.0))
+    frequency, lag, window = trial.point["frequency"], lag_of(run, "angle"), settings["window"]
+    reference = trial.point["goal"] * np.sin(2 * pi * frequency * np.maximum(t, 0.0))
     whole = int((window[1] - window[0]) * frequency * (1 + 1e-9))
     if whole < FEWEST_CYCLES:
         raise NotUsable(f"{whole} whole cycles in the window; an interval needs {FEWEST_CYCLES}")
@@ -198,15 +177,16 @@ def _swung(
         if rows.sum() < 20:
             raise NotUsable("fewer than 20 samples in a cycle of the sine")
         _, signals = three_parameter(t[rows], np.column_stack([angle[rows], reference[rows]]), frequency)
-        answers.append(complex(filtered * signals[0] / signals[1]))
-        left = np.interp(t[rows] + lags_of(run, trial)["angle"], t, angle) - reference[rows]
+        answers.append(complex((1 + 2j * pi * frequency * lag) * signals[0] / signals[1]))
+        left = np.interp(t[rows] + lag, t, angle) - reference[rows]
         errors.append(float(np.sqrt(np.mean(left**2))))
+    saturated = float(law.get("saturated", 0.0))
     return Swung(run, trial, t, angle, reference, saturated, np.array(answers), np.array(errors))
 
 
 STEP, SINE = "step in closed loop", "sine in closed loop"
 SATURATED = 0.05
-"""Share of the samples with a pressure at a limit above which it is said."""
+"""Share of the samples with a pressure at a limit above which it is reported."""
 STEPPED = {"e_th": ("rad", "angle"), "t_s": ("s", "time"), "t_r": ("s", "time"), "OS_th": ("rad", "angle")}
 """Symbol of a step -> unit and quantity."""
 
@@ -241,26 +221,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], band: float) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in steps)
-    errors = [-one.sign * one.response.error for one in steps]
+    end = show(float(np.mean([one.values["e_th"] or 0.0 for one in steps])), "angle", 3)
     for symbol, kind in STEPPED.items():
-        values = [one.values[symbol] for one in steps]
-        known = [value for value in values if value is not None]
-        mean, half = mean_with_half(known) if known else (0.0, None)
-        by_scales = [one.calibration[symbol] for one in steps if one.calibration is not None]
-        note = "one trial: no interval" if len(steps) == 1 else ""
-        parts = Parts(half, max(one.unsure[symbol] for one in steps), max(by_scales, default=None))
-        one = Estimate(symbol, mean, *kind, STEP, at, parts, len(known), note=note, trials=trials)
-        if len(known) < len(values):
-            end, count = show(float(np.mean(errors)), "angle", 3), len(values) - len(known)
+        known = [value for one in steps if (value := one.values[symbol]) is not None]
+        if len(known) < len(steps):
             place = f"within {show(band, 'angle')} of the goal" if symbol == "t_s" else "from 10 to 90 % of the step"
-            why = f"{count} of {len(values)} trials do not come {place}: they end {end} off it"
-            one = replace(one, value=None, parts=Parts(), note=why)
-        yield one
-
-
-def _late(courses: Sequence[Course]) -> float:
-    """What is open of the time between the angle and the commands [s]: the sensor's filter and its clock."""
-    return max(lag_open(one.run, "angle") + off([one.run], "angle") for one in courses)
+            why = f"{len(steps) - len(known)} of {len(steps)} trials do not come {place}: they end {end} off it"
+            yield Estimate(symbol, None, *kind, STEP, at, n=len(known), note=why, trials=trials)
+            continue
+        by_scale = max((one.calibration[symbol] for one in steps if one.calibration is not None), default=None)
+        unsure = max(one.unsure[symbol] for one in steps)
+        yield mean_of_trials(symbol, kind, STEP, at, trials, known, unsure, by_scale, "one trial: no interval")
 
 
 def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -> Iterator[Estimate]:
@@ -268,9 +239,9 @@ def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -
     # phases of cycles are compared about their common direction: one near -180 deg may turn up as +180
     middle = complex(np.mean(np.concatenate([one.answers for one in sines])))
     phases = [np.angle(one.answers / middle) + np.angle(middle) for one in sines]
-    turned = 2 * pi * at["frequency"] * _late(sines)
-    filtered = 2 * pi * at["frequency"] * max(lags_of(one.run, one.trial)["angle"] for one in sines)
-    late = {"g_th": turned * (turned + filtered), "phi_th": turned, "e_s": turned * abs(at["goal"]) / 2**0.5}
+    turned = 2 * pi * at["frequency"] * max(late(one.run, "angle") for one in sines)
+    filtered = 2 * pi * at["frequency"] * max(lag_of(one.run, "angle") for one in sines)
+    in_time = {"g_th": turned * (turned + filtered), "phi_th": turned, "e_s": turned * abs(at["goal"]) / 2**0.5}
     rows: tuple[tuple[str, tuple[str, str], list[Array], dict[str, float]], ...] = (
         ("g_th", ("1", "ratio"), [np.abs(one.answers) for one in sines], {"angle": abs(middle)}),
         ("phi_th", ("rad", "angle"), phases, {}),
@@ -278,7 +249,7 @@ def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -
     )
     for symbol, kind, values, gains in rows:
         mean, half = mean_of_cycles(values)
-        parts = Parts(half, late[symbol], scales.part(gains) if gains else None)
+        parts = Parts(half, in_time[symbol], scales.part(gains) if gains else None)
         yield Estimate(symbol, mean, *kind, SINE, at, parts, len(sines), trials=trials)
 
 

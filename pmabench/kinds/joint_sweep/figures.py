@@ -1,6 +1,6 @@
 """Figures of sweeps of a joint: loops of torque over angle and their mean curves; draws by `time_plots`.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations

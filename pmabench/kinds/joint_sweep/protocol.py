@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -11,9 +10,9 @@ from pmabench.files.document import Strict
 from pmabench.files.quantity import Angle, AngularSpeed, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.driven import MUSCLES, not_faster, vented
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step, TrialRecord
-from pmabench.protocol.sweep import AngularSpeedAxis, Point, PressureAxis, Sweep, expand
+from pmabench.protocol.driven import MUSCLES, at_pressures, not_faster, vented
+from pmabench.protocol.plan import Plan, Ramp
+from pmabench.protocol.sweep import AngularSpeedAxis, PressureAxis, Sweep, expand
 
 
 class SweepAxes(Strict):
@@ -58,34 +57,20 @@ class JointSweep(ProtocolHead):
             c.fault(("trial", "upper"), "must lie above the lower end")
         for name in ("lower", "upper"):
             c.within("angle", getattr(trial, name), ("trial", name))
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             for name in MUSCLES:
                 c.within(name, point.values[name], point.places[name])
             speed = point.values["speed"]
             not_faster(c, speed, point.places["speed"])
             if speed <= 0 or trial.approach <= 0 or c.too_long():
                 continue
-            if index == 0:
-                c.precondition()
             held = {name: point.values[name] for name in MUSCLES} | {"angular_speed": speed}
             ends = {"lowest_angle": trial.lower, "highest_angle": trial.upper, "cycles": float(trial.cycles)}
-            c.trials.append(TrialRecord(index, held | ends, point.repeat))
-            c.steps += self._steps(index, point)
+            index = c.add_trial(held | ends, point.repeat)
+            cycle = (
+                Ramp("rise", "angle", trial.lower, trial.upper, speed),
+                Ramp("fall", "angle", trial.upper, trial.lower, speed),
+            )
+            c.steps += at_pressures(held, trial.settle, trial.lower, trial.approach, index, cycle * trial.cycles)
         c.steps += vented()
         return c.plan("joint-sweep", {"discard": trial.discard})
-
-    def _steps(self, index: int, point: Point) -> Sequence[Step]:
-        trial, speed = self.trial, point.values["speed"]
-        cycle = (
-            Ramp("rise", "angle", trial.lower, trial.upper, speed),
-            Ramp("fall", "angle", trial.upper, trial.lower, speed),
-        )
-        return [
-            *(Set("pressurise", name, point.values[name]) for name in MUSCLES),
-            Hold("pressurise", trial.settle),
-            Ramp("approach", "angle", 0.0, trial.lower, trial.approach),
-            Record("rise", True, index),
-            *cycle * trial.cycles,
-            Record("fall", False, index),
-            Ramp("return", "angle", trial.lower, 0.0, trial.approach),
-        ]

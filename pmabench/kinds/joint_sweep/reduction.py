@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import joint_commands, skew
+from pmabench.analysis.shared import joint
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.ramp_loop import BY_PRESSURE, MUSCLES
-from pmabench.analysis.shared.samples import NotUsable
-from pmabench.analysis.shared.trials import grouped
+from pmabench.analysis.shared.joint import BY_PRESSURE, MUSCLES, STIFFNESS, TORQUE
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
 from pmabench.kinds.joint_sweep.sweep import OffForm, Sweep, flatter_by, steeper_by, sweep_of
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
+from pmabench.store.records import RunData, TrialData
 
 KIND = "joint-sweep"
 BRANCHES, LOOP, MEAN = "branches, 3 w cut", "loop", "mean curve"
@@ -51,11 +50,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if turns is not None:
             text = f"{one.trial.name}: a turn fades on w = {show(turns.w, 'angle', 3)}; 3 w are cut after each"
             findings.append(Finding("note", text))
-    findings += joint_commands.findings([(one.trial.point, one.kept) for one in sweeps])
-    if estimates and (lack := scales.lack(("torque", "angle", *MUSCLES))):
-        findings.append(Finding("note", lack))
-    apart = skew.apart(runs, ("angle", "torque")) if runs else 0.0
-    findings += skew.findings(runs, ("angle", "torque"), apart, estimates)
+    findings += joint.findings(runs, [(one.trial.point, one.kept) for one in sweeps], scales, estimates)
     facts = {"options": dict(options), "trials": len(sweeps)}
     return Analysis.of(
         KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
@@ -69,17 +64,16 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
 
 def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
     """The trials that can be used; none of a point at which half of the loops have another form."""
-    sweeps: list[Sweep] = []
-    dropped: list[Dropped] = []
     off: dict[tuple[float, ...], list[str]] = {}
-    for run in runs:
-        for trial in run.trials:
-            try:
-                sweeps.append(sweep_of(run, trial, options))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-                if isinstance(reason, OffForm):
-                    off.setdefault(_place(trial.point), []).append(str(reason))
+
+    def measured(run: RunData, trial: TrialData) -> Sweep:
+        try:
+            return sweep_of(run, trial, options)
+        except OffForm as reason:
+            off.setdefault(_place(trial.point), []).append(str(reason))
+            raise
+
+    sweeps, dropped = measured_trials(runs, measured)
     alike = [_place(one.trial.point) for one in sweeps]
     spoiled = {place for place, reasons in off.items() if len(reasons) >= alike.count(place)}
     for one, place in zip(sweeps, alike, strict=True):
@@ -106,49 +100,31 @@ def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[
 
 
 def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales) -> Iterator[Estimate]:
-    """Everything of one operating point; calibration to first order, a pressure that is off changes the stiffness."""
-    trials = tuple(one.trial.name for one in members)
+    """Everything of one operating point; a pressure that is off changes the stiffness."""
     kept, seconds = [one.kept for one in members], [one.second for one in members]
-    total = sum(at[name] for name in MUSCLES)
-
-    def made(
-        symbol: str, kind: tuple[str, str], method: str, values: Sequence[Array], extra: float,
-        angles: int, by_pressure: float = 0.0, where: Mapping[str, float] | None = None, by_angle: float = 0.0,
-    ) -> Estimate:  # fmt: skip
-        value, half = mean_of_cycles(values)
-        gains = {"torque": value} | ({"angle": angles * value} if angles else {})
-        gains |= {name: by_pressure * at[name] for name in MUSCLES if by_pressure}
-        offsets = dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {}
-        if by_angle and where is not None:  # a torque at an angle
-            gains["angle"] = by_angle * where["angle"]
-            offsets |= {"torque": 1.0, "angle": by_angle}
-        part = scales.part({name: change for name, change in gains.items() if change}, offsets)
-        extra = float(np.hypot(extra, by_pressure * max(one.short for one in kept)))
-        note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
-        parts = Parts(half, extra, part)
-        return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
-
+    made = partial(joint.estimate, trials=tuple(one.trial.name for one in members), kept=kept, scales=scales)
     K = float(np.mean([one.stiffness.mean() for one in members]))
-    sweep = max(one.loop.ends[1] - one.loop.ends[0] for one in members)
-    slope = BY_PRESSURE * K / total if total > 0 else 0.0
-    torque, x = ("N.m", "torque"), members[0].loop.x
-    pulls = slope * total / BY_PRESSURE * float(np.ptp(x))
-    of_gap = _of_gap(members, K, pulls / total if total > 0 else 0.0)
+    sweep, x = max(one.loop.ends[1] - one.loop.ends[0] for one in members), members[0].loop.x
+    total = sum(at[name] for name in MUSCLES)
+    share = 1 / total if total > 0 else 0.0
+    pulls = K * float(np.ptp(x)) * share * total
+    of_gap = _of_gap(members, K, pulls * share)
     stiffness, taken_off = [one.stiffness for one in members], max(one.taken_off for one in members)
-    found = made("K_th", ("N.m/rad", "torsional stiffness"), BRANCHES, stiffness, taken_off, -1, slope)
+    found = made("K_th", STIFFNESS, BRANCHES, stiffness, taken_off, at, by_pressure=BY_PRESSURE * K * share, by_gain=-K)
     steeper = [steeper_by(s) if s else 0.0 for s in seconds]
     flat = Doubt(PLAY, "method", max(flatter_by(one) for one in members), False)
-    yield weighed(found, [joint_commands.way(kept, K), _second(members, steeper), flat])
+    yield weighed(found, [joint.way(kept, K), _second(members, steeper), flat])
     # how far the fitted open gap is from that at mid sweep, and what the turns leave in the mean curve [N.m]
     fits = [(one.loop, one.loop.turns) for one in members]
     unclosed = max(abs(2 * t.h - float(loop.middle_gap.mean())) if t else 0.0 for loop, t in fits)
     unclosed = max(unclosed, *(2 * s.w * more if s else 0.0 for s, more in zip(seconds, steeper, strict=True)))
     of_turns = [np.abs(t.of_mean(loop.x)) if t else np.zeros_like(loop.x) for loop, t in fits]
-    yield weighed(made("H_tau", torque, LOOP, [one.loop.middle_gap for one in members], unclosed, 0), of_gap)
+    yield weighed(made("H_tau", TORQUE, LOOP, [one.loop.middle_gap for one in members], unclosed, at), of_gap)
     corners = max(2 * abs(float(m.loop.middle_gap.mean())) * m.loop.speed / m.run.rate for m in members)
+    lost = [one.loop.lost for one in members]
+    W = float(np.mean([one.mean() for one in lost]))
     of_work = [replace(one, half=sweep * one.half) for one in of_gap]
-    W = made("W", ("J", "work"), LOOP, [one.loop.lost for one in members], corners, 1)
-    yield weighed(W, [*of_work, joint_commands.way(kept, W.value or 0.0)])
+    yield weighed(made("W", ("J", "work"), LOOP, lost, corners, at, by_gain=W), [*of_work, joint.way(kept, W)])
     steep = np.abs(np.gradient(members[0].loop.mean.mean(axis=0), x))
     fades = min((one.loop.turns.w for one in members if one.loop.turns is not None), default=np.inf)
     for place in np.linspace(x[0], x[-1], PLACES):
@@ -158,9 +134,10 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
         # torque is no more than what both muscles pull: a share of it for each pressure that is off
         whole = max(abs(float(np.mean(curve))) for curve in curves) + pulls
         steepest = float(steep[np.abs(x - place) <= NEAR * np.ptp(x)].max()) + off / fades
-        found = made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where, steepest)
+        found = made("tau", TORQUE, MEAN, curves, 0.1 * off, where, by_pressure=whole * share,
+                     by_angle=steepest, by_gain=steepest * where["angle"])  # fmt: skip
         left = _second(members, [float(s.of_mean(np.array([place]))[0]) if s else 0.0 for s in seconds])
-        yield weighed(found, [joint_commands.place(kept, float(place), steepest), left], whole)
+        yield weighed(found, [joint.place(kept, float(place), steepest), left], whole)
 
 
 def _of_gap(members: Sequence[Sweep], K: float, per_pressure: float) -> list[Doubt]:

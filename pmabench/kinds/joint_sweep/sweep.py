@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.joint_commands import Kept, flanks
+from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, Kept, flank, why_no_turns
 from pmabench.analysis.shared.lines import left_by
-from pmabench.analysis.shared.ramp_loop import AXES, CUT, MUSCLES, Loop, Turns, fading, measure, refuse_turns
+from pmabench.analysis.shared.ramp_loop import Loop, Turns, fading, measure
 from pmabench.analysis.shared.samples import NotUsable, ends, on_time, settings_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
@@ -41,7 +41,7 @@ class Sweep:
 
 
 class OffForm(NotUsable):
-    """A sweep whose loop is not the one that is measured: something is wrong at its operating point."""
+    """A sweep whose loop has another form than the reduction needs: something is wrong at its operating point."""
 
 
 def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:
@@ -52,24 +52,19 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
     loop = measure(run, trial, int(settings_of(run, options).get("discard", 1)), TURN * (high - low), AXES)
     half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
     noise = float(np.sqrt(0.5 * np.mean(np.diff(loop.gap, axis=1) ** 2)))  # of a point, as neighbours differ
-    try:
-        refuse_turns(loop.turns, half, gap, noise)
-    except NotUsable as reason:
-        raise OffForm(str(reason)) from None
+    if why := why_no_turns(loop.turns, half, gap, noise):
+        raise OffForm(why)
     if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
         least, w = show(HALF_SWEEP * loop.turns.w, "angle", 3), show(loop.turns.w, "angle", 3)
         raise OffForm(
             f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
             f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
         )
-    stiffness, plain = _slopes(loop, loop.turns), _slopes(loop, loop.turns, keep=True)
+    stiffness, plain = _slopes(loop), _slopes(loop, keep=True)
     kept, apart = _by_commands(run, trial, len(loop.gap))
     taken_off = abs(float(stiffness.mean() - plain.mean()))
-    cut = CUT * loop.turns.w if loop.turns is not None else 0.0
-    rising = np.where(loop.x - loop.ends[0] >= cut, loop.contracting.mean(axis=0), np.nan)
-    falling = np.where(loop.ends[1] - loop.x >= cut, loop.expanding.mean(axis=0), np.nan)
-    flank = flanks(loop.x, (rising, falling))
-    return Sweep(run, trial, loop, stiffness, taken_off, second_of(loop), kept, flank, apart)
+    step = flank(loop.x, loop.contracting.mean(axis=0), loop.expanding.mean(axis=0), loop.ends, loop.turns)
+    return Sweep(run, trial, loop, stiffness, taken_off, second_of(loop), kept, step, apart)
 
 
 def flatter_by(one: Sweep) -> float:
@@ -136,17 +131,15 @@ def steeper_by(second: Turns) -> float:
     return 2 * second.h / second.w * float(np.exp(-half / second.w) / (1 + np.exp(-2 * half / second.w)))
 
 
-def _slopes(loop: Loop, turns: Turns | None, *, keep: bool = False) -> Array:
+def _slopes(loop: Loop, *, keep: bool = False) -> Array:
     """Stiffness of each cycle [N m/rad], the mean of its two branches; with `keep` the rest of the turns stays in."""
-    x, middle = loop.x, 0.5 * (loop.x[0] + loop.x[-1])
+    x, turns, (lower, upper) = loop.x, loop.turns, loop.ends
+    cut, rising, falling = 0.0 if turns is None else CUT * turns.w, np.zeros_like(x), np.zeros_like(x)
+    if turns is not None and not keep:
+        first, second = fading(x, lower, upper, turns.w)
+        rising, falling = turns.h * first, -turns.h * second
     found = []
-    for branches, rising in ((loop.contracting, True), (loop.expanding, False)):
-        way = np.ones_like(x) if turns is None else (x - turns.lower if rising else turns.upper - x) / turns.w
-        kept = np.ones(x.shape, bool) if turns is None else way >= CUT
-        rest = np.zeros_like(x)
-        if turns is not None and not keep:
-            size = 2 * turns.h / (1 + np.exp(-(turns.upper - turns.lower) / turns.w))
-            rest = (size if rising else -size) * np.exp(-way)
-        terms = np.polyfit(x[kept] - middle, (branches - rest)[:, kept].T, 3)
-        found.append(-terms[2])
+    for branches, way, rest in ((loop.contracting, x - lower, rising), (loop.expanding, upper - x, falling)):
+        kept = way >= cut
+        found.append(-np.polyfit(x[kept] - 0.5 * (x[0] + x[-1]), (branches - rest)[:, kept].T, 3)[2])
     return np.asarray(np.mean(found, axis=0))

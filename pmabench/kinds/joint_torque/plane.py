@@ -11,6 +11,7 @@ import numpy as np
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.joint import MUSCLES
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque.staircase import Staircase
 from pmabench.store.analyses.results import Estimate, Parts, withhold
@@ -32,7 +33,7 @@ def _by_cycle(one: Staircase) -> Array:
 
 @dataclass(frozen=True)
 class Drift:
-    """What the torque changes by from cycle to cycle in all trials alike: its zero does, and goes on between them."""
+    """Drift of the zero of the torque: it changes from cycle to cycle in all trials alike, and between them, too."""
 
     rate: float
     """[N m/s]; 0 where trials differ too much to tell."""
@@ -53,11 +54,11 @@ class Drift:
         return cls(rate, since)
 
     def by(self, e: Estimate) -> float:
-        """What it makes of a torque [N m]."""
+        """Its effect on a torque [N m]."""
         return self.rate * float(np.mean([self.since[name] for name in e.trials]))
 
     def weigh(self, e: Estimate, half: float, scale: float | None = None) -> Estimate:
-        """The estimate with what the drift does to it, `half`, in its interval."""
+        """The estimate with the effect of the drift on it, `half`, in its interval."""
         if self.rate == 0:
             return e
         whole = show(abs(self.rate) * max(self.since.values()), "torque", 2)
@@ -87,15 +88,13 @@ def plane_estimates(torques: Sequence[Estimate], scales: Scales, drift: Drift) -
     With muscles whose force is S P + F_e these are R S_1, R S_2 and R (F_e1 - F_e2). Intervals: the wider of the
     scatter about the plane and of the torques' own intervals, and the gains of the scales.
     """
-    planes = []
+    planes, scale = [], np.array([1.0, 1e5, 1e5])
     for angle in sorted({e.at["angle"] for e in torques}):
         rows = [e for e in torques if e.at["angle"] == angle and e.value is not None]
-        design = np.array([[1.0, e.at["pressure_1"], e.at["pressure_2"]] for e in rows]).reshape(-1, 3)
-        levels = [len({e.at[name] for e in rows}) for name in ("pressure_1", "pressure_2")]
-        if len(rows) < FEWEST or min(levels) < LEVELS or np.linalg.matrix_rank(design / [1.0, 1e5, 1e5]) < 3:
-            continue
-        inverse = np.linalg.pinv(design / np.array([1.0, 1e5, 1e5])) / np.array([[1.0], [1e5], [1e5]])
-        planes.append((angle, rows, design, inverse))
+        design = np.array([[1.0, *(e.at[name] for name in MUSCLES)] for e in rows]).reshape(-1, 3)
+        levels = min(len({e.at[name] for e in rows}) for name in MUSCLES)
+        if len(rows) >= FEWEST and levels >= LEVELS and np.linalg.matrix_rank(design / scale) == 3:
+            planes.append((angle, rows, design, np.linalg.pinv(design / scale) / scale[:, None]))
     terms = np.array([inverse @ [e.value for e in rows] for _, rows, _, inverse in planes])
     over = np.gradient(terms, [angle for angle, *_ in planes], axis=0) if len(planes) > 1 else np.zeros_like(terms)
     for (angle, rows, design, inverse), by_angle in zip(planes, over, strict=True):
@@ -115,7 +114,7 @@ def _plane(
     worst = int(np.argmax(np.abs(residual) - OFF * own))
     why = ""
     if abs(residual[worst]) > OFF * own[worst]:
-        where = " and ".join(show(rows[worst].at[name], "pressure") for name in ("pressure_1", "pressure_2"))
+        where = " and ".join(show(rows[worst].at[name], "pressure") for name in MUSCLES)
         off, half = (show(float(value), "torque", 2) for value in (abs(residual[worst]), own[worst]))
         why = (
             f"the torque at {where} is {off} off a plane over the pressures, "
@@ -126,9 +125,8 @@ def _plane(
         repeats = max(spread * float(np.linalg.norm(row)), float(np.linalg.norm(row * own)))
         value = sign * float(term)
         gains = {"torque": value} | ({} if symbol == "tau_0" else {f"pressure_{symbol[-1]}": value})
-        offsets = {name: float(terms[n]) for n, name in ((1, "pressure_1"), (2, "pressure_2")) if symbol == "tau_0"}
-        offsets |= {"torque": 1.0 if symbol == "tau_0" else 0.0, "angle": float(over)}
-        gains["angle"] = float(over) * angle
+        offsets = dict(zip(("torque", *MUSCLES), (1.0, *terms[1:].tolist()), strict=True)) if symbol == "tau_0" else {}
+        offsets["angle"], gains["angle"] = float(over), float(over) * angle
         parts = Parts(repeats, None, scales.part(gains, offsets))
         one = Estimate(symbol, value, unit, quantity, "plane", {"angle": angle}, parts, len(rows), trials=trials)
         drifted = float(row @ [drift.by(e) for e in rows])

@@ -12,9 +12,9 @@ from pmabench.files.document import Strict
 from pmabench.files.quantity import Angle, AngularSpeed, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.driven import MUSCLES, not_faster, vented
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step, TrialRecord
-from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
+from pmabench.protocol.driven import MUSCLES, at_pressures, not_faster, vented
+from pmabench.protocol.plan import Hold, Plan, Ramp, Step
+from pmabench.protocol.sweep import PressureAxis, Sweep, expand
 
 
 class TorqueAxes(Strict):
@@ -60,35 +60,19 @@ class JointTorque(ProtocolHead):
         lowest, highest = trial.angles[0] - trial.overrun, trial.angles[-1] + trial.overrun
         c.within("angle", lowest, ("trial", "overrun"))
         c.within("angle", highest, ("trial", "overrun"))
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             for name in MUSCLES:
                 c.within(name, point.values[name], point.places[name])
             if c.problems or c.too_long():
                 continue
-            if index == 0:
-                c.precondition()
             held = {name: point.values[name] for name in MUSCLES}
             ends = {"lowest_angle": lowest, "highest_angle": highest, "cycles": float(trial.cycles)}
-            c.trials.append(TrialRecord(index, held | ends, point.repeat))
-            c.steps += self._steps(index, point, lowest, highest)
+            index = c.add_trial(held | ends, point.repeat)
+            there = self._branch("rise", [lowest, *trial.angles, highest])
+            back = self._branch("fall", [highest, *reversed(trial.angles), lowest])
+            c.steps += at_pressures(held, trial.settle, lowest, trial.speed, index, [*there, *back] * trial.cycles)
         c.steps += vented()
         return c.plan("joint-torque", {"angles": list(trial.angles)})
-
-    def _steps(self, index: int, point: Point, lowest: float, highest: float) -> Sequence[Step]:
-        trial = self.trial
-        return [
-            *(Set("pressurise", name, point.values[name]) for name in MUSCLES),
-            Hold("pressurise", trial.settle),
-            Ramp("approach", "angle", 0.0, lowest, trial.speed),
-            Record("rise", True, index),
-            *(
-                *self._branch("rise", [lowest, *trial.angles, highest]),
-                *self._branch("fall", [highest, *reversed(trial.angles), lowest]),
-            )
-            * trial.cycles,
-            Record("fall", False, index),
-            Ramp("return", "angle", lowest, 0.0, trial.speed),
-        ]
 
     def _branch(self, phase: str, places: Sequence[float]) -> list[Step]:
         """From the first place to the last, with a rest at each in between."""

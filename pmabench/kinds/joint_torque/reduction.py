@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import joint_commands, skew, student
+from pmabench.analysis.shared import joint, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.ramp_loop import BY_PRESSURE, CUT, MUSCLES
+from pmabench.analysis.shared.joint import BY_PRESSURE, CUT, MUSCLES, STIFFNESS, TORQUE
 from pmabench.analysis.shared.samples import Left, lag_open, left
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.plane import Drift, plane_estimates
 from pmabench.kinds.joint_torque.staircase import ORDERS, ROUNDED, Staircase, ramps_of, staircase_of
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "joint-torque"
@@ -49,17 +50,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     rising, falling = (left(holds) if rests[0] else Left(0.0, 0.0, False) for holds in rests)
     for pressures, members in sorted(cells.items()):
         estimates += _estimates(dict(zip(MUSCLES, pressures, strict=True)), members, scales, (rising, falling))
-    estimates = _pooled(estimates, min((len(one.rising) for one in staircases), default=1))
+    estimates = _pooled(estimates, min((len(one.gap) for one in staircases), default=1))
     drift, torques = Drift.of(staircases), [e for e in estimates if e.symbol == "tau"]
     planes = list(plane_estimates(torques, scales, drift))
     largest = max((abs(e.value) for e in torques if e.value is not None), default=0.0)
     estimates = [drift.weigh(e, drift.by(e), largest) if e.symbol == "tau" else e for e in estimates] + planes
     findings = [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    findings += joint_commands.findings([(one.trial.point, one.kept) for one in staircases])
-    if estimates and (lack := scales.lack(("torque", "angle", *MUSCLES))):
-        findings.append(Finding("note", lack))
-    apart = skew.apart(runs, ("angle", "torque")) if runs else 0.0
-    findings += skew.findings(runs, ("angle", "torque"), apart, estimates)
+    findings += joint.findings(runs, [(one.trial.point, one.kept) for one in staircases], scales, estimates)
     return Analysis.of(
         KIND,
         runs,
@@ -105,44 +102,28 @@ def _near_a_turn(members: Sequence[Staircase]) -> str:
 def _estimates(
     at: Mapping[str, float], members: Sequence[Staircase], scales: Scales, moving: tuple[Left, Left]
 ) -> Iterator[Estimate]:
-    """Everything at one pair of pressures; calibration to first order, a pressure that is off changes the torque."""
-    trials = tuple(one.trial.name for one in members)
-    total = max(sum(at.values()), 1.0)
+    """Everything at one pair of pressures; a pressure that is off changes the torque."""
+    made = partial(
+        joint.estimate, trials=tuple(one.trial.name for one in members), kept=[one.kept for one in members],
+        scales=scales,
+    )  # fmt: skip
+    total, nominal = max(sum(at.values()), 1.0), members[0].nominal
     likely = max(float(np.max(np.abs(np.diff(m.mean.mean(axis=0)) / np.diff(m.angles)))) for m in members)
-    per_pressure = BY_PRESSURE * likely / total
-    """Change of the stiffness by that of one pressure [N m/rad/Pa]."""
-    whole = max(float(np.abs(m.mean).max()) for m in members) + likely * float(np.ptp(members[0].nominal))
-    off = max(one.kept.short for one in members)
-
-    def made(
-        symbol: str, kind: tuple[str, str], method: str, values: Sequence[Array], extra: float,
-        angles: float, by_pressure: float = 0.0, where: Mapping[str, float] | None = None, by_angle: float = 0.0,
-    ) -> Estimate:  # fmt: skip
-        value, half = mean_of_cycles(values)
-        gains = {"torque": value} | ({"angle": angles} if angles else {})
-        gains |= {name: by_pressure * at[name] for name in MUSCLES if by_pressure}
-        offsets = dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {}
-        offsets |= {"torque": 1.0 if symbol == "tau" else 0.0, "angle": by_angle}
-        part = scales.part(gains, {name: change for name, change in offsets.items() if change})
-        parts = Parts(half, float(np.hypot(extra, by_pressure * off)), part)
-        note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
-        return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
-
-    torque = ("N.m", "torque")
+    whole = max(float(np.abs(m.mean).max()) for m in members) + likely * float(np.ptp(nominal))
     opened = np.all([one.open for one in members], axis=0)
     of_gap, of_torque, of_slope = _doubts(members, likely, whole / total, moving)
     # half the change of the gap over the angles [N.m]
     uneven = max(0.5 * float(np.ptp(one.gap.mean(axis=0)[opened])) for one in members)
-    yield weighed(made("H_tau", torque, GAP, [_gap(one) for one in members], uneven, 0.0), of_gap)
+    yield weighed(made("H_tau", TORQUE, GAP, [_gap(one) for one in members], uneven, at), of_gap)
     slack = next((one.slack for one in members if one.slack), "")
     why = next((one.why_no_stiffness for one in members if one.why_no_stiffness), "")
     slopes = [] if why else [(one.stiffness(), one.stiffness(ORDERS[1]).mean(axis=0)) for one in members]
-    for n, angle in enumerate(members[0].nominal):
-        where = {**at, "angle": round(float(angle), 9)}
+    for n, angle in enumerate(nominal.tolist()):
+        where = {**at, "angle": round(angle, 9)}
         left = max(abs(float(one.left[n])) for one in members)
-        misplaced = likely * max(abs(float(one.angles[n] - angle)) for one in members)
-        one = made("tau", torque, SIDES, [m.mean[:, n] for m in members], float(np.hypot(left, misplaced)),
-                   likely * abs(float(angle)), whole / total, where, likely)  # fmt: skip
+        misplaced = likely * max(abs(float(one.angles[n]) - angle) for one in members)
+        one = made("tau", TORQUE, SIDES, [m.mean[:, n] for m in members], hypot(left, misplaced), where,
+                   by_pressure=whole / total, by_angle=likely, by_gain=likely * abs(angle))  # fmt: skip
         lacks = slack if opened[n] else _near_a_turn(members)
         yield withhold(one, lacks) if lacks else weighed(one, of_torque, whole)
         if not why and opened[n]:
@@ -150,24 +131,22 @@ def _estimates(
             other = max(abs(float(K[:, place].mean() - K3[place])) for K, K3 in slopes)
             values = [K[:, place] for K, _ in slopes]
             # largest change of the stiffness with the angle [N.m/rad2]
-            steps = np.diff(slopes[0][0].mean(axis=0)) / np.diff(members[0].nominal[opened])
-            bend = float(np.max(np.abs(steps), initial=0.0))
-            K = made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, values, other,
-                     float(values[0].mean()), per_pressure, where, bend)  # fmt: skip
+            bend = float(np.max(np.abs(np.diff(slopes[0][0].mean(axis=0)) / np.diff(nominal[opened])), initial=0.0))
+            K = made("K_th", STIFFNESS, SLOPE, values, other, where, by_pressure=BY_PRESSURE * likely / total,
+                     by_angle=bend, by_gain=float(values[0].mean()))  # fmt: skip
             still = replace(of_slope, half=of_slope.half * abs(K.value or 0.0))
             yield weighed(K, [still, *_of_stiffness(members, K, place, bend)])
     if why:
-        middle = {**at, "angle": round(float(np.median(members[0].nominal)), 9)}
-        K = made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, [np.zeros(2)], 0.0, 0.0, 0.0, middle)
-        yield withhold(K, why)
+        middle = {**at, "angle": round(float(np.median(nominal)), 9)}
+        yield withhold(made("K_th", STIFFNESS, SLOPE, [np.zeros(2)], 0.0, middle), why)
 
 
 def _of_stiffness(members: Sequence[Staircase], K: Estimate, place: int, bend: float) -> list[Doubt]:
     """What angles, steps and play do to a stiffness at one of the open angles, which changes by `bend` [N m/rad2]."""
     kept = [one.kept for one in members]
     return [
-        joint_commands.way(kept, K.value or 0.0),
-        joint_commands.place(kept, K.at["angle"], bend),
+        joint.way(kept, K.value or 0.0),
+        joint.place(kept, K.at["angle"], bend),
         Doubt("steps of the torque", "method", max(float(m.rounded[place]) for m in members), False),
         Doubt("play", "method", max(float(m.held_back[place]) for m in members), False),
         Doubt("play under the torque", "method", max(m.flatter for m in members), False),
@@ -223,21 +202,22 @@ def _pooled(estimates: Sequence[Estimate], cycles: int) -> list[Estimate]:
     The scatter of two trials is small by chance once in a while; that of all is not. Where no pair was repeated, it is
     that of the `cycles`.
     """
-    found = list(estimates)
-    for symbol in {e.symbol for e in estimates}:
-        known = [e for e in estimates if e.symbol == symbol and e.value is not None and e.parts.repeats is not None]
-        several = [e for e in known if e.n > 1] or known
-        freedom = [e.n - 1 if e.n > 1 else cycles - 1 for e in several]
-        if sum(freedom) == 0:
-            continue
-        halves = np.array([e.parts.repeats for e in several])
-        deviations = halves * np.sqrt([e.n for e in several]) / student.ppf(0.975, np.array(freedom))
-        together = np.sqrt(np.average(np.square(deviations), weights=freedom)) * student.ppf(0.975, sum(freedom))
-        for place, e in enumerate(found):
-            if e.symbol == symbol and e.parts.repeats is not None:
-                repeats = max(e.parts.repeats, float(together / np.sqrt(e.n)))
-                found[place] = replace(e, parts=replace(e.parts, repeats=repeats))
-    return found
+    known = [e for e in estimates if e.value is not None and e.parts.repeats is not None]
+    least = {}
+    for symbol, group in grouped(known, lambda e: e.symbol).items():
+        several = [e for e in group if e.n > 1] or group
+        freedom = np.array([e.n - 1 if e.n > 1 else cycles - 1 for e in several])
+        if freedom.sum() > 0:
+            halves, n = (np.array(column) for column in zip(*((e.parts.repeats, e.n) for e in several), strict=True))
+            deviations = halves * np.sqrt(n) / student.ppf(0.975, freedom)
+            together = np.sqrt(np.average(deviations**2, weights=freedom))
+            least[symbol] = float(together * student.ppf(0.975, float(freedom.sum())))
+
+    def widened(e: Estimate) -> Estimate:
+        repeats = max(e.parts.repeats or 0.0, least.get(e.symbol, 0.0) / sqrt(e.n))
+        return e if e.parts.repeats is None else replace(e, parts=replace(e.parts, repeats=repeats))
+
+    return list(map(widened, estimates))
 
 
 def _map(cells: Cells, estimates: Sequence[Estimate]) -> Iterator[Trace]:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.joint_commands import Kept, flanks
-from pmabench.analysis.shared.ramp_loop import AXES, CUT, MUSCLES, Turns, on_grid, refuse_turns, turns_of
+from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, Kept, flank, why_no_turns
+from pmabench.analysis.shared.ramp_loop import Turns, on_grid, turns_of
 from pmabench.analysis.shared.samples import (
     Held,
     NotUsable,
@@ -80,29 +80,26 @@ class Staircase:
 
     run: RunData
     trial: TrialData
-    angles: Array
-    """Where the joint was, as measured: means of all cycles."""
     nominal: Array
-    """Where it was to be."""
-    rising: Array
-    falling: Array
+    """Where the joint was to be."""
+    rests: Rests
     turns: Turns | None
     open: NDArray[np.bool_]
     """True where both turns are far enough away."""
-    pressures: Array
-    """Mean pressures of both muscles as measured [Pa], shape (2,)."""
-    noise: float
-    """Of the torque [N m]."""
-    rests: Rests
     after: AfterTurns | None
     """None without turns."""
     flank: float
     """Step of the torque where it changes its sign, as play makes it [N m]; 0 where none shows."""
 
     @cached_property
+    def angles(self) -> Array:
+        """Where the joint was, as measured: means of all cycles."""
+        return np.asarray(self.rests.angles.mean(axis=(0, 1)))
+
+    @cached_property
     def gap(self) -> Array:
         """Torque while falling minus torque while rising [N m], shape (cycles, n)."""
-        return np.asarray(self.falling - self.rising)
+        return np.asarray(self.rests.torques[:, 1] - self.rests.torques[:, 0])
 
     @cached_property
     def left(self) -> Array:
@@ -124,7 +121,7 @@ class Staircase:
     @cached_property
     def mean(self) -> Array:
         """Torque without hysteresis [N m], shape (cycles, n)."""
-        return np.asarray(0.5 * (self.falling + self.rising) - self.left)
+        return np.asarray(self.rests.torques.mean(axis=1) - self.left)
 
     @cached_property
     def why_no_stiffness(self) -> str:
@@ -140,7 +137,7 @@ class Staircase:
         A muscle that pulls on one of the two ways only makes a smaller gap, and the mean is not free of hysteresis.
         """
         gap = self.gap.mean(axis=0)[self.open]
-        if np.ptp(gap) > UNEVEN * np.median(gap) + 4 * self.noise:
+        if np.ptp(gap) > UNEVEN * np.median(gap) + 4 * self.rests.noise:
             ends = " to ".join(show(float(end), "torque", 3) for end in (gap.min(), gap.max()))
             return f"the gap between both sides is {ends}: a muscle is slack at some of the angles"
         return ""
@@ -189,26 +186,18 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
     rests = _rests(trial, nominal, angle, torque)
     elsewhere = _elsewhere(rests.angles, nominal)
     lowest, highest = trial.point["lowest_angle"], trial.point["highest_angle"]
-    mean = rests.angles.mean(axis=(0, 1))
     # the turns are where the encoder reads them, which may be off the drive
-    low, high = np.polyval(np.polyfit(nominal, mean, 1), [lowest, highest])
+    low, high = np.polyval(np.polyfit(nominal, rests.angles.mean(axis=(0, 1)), 1), [lowest, highest])
     grid, up, down = _moving(trial, angle, torque, low, high)
     known = np.isfinite(up + down)
     turns = turns_of(grid[known], (down - up)[known], low, high) if known.sum() > LEAST_SAMPLES else None
+    after = _after_turns(trial, angle, torque, turns.w) if turns is not None else None
     way = CUT * turns.w * (1 - 1e-9) if turns is not None else -np.inf
     far = np.asarray((nominal - lowest >= way) & (highest - nominal >= way))
-    pressures = np.array([float(np.mean(trial.channels[name][trial.usable])) for name in MUSCLES])
-    rising, falling = rests.torques.swapaxes(0, 1)
-    after = _after_turns(trial, angle, torque, turns.w) if turns is not None else None
-    cut = CUT * turns.w if turns is not None else 0.0
-    flank = flanks(grid, (np.where(grid - low >= cut, up, np.nan), np.where(high - grid >= cut, down, np.nan)))
-    found = Staircase(
-        run, trial, mean, nominal, rising, falling, turns, far, pressures, rests.noise, rests, after, flank
-    )
-    try:
-        refuse_turns(turns, 0.5 * (highest - lowest), float(np.median(found.gap)), rests.noise)
-    except NotUsable as reason:
-        raise NotUsable(f"{elsewhere}; {reason}" if elsewhere else str(reason)) from None
+    step = flank(grid, up, down, (low, high), turns)
+    found = Staircase(run, trial, nominal, rests, turns, far, after, step)
+    if why := why_no_turns(turns, 0.5 * (highest - lowest), float(np.median(found.gap)), rests.noise):
+        raise NotUsable(f"{elsewhere}; {why}" if elsewhere else why)
     if turns is not None and not found.open.any():
         least = show(CUT * turns.w, "angle", 3)
         raise NotUsable(
@@ -220,14 +209,11 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
 
 def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> Rests:
     """Mean angles, torques and pressures of the later half of each rest, and what else the rests say."""
-    ramps = ramps_of(trial)
-    cycles = int(trial.point["cycles"])
     channels = [angle, torque, *(trial.channels[name] for name in MUSCLES)]
-    means = np.full((len(channels), cycles, 2, len(nominal)), np.nan)
+    means: dict[tuple[int, int], list[list[float]]] = {}
     holds: tuple[list[Held], list[Held]] = ([], [])
-    counts = {"rise": [0] * len(nominal), "fall": [0] * len(nominal)}
     noise, rough = 0.0, 0.0
-    for ramp, after in pairwise(ramps):
+    for ramp, after in pairwise(ramps_of(trial)):
         at = np.flatnonzero(np.abs(nominal - ramp.value) < 1e-9)
         if not len(at):
             continue
@@ -236,18 +222,20 @@ def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> Res
         rows = (trial.t >= late) & (trial.t < after.t) & trial.usable
         if rows.sum() < LEAST_SAMPLES:
             raise NotUsable(f"fewer than {LEAST_SAMPLES} samples in the later half of a rest")
-        cycle, n = counts[ramp.phase][at[0]], int(at[0])
-        counts[ramp.phase][n] += 1
         side = 0 if ramp.phase == "rise" else 1
-        means[:, cycle, side, n] = [values[rows].mean() for values in channels]
+        means.setdefault((side, int(at[0])), []).append([float(values[rows].mean()) for values in channels])
         whole = (trial.t >= begin + SKIPPED * (after.t - begin)) & (trial.t < after.t) & trial.usable
         holds[side].append(Held.of(trial.t[whole], torque[whole], late))
         noise = max(noise, noise_of(torque[rows]) / float(np.sqrt(rows.sum())))
         rough = max(rough, float(torque[rows].std()))
-    if not np.isfinite(means).all():
+    each = [[means.get((side, n), []) for n in range(len(nominal))] for side in (0, 1)]
+    cycles = int(trial.point["cycles"])
+    if any(len(one) != cycles for branch in each for one in branch) or not np.isfinite(each).all():
         raise NotUsable("not every angle was reached from both sides in every cycle")
+    angles, torques, *pressures = np.transpose(each, (3, 2, 0, 1))
     step = step_of(torque[trial.usable])
-    return Rests(means[0], means[1], means[2:], holds, noise, step if rough < DITHERED * step < np.inf else 0.0)
+    coarse = step if rough < DITHERED * step < np.inf else 0.0
+    return Rests(angles, torques, np.array(pressures), holds, noise, coarse)
 
 
 def _elsewhere(places: Array, nominal: Array) -> str:

@@ -6,6 +6,9 @@
 
 from pmabench.base.kind import Kind, Result
 
+MUSCLES = ("pressure_1", "pressure_2", "pressure_3")
+ACCELERATIONS = ("acceleration_x", "acceleration_y", "acceleration_z")
+VALVES = tuple(f"{kind}_{i}" for i in (1, 2, 3) for kind in ("fill", "exhaust"))
 RESULTS = (
     Result("t_1", "time to within 1 deg of the attitude", "time", headline=True),
     Result("OS_q", "overshoot of the attitude", "angle", headline=True, positive=True),

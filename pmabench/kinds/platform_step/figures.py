@@ -1,6 +1,6 @@
 """Figures of steps of a platform: attitude with its reference, the three pressures, and when each valve is open.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.kinds.platform_step import MUSCLES, VALVES
 from pmabench.kinds.platform_step.reduction import course_of
 from pmabench.plotting.pictures import Picture, bound, has, head, how_many, label, numbers, panel, picture, spread
 from pmabench.plotting.plots import (
@@ -36,10 +37,8 @@ if TYPE_CHECKING:
 
 DASHED = (0, (4, 3))
 COLUMNS, MOST = 3, 6
-VALVES = tuple(f"{kind}_{i}" for i in (3, 2, 1) for kind in ("exhaust", "fill"))
-"""From below upwards."""
-PRESSURES = tuple(f"pressure_{i}" for i in (1, 2, 3))
-SHOWN = ("t", "phi", "psi", "reference_phi", "reference_psi", *PRESSURES, "wanted_1", "wanted_2", "wanted_3", *VALVES)
+UPWARDS = VALVES[::-1]
+SHOWN = ("t", "phi", "psi", "reference_phi", "reference_psi", *MUSCLES, "wanted_1", "wanted_2", "wanted_3", *UPWARDS)
 
 
 def attitudes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -73,7 +72,7 @@ def _drawn(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         for axis, color in (("phi", BLUE), ("psi", BROWN)):
             upper.plot(t, one.columns[axis], color=color, linewidth=1.0, label=axis)
             upper.plot(t, one.columns[f"reference_{axis}"], color=INK, linewidth=0.7, linestyle=DASHED)
-        for number, name in enumerate(PRESSURES, start=1):
+        for number, name in enumerate(MUSCLES, start=1):
             color = PALETTE[number - 1]
             middle.plot(t, one.columns[name], color=color, linewidth=0.8)
             middle.plot(t, one.columns[f"wanted_{number}"], color=color, linewidth=0.5, linestyle=DASHED)
@@ -96,11 +95,13 @@ def _drawn(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 def _openings(axes: Axes, one: Panel, *, names: bool) -> None:
     """A row for each valve, marked while it is open."""
     t = one.columns["t"]
-    for row, valve in enumerate(VALVES):
+    for row, valve in enumerate(UPWARDS):
         color = GREEN if valve.startswith("fill") else BROWN
         axes.fill_between(t, row - 0.4, row + 0.4, where=one.columns[valve] > 0, color=color, linewidth=0, step="post")
-    axes.set_ylim(-0.6, len(VALVES) - 0.4)
-    axes.set_yticks(range(len(VALVES)), [valve.replace("_", " ") for valve in VALVES] if names else [""] * len(VALVES))
+    axes.set_ylim(-0.6, len(UPWARDS) - 0.4)
+    axes.set_yticks(
+        range(len(UPWARDS)), [valve.replace("_", " ") for valve in UPWARDS] if names else [""] * len(UPWARDS)
+    )
     axes.tick_params(axis="y", labelsize=5.5, length=0)
 
 

@@ -11,6 +11,7 @@ from pmabench.base.quantities import show
 from pmabench.bench.files.specimen import above_zero
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Pressure, Time, TorqueRate, TorsionalStiffness
+from pmabench.kinds.platform_step import ACCELERATIONS, MUSCLES
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Control, Plan, Record, TrialRecord
@@ -19,8 +20,6 @@ from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
 REFERENCE_LAG, WIDE = 0.05, math.radians(10.0)
 """Time constant of each of the two lags of the reference [s] for steps up to this wide [rad]; in proportion beyond: air
 leaves a muscle at 10 bar/s, and 20 deg through the lags of 10 deg go on to the trip."""
-MUSCLES = ("pressure_1", "pressure_2", "pressure_3")
-ACCELERATIONS = ("acceleration_x", "acceleration_y", "acceleration_z")
 BACK = 1.0
 """After the hold it goes back to level for so long [s]: vented there, it does not fall on a stop."""
 LEAST_LEVEL, LEAST_HOLD = 1.6, 1.5

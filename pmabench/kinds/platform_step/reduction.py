@@ -1,7 +1,7 @@
 """From steps of a platform's attitude to time, overshoot, end error and openings of valves, each with an interval.
 
-The attitude is without what the accelerometer's height adds. An accelerometer says about itself whether it is right: at
-rest it shows g whatever the attitude, and in motion nearly.
+The attitude is without what the accelerometer's height adds. Faults of the accelerometer are seen in its own readings:
+at rest their magnitude is g at every attitude, and nearly so in motion.
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.calibration import Scales, changes
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
-from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.samples import NotUsable, count_of, lag_open, noise_of, on_time, settings_of
 from pmabench.analysis.shared.skew import off
-from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
-from pmabench.kinds.platform_step import RESULTS
+from pmabench.kinds.platform_step import ACCELERATIONS, MUSCLES, RESULTS, VALVES
 from pmabench.model.many.platform import Lags
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 GRAVITY = 0.003
@@ -34,23 +33,6 @@ MOVES = 1.0
 """The motion is looked at for so long from the step on [s]."""
 LATE = 15e-3
 """Times between axes that are shorter [s] are left to the interval: a sound accelerometer looks like up to 12 ms."""
-
-
-@dataclass(frozen=True)
-class Seen:
-    """Half widths that the accelerometer leaves open."""
-
-    attitude: Doubt
-    """Error of the attitude at rest [rad]."""
-    time: Doubt
-    """Time between an axis and the others, or all of them and the valves [s]."""
-    wobble: float
-    """What shakes it at level, and half a count [rad]."""
-
-
-def seen_in(courses: Sequence[Course]) -> Seen:
-    """Of all courses together: they have one accelerometer."""
-    return Seen(_attitude(courses), _between_axes(courses), max(_wobble(one) for one in courses))
 
 
 def _wobble(one: Course) -> float:
@@ -73,14 +55,14 @@ def _rests(one: Course) -> tuple[Array, Array]:
 
 
 def _attitude(courses: Sequence[Course]) -> Doubt:
-    """By an offset or a scale of one axis: |f| is another one when tilted than when level, or is not g at all."""
+    """Effect of an offset or a wrong scale of one axis: |f| differs between level and tilted, or is not g."""
     rows = []
     for one in courses:
         norm, (level, held) = _norm(one), _rests(one)
         more = abs(float(norm[held].mean() - norm[level].mean()) / math.sin(one.size))
         error = noise_of(norm) * math.sqrt(1 / level.sum() + 1 / held.sum()) / math.sin(one.size)
         rows.append((more, error, float(norm[level].mean()) / G - 1))
-    more, error, _ = rows[int(np.argmax([row[0] for row in rows]))]  # one that is not known counts as the largest
+    more, error, _ = rows[int(np.argmax([row[0] for row in rows]))]  # NaN counts as the largest
     off_level = float(np.mean([row[2] for row in rows]))
     scale = max(abs(off_level) - GRAVITY, 0.0)
     half = (more + 2 * error) / G + scale * max(one.size for one in courses)
@@ -94,16 +76,15 @@ def _attitude(courses: Sequence[Course]) -> Doubt:
 
 
 def _between_axes(courses: Sequence[Course]) -> Doubt:
-    """By a filter on one axis: while it tilts, |f| departs from g by how far the horizontal axis is behind.
+    """Effect of a filter on one axis: while it tilts, |f| departs from g by the delay of the horizontal axis.
 
     f is g sin(q) across and g cos(q) - h q'^2 along, and h q'' across: columns of a least squares for delay and height.
     """
     rows, columns = [], []
     for one in courses:
-        way = (one.phi * one.goal[0] + one.psi * one.goal[1]) / one.size
+        way, norm = one.way, _norm(one)
         rate = np.gradient(way, one.t)
         turning = (one.t > 0) & (one.t <= MOVES)
-        norm = _norm(one)
         behind = -G * np.sin(way) * np.cos(way) * rate
         above = -np.sin(way) * np.gradient(rate, one.t) - rate**2
         rows.append(norm[turning] - norm[_rests(one)[0]].mean())
@@ -120,9 +101,6 @@ def _between_axes(courses: Sequence[Course]) -> Doubt:
     return Doubt("time between the axes", "method", max(open_, 1.5 * late), seen, reason)
 
 
-MUSCLES = ("pressure_1", "pressure_2", "pressure_3")
-ACCELERATIONS = ("acceleration_x", "acceleration_y", "acceleration_z")
-VALVES = tuple(f"{kind}_{i}" for i in (1, 2, 3) for kind in ("fill", "exhaust"))
 G = 9.81
 BAND = math.radians(1.0)
 LAST = 1.0
@@ -161,6 +139,11 @@ class Course:
         return np.asarray((self.t > 0) & (self.t <= self.hold + 1e-9))
 
     @property
+    def way(self) -> Array:
+        """Attitude in the direction of the step [rad]."""
+        return np.asarray((self.phi * self.goal[0] + self.psi * self.goal[1]) / self.size)
+
+    @property
     def away(self) -> Array:
         """Distance from the goal at each sample [rad]."""
         return np.hypot(self.phi - self.goal[0], self.psi - self.goal[1])
@@ -174,8 +157,7 @@ class Course:
     @property
     def overshoot(self) -> float:
         """Furthest way beyond the goal in its direction [rad]; 0 where it does not get there."""
-        way = (self.phi * self.goal[0] + self.psi * self.goal[1]) / self.size
-        return max(0.0, float(way[self.held].max()) - self.size)
+        return max(0.0, float(self.way[self.held].max()) - self.size)
 
     def ends(self, since: float = LAST, until: float = 0.0) -> tuple[float, float]:
         """Mean attitude minus the goal [rad], from so long before the end of the hold [s] on."""
@@ -233,14 +215,12 @@ def _steered(run: RunData, trial: TrialData) -> Iterator[Mapping[str, Any]]:
             yield event.data
 
 
-def wanted(course: Course) -> dict[str, Array]:
-    """Pressures that the law wanted at each sample [Pa]; NaN before the first."""
-    rows = [row for data in _steered(course.run, course.trial) for row in data["aims"]]
-    if not rows:
-        return {name: np.full(len(course.t), np.nan) for name in MUSCLES}
-    table = np.array(rows, dtype=np.float64)
-    place = np.searchsorted(table[:, 0], course.trial.t + 1e-9, side="right") - 1
-    return {name: np.where(place >= 0, table[np.maximum(place, 0), 1 + i], np.nan) for i, name in enumerate(MUSCLES)}
+def _wanted(one: Course) -> dict[str, Array]:
+    """Pressures that the law wanted at each sample [Pa], as `wanted_1` and so on; NaN before the first."""
+    rows = [row[:4] for data in _steered(one.run, one.trial) for row in data["aims"]]
+    aims = np.array([[-np.inf, *(np.nan for _ in MUSCLES)], *rows], dtype=np.float64)
+    place = np.searchsorted(aims[:, 0], one.trial.t + 1e-9, side="right") - 1
+    return {f"wanted_{i}": aims[place, i] for i in (1, 2, 3)}
 
 
 KIND = "platform-step"
@@ -268,8 +248,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
     cells = grouped(courses, lambda one: (str(one.law["chain"]), round(one.goal[0], 9), round(one.goal[1], 9)))
     for (chain, phi, psi), members in cells.items():
-        where = {"phi": phi, "psi": psi}
-        estimates += _estimates(f"chain {chain}", where, members, scales, seen_in(courses))
+        estimates += _estimates(f"chain {chain}", {"phi": phi, "psi": psi}, members, courses, scales)
         traces.append(_trace(chain, members[-1]))
     findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
     for one in (one for one in courses if one.law["saturated"] > 0):
@@ -285,38 +264,34 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _estimates(
-    method: str, at: Mapping[str, float], members: Sequence[Course], scales: Scales, seen: Seen
+    method: str, at: Mapping[str, float], members: Sequence[Course], courses: Sequence[Course], scales: Scales
 ) -> Iterator[Estimate]:
-    """Everything of one cell."""
-    others = [[course_of(one.run, one.trial, heights) for heights in HEIGHTS] for one in members]
+    """Everything of one cell; what the accelerometer leaves open is of all `courses`, which have the same."""
+    others = [[course_of(one.run, one.trial, heights) for one in members] for heights in HEIGHTS]
     offset = max(scales.offsets.get(name, 0.0) for name in ACCELERATIONS) / G
+    attitude, wobble = _attitude(courses), max(map(_wobble, courses))
+    noise, size = max(one.noise for one in members), math.hypot(*at.values())
+    names = tuple(one.trial.name for one in members)
 
     def made(
-        symbol: str, quantity: tuple[str, str], values: Sequence[float], extra: float, known: float | None
+        symbol: str, kind: tuple[str, str], values: Sequence[float], extra: float, known: float | None
     ) -> Estimate:
-        numbers = np.array(values)
-        parts = Parts(mean_half(numbers, []), extra, known)
-        note = "" if len(values) > 1 else "one trial: how far another one would be off is not known"
-        trials = tuple(one.trial.name for one in members)
-        return Estimate(
-            symbol, float(numbers.mean()), *quantity, method, at, parts, len(values), note=note, trials=trials
-        )
+        once = "one trial: how far another one would be off is not known"
+        return mean_of_trials(symbol, kind, method, at, names, values, extra, known, once)
 
-    size = math.hypot(*at.values())
-    times, by_height, by_band, why = _time(members, others, math.hypot(offset, seen.attitude.half, seen.wobble))
+    times, by_height, by_band, why = _time(members, others, math.hypot(offset, attitude.half, wobble))
     t_1 = made("t_1", ("s", "time"), times, by_height, by_band)
-    if not why and t_1.value is not None and seen.attitude.seen and seen.attitude.half > MOST_HIDDEN * size:
-        why = seen.attitude.reason
-    yield withhold(t_1, why) if why else weighed(t_1, [seen.time])
-    pairs = [(one, other) for one, both in zip(members, others, strict=True) for other in both]
-    shape = max(abs(other.overshoot - one.overshoot) for one, other in pairs)
-    shape = math.hypot(shape, PEAK * max(one.noise for one in members), seen.wobble)
+    if not why and t_1.value is not None and attitude.seen and attitude.half > MOST_HIDDEN * size:
+        why = attitude.reason
+    yield withhold(t_1, why) if why else weighed(t_1, [_between_axes(courses)])
+    pairs = [(one, other) for several in others for one, other in zip(members, several, strict=True)]
+    shape = math.hypot(max(abs(other.overshoot - one.overshoot) for one, other in pairs), PEAK * noise, wobble)
     OS_q = made("OS_q", ("rad", "angle"), [one.overshoot for one in members], shape, offset or None)
-    yield weighed(OS_q, [seen.attitude], size)
+    yield weighed(OS_q, [attitude], size)
     misses = [math.hypot(*one.ends()) for one in members]
     drifts = max(math.dist(one.ends(LAST, 0.5 * LAST), one.ends(0.5 * LAST)) / 2 for one in members)
-    drifts = math.hypot(drifts, max(one.noise for one in members), seen.wobble)
-    yield weighed(made("e_q", ("rad", "angle"), misses, drifts, offset or None), [seen.attitude], size)
+    e_q = made("e_q", ("rad", "angle"), misses, math.hypot(drifts, noise, wobble), offset or None)
+    yield weighed(e_q, [attitude], size)
     busiest = [max(one.openings().values()) for one in members]
     yield made("n_v", ("Hz", "frequency"), busiest, max(1 / one.hold for one in members), 0.0)
 
@@ -328,31 +303,28 @@ def _time(
 
     The interval holds the times of a band that is wider and narrower by what is not known.
     """
-    off = [math.hypot(offset, 2 * one.noise) for one in members]
-    times = [one.settled() for one in members]
-    sure = [[one.settled(BAND + sign * by) for sign in (-1, 1)] for one, by in zip(members, off, strict=True)]
-    shaped = [[other.settled() for other in both] for both in others]
-    known = [time for time in times if time is not None]
+
+    def times(courses: Sequence[Course], sign: int = 0) -> dict[str, float | None]:
+        return {one.trial.name: one.settled(BAND + sign * math.hypot(offset, 2 * one.noise)) for one in courses}
+
+    now, bands, heights = times(members), [times(members, sign) for sign in (-1, 1)], [*map(times, others)]
+    known = [time for time in now.values() if time is not None]
     if len(known) < len(members):
         many = f"{len(members) - len(known)} of {len(members)} trials"
         return known or [math.inf], 0.0, None, f"{many} did not stay within 1 deg in the second half of the hold"
-    if any(time is None for several in (*sure, *shaped) for time in several):
+    if any(time is None for ends in (*bands, *heights) for time in ends.values()):
         why = "whether it settles depends on how well the attitude is known: it ends near 1 deg off"
         return known, 0.0, None, why
-    by_band, by_height = (
-        max(abs(time - own) for own, several in zip(known, cases, strict=True) for time in several if time is not None)
-        for cases in (sure, shaped)
-    )
+    by_band, by_height = (max(changes(now, *ends).values()) for ends in (bands, heights))
     return known, by_height + 0.5 / members[0].run.rate, by_band, ""
 
 
 def _trace(chain: str, one: Course) -> Trace:
     """The whole of one trial, thinned."""
     stride = max(1, round(one.run.rate / THINNED))
-    aims, reference = wanted(one), _reference(one)
+    reference = _reference(one)
     angles = {"phi": one.phi, "psi": one.psi, "reference_phi": reference[0], "reference_psi": reference[1]}
-    pressures = {name: np.asarray(one.trial.channels[name]) for name in MUSCLES}
-    pressures |= {f"wanted_{i + 1}": aims[name] for i, name in enumerate(MUSCLES)}
+    pressures = {name: np.asarray(one.trial.channels[name]) for name in MUSCLES} | _wanted(one)
     thin = {name: values[::stride] for name, values in ({"t": one.t} | angles | pressures).items()}
     thin |= {valve: _open_share(one, valve, thin["t"], stride / one.run.rate) for valve in VALVES}
     quantities = {"t": "time", **dict.fromkeys(angles, "angle"), **dict.fromkeys(pressures, "pressure")}
@@ -363,8 +335,8 @@ def _trace(chain: str, one: Course) -> Trace:
     return Trace(name, "attitude", f"To phi {phi}, psi {psi}, chain {chain}", thin, quantities, marks)
 
 
-def _reference(one: Course) -> tuple[Array, Array]:
-    """What the attitude is to follow, at each sample: the goals through the law's two lags."""
+def _reference(one: Course) -> Array:
+    """What the attitude is to follow, at each sample: the goals through the law's two lags; shape (2, n) [rad]."""
     lags = Lags(float(one.law["reference_lag"]), (float(one.phi[0]), float(one.psi[0])))
     goals = [(float(begin), (float(phi), float(psi))) for begin, phi, psi in one.law["goals"]]
     start = float(one.law["t0"])
@@ -372,7 +344,7 @@ def _reference(one: Course) -> tuple[Array, Array]:
     for t, h in zip(one.trial.t, np.diff(one.trial.t, prepend=one.trial.t[0]), strict=True):
         goal = next((at for begin, at in reversed(goals) if t - start >= begin - 1e-9), goals[0][1])
         rows.append(lags.update(float(h), goal))
-    return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+    return np.array(rows).T
 
 
 def _open_share(one: Course, valve: str, t: Array, step: float) -> Array:

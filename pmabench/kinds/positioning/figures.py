@@ -1,20 +1,22 @@
 """Figures of held positions: the approach with its reference, and the error over the whole hold.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: the values of one trial, for the display.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning.paths import tracked
-from pmabench.kinds.positioning.reduction import hold_of
+from pmabench.kinds.positioning.paths import Tracked
+from pmabench.kinds.positioning.reduction import measured
 from pmabench.plotting import pictures, plots, time_plots
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
@@ -41,11 +43,9 @@ def positions(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Pict
     names = {"t": "t", "setpoint": "setpoint", "measured": "displacement"} | ({"model": "model"} if modelled else {})
     panels = []
     for trace in chosen:
-        scale = pictures.unit_of(trace, "displacement").scale
         base = pictures.panel(trace, names, pictures.head(trace))
-        panels.append(
-            plots.Panel(base.title, base.columns, {**base.marks, "setpoint": trace.marks["setpoint"] / scale})
-        )
+        aim = trace.marks["setpoint"] / pictures.unit_of(trace, "displacement").scale
+        panels.append(replace(base, marks={**base.marks, "setpoint": aim}))
     unit = pictures.unit_of(chosen[0], "displacement").unit
     labels = {
         "t": pictures.label(chosen[0], "t"),
@@ -165,19 +165,17 @@ def _reach(panel: plots.Panel) -> float:
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Steady-state error and overshoot of a held position, and its limit cycle where it hunts; errors along a path."""
-    law = trial.found.get("position") or {}
-    if law.get("path") and law.get("ended") == "time":
-        one = tracked(run, trial, law)
-        if isinstance(one, str):
-            return [Measured("e_rms", "length", None)], [one]
+    try:
+        one = measured(run, trial)
+    except NotUsable as reason:
+        on_path = (trial.found.get("position") or {}).get("path")
+        wanted = {"e_rms": "length"} if on_path else {"e_ss": "ratio", "OS": "ratio"}
+        return [Measured(symbol, quantity, None) for symbol, quantity in wanted.items()], [str(reason)]
+    if isinstance(one, Tracked):
         values = one.values()
         return [Measured("e_rms", "length", values["e_rms"]), Measured("OS", "ratio", values["OS"])], []
-    hold = hold_of(run, trial)
-    if isinstance(hold, str):
-        return [Measured("e_ss", "ratio", None), Measured("OS", "ratio", None)], [hold]
-    response = hold.response
-    aim = float(hold.law["setpoint"])
-    found = [Measured("e_ss", "ratio", response.error / aim), Measured("OS", "ratio", response.overshoot)]
+    response = one.response
+    found = [Measured(symbol, "ratio", one.values[symbol]) for symbol in ("e_ss", "OS")]
     doubts = [] if response.settling is not None else ["it does not settle in the band"]
     cycle = response.cycle
     if cycle is not None:

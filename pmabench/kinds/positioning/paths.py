@@ -1,4 +1,7 @@
-"""How well a controller followed a path: the error over the whole path, and what it goes beyond each place."""
+"""Trials of a controller: the samples of its loop; how well it followed a path, over the whole of it and at each place.
+
+Knows one way of controlling along a path; what a step says is in `reduction`.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +11,33 @@ from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import count_of, noise_of
+from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
+from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of, noise_of
+from pmabench.analysis.shared.skew import late
 from pmabench.analysis.shared.smoothing import SURE, Smooth, smooth
-from pmabench.analysis.shared.trials import point_of
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning.record import ALONE, LONGEST_TRACE, lag_of, late, looped
 from pmabench.model.reference_path import ReferencePath
-from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Estimate, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
+CHANNEL = "displacement"
+ALONE = "one run: no repeats part"
+LONGEST_TRACE = 4000
 ALONE_METHOD, AHEAD = "along a path", "along a path, with feed-forward"
 FEWEST_ON_PATH = 50
 """Samples of a path."""
 OF_PATHS = {"e_rms": ("m", "length"), "e_max": ("m", "length"), "OS": ("1", "ratio")}
 """Symbol -> unit and quantity."""
+
+
+def rows_of(trial: TrialData, law: Mapping[str, Any]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """The usable samples before the loop began, and those of the loop."""
+    known = np.asarray(trial.usable & np.isfinite(trial.channels[CHANNEL]))
+    before, over = trial.t < float(law["t0"]) - 1e-6, trial.t > float(law["t1"]) + 1e-6
+    return known & before, known & ~before & ~over
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +56,7 @@ class Tracked:
 
     def values(self, more: float = 0.0, gain: float = 0.0, later: float = 0.0) -> dict[str, float]:
         """Each measure, of a displacement that is `more` [m] and a share `gain` larger, of a sensor `later` [s]."""
-        x = smooth(self.t, self.x * (1 + gain) + more, lag_of(self.run) + later)
+        x = smooth(self.t, self.x * (1 + gain) + more, lag_of(self.run, CHANNEL) + later)
         noise, errors = noise_of(self.x), (x.against(self.wanted, sign) for sign in (1.0, -1.0))
         return {
             "e_rms": sqrt(max(0.0, float(np.mean((x.y - self.wanted) ** 2)) - (x.gain * noise) ** 2)),
@@ -66,44 +79,38 @@ class Tracked:
 
     def unsure(self) -> dict[str, float]:
         """What noise, counts and the time of the displacement leave open of each measure."""
-        now, then = self.values(), self.values(later=late(self.run))
-        noise, ways = noise_of(self.x), np.abs(np.diff(self.path.places))
-        rest = SURE * noise * smooth(self.t, self.x, lag_of(self.run)).gain
-        rest += 0.5 * count_of(self.run, "displacement")
+        in_time = changes(self.values(), self.values(later=late(self.run, CHANNEL)))
+        ways = np.abs(np.diff(self.path.places))
+        rest = SURE * noise_of(self.x) * smooth(self.t, self.x, lag_of(self.run, CHANNEL)).gain
+        rest += 0.5 * count_of(self.run, CHANNEL)
         peaks = {"e_rms": 0.0, "e_max": rest, "OS": rest / float(ways[ways > 0].min(initial=np.inf))}
-        return {name: hypot(peaks[name], then[name] - now[name]) for name in peaks}
+        return {name: hypot(peaks[name], in_time[name]) for name in peaks}
 
 
-def tracked(run: RunData, trial: TrialData, law: Mapping[str, Any]) -> Tracked | str:
-    """A trial along a path, or why it is not used."""
-    ok = looped(trial, law)
+def tracked(run: RunData, trial: TrialData, law: Mapping[str, Any]) -> Tracked:
+    """A trial along a path; raises `NotUsable`."""
+    _, ok = rows_of(trial, law)
     if ok.sum() < FEWEST_ON_PATH:
-        return f"fewer than {FEWEST_ON_PATH} samples of the path can be used"
+        raise NotUsable(f"fewer than {FEWEST_ON_PATH} samples of the path can be used")
     path, t = ReferencePath(**law["path"]), trial.t[ok] - float(law["t0"])
     wanted = np.array([path.place(float(now)) for now in t])
     method = AHEAD if law.get("feedforward") else ALONE_METHOD
-    return Tracked(run, trial, path, method, t, wanted, trial.channels["displacement"][ok])
+    return Tracked(run, trial, path, method, t, wanted, trial.channels[CHANNEL][ok])
 
 
 def _of_paths(members: Sequence[Tracked]) -> list[Estimate]:
     """Root mean square and largest error [m], and the largest overshoot over its move [1], of one operating point."""
     scales = Scales.of([one.run for one in members])
-    gain, offset = scales.gains.get("displacement", 0.0), scales.offsets.get("displacement", 0.0)
     each, unsure = [one.values() for one in members], [one.unsure() for one in members]
-    ways = ((offset, 0.0), (0.0, gain))
-    shifted = [(members[0].values(more, share), members[0].values(-more, -share)) for more, share in ways]
-    lacking = scales.lack(("displacement",), ("displacement",))
+    # an overshoot is never below 0: half of what lies between both ends would be too little
+    by_scale = of_one_channel(members[0].values, each[0], scales, CHANNEL)
     method, at, names = members[0].method, dict(members[0].trial.point), tuple(one.trial.name for one in members)
-    note = sentences("" if len(members) > 1 else ALONE, lacking)
+    lacking = scales.lack((CHANNEL,), (CHANNEL,))
     found = []
-    for symbol, (unit, quantity) in OF_PATHS.items():
-        values = np.array([one[symbol] for one in each])
-        # an overshoot is never below 0: half of what lies between both ends would be too little
-        scale = hypot(*(max(abs(end[symbol] - each[0][symbol]) for end in ends) for ends in shifted))
-        method_part = max(one[symbol] for one in unsure)
-        parts = Parts(spread(values), method_part, calibration=scale if offset > 0 or gain > 0 else None)
-        mean, n = float(values.mean()), len(values)
-        found.append(Estimate(symbol, mean, unit, quantity, method, at, parts, n, note=note, trials=names))
+    for symbol, kind in OF_PATHS.items():
+        values, open_ = ([one[symbol] for one in several] for several in (each, unsure))
+        scale = None if by_scale is None else by_scale[symbol]
+        found.append(mean_of_trials(symbol, kind, method, at, names, values, max(open_), scale, ALONE, lacking))
     return found
 
 
@@ -112,10 +119,9 @@ def _off_paths(cells: Sequence[Sequence[Tracked]]) -> list[Finding]:
     lines = []
     for method in dict.fromkeys(members[0].method for members in cells):
         mine = [one.values() for members in cells if members[0].method == method for one in members]
-        rms, most = (max(one[name] for one in mine) for name in ("e_rms", "e_max"))
-        over = 100 * max(one["OS"] for one in mine)
+        rms, most, over = (max(one[name] for one in mine) for name in ("e_rms", "e_max", "OS"))
         text = f"{method}: off by at most {show(most, 'length', 3)}, {show(rms, 'length', 3)} rms"
-        lines.append(Finding("note", f"{text}; overshoot {over:.2g} % of the move"))
+        lines.append(Finding("note", f"{text}; overshoot {100 * over:.2g} % of the move"))
     return lines
 
 
@@ -137,18 +143,9 @@ def _path_trace(one: Tracked) -> Trace:
     )
 
 
-def along_paths(
-    pairs: Sequence[tuple[RunData, TrialData]],
-) -> tuple[list[Estimate], list[Finding], list[Trace], list[Dropped]]:
+def along_paths(trials: Sequence[Tracked]) -> tuple[list[Estimate], list[Finding], list[Trace]]:
     """All trials along paths."""
-    dropped: list[Dropped] = []
-    cells: dict[tuple[object, ...], list[Tracked]] = {}
-    for run, trial in pairs:
-        one = tracked(run, trial, trial.found["position"])
-        if isinstance(one, str):
-            dropped.append(Dropped(trial.name, trial.point, one))
-            continue
-        cells.setdefault((one.method, one.path.places, tuple(one.path.times), point_of(trial)), []).append(one)
+    cells = grouped(trials, lambda one: (one.method, one.path.places, tuple(one.path.times), point_of(one.trial)))
     every = list(cells.values())
     found = [estimate for members in every for estimate in _of_paths(members)]
-    return found, _off_paths(every), [_path_trace(members[0]) for members in every], dropped
+    return found, _off_paths(every), [_path_trace(members[0]) for members in every]

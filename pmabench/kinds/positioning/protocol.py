@@ -1,275 +1,36 @@
 """Positions taken and held in closed loop, set-point by set-point (paper 0, control).
 
-The controller of the loop: gains by set-point, filter, anti-windup, output range. Paths that it follows, and the
-pressure that a muscle as a surface needs on them, for a protocol's plan.
+Paths that the controller follows, and the pressure that a muscle as a surface needs on them, for a protocol's plan.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Discriminator, Field, Tag
+from pydantic import Field
 
-from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
-from pmabench.files.document import Location, Strict
-from pmabench.files.quantity import Gain, Length, Load, Pressure, Ratio, Speed, Time
-from pmabench.model import rules
+from pmabench.files.document import Strict
+from pmabench.files.quantity import Load, Ratio, Speed, Time
+from pmabench.kinds.positioning.controller import (
+    MODEL,
+    PLACE,
+    Controller,
+    gains_at,
+    model_for_gains,
+    of_model,
+    schedule,
+)
 from pmabench.model.reference_path import ReferencePath
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.plan import Hold, Plan, Record, Seek, Set, TrialRecord
-from pmabench.protocol.reference_model import ReferenceModel, described, read_folder
+from pmabench.protocol.plan import Hold, Plan, Record, Seek, Set
+from pmabench.protocol.reference_model import ReferenceModel, described
 from pmabench.protocol.sweep import LengthAxis, Sweep, expand
 
 if TYPE_CHECKING:
-    from pmabench.model.loop import Loop
     from pmabench.model.presets import Described
-
-Text = Annotated[str, Field(min_length=1, max_length=400)]
-Settings = dict[str, float]
-"""K_p [Pa/m], and T_i, T_d [s] where the form has them."""
-
-
-class Gains(Strict):
-    """One set of gains."""
-
-    K_p: Gain
-    T_i: Time | None = None
-    T_d: Time | None = None
-
-
-class GainsAt(Gains):
-    """The gains at one set-point of a schedule."""
-
-    setpoint: Length
-
-
-class Ultimate(Strict):
-    """An ultimate gain and period, from which the controller's rule makes the gains; SIMC needs the times too."""
-
-    K_u: Gain
-    T_u: Time
-    dead_time: Time | None = None
-    """Of the loop, with half a sample period."""
-    lags: Annotated[list[Time], Field(min_length=1, max_length=10)] | None = None
-    """First-order lags of the loop."""
-
-
-MODEL = "model"
-"""Gains from the protocol's own model, at each set-point and load."""
-
-
-def _shape(value: object) -> str:
-    if isinstance(value, list):
-        return "schedule"
-    if isinstance(value, str):
-        return "folder"
-    return "ultimate" if isinstance(value, dict) and ("K_u" in value or "T_u" in value) else "gains"
-
-
-GainsFile = Annotated[
-    Annotated[Gains, Tag("gains")]
-    | Annotated[list[GainsAt], Field(min_length=1, max_length=200), Tag("schedule")]
-    | Annotated[Ultimate, Tag("ultimate")]
-    | Annotated[Text, Tag("folder")],
-    Discriminator(_shape),
-]
-
-
-def _known_rule(name: str) -> str:
-    known = dict.fromkeys(rule.name for rule in rules.all_rules())
-    if name not in known:
-        raise ValueError(f'unknown tuning rule "{name}"{did_you_mean(name, known)}')
-    return name
-
-
-class Controller(Strict):
-    """A P, PI or PID controller in ideal form.
-
-    `gains`: one set; a list of sets over the set-point, straight lines between; `{K_u, T_u}`, to which `rule` is
-    applied; the folder of an analysis of ultimate-gain runs, whose K_u, T_u and loop at each set-point make a schedule;
-    or `model`, the protocol's own model at each set-point and load.
-    """
-
-    form: Literal["P", "PI", "PID"]
-    gains: GainsFile
-    rule: Annotated[str, AfterValidator(_known_rule)] = "Ziegler-Nichols"
-    """A tuning rule as `pmabench tune` lists them; SIMC needs the dead time and the lags of the loop."""
-    filter: Annotated[float, Field(ge=1, le=1000)] = 10.0
-    """N, ratio of T_d to the lag of the derivative's filter."""
-    anti_windup: Literal["back-calculation", "clamping"] = "back-calculation"
-    tracking: Time | None = None
-    """Tracking time of back-calculation."""
-    output: tuple[Pressure, Pressure]
-    """Range that the command cannot leave."""
-    feedforward: bool = False
-    """Add the pressure that the protocol's model, a muscle as a surface, needs for the path of the trial."""
-
-
-def schedule(c: Compilation, controller: Controller, at: Location) -> list[tuple[float, Settings]]:
-    """Gains by rising set-point [m]; one at nan means for all. Empty with a problem noted."""
-    given, place = controller.gains, (*at, "gains")
-    if isinstance(given, str):
-        return _measured(c, controller, given, place)
-    if isinstance(given, Ultimate):
-        c.positive(given.K_u, (*place, "K_u"))
-        c.positive(given.T_u, (*place, "T_u"))
-        loop = None if c.problems else _given_loop(c, given, place)
-        made = None if c.problems else _by_rule(c, controller, given.K_u, given.T_u, loop, (*at, "rule"))
-        return [] if made is None else [(float("nan"), made)]
-    if "rule" in controller.model_fields_set:
-        c.fault((*at, "rule"), "these gains are taken as they stand; a rule is for {K_u, T_u}, an analysis, or model")
-    if isinstance(given, list):
-        rows = [(one.setpoint, _checked(c, controller.form, one, (*place, i))) for i, one in enumerate(given)]
-        if any(a[0] >= b[0] for a, b in pairwise(rows)):
-            c.fault(place, "the set-points of a schedule must rise")
-        return [(x, settings) for x, settings in rows if settings]
-    settings = _checked(c, controller.form, given, place)
-    return [(float("nan"), settings)] if settings else []
-
-
-def gains_at(c: Compilation, table: list[tuple[float, Settings]], setpoint: float, place: Location) -> Settings:
-    """The gains at a set-point [m], straight lines between those of the schedule; a fault outside it."""
-    if len(table) == 1:
-        return table[0][1]
-    if not table[0][0] - 1e-9 <= setpoint <= table[-1][0] + 1e-9:
-        ends = f"{show(table[0][0], 'length')} to {show(table[-1][0], 'length')}"
-        c.fault(place, f"{show(setpoint, 'length')} lies outside the schedule of gains, {ends}")
-        return table[0][1]
-    above = next((i for i, (x, _) in enumerate(table) if x >= setpoint - 1e-9), len(table) - 1)
-    (x1, before), (x2, after) = table[max(0, above - 1)], table[above]
-    share = (setpoint - x1) / (x2 - x1) if x2 > x1 else 1.0
-    return {name: before[name] + share * (after[name] - before[name]) for name in before}
-
-
-def _checked(c: Compilation, form: str, gains: Gains, place: Location) -> Settings:
-    """The gains that the form has, each above zero; what it has not must not be given."""
-    needed = {"P": ("K_p",), "PI": ("K_p", "T_i"), "PID": ("K_p", "T_i", "T_d")}[form]
-    before = len(c.problems)
-    for name in ("K_p", "T_i", "T_d"):
-        value = getattr(gains, name)
-        if name in needed and value is None:
-            c.fault(place, f"a {form} controller needs {name}")
-        elif name in needed:
-            c.positive(value, (*place, name))
-        elif value is not None:
-            c.fault((*place, name), f"a {form} controller has no {name}")
-    return {} if len(c.problems) > before else {name: float(getattr(gains, name)) for name in needed}
-
-
-def model_for_gains(c: Compilation, model: Mapping[str, Any] | None, place: Location) -> Described | None:
-    """The plan's model, where it has what makes a loop; None with a problem noted."""
-    from pmabench.model.presets import Described
-
-    if model is None:
-        if not c.problems:
-            c.fault((*place, "gains"), 'the protocol has no "model"; give one, or other gains')
-        return None
-    known = Described.of(model)
-    if known.air is not None:
-        c.fault(
-            (*place, "gains"),
-            f"the model, {known.source}, has air that its regulator has to move, which makes no loop of lags alone; "
-            'give a "model.regulator" in its place, or take an analysis of relays or steps',
-        )
-        return None
-    if known.regulator.dead_time or known.regulator.lag or known.regulator.natural_frequency:
-        return known
-    c.fault(
-        (*place, "gains"),
-        f"the model, {known.source}, tells no dead time and no lag of the regulator; give them in the protocol as "
-        '"model.regulator: {dead_time: 40 ms, lag: 95 ms}"',
-    )
-    return None
-
-
-def of_model(
-    c: Compilation, controller: Controller, model: Described, point: Mapping[str, float], place: Location
-) -> Settings:
-    """The gains at a set-point [m] and load [N, kg] of a model; empty with a problem noted at `place`."""
-    from pmabench.model.loop import loop_at, ultimate
-
-    try:
-        _, loop = loop_at(
-            model.muscle, model.regulator, point["setpoint"], point["load"], controller.output,
-            mass=point["mass"], sample_period=1 / c.head.sample_rate,
-        )  # fmt: skip
-        found = ultimate(loop)
-    except ValueError as error:
-        c.fault(place, f"by the model, {model.source}: {error}")
-        return {}
-    return _by_rule(c, controller, found.gain, found.period, loop, ("controller", "rule")) or {}
-
-
-def _given_loop(c: Compilation, given: Ultimate, place: Location) -> Loop | None:
-    """The loop of the given times, which oscillates at the given gain; a problem noted where its period is another."""
-    from pmabench.analysis.tuning import loop_of
-
-    if given.dead_time is None and given.lags is None:
-        return None
-    if given.dead_time is None or given.lags is None:
-        c.fault(place, "dead_time and lags of a loop go together; give both, or neither")
-        return None
-    try:
-        loop, finding = loop_of(given.K_u, given.T_u, given.dead_time, given.lags)
-    except ValueError as error:
-        c.fault(place, str(error))
-        return None
-    if loop is None:
-        c.fault(place, finding.text)
-    return loop
-
-
-def _by_rule(
-    c: Compilation, controller: Controller, K_u: float, T_u: float, loop: Loop | None, place: Location
-) -> Settings | None:
-    rule = rules.find(controller.rule, controller.form)
-    if rule is None:
-        c.fault(place, f"{controller.rule} has no rule for a {controller.form} controller")
-        return None
-    if rule.from_loop and loop is None:
-        c.fault(
-            place,
-            f"{controller.rule} needs the dead time and the lags of the loop: give them with K_u and T_u "
-            '("dead_time: 41 ms, lags: [95 ms, 0.27 s]"), or "gains: model" and a "model", or an analysis of '
-            "relays or steps",
-        )
-        return None
-    try:
-        found = rule.settings(K_u, T_u, loop)
-    except ValueError as error:
-        c.fault(place, str(error))
-        return None
-    integral = {"T_i": found.T_i} if isfinite(found.T_i) else {}
-    return {"K_p": found.K_p} | integral | ({"T_d": found.T_d} if controller.form == "PID" else {})
-
-
-def _measured(c: Compilation, controller: Controller, folder: str, place: Location) -> list[tuple[float, Settings]]:
-    """From the K_u, T_u and loop that an analysis found at each set-point, of several ways those of the first."""
-    from pmabench.analysis.tuning import measured_loops
-
-    try:
-        analysis = read_folder(c, folder, ("K_u", "T_u"))
-    except ValueError as error:
-        c.fault(place, str(error))
-        return []
-    rows: dict[float, Settings] = {}
-    for K_u, T_u, loop in measured_loops(analysis):
-        setpoint = K_u.at.get("setpoint")
-        if setpoint is None or setpoint in rows or not K_u.value or not T_u.value:
-            continue
-        made = _by_rule(c, controller, K_u.value, T_u.value, loop, (*place[:-1], "rule"))
-        if made is None:
-            return []
-        rows[setpoint] = made
-    if not rows:
-        c.fault(place, f'the analysis "{folder}" gives no ultimate gain and period')
-    return sorted(rows.items())
-
 
 EVERY = 0.04
 """Time between the values of a feed-forward, with straight lines between them [s]."""
@@ -285,45 +46,30 @@ class PathFile(Strict):
     """Time at each place, the first included."""
 
 
-def path_of(c: Compilation, file: PathFile, setpoint: float, at: Location) -> ReferencePath | None:
-    """The path to a set-point [m]; None with a problem noted."""
-    c.positive(file.speed, (*at, "speed"))
-    if any(not 0 <= share <= 1 for share in file.shares) or max(file.shares) < 1:
-        c.fault((*at, "shares"), "shares of the set-point lie between 0 % and 100 %, and one of them is 100 %")
-        return None
-    places = [0.0, *(share * setpoint for share in file.shares)]
-    return ReferencePath(places, file.speed, file.rest) if file.speed > 0 else None
-
-
 def feedforward(
-    c: Compilation, model: dict[str, Any] | None, path: ReferencePath, load: float, ends: tuple[float, float],
-    at: Location,
-) -> dict[str, Any] | None:  # fmt: skip
-    """The command over time by the inverse of the protocol's model, as plain data; None with a problem noted."""
+    model: dict[str, Any] | None, path: ReferencePath, load: float, ends: tuple[float, float]
+) -> dict[str, Any]:
+    """The command over time by the inverse of the protocol's model, as plain data; raises ValueError in words."""
     from pmabench.model.identified.plant import led, pressures
     from pmabench.model.presets import Described
 
     known = None if model is None else Described.of(model)
     if known is None or known.surface is None:
-        if not c.problems:
-            c.fault(
-                at, 'a feed-forward needs a muscle as a surface: "model: {coefficients: FOLDER}" with the folder of an '
-                'analysis that was made with "process --form surface"',
-            )  # fmt: skip
-        return None
+        raise ValueError(
+            'a feed-forward needs a muscle as a surface: "model: {coefficients: FOLDER}" with the folder of an '
+            'analysis that was made with "process --form surface"'
+        )
     surface = known.surface
     if max(path.places) > surface.reach[1] * (1 + 1e-9):
         text = f"the path goes to {show(max(path.places), 'length')}; the surface was tested up to"
-        c.fault(at, f"{text} {show(surface.reach[1], 'length')}")
-        return None
+        raise ValueError(f"{text} {show(surface.reach[1], 'length')}")
     t = np.arange(0.0, path.duration + EVERY, EVERY)
     x, v = (np.array([of(float(now)) for now in t]) for of in (path.place, path.speed))
     most = min(ends[1], known.domain[1])
     P = pressures(surface, t, x, v, load, (ends[0], most))
     if P.max() > most - 1.0:
         text = f"under {show(load, 'force')} the path needs more than {show(most, 'pressure')}"
-        c.fault(at, f"{text}, the highest pressure of the controller's output and of the surface")
-        return None
+        raise ValueError(f"{text}, the highest pressure of the controller's output and of the surface")
     return {"every": EVERY, "values": [round(float(one), 1) for one in led(t, P, known.regulator, ends)]}
 
 
@@ -369,11 +115,13 @@ class Positioning(ProtocolHead):
         self._sound(c)
         low, high = controller.output
         model = None if self.model is None else described(c, self.model, ("model",))
-        by_model = controller.gains == MODEL
-        muscle = model_for_gains(c, model, ("controller",)) if by_model else None
-        table = [] if by_model else schedule(c, controller, ("controller",))
+        muscle: Described | None = None
+        table = [] if controller.gains == MODEL else schedule(c, controller)
+        if controller.gains == MODEL and (model is not None or not c.problems):
+            with c.noting(PLACE):
+                muscle = model_for_gains(model)
         longest = c.mounted.specimen_file.limits.contraction * c.mounted.bench.length
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             setpoint, place = point.values["setpoint"], point.places["setpoint"]
             c.positive(setpoint, place)
             if setpoint > longest:
@@ -386,11 +134,9 @@ class Positioning(ProtocolHead):
             else:
                 gains = gains_at(c, table, setpoint, place)
             c.put_on(values)
-            if index == 0:
-                c.precondition()
             if c.too_long():
                 break
-            c.trials.append(TrialRecord(index, values, point.repeat))
+            index = c.add_trial(values, point.repeat)
             follows = self._following(c, values, model)
             if follows is None:
                 continue
@@ -432,16 +178,23 @@ class Positioning(ProtocolHead):
             if self.controller.feedforward:
                 c.fault(ahead, "a feed-forward is for a trial with a path: give trial.path")
             return None if self.controller.feedforward else (None, {})
-        path = path_of(c, file, point["setpoint"], ("trial", "path"))
-        if path is None:
+        at = ("trial", "path")
+        c.positive(file.speed, (*at, "speed"))
+        if any(not 0 <= share <= 1 for share in file.shares) or max(file.shares) < 1:
+            c.fault((*at, "shares"), "shares of the set-point lie between 0 % and 100 %, and one of them is 100 %")
             return None
+        if not file.speed > 0:
+            return None
+        places = [0.0, *(share * point["setpoint"] for share in file.shares)]
+        path = ReferencePath(places, file.speed, file.rest)
         extra: dict[str, Any] = {"path": {"places": list(path.places), "speed": file.speed, "rest": file.rest}}
-        if self.controller.feedforward:
-            values = feedforward(c, model, path, point["load"], self.controller.output, ahead)
-            if values is None:
-                return None
-            extra["feedforward"] = values
-        return path, extra
+        if not self.controller.feedforward:
+            return path, extra
+        if model is not None or not c.problems:
+            with c.noting(ahead):
+                values = feedforward(model, path, point["load"], self.controller.output)
+                return path, {**extra, "feedforward": values}
+        return None
 
     def _sound(self, c: Compilation) -> None:
         """Check hold, window, band and the controller's output by themselves."""
@@ -449,13 +202,7 @@ class Positioning(ProtocolHead):
         c.needs_channel("displacement")
         c.positive(trial.hold, ("trial", "hold"))
         c.positive(trial.band, ("trial", "band"))
-        begin, end = trial.window
-        if not 0 <= begin < end <= trial.hold:
-            c.fault(("trial", "window"), "must rise and lie inside the hold")
-        low, high = controller.output
-        c.within("pressure", low, ("controller", "output", 0))
-        c.within("pressure", high, ("controller", "output", 1))
-        if not low < high:
-            c.fault(("controller", "output"), "must rise")
+        c.inside_hold(trial.window, trial.hold)
+        c.controls(("pressure",), controller.output)
         if controller.tracking is not None:
             c.positive(controller.tracking, ("controller", "tracking"))

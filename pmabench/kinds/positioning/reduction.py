@@ -13,20 +13,27 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
-from pmabench.analysis.shared.samples import count_of
+from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of
 from pmabench.analysis.shared.simulated import closed_loop, model_of
+from pmabench.analysis.shared.skew import late
 from pmabench.analysis.shared.smoothing import smooth
-from pmabench.analysis.shared.trials import grouped, point_of
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS
-from pmabench.kinds.positioning.paths import along_paths
-from pmabench.kinds.positioning.record import ALONE, LONGEST_TRACE, at_rest, followed, lag_of, late, looped
+from pmabench.kinds.positioning.paths import (
+    ALONE,
+    CHANNEL,
+    LONGEST_TRACE,
+    Tracked,
+    along_paths,
+    rows_of,
+    tracked,
+)
 from pmabench.model.presets import Described
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "positioning"
@@ -40,15 +47,15 @@ EARLY = 4.0
 BAND = 0.02
 """Band that counts as settled where the plan gives none."""
 MEASURES = {
-    "e_ss": ("1", "ratio", ""),
-    "OS": ("1", "ratio", "overshoot"),
-    "t_r": ("s", "time", "rise"),
-    "t_s": ("s", "time", "settling"),
-    "IAE": ("m.s", "", "IAE"),
-    "x_pp": ("m", "length", "size"),
-    "T_c": ("s", "time", "period"),
+    "e_ss": (("1", "ratio"), "error"),
+    "OS": (("1", "ratio"), "overshoot"),
+    "t_r": (("s", "time"), "rise"),
+    "t_s": (("s", "time"), "settling"),
+    "IAE": (("m.s", ""), "IAE"),
+    "x_pp": (("m", "length"), "size"),
+    "T_c": (("s", "time"), "period"),
 }
-"""Symbol -> unit, quantity, and field of `Response`, or of its cycle, and of what is unsure of both."""
+"""Symbol -> unit and quantity, and field of `Response`, or of its cycle, and of what is unsure of both."""
 NOT_RISEN = "it does not come to 90 % of the set-point"
 NONE = {"t_s": "it does not stay in the band"}
 """Why there is no value of a measure."""
@@ -64,10 +71,12 @@ class Hold:
     trial: TrialData
     law: Mapping[str, Any]
     response: Response
-    calibration: Mapping[str, float | None]
+    values: Mapping[str, float | None]
+    """Each measure; None where there is none."""
+    unsure: Mapping[str, float]
+    """What sampling, noise, the choice of a band and the time of the displacement leave open of each."""
+    calibration: Mapping[str, float] | None
     """Half width that the scale of the displacement gives each measure."""
-    in_time: Mapping[str, float]
-    """What is open of the time of the displacement makes of each measure."""
     origin: float
     """Position at rest before the step [m]."""
     t: Array
@@ -75,6 +84,11 @@ class Hold:
     simulated: Array | None
     """Contraction of the simulated loop [m], shape (n,) as `t` [s from the step]."""
     simulated_response: Response | None
+
+    @property
+    def setpoint(self) -> float:
+        """[m]."""
+        return float(self.law["setpoint"])
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -85,151 +99,130 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     Where the plan carries a model, the same loop is simulated around it (method `closed-loop, simulated`), and e_sim is
     the rms difference of the two contractions [m]. Trials along a path are reduced by `along_paths`.
     """
-    dropped: list[Dropped] = []
-    found: list[Hold] = []
-    paths: list[tuple[RunData, TrialData]] = []
-    for run in runs:
-        model = model_of(run)
-        for trial in run.trials:
-            if followed(trial):
-                paths.append((run, trial))
-                continue
-            hold = hold_of(run, trial, model)
-            if isinstance(hold, str):
-                dropped.append(Dropped(trial.name, trial.point, hold))
-                continue
-            found.append(hold)
-    cells = sorted(grouped(found, lambda hold: point_of(hold.trial)).items())
-    holds = [members for _, members in cells]
-    along, notes, ways, unused = along_paths(paths)
+    models = {run.id: model_of(run) for run in runs}
+    found, dropped = measured_trials(runs, lambda run, trial: measured(run, trial, models[run.id]))
+    paths = [one for one in found if isinstance(one, Tracked)]
+    holds = [one for one in found if isinstance(one, Hold)]
+    cells = sorted(grouped(holds, lambda hold: point_of(hold.trial)).items())
+    model = next((one for one in models.values() if one is not None), None)
+    along, notes, ways = along_paths(paths)
     estimates = [e for at, members in cells for e in _estimates(dict(at), members)]
+    ordered = [hold for _, members in cells for hold in members]
     return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
         estimates=[*estimates, *along],
-        dropped=[*dropped, *unused],
-        findings=[*_findings(runs, holds), *notes],
-        traces=[*(_trace(members[0]) for members in holds), *ways],
+        dropped=dropped,
+        findings=[*(_findings(runs, ordered, model) if ordered else []), *notes],
+        traces=[*(_trace(members[0]) for _, members in cells), *ways],
         facts={
             "options": dict(options or {}),
-            "trials": sum(len(members) for members in holds) + len(paths),
-            "cells": len(holds),
-            "model": next((model.source for run in runs if (model := model_of(run)) is not None), None),
-            "controllers": [_controller(members[0]) for members in holds],
+            "trials": len(found),
+            "cells": len(cells),
+            "model": None if model is None else model.source,
+            "controllers": [_controller(members[0]) for _, members in cells],
         },
     )
 
 
-def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> Hold | str:
-    """A trial measured, and simulated where there is a model, or why it is not used."""
-    law = trial.found.get("position")
+def measured(run: RunData, trial: TrialData, model: Described | None = None) -> Hold | Tracked:
+    """A trial measured, a hold also simulated where there is a model; raises `NotUsable`."""
+    law = trial.found.get("position") or {}
     if trial.status != "finished":
-        return f"the trial is {trial.status}"
-    if law is None or law.get("ended") != "time" or "displacement" not in trial.channels:
-        return str((law or {}).get("reason") or "no closed loop is recorded to its end")
+        raise NotUsable(f"the trial is {trial.status}")
+    if law.get("ended") != "time" or CHANNEL not in trial.channels:
+        raise NotUsable(str(law.get("reason") or "no closed loop is recorded to its end"))
+    return tracked(run, trial, law) if law.get("path") else _held(run, trial, law, model)
+
+
+def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Described | None) -> Hold:
     settings = run.plan.get("settings") or {}
     begin, setpoint = float(law["t0"]), float(law["setpoint"])
-    ok = looped(trial, law)
-    t, x = trial.t[ok] - begin, trial.channels["displacement"][ok]
+    rest, ok = rows_of(trial, law)
+    t, x = trial.t[ok] - begin, trial.channels[CHANNEL][ok]
     low, high = settings.get("window") or (0.5 * (float(law["t1"]) - begin), float(law["t1"]) - begin)
-    window, band, resolution = (
-        (float(low), float(high)),
-        float(settings.get("band", BAND)),
-        count_of(run, "displacement"),
-    )
-    rest = at_rest(trial, law)
-    origin = float(trial.channels["displacement"][rest].mean()) if rest.any() else 0.0
+    window, band, lag = (float(low), float(high)), float(settings.get("band", BAND)), lag_of(run, CHANNEL)
+    origin = float(trial.channels[CHANNEL][rest].mean()) if rest.any() else 0.0
 
-    def measured(values: Array, lag: float) -> Response:
+    def respond_to(values: Array, lag: float) -> Response:
+        resolution = count_of(run, CHANNEL)
         return respond(t, values, setpoint, window, band, origin=origin, resolution=resolution, lag=lag)
 
-    lag = lag_of(run)
+    def scaled(more: float, gain: float) -> dict[str, float | None]:
+        return _values(respond_to(x * (1 + gain) + more, lag), setpoint)
+
     try:
-        response, later = measured(x, lag), measured(x, lag + late(run))
+        response = respond_to(x, lag)
+        values = _values(response, setpoint)
+        in_time = changes(values, _values(respond_to(x, lag + late(run, CHANNEL)), setpoint))
+        calibration = of_one_channel(scaled, values, Scales.of([run]), CHANNEL)
     except ValueError as reason:
-        return str(reason)
-    scales = Scales.of([run])
-    gain, offset = scales.gains.get("displacement"), scales.offsets.get("displacement")
-    shifted = [(measured(a, lag), measured(b, lag)) for a, b in ([(x * (1 + gain), x * (1 - gain))] if gain else [])]
-    shifted += [(measured(x + offset, lag), measured(x - offset, lag))] if offset else []
-    calibration = {symbol: _change(symbol, response, shifted, setpoint) for symbol in MEASURES}
-    in_time = {symbol: _change(symbol, response, [(later,)], setpoint) or 0.0 for symbol in MEASURES}
+        raise NotUsable(str(reason)) from None
+    # of e_ss nothing but what moves in the window, which is weighed for all trials together
+    seen = {symbol: getattr(response.unsure, field) for symbol, (_, field) in MEASURES.items()} | {"e_ss": 0.0}
+    unsure = {symbol: hypot(seen[symbol], in_time[symbol]) for symbol in MEASURES}
     simulated = simulated_response = None
     if model is not None:
         simulated = closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
-        simulated_response = measured(simulated, 0.0)
-    return Hold(run, trial, law, response, calibration, in_time, origin, t, x, simulated, simulated_response)
+        simulated_response = respond_to(simulated, 0.0)
+    return Hold(run, trial, law, response, values, unsure, calibration, origin, t, x, simulated, simulated_response)
 
 
-def _value(symbol: str, response: Response, setpoint: float) -> float | None:
-    """One measure of a response; None for those of a cycle where there is none."""
-    if symbol == "e_ss":
-        return response.error / setpoint
-    of = response.cycle if symbol in CYCLE else response
-    return None if of is None else getattr(of, MEASURES[symbol][2])
+def _values(response: Response, setpoint: float) -> dict[str, float | None]:
+    """All measures of a response."""
+    of_cycle = {symbol: getattr(response.cycle, MEASURES[symbol][1], None) for symbol in CYCLE}
+    found = {symbol: getattr(response, field) for symbol, (_, field) in MEASURES.items() if symbol not in CYCLE}
+    return {**found, "e_ss": response.error / setpoint, **of_cycle}
 
 
-def _moves(members: Sequence[Hold], setpoint: float) -> Doubt:
-    """What a motion in the window leaves open of the steady-state error."""
+def _steady(e: Estimate, members: Sequence[Hold]) -> Estimate:
+    """The steady-state error, its interval with what moves in the window.
+
+    Where a motion is seen that may be larger than the error itself, it has a bound in place of a value: not even the
+    sign is known. A motion smaller than the cycles that count is rest.
+    """
     worst = max(members, key=lambda hold: hold.response.unsure.error)
-    half = worst.response.unsure.error
+    half, seen = worst.response.unsure.error, any(hold.response.unsure.moves for hold in members)
     what = "it swings in the window, whose ends cut a cycle" if worst.response.cycle else "it moves in the window"
     text = f"{what}: the mean may be {show(half, 'length', 2)} off that of a steady state"
-    seen = any(hold.response.unsure.moves for hold in members)
-    return Doubt("motion in the window", "method", half / setpoint, seen, f"{text}. Hold longer, with a later window")
-
-
-def _steady(e: Estimate, moves: Doubt) -> Estimate:
-    """The steady-state error with what `moves` in the window. Where that is seen and may be more than the error itself,
-    a bound and no value: not even the sign of a steady error is known. What moves less than cycles that count is rest.
-    """
+    reason = f"{text}. Hold longer, with a later window"
+    moves = Doubt("motion in the window", "method", half / worst.setpoint, seen, reason)
     found = weighed(e, [moves], 1.0)
-    if found.value is None or not moves.seen or moves.half <= max(SMALLEST, abs(found.value)):
+    if found.value is None or not seen or moves.half <= max(SMALLEST, abs(found.value)):
         return found
-    half = hypot(*(part or 0.0 for part in vars(found.parts).values()))
-    most = abs(found.value) + half
-    note = f"not more than {show(most, 'ratio', 3)} of the set-point either way: {moves.reason}"
+    most = abs(found.value) + hypot(*(part or 0.0 for part in vars(found.parts).values()))
+    note = f"not more than {show(most, 'ratio', 3)} of the set-point either way: {reason}"
     return replace(found, value=None, parts=Parts(), budget=(), note=sentences(note, e.note), bound=most)
 
 
-def _change(symbol: str, response: Response, shifted: Sequence[tuple[Response, ...]], setpoint: float) -> float | None:
-    """What a measure changes by to the further end of each cause's uncertainty, causes as squares."""
-    now = _value(symbol, response, setpoint)
-    if not shifted:
-        return None
-    ends = [[_value(symbol, end, setpoint) for end in both] for both in shifted]
-    known = [[abs(end - now) for end in both if end is not None and now is not None] for both in ends]
-    return hypot(*(max(changes, default=0.0) for changes in known))
-
-
 def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
-    setpoint = at["setpoint"]
     names = tuple(hold.trial.name for hold in members)
+    lacking = Scales.of([hold.run for hold in members]).lack((CHANNEL,), (CHANNEL,))
     found = []
-    for symbol, (unit, quantity, name) in MEASURES.items():
-        known = [(v, h.calibration[symbol]) for h in members if (v := _value(symbol, h.response, setpoint)) is not None]
-        if not known and symbol in CYCLE:
-            continue
-        values = np.array([value for value, _ in known])
-        # what sampling, noise and the choice of a band leave open; of e_ss nothing but what moves
-        methods = [hypot(getattr(h.response.unsure, name) if name else 0.0, h.in_time[symbol]) for h in members]
-        scales = [half for _, half in known if half is not None]
-        lacking = Scales.of([hold.run for hold in members]).lack(("displacement",), ("displacement",))
-        parts = Parts(spread(values), max(methods), max(scales, default=None))
-        note = sentences("" if len(values) > 1 else ALONE, lacking) if len(values) else NONE.get(symbol, NOT_RISEN)
-        mean = float(values.mean()) if len(values) else None
-        e = Estimate(symbol, mean, unit, quantity, METHOD, at, parts, len(values), note=note, trials=names)
-        found.append(_steady(e, _moves(members, setpoint)) if symbol == "e_ss" else e)
-    apart = [smooth(h.t, h.x, lag_of(h.run)).y - smooth(h.t, h.simulated).y for h in members if h.simulated is not None]
+    for symbol, (kind, _) in MEASURES.items():
+        known = [(value, hold.calibration) for hold in members if (value := hold.values[symbol]) is not None]
+        method = max(hold.unsure[symbol] for hold in members)
+        scale = max((halves[symbol] for _, halves in known if halves is not None), default=None)
+        if known:
+            values = [value for value, _ in known]
+            e = mean_of_trials(symbol, kind, METHOD, at, names, values, method, scale, ALONE, lacking)
+            found.append(_steady(e, members) if symbol == "e_ss" else e)
+        elif symbol not in CYCLE:
+            note, parts = NONE.get(symbol, NOT_RISEN), Parts(None, method)
+            found.append(Estimate(symbol, None, *kind, METHOD, at, parts, note=note, trials=names))
+    apart = [
+        smooth(h.t, h.x, lag_of(h.run, CHANNEL)).y - smooth(h.t, h.simulated).y
+        for h in members
+        if h.simulated is not None
+    ]
     rms = [float(np.sqrt(np.mean(each**2))) for each in apart]
     if rms:
         found.append(Estimate("e_sim", float(np.mean(rms)), "m", "length", SIMULATION, at, n=len(rms), trials=names))
     simulated = next((h.simulated_response for h in members if h.simulated_response is not None), None)
-    for symbol, (unit, quantity, _) in MEASURES.items():
-        value = None if simulated is None else _value(symbol, simulated, setpoint)
+    for symbol, value in (_values(simulated, at["setpoint"]) if simulated is not None else {}).items():
         if value is not None:
-            found.append(Estimate(symbol, value, unit, quantity, SIMULATION, at, n=1, note="a simulation"))
+            found.append(Estimate(symbol, value, *MEASURES[symbol][0], SIMULATION, at, n=1, note="a simulation"))
     return found
 
 
@@ -239,32 +232,24 @@ def _controller(hold: Hold) -> dict[str, Any]:
     return {name: hold.law.get(name) for name in names}
 
 
-def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[Finding]:
-    if not cells:
-        return []
-    lines: list[Finding] = []
-    worst = max((hold for members in cells for hold in members), key=_relative_error)
+def _findings(runs: Sequence[RunData], holds: Sequence[Hold], model: Described | None) -> list[Finding]:
     settings = runs[0].plan.get("settings") or {}
+    worst = max(holds, key=_relative_error)
     window = settings.get("window")
-    window_text = (
-        f"mean from {window[0]:g} s to {window[1]:g} s after the step" if window else "mean of the second half"
-    )
+    averaged = f"from {window[0]:g} s to {window[1]:g} s after the step" if window else "of the second half"
     text = (
         f"the steady-state error is at most {_relative_error(worst):.3g} % of the set-point at "
-        f"{show(float(worst.law['setpoint']), 'length')} ({show(worst.response.error, 'length', 3)} is the "
-        f"{window_text}, and what moves in it is added)"
+        f"{show(worst.setpoint, 'length')} ({show(worst.response.error, 'length', 3)} is the "
+        f"mean {averaged}, and what moves in it is added)"
     )
-    lines.append(Finding("note", text))
-    lines += _cycles([hold for members in cells for hold in members])
-    lines += _rests([hold for members in cells for hold in members])
-    unsettled = [hold for members in cells for hold in members if hold.response.settling is None]
+    lines = [Finding("note", text), *_cycles(holds), *_rests(holds)]
+    unsettled = [hold for hold in holds if hold.response.settling is None]
     if unsettled:
         band = 100 * float(settings.get("band", BAND))
         lines.append(Finding("doubt", f"not settled within {band:g} % of the step at {_places(unsettled)}"))
     if "gains_of" in settings:
         one = show(float(settings["gains_of"]), "length")
         lines.append(Finding("doubt", f"the gains were found at {one} alone, and used at all set-points"))
-    model = next((model for run in runs if (model := model_of(run)) is not None), None)
     if model is not None:
         friction = model.muscle.friction
         text = f"simulated with: {model.source}, friction {friction.F_s:g} N at rest and {friction.F_c:g} N moving"
@@ -276,12 +261,12 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[
 
 def _relative_error(hold: Hold) -> float:
     """Largest error [% of the set-point] that the mean and what moves in the window leave possible."""
-    return 100 * (abs(hold.response.error) + hold.response.unsure.error) / float(hold.law["setpoint"])
+    return 100 * (abs(hold.response.error) + hold.response.unsure.error) / hold.setpoint
 
 
 def _rests(holds: Sequence[Hold]) -> list[Finding]:
     """Where it rested far from 0: the record cannot tell a muscle that rests there from a zero that is off."""
-    zeros = [Scales.of([hold.run]).offsets.get("displacement") for hold in holds]
+    zeros = [Scales.of([hold.run]).offsets.get(CHANNEL) for hold in holds]
     off = [abs(hold.origin) for hold, zero in zip(holds, zeros, strict=True) if zero and abs(hold.origin) > zero]
     if not off:
         return []
@@ -320,7 +305,7 @@ def _cycles(holds: Sequence[Hold]) -> list[Finding]:
 
 def _places(holds: Sequence[Hold]) -> str:
     """Set-points in words, each once."""
-    points = sorted({float(hold.law["setpoint"]) for hold in holds})
+    points = sorted({hold.setpoint for hold in holds})
     if len(points) <= 4:
         return ", ".join(show(x, "length") for x in points)
     return f"{len(points)} set-points from {show(points[0], 'length')} to {show(points[-1], 'length')}"
@@ -344,31 +329,26 @@ def _range(values: Sequence[float], form: str, unit: str) -> str:
 
 def _trace(hold: Hold) -> Trace:
     """Set-point, measured and simulated contraction, and the command, of one hold."""
-    setpoint, begin = float(hold.law["setpoint"]), float(hold.law["t0"])
-    rest = at_rest(hold.trial, hold.law)
-    before = hold.trial.t[rest] - begin
+    setpoint, begin, trial = hold.setpoint, float(hold.law["t0"]), hold.trial
+    rest, _ = rows_of(trial, hold.law)
+    before = trial.t[rest] - begin
     t = np.concatenate((before, hold.t))
     columns = {
         "t": t,
         "setpoint": np.where(t < -1e-6, hold.origin, setpoint),
-        "displacement": np.concatenate((hold.trial.channels["displacement"][rest], hold.x)),
+        "displacement": np.concatenate((trial.channels[CHANNEL][rest], hold.x)),
     }
     if hold.simulated is not None:
         columns["model"] = np.concatenate((np.full(len(before), hold.origin), hold.simulated))
-    if "pressure_command" in hold.trial.channels:
-        columns["pressure_command"] = np.interp(t + begin, hold.trial.t, hold.trial.channels["pressure_command"])
+    if "pressure_command" in trial.channels:
+        columns["pressure_command"] = np.interp(t + begin, trial.t, trial.channels["pressure_command"])
     early = t < EARLY
     rows = np.concatenate(
         [part[:: max(1, -(-2 * len(part) // LONGEST_TRACE))] for part in map(np.flatnonzero, (early, ~early))]
     )
     marks = {"setpoint": setpoint, "window": float((hold.run.plan.get("settings") or {}).get("window", (0.0,))[0])}
-    load = hold.trial.point.get("load", 0.0)
+    load = trial.point.get("load", 0.0)
     where = show(setpoint, "length") + (f", {show(load, 'force')}" if load else "")
-    return Trace(
-        f"position-{setpoint * 1e3:g}-{load:g}",
-        "position",
-        f"{where}: position in closed loop",
-        {name: column[rows] for name, column in columns.items()},
-        QUANTITIES,
-        marks,
-    )
+    thinned = {name: column[rows] for name, column in columns.items()}
+    name, title = f"position-{setpoint * 1e3:g}-{load:g}", f"{where}: position in closed loop"
+    return Trace(name, "position", title, thinned, QUANTITIES, marks)

@@ -10,7 +10,7 @@ from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.plan import Hold, Plan, Record, Set, TrialRecord
+from pmabench.protocol.plan import Hold, Plan, Record, Set
 from pmabench.protocol.reference_model import ReferenceModel, described
 from pmabench.protocol.sweep import PressureAxis, Sweep, expand
 
@@ -47,20 +47,16 @@ class Validation(ProtocolHead):
         """The plan: per trial a rest, one step of pressure, and a vent."""
         trial = self.trial
         c.positive(trial.hold, ("trial", "hold"))
-        begin, end = trial.window
-        if not 0 <= begin < end <= trial.hold:
-            c.fault(("trial", "window"), "must rise and lie inside the hold")
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        c.inside_hold(trial.window, trial.hold)
+        for point in expand(self.sweep, c.document):
             pressure = point.values["pressure"]
             c.within("pressure", pressure, point.places["pressure"])
             c.positive(pressure, point.places["pressure"])
             values = {**c.load(point.values["load"], point.places["load"]), "pressure": pressure}
             c.put_on(values)
-            if index == 0:
-                c.precondition()
             if c.too_long():
                 break
-            c.trials.append(TrialRecord(index, values, point.repeat))
+            index = c.add_trial(values, point.repeat)
             c.steps += [
                 Record("rest", True, index),
                 Hold("rest", trial.baseline),
@@ -70,6 +66,6 @@ class Validation(ProtocolHead):
                 Set("vent", "pressure", 0.0),
                 Hold("vent", trial.rest),
             ]
-        settings: dict[str, Any] = {"window": [begin, end]}
+        settings: dict[str, Any] = {"window": list(trial.window)}
         model = described(c, self.model, ("model",))
         return c.plan("validation", settings | ({"model": model} if model is not None else {}))
