@@ -143,7 +143,7 @@ def compared(runs: Sequence[RunData]) -> list[Compared]:
     first: dict[tuple[object, ...], float] = {}
     found = []
     for run, trial in ((one, trial) for one in in_time(runs) for trial in one.trials):
-        stroke = stroke_of(trial) if trial.reference and trial.status == "finished" else None
+        stroke = stroke_of(run, trial) if trial.reference and trial.status == "finished" else None
         if stroke is None:
             continue
         point = tuple(sorted((name, round(value, 3)) for name, value in trial.point.items()))
@@ -178,7 +178,7 @@ def _finding(one: Compared, what: str) -> Finding:
     return Finding("doubt" if drifts else "note", f"{what} {values}{'; the specimen is not what it was' * drifts}")
 
 
-def stroke_of(trial: TrialData) -> float | None:
+def stroke_of(run: RunData, trial: TrialData) -> float | None:
     """Contraction at the end of the hold less that at rest [m]; None where either has no usable sample."""
     if "displacement" not in trial.channels:
         return None

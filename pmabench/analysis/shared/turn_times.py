@@ -45,15 +45,6 @@ class Behind:
     within: bool
 
 
-@dataclass(frozen=True)
-class _Best:
-    """What one way to be late leaves [square of what pulls], its variance by sample, and how late it is."""
-
-    left: float
-    variance: float
-    late: Behind
-
-
 def behind(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: float) -> Behind | None:
     """The time by which `pulls` is behind `moved`; None where too few samples show a turn.
 
@@ -76,8 +67,10 @@ def _of_turns(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span
     windows = [window for turn in turns if (window := _window(t, moved, pulls, turn, span)) is not None]
     if not windows:
         return None
-    delayed, filtered = (_best(windows, REACH * span, of) for of in (_delayed, _filtered))
-    return filtered.late if delayed.left - filtered.left > SURE**2 * filtered.variance else delayed.late
+    (delayed, by_delay, _), (filtered, by_filter, variance) = (
+        _best(windows, REACH * span, of) for of in (_delayed, _filtered)
+    )
+    return filtered if by_delay - by_filter > SURE**2 * variance else delayed
 
 
 def _window(t: Array, moved: Array, pulls: Array, turn: float, span: float) -> tuple[Array, Array] | None:
@@ -129,7 +122,10 @@ def _filtered(t: Array, constant: Array) -> Array:
     return columns
 
 
-def _best(windows: Sequence[tuple[Array, Array]], reach: float, of: Callable[[Array, Array], Array]) -> _Best:
+def _best(
+    windows: Sequence[tuple[Array, Array]], reach: float, of: Callable[[Array, Array], Array]
+) -> tuple[Behind, float, float]:
+    """The best of one way to be late; what it leaves [square of what pulls], and the variance of that by sample."""
     tried = np.linspace(-reach, reach, 2 * TRIED - 1)
     left = np.sum([left_by(np.stack([np.ones_like(t), t]), of(t, tried), y) for t, y in windows], axis=0)
     least = float(left.min())
@@ -142,4 +138,4 @@ def _best(windows: Sequence[tuple[Array, Array]], reach: float, of: Callable[[Ar
     held = tried[left <= least * (1 + ALIKE) + sure**2 * variance]
     time, step = 0.5 * float(best[0] + best[-1]), float(tried[1] - tried[0])
     half = max(time - float(held[0]), float(held[-1]) - time) + step
-    return _Best(least, variance, Behind(time, min(half, reach), bool(-reach < best[0] and best[-1] < reach)))
+    return Behind(time, min(half, reach), bool(-reach < best[0] and best[-1] < reach)), least, variance

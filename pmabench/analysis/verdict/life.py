@@ -284,7 +284,7 @@ def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[Referen
         past = place[run.id]
         for trial in run.trials:
             used = trial.reference and trial.status == "finished"
-            if used and (stroke := stroke_of(trial)) is not None:
+            if used and (stroke := stroke_of(run, trial)) is not None:
                 found.setdefault(six_digits(trial.point, "mass"), []).append(
                     (past.date, past.before, stroke, trial.name)
                 )

@@ -17,8 +17,7 @@ from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, Swing, measure, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.analysis.shared.trials import Point, grouped
-from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement.form import lost
+from pmabench.kinds.sinusoidal_displacement.form import lost, pressure_of
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -295,8 +294,7 @@ class Fitted:
 
     def findings(self, at: Mapping[str, float]) -> list[Finding]:
         """What catches the eye."""
-        where = show(at["pressure"], "pressure") if "pressure" in at else "this pressure"
-        lines = []
+        where, lines = pressure_of(at), []
         if self.lines.K.start <= 0:
             text = f"at {where} the force rises with contraction: a sign is wrong in displacement or force"
             lines.append(Finding("fault", text))

@@ -119,8 +119,7 @@ class Form:
         """That the curve is bent, with how much."""
         if not self.bent:
             return []
-        where = show(at["pressure"], "pressure") if "pressure" in at else "this pressure"
-        text = f"at {where} the force over contraction is bent along the sines: {self.shares}"
+        text = f"at {pressure_of(at)} the force over contraction is bent along the sines: {self.shares}"
         return [Finding("note", f"{text}; a value of K is that at their mean contraction")]
 
     def _least(self, share: float) -> float:
@@ -183,6 +182,11 @@ class Form:
             f"quadrature, found is {show(self.q3, 'force', 2)}: the friction is not constant along the stroke; the gap "
             f"of an isobaric ramp measures it"
         )
+
+
+def pressure_of(at: Mapping[str, float]) -> str:
+    """The pressure of a cell in words."""
+    return show(at["pressure"], "pressure") if "pressure" in at else "this pressure"
 
 
 def judged(found: Sequence[Estimate], form: Form) -> list[Estimate]:

@@ -24,7 +24,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
 from pmabench.kinds.sinusoidal_displacement.figures import traces_of
 from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle, of_like_motion
-from pmabench.kinds.sinusoidal_displacement.form import Form, judged
+from pmabench.kinds.sinusoidal_displacement.form import Form, judged, pressure_of
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
 from pmabench.kinds.sinusoidal_displacement.sensors import Named, name_of, with_sensors
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
@@ -78,9 +78,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
         traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
         if slopes is None:
-            where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = "is not in the calibration parts: one pressure does not show how K, B and F_c change over it"
-            findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
+            findings.append(Finding("note", f"at {pressure_of(dict(key))}: what an error of the pressure adds {text}"))
     estimates = _with_centres(estimates, centres)
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
     pressed = pressure_and_force(members, muscles, scales)

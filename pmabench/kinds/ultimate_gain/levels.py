@@ -255,16 +255,13 @@ def _too_low(levels: Sequence[Level], last: Level) -> str:
 
 def _against(levels: Sequence[Level], nearest: Level, used: Sequence[Level], ended: str, friction: float) -> list[str]:
     """Reasons why the trial's oscillation is not an ultimate one."""
-    seen = nearest.swinging
-    reasons = []
-    if seen is None:
-        return ["no swings"]
+    reasons, variation = [], 0.0 if nearest.swinging is None else nearest.swinging.period_variation
     if max(level.log_ratio for level in used) < -REACHED:
         reasons.append(_too_low(levels, used[-1]) + (f"; the search ended by {ended}" if ended else ""))
     if nearest.saturated:
         reasons.append("the command was saturated at the level nearest to sustained oscillation")
-    if seen.period_variation > PERIOD_VARIATION:
-        reasons.append(f"the periods vary by {seen.period_variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
+    if variation > PERIOD_VARIATION:
+        reasons.append(f"the periods vary by {variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
     shape = min(level.third - 3 * level.third_noise for level in used[-2:])
     if shape > THIRD["fault"]:
         reasons.append(f"limit cycle with stiction: third harmonic {shape:.1%} of the first (sine 0, triangle 11 %)")
