@@ -7,9 +7,10 @@ reading [SI of the channel], and a gain, a share of the reading: true value = (1
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
+from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import RunData
 
 Sensitivities = Mapping[str, float]
@@ -62,6 +63,13 @@ class Scales:
         """Channels without a known uncertainty."""
         known = {*(set(gains) & set(self.gains)), *(set(offsets) & set(self.offsets))}
         return [name for name in dict.fromkeys((*gains, *offsets)) if name not in known]
+
+
+def calibrated(e: Estimate, scales: Scales, gains: Sensitivities, offsets: Sensitivities) -> Estimate:
+    """The estimate with its calibration part as in `Scales.part`, or with a note that says what the record lacks."""
+    part = scales.part(gains, offsets)
+    lack = "" if part is not None else scales.lack(gains, offsets)
+    return replace(e, parts=replace(e.parts, calibration=part), note=sentences(e.note, lack))
 
 
 def listed(names: Sequence[str]) -> str:

@@ -27,7 +27,9 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.student import half_width
+from pmabench.analysis.verdict.agreement import weighted
 from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.intervals import NORMAL
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
@@ -137,7 +139,7 @@ def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
     if not found:
         return [], [Finding("note", "the regulator's dead time and lag are not identifiable: no step of the pressure")]
     estimates = [  # intervals at one pressure from the residual
-        _estimate(campaign, place, {"pressure": P}, value, Parts(1.96 * error, 0.0), trials)
+        _estimate(campaign, place, {"pressure": P}, value, Parts(NORMAL * error, 0.0), trials)
         for P, (one, trials) in found.items()
         for place, (value, error) in enumerate(zip(one.times, one.errors, strict=True))
     ]
@@ -191,7 +193,7 @@ def _over_all(
         return []
     values, errors = np.array(mine).T
     mean = float(values.mean())
-    half = 1.96 * float(np.sqrt(np.sum(errors**2))) / len(values)
+    half = NORMAL * float(np.sqrt(np.sum(errors**2))) / len(values)
     reach = float(np.max(np.abs(values - mean)))
     trials = tuple(trial for _, names in found.values() for trial in names)
     low, high = (show(float(end), "time", 3) for end in (values.min(), values.max()))
@@ -318,24 +320,11 @@ def _by_coefficients(
         change(K, B, [T * (1 + SHIFT * (i == j)) for j, T in enumerate(lags)]) / (SHIFT * lag)
         for i, lag in enumerate(lags)
     ]
-    slopes = (by_K, by_B, by_B)
-
-    def part(name: str) -> float | None:
-        values = [getattr(e.parts, name) for e in known]
-        if any(v is None for v in values):
-            return None
-        return hypot(*(slope * v for slope, v in zip(slopes, values, strict=True)))
-
-    repeats = part("repeats")
-    times = hypot(*(slope * 1.96 * error for slope, error in zip(by_lag, response.errors[1:], strict=True)))
+    parts = weighted(list(zip(known, (by_K, by_B, by_B), strict=True)), "f_b").parts
+    times = hypot(*(slope * NORMAL * error for slope, error in zip(by_lag, response.errors[1:], strict=True)))
     apart = 0.5 * abs(change(K, B_c, lags) - change(K, B_r, lags))
-    parts = Parts(
-        None if repeats is None else hypot(repeats, times),
-        hypot(part("method") or 0.0, apart),
-        part("calibration"),
-        part("skew") or 0.0,
-        part("drift") or 0.0,
-    )
+    repeats = None if parts.repeats is None else hypot(parts.repeats, times)
+    parts = replace(parts, repeats=repeats, method=hypot(parts.method or 0.0, apart))
     note = f"K, (B_c + B_r)/2, M {M:.3g} kg, regulator {' and '.join(show(T, 'time', 3) for T in lags)}"
     names = tuple(dict.fromkeys(name for e in known for name in e.trials))
     at = {"pressure": P, "load": load}

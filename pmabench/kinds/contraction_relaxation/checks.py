@@ -27,7 +27,16 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TO_TELL
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled, bootstrap
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, inverse_of, place, prior_of, rms_of, spread
+from pmabench.kinds.contraction_relaxation.pooled import (
+    SYMBOLS,
+    inverse_of,
+    least_squares,
+    levers,
+    place,
+    rms_of,
+    spread,
+    without_each,
+)
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Campaign, Gate, Segments, strokes, velocity
 from pmabench.kinds.contraction_relaxation.values import WIDE
 from pmabench.store.analyses.results import Estimate, Finding, Trace
@@ -192,12 +201,11 @@ def _identified(pooled: Pooled) -> tuple[Array, Array]:
     the scatter that is left to it, shape (4, n) in the order of `SYMBOLS`.
     """
     solved = pooled.fit
-    k = len(solved.knots)
     P = np.linspace(solved.knots[0], solved.knots[-1], 256)
-    hats = spread(place(P[:, None], solved.knots), np.ones((len(P), 1)), k)
+    hats = spread(place(P[:, None], solved.knots), np.ones((len(P), 1)), len(solved.knots))
     found = []
     for symbol in SYMBOLS:
-        mine = slice(solved.index(symbol), solved.index(symbol) + k)
+        mine = solved.columns(symbol)
         half = NORMAL * np.sqrt(np.maximum(0.0, np.sum(hats @ pooled.trust.covariance[mine, mine] * hats, axis=1)))
         size = float(np.median(np.abs(solved.theta[mine])))
         found.append(half <= WIDE * np.maximum(np.abs(hats @ solved.theta[mine]), size))
@@ -241,22 +249,21 @@ def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
     """
     segments, fit = pooled.segments, pooled.fit
     loads = np.array([round(samples.load, 2) for samples in campaign.samples])[segments.trial]
-    prior = prior_of(segments, fit.design, fit.knots, pooled.expected)
-    normal = fit.design.T @ fit.design + prior.T @ prior
-    right = fit.design.T @ segments.force
+    each = np.unique(loads)
+    if len(each) < FEWEST:
+        return None
+    without = without_each(fit.design, segments.force, fit.prior(segments, pooled.expected), [loads == n for n in each])
     errors: dict[float, float] = {}
-    for load in np.unique(loads) if len(np.unique(loads)) >= FEWEST else ():
+    for load, (inverse, theta) in zip(each, without, strict=True):
         design, force = fit.design[loads == load], segments.force[loads == load]
-        inverse = inverse_of(normal - design.T @ design)
-        theta = inverse @ (right - design.T @ force)
-        sure = _variance(design, inverse) <= 1.0
+        sure = levers(design, inverse) <= 1.0
         if sure.sum() >= ENOUGH:
             errors[float(load)] = rms_of(force[sure] - design[sure] @ theta)
     if not errors:
         return None
     worst = max(errors, key=lambda load: errors[load])
     text = (
-        f"loads predicted by a fit to all others, {len(errors)} of {len(np.unique(loads))}: within "
+        f"loads predicted by a fit to all others, {len(errors)} of {len(each)}: within "
         f"{show(errors[worst], 'force', 2)} rms, worst at {show(worst, 'force', 4)}, "
         f"{100 * errors[worst] / size:.2g} % of the largest; "
         f"the residual of the fit to all is {show(fit.rms, 'force', 2)}"
@@ -278,17 +285,17 @@ def _other_direction(pooled: Pooled, size: float) -> Check | None:
     up, down = segments.way > 0, segments.way < 0
     if min(up.sum(), down.sum()) < ENOUGH:
         return None
-    prior = prior_of(segments, fit.design, fit.knots, pooled.expected)
+    prior = fit.prior(segments, pooled.expected)
     design = fit.design[up, theirs]
     inverse = inverse_of(design.T @ design + prior[:, theirs].T @ prior[:, theirs])
     alone = inverse @ (design.T @ segments.force[up])
     rows = np.flatnonzero(down)
-    rows = rows[_variance(fit.design[rows, both], inverse[both, both]) <= 1.0]
+    rows = rows[levers(fit.design[rows, both], inverse[both, both]) <= 1.0]
     if len(rows) < ENOUGH:
         return None
     target = segments.force[rows] - fit.design[rows, both] @ alone[both]
     design = fit.design[np.ix_(rows, own)]
-    free = _solved(design, target, prior[:, own])
+    free = least_squares(design, target, prior[:, own])
     error = rms_of(target - design @ free)
     level = _level(error, fit.rms, size)
     text = (
@@ -301,24 +308,14 @@ def _other_direction(pooled: Pooled, size: float) -> Check | None:
     return Check("other_direction", error / size, "ratio", level, text)
 
 
-def _variance(design: Array, inverse: Array) -> Array:
-    """Variance of a prediction by that of one segment; shape (n,)."""
-    return np.asarray(np.sum(design @ inverse * design, axis=1))
-
-
-def _solved(design: Array, target: Array, prior: Array) -> Array:
-    both = np.vstack([design, prior])
-    return np.asarray(np.linalg.lstsq(both, np.concatenate((target, np.zeros(len(prior)))), rcond=None)[0])
-
-
 def _friction(pooled: Pooled, size: float) -> Check | None:
     """Residual by the sign of the velocity: without the Coulomb term, and what is left of it with it."""
     segments, fit = pooled.segments, pooled.fit
     if not fit.friction:
         return None
     design = fit.design[:, :-1]
-    prior = prior_of(segments, fit.design, fit.knots, pooled.expected)[:, :-1]
-    theta = _solved(design, segments.force, prior)
+    prior = fit.prior(segments, pooled.expected)[:, :-1]
+    theta = least_squares(design, segments.force, prior)
     without = rms_of(segments.force - design @ theta)
     left = max(abs(float(fit.residual[rows].mean())) for rows in _groups(segments))
     needed = without > WORSE * fit.rms

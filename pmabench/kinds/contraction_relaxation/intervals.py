@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.imported import in_time
-from pmabench.analysis.shared import student
+from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.analysis.shared.simulated import Stretches
 from pmabench.analysis.shared.trials import compared
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, rms_of
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, rms_of
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.store.analyses.results import Parts, Source
 from pmabench.store.records import Array, RunData, TrialData
@@ -48,6 +48,10 @@ class Cause:
     name: str
     ways: Array | None
     note: str = ""
+
+    def half(self, combination: Array) -> float | None:
+        """The largest change of a linear combination (p,) of the coefficients."""
+        return None if self.ways is None else float(np.max(np.abs(self.ways @ combination), initial=0.0))
 
 
 def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: str, known: float) -> Array:
@@ -73,26 +77,17 @@ def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: st
 
 
 def drifts_of(
-    runs: Sequence[RunData], trials: Sequence[TrialData], channels: Sequence[str], segments: Segments, fit: Solved,
+    runs: Sequence[RunData], trials: Sequence[TrialData], channels: Sequence[str], segments: Segments, fit: Fit,
     noise: float, rests: Mapping[str, Array],
 ) -> tuple[Cause, ...]:  # fmt: skip
     """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `again`, and `rests`
     what channels read `at_rest`.
     """
 
-    def change(other: Segments, begun: Solved = fit) -> Array:
-        return np.asarray(begun.again(other, noise).theta - fit.theta)
-
     def zeros(channel: str, each: Iterable[Array]) -> Array:
         """Change by a zero that is off by each of these [SI], (n,)."""
-        moved = [
-            change(
-                segments.shifted(channel, 0.0, by),
-                fit.followed(0.0, float(np.mean(by))) if channel == "pressure" else fit,
-            )
-            for by in each
-        ]
-        return np.array(moved).reshape(-1, len(fit.theta))
+        ways = [_off(segments, fit, channel, 0.0, by, noise) - fit.theta for by in each]
+        return np.array(ways).reshape(-1, len(fit.theta))
 
     off = _specimen(runs, trials)
     if off is None:
@@ -103,7 +98,8 @@ def drifts_of(
         pull = fit.values("F_ce", segments.pressure)
         # a stroke is (F_ce - F_L) / K: by a share of it F_ce went by that share of what is above the load
         weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
-        found = [Cause(SPECIMEN, np.array([change(shrunk), change(weaker)]))]
+        changes = [fit.again(other, noise).theta - fit.theta for other in (shrunk, weaker)]
+        found = [Cause(SPECIMEN, np.array(changes))]
     for channel, rest in rests.items():
         ways = zeros(channel, (by for by in -rest[:, segments.trial] if by.any()))
         found.append(Cause(f"zero of {channel} from trial to trial", ways))
@@ -135,18 +131,11 @@ def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | N
 
 def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: str) -> tuple[Array, Array] | None:
     """What a zero was off by at the end of each trial's run [SI], all the time, and growing evenly; (trials,) each."""
-    whole, growing = np.zeros(len(trials)), np.zeros(len(trials))
-    referenced = False
-    for run in runs:
-        end = next(zero_drifts(run, channel), None)
-        mine = np.array([trial.run == run.id for trial in trials])
-        if end is None or not mine.any():
-            continue
-        referenced = True
-        begins = np.array([float(trial.t[0]) for trial in trials])[mine]
-        whole[mine] = end
-        growing[mine] = end * (begins - begins.min()) / max(float(np.ptp(begins)), 1e-9)
-    return (whole, growing) if referenced else None
+    ends = {run.id: end for run in runs if (end := next(zero_drifts(run, channel), None)) is not None}
+    if not any(trial.run in ends for trial in trials):
+        return None
+    whole = np.array([ends.get(trial.run, 0.0) for trial in trials])
+    return whole, whole * 0.5 * (1 + skew.courses(trials)[1])
 
 
 def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
@@ -244,8 +233,7 @@ class Trust:
 
     def parts(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float]:
         """Interval parts and bias of a linear combination (p,) of the coefficients."""
-        parts, bias, _ = self.budget(combination, extra_method)
-        return parts, bias
+        return self.budget(combination, extra_method)[:2]
 
     def budget(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float, tuple[Source, ...]]:
         """The same, and every source behind them, largest first."""
@@ -266,15 +254,15 @@ class Trust:
             *([Source("steps of the replays", "method", "B", extra_method)] if extra_method else ()),
             *(Source(f"calibration of {n}", "calibration", "B", half) for n, half in shifts.items()),
             *(Source(f"calibration of {n}", "calibration", "B", None, NO_UNCERTAINTY) for n in self.unknown),
-            *(_drift(cause, combination) for cause in self.drifts),
+            *(Source(one.name, "drift", "B", one.half(combination), one.note) for one in self.drifts),
             *(Source(one.name, one.part, "B", one.half(combination)) for one in self.hides if not one.seen),
             Source("regulator", "method", "B", 0.0, "the fit is driven by the pressure that was measured"),
         ]  # fmt: skip
         if self.correction is not None:
             found.append(Source(CORRECTED, "method", "B", self.correction.half(combination)))
         if len(self.skews):
-            skew = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
-            found.append(Source("time between the streams", "skew", "B", skew))
+            apart = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
+            found.append(Source("time between the streams", "skew", "B", apart))
         found += self._shifts(combination, parts_of(found).combined or 0.0)
         if self.correction is not None:
             found = [replace(s, half=None if s.half is None else self.correction.factor * s.half) for s in found]
@@ -287,11 +275,6 @@ class Trust:
         total, squares = sum(half for _, half in halves), sum(half**2 for _, half in halves)
         more = sqrt((total**2 + 2 * total * rest) / squares) if squares else 1.0
         return [Source(one.name, one.part, "B", half * more) for one, half in halves]
-
-
-def _drift(cause: Cause, combination: Array) -> Source:
-    half = None if cause.ways is None else float(np.max(np.abs(cause.ways @ combination), initial=0.0))
-    return Source(cause.name, "drift", "B", half, cause.note)
 
 
 def parts_of(sources: Sequence[Source]) -> Parts:
@@ -316,7 +299,7 @@ class Pooled:
     noise: Array
     """Of each segment [N], that the channels explain; shape (n,)."""
     trust: Trust
-    trust_of: Callable[[Solved, NDArray[np.bool_], Array], Trust]
+    trust_of: Callable[[Fit, NDArray[np.bool_], Array], Trust]
     """How far another fit to some rows of the segments can be trusted, whose rows have this noise each [N]."""
     work: Stretches
     """The strokes that were replayed."""
@@ -330,7 +313,7 @@ class Pooled:
 
 
 def assess(
-    campaign: Campaign, segments: Segments, fit: Solved, noise: Array, replays: Sequence[Array], skews: Array,
+    campaign: Campaign, segments: Segments, fit: Fit, noise: Array, replays: Sequence[Array], skews: Array,
     drifts: tuple[Cause, ...],
 ) -> Trust:  # fmt: skip
     """All parts for a fit to segments of a campaign.
@@ -372,7 +355,7 @@ def assess(
     )
 
 
-def _widened(segments: Segments, fit: Solved, ratio: Array) -> tuple[dict[str, float], Array]:
+def _widened(segments: Segments, fit: Fit, ratio: Array) -> tuple[dict[str, float], Array]:
     """By symbol how much more the cells scatter than the fit explains, and the factor on each variance."""
     excess = {symbol: _pooled(fit, symbol, ratio, segments) for symbol in (*SYMBOLS, "F_c")}
     pooled = np.ones(len(fit.theta))
@@ -381,14 +364,14 @@ def _widened(segments: Segments, fit: Solved, ratio: Array) -> tuple[dict[str, f
     return excess, np.maximum(1.0, 0.5 * (pooled + ratio))
 
 
-def _covariance(fit: Solved, noise: Array) -> Array:
+def _covariance(fit: Fit, noise: Array) -> Array:
     """Covariance of theta for independent segments of unlike `noise` (n,) [N]; the prior counts as rows of its rms."""
     even = rms_of(noise) ** 2
     uneven = (fit.design * noise[:, None] ** 2).T @ fit.design - even * (fit.design.T @ fit.design)
     return np.asarray(even * fit.inverse + fit.inverse @ uneven @ fit.inverse)
 
 
-def _replayed(fit: Solved, replays: Sequence[Array]) -> tuple[Array, Array]:
+def _replayed(fit: Fit, replays: Sequence[Array]) -> tuple[Array, Array]:
     """Mean and standard deviation of what replays come back with, less what went in."""
     if not replays:
         return np.zeros(len(fit.theta)), np.zeros(len(fit.theta))
@@ -396,7 +379,7 @@ def _replayed(fit: Solved, replays: Sequence[Array]) -> tuple[Array, Array]:
     return off.mean(axis=0), off.std(axis=0, ddof=1) if len(off) > 1 else np.zeros(len(fit.theta))
 
 
-def _between(segments: Segments, fit: Solved, cells: NDArray[np.intp]) -> tuple[Array, Array, bool]:
+def _between(segments: Segments, fit: Fit, cells: NDArray[np.intp]) -> tuple[Array, Array, bool]:
     """Variance of theta from the scatter between trials, its degrees of freedom (p,), and whether within cells.
 
     The bootstrap over trials (resampling their normal equations) in its limit of many draws: the variance of
@@ -425,7 +408,7 @@ def _between(segments: Segments, fit: Solved, cells: NDArray[np.intp]) -> tuple[
     return np.sum((off @ fit.inverse) ** 2, axis=0), np.maximum(1.0, effective * freedom / total), within
 
 
-def _pooled(fit: Solved, symbol: str, ratio: Array, segments: Segments) -> float:
+def _pooled(fit: Fit, symbol: str, ratio: Array, segments: Segments) -> float:
     """Mean of `ratio` over the coefficients of a symbol that rest on samples."""
     columns = fit.columns(symbol)
     if symbol == "F_c":
@@ -435,7 +418,7 @@ def _pooled(fit: Solved, symbol: str, ratio: Array, segments: Segments) -> float
     return float(np.mean(ratio[columns][solid])) if solid.any() else 1.0
 
 
-def _calibration(segments: Segments, fit: Solved, expected: float, scales: Scales) -> dict[str, Array]:
+def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) -> dict[str, Array]:
     """Shift of theta with each channel's offset, then gain, off by its expanded uncertainty: the mean of both ways."""
     shifts = {}
     for channel in CHANNELS:
@@ -447,9 +430,9 @@ def _calibration(segments: Segments, fit: Solved, expected: float, scales: Scale
     return shifts
 
 
-def _off(segments: Segments, fit: Solved, channel: str, gain: float, offset: float, expected: float) -> Array:
-    """Theta had a channel read (1 + gain) times as much, plus `offset` [SI]."""
-    begun = fit.followed(gain, offset) if channel == "pressure" else fit
+def _off(segments: Segments, fit: Fit, channel: str, gain: float, offset: float | Array, expected: float) -> Array:
+    """Theta had a channel read (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
+    begun = fit.followed(gain, float(np.mean(offset))) if channel == "pressure" else fit
     return begun.again(segments.shifted(channel, gain, offset), expected).theta
 
 
@@ -465,7 +448,7 @@ class Draws:
         return float(high - low) / 2
 
 
-def bootstrap(segments: Segments, fit: Solved, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
+def bootstrap(segments: Segments, fit: Fit, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
     """`count` fits to trials drawn with replacement: within their cells, or among all.
 
     `cells` holds the cell of each trial number in `segments.trial`. The prior of the fit stays in every draw. The

@@ -29,15 +29,13 @@ from pmabench.analysis.shared.simulated import LEAST, Coefficients
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
 from pmabench.kinds.contraction_relaxation.pooled import (
-    FEWEST_KNOTS,
     FLOOR,
     NONE,
-    SYMBOLS,
     Fit,
     design_of,
     inverse_of,
+    levers,
     place,
-    prior_of,
     rms_of,
     sizes_of,
 )
@@ -105,11 +103,7 @@ def _pieces(segments: Segments) -> Iterator[slice]:
     """Rows of consecutive segments of one trial that go one way without a gap."""
     if not len(segments):
         return
-    length = segments.v.shape[1] * segments.dt
-    apart = (
-        (np.diff(segments.trial) != 0) | (np.diff(segments.way) != 0)
-        | (np.abs(np.diff(segments.t) - length) > 0.5 * segments.dt)
-    )  # fmt: skip
+    apart = ~segments.followed | (np.diff(segments.way) != 0)
     edges = [0, *(np.flatnonzero(apart) + 1).tolist(), len(segments)]
     for first, last in pairwise(edges):
         if last - first >= SHORTEST:
@@ -126,7 +120,6 @@ def _together(segments: Segments, fit: Coefficients, pieces: list[slice]) -> Ite
         return np.asarray(field[index].transpose(0, 2, 1).reshape(most * s, m))
 
     first = index[0]
-    half = (segments.x.shape[1] - s) // 2
     P, F = samples(segments.P_mid), samples(segments.F_mid)
     way, mass = segments.way[first], segments.mass[first]
     inertia = bool((mass > 0).any())
@@ -134,7 +127,7 @@ def _together(segments: Segments, fit: Coefficients, pieces: list[slice]) -> Ite
     middle = [0.5 * (values[1:] + values[:-1]) for values in (P, F, F_ce, K, B)]
     P_step, drive = middle[0], middle[2] - middle[1] - way * fit.coulomb
     step = _Step.of(middle[3], middle[4], mass, segments.dt, inertia)
-    x = step.run(drive, segments.x[first, half], segments.v[first, 0])
+    x = step.run(drive, segments.x[first, segments.reach], segments.v[first, 0])
     answer, start = step.answer(most, s)
     x_step = 0.5 * (x[1:] + x[:-1])
     v_step = np.diff(x, axis=0) / segments.dt
@@ -264,29 +257,23 @@ class Polished(Fit):
 
     @property
     def rms(self) -> float:
-        """See `Solved`; `unit` where noise explains it."""
+        """See `Fit`; `unit` where noise explains it."""
         count = int(np.isfinite(self.misses).sum())
-        free = max(1.0, count - self.starts - float(np.sum(self.design @ self.inverse * self.design)))
+        free = max(1.0, count - self.starts - float(np.sum(levers(self.design, self.inverse))))
         return float(np.sqrt(self.residual @ self.residual / free))
 
     def again(self, segments: Segments, noise: float) -> Polished:
-        """See `Solved`: one step from here, which is enough for what changes little; rows are those of before it."""
+        """See `Fit`: one step from here, which is enough for what changes little; rows are those of before it."""
         there = linear(segments, self)
         return there.moved(there.newton(segments))
 
-    def bends(self, segments: Segments, noise: float) -> Array:
-        """See `Solved`."""
-        kept = np.setdiff1d(self.knots, self.halves)
-        if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
-            return np.zeros(len(self.theta))
-        values = [self.values(symbol, kept) for symbol in SYMBOLS]
-        coarse = replace(self, theta=np.concatenate((*values, [self.theta[-1]])), knots=kept, halves=NONE)
-        coarse = coarse.again(segments, noise).again(segments, noise)
-        fine = [coarse.values(symbol, self.knots) for symbol in SYMBOLS]
-        return np.asarray((np.concatenate((*fine, [coarse.theta[-1]])) - self.theta) / 3.0)
+    def coarser(self, segments: Segments, knots: Array, noise: float) -> Fit:
+        """See `Fit`."""
+        coarse = replace(self, theta=self.at_knots(knots), knots=knots, halves=NONE)
+        return coarse.again(segments, noise).again(segments, noise)
 
     def scatter(self, segments: Segments, noise: Noise) -> Array:
-        """See `Solved`."""
+        """See `Fit`."""
         found = np.zeros((len(self.theta), len(self.theta)))
         for one in answers(segments, self):
             white = np.linalg.inv(_root(one, self, segments))
@@ -295,16 +282,16 @@ class Polished(Fit):
         return np.asarray(self.inverse @ found @ self.inverse)
 
     def shared(self, segments: Segments, noise: Noise) -> Array:
-        """See `Solved`: nothing, rows are whitened."""
+        """See `Fit`: nothing, rows are whitened."""
         return np.zeros((len(self.theta), len(self.theta)))
 
     def change(self, columns: Array) -> Array:
-        """See `Solved`: as much as of the pooled fit, whose equation of motion is the same."""
+        """See `Fit`: as much as of the pooled fit, whose equation of motion is the same."""
         return self.begun.change(columns)
 
     def newton(self, segments: Segments) -> Array:
         """The step of Gauss and Newton from here, shape (p,)."""
-        prior = prior_of(segments, self.design, self.knots, self.unit)
+        prior = self.prior(segments, self.unit)
         return np.asarray(self.inverse @ (self.design.T @ self.residual - prior.T @ (prior @ self.theta)))
 
     def moved(self, by: Array) -> Polished:
@@ -339,7 +326,7 @@ def linear(segments: Segments, fit: Polished) -> Polished:
     n, p = len(segments), len(fit.theta)
     design, residual = np.zeros((n, p)), np.zeros(n)
     misses, expected = np.full(n, np.nan), np.full(n, np.nan)
-    measured = segments.x[:, _middle(segments)].mean(axis=1)
+    measured = segments.x[:, segments.reach : segments.x.shape[1] - segments.reach].mean(axis=1)
     starts = 0
     for one in answers(segments, fit):
         root = _root(one, fit, segments)
@@ -355,17 +342,11 @@ def linear(segments: Segments, fit: Polished) -> Polished:
         starts += one.start.shape[1]
     if not fit.friction:
         design[:, -1] = 0.0
-    prior = prior_of(segments, design, fit.knots, fit.unit)
+    prior = fit.prior(segments, fit.unit)
     inverse = inverse_of(design.T @ design + prior.T @ prior)
     return replace(
         fit, design=design, residual=residual, inverse=inverse, starts=starts, misses=misses, expected=expected
     )
-
-
-def _middle(segments: Segments) -> slice:
-    """Samples of `x` that are those of the segment itself."""
-    reach = (segments.x.shape[1] - segments.v.shape[1]) // 2
-    return slice(reach, segments.x.shape[1] - reach)
 
 
 def _root(one: Stretch, fit: Polished, segments: Segments) -> Array:
@@ -439,12 +420,12 @@ def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], o
     found = values(Solution(campaign, pooled.segments, polished, polished.knots, trust, METHOD, "", stiffness_is))
     return Further(
         estimates=tuple(found),
-        findings=(_residual(polished, facts), *_moved(estimates, found), *_open(estimates, found)),
+        findings=(_residual(facts), *_compared(estimates, found)),
         facts=facts,
     )
 
 
-def _residual(polished: Polished, facts: Mapping[str, Any]) -> Finding:
+def _residual(facts: Mapping[str, Any]) -> Finding:
     """What is left, in m and in N, and whether noise explains it."""
     left, noise = show(facts["residual_rms"], "length", 2), show(facts["expected_rms"], "length", 2)
     force, shaken = show(facts["residual_rms_force"], "force", 2), show(facts["expected_rms_force"], "force", 2)
@@ -458,22 +439,29 @@ def _residual(polished: Polished, facts: Mapping[str, Any]) -> Finding:
     return Finding("note", size)
 
 
-def _pairs(ours: Sequence[Estimate], theirs: Sequence[Estimate]) -> Iterator[tuple[Estimate, Estimate]]:
-    there = {(e.symbol, tuple(e.at.items())): e for e in theirs}
-    for e in ours:
-        other = there.get((e.symbol, tuple(e.at.items())))
-        if other is not None:
-            yield e, other
+def _compared(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Finding]:
+    """Coefficients that the polish moves by more than their interval, and those that it leaves open."""
+    there = {(e.symbol, tuple(e.at.items())): e for e in after}
+    known, moved, lost = 0, list[tuple[float, Estimate, Estimate]](), list[str]()
+    for a in before:
+        b = there.get((a.symbol, tuple(a.at.items())))
+        if a.value is None or b is None:
+            continue
+        if b.value is None:
+            lost.append(name_of(b.symbol, b.at.get("pressure")))
+            continue
+        known, half, by = known + 1, a.parts.combined, abs(b.value - a.value)
+        if half is not None and by > half:
+            moved.append((by / max(half, 1e-300), a, b))
+    yield from _moved(moved, known)
+    if lost:
+        more = f" and {len(lost) - MOST_NAMED} more" if len(lost) > MOST_NAMED else ""
+        names = ", ".join(lost[:MOST_NAMED])
+        yield Finding("note", f"output error leaves open what measured-pressure tells: {names}{more}")
 
 
-def _moved(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Finding]:
-    """Coefficients that the polish moves by more than their interval, the worst first; or that it moves none."""
-    known, moved = 0, []
-    for a, b in _pairs(before, after):
-        if a.value is not None and b.value is not None:
-            known, half, by = known + 1, a.parts.combined, abs(b.value - a.value)
-            if half is not None and by > half:
-                moved.append((by / max(half, 1e-300), a, b, half))
+def _moved(moved: list[tuple[float, Estimate, Estimate]], known: int) -> Iterator[Finding]:
+    """Estimates of both methods that differ, and by how many half widths of the first; of `known` ones in all."""
     if not known:
         return
     if not moved:
@@ -482,8 +470,8 @@ def _moved(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Fi
     moved.sort(key=lambda one: -one[0])
     changes = [
         f"{name_of(a.symbol, a.at.get('pressure'))} from {show(a.value or 0.0, a.quantity, 5)} to"
-        f" {show(b.value or 0.0, b.quantity, 5)} (± {show(half, a.quantity, 2)})"
-        for _, a, b, half in moved[:MOST_NAMED]
+        f" {show(b.value or 0.0, b.quantity, 5)} (± {show(a.parts.combined or 0.0, a.quantity, 2)})"
+        for _, a, b in moved[:MOST_NAMED]
     ]
     more = f" and {len(moved) - MOST_NAMED} more" if len(moved) > MOST_NAMED else ""
     few = len(moved) <= FEW * known
@@ -493,16 +481,3 @@ def _moved(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Fi
         f"output error moves {len(moved)} of {known} coefficients by more than the interval of measured-pressure:"
         f" {', '.join(changes)}{more}{why}",
     )
-
-
-def _open(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Finding]:
-    """What is identifiable by one of the two alone."""
-    lost = [
-        name_of(b.symbol, b.at.get("pressure"))
-        for a, b in _pairs(before, after)
-        if a.value is not None and b.value is None
-    ]
-    if lost:
-        more = f" and {len(lost) - MOST_NAMED} more" if len(lost) > MOST_NAMED else ""
-        names = ", ".join(lost[:MOST_NAMED])
-        yield Finding("note", f"output error leaves open what measured-pressure tells: {names}{more}")

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 from pmabench.analysis.shared.samples import LEAST, Samples, onset
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, prior_of
+from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, least_squares, prior_of
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, cut
 from pmabench.kinds.contraction_relaxation.values import FEWEST, curve, near
 from pmabench.model.library.braid import braid_force
@@ -45,11 +45,9 @@ def fit_known_force(
     wanted = slice(SYMBOLS.index("K") * k, (SYMBOLS.index("B_c") + 1) * k)
     known = force(segments.P) @ segments.weights
     noise = FLOOR * float(np.sqrt(np.mean(known**2)))
-    prior = prior_of(segments, design, knots, noise)
+    prior = prior_of(segments, knots, noise)
     rows = prior[np.any(prior[:, wanted] != 0, axis=1)][:, wanted]
-    columns = np.vstack([design[:, wanted], rows])
-    target = np.concatenate([segments.force - known, np.zeros(len(rows))])
-    theta = np.linalg.lstsq(columns, target, rcond=None)[0]
+    theta = least_squares(design[:, wanted], segments.force - known, rows)
     found = {}
     for P in tested:
         knot = int(np.argmin(np.abs(knots - P)))

@@ -21,7 +21,6 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     design_of,
     expected_noise,
     first_knots,
-    prior_of,
     rms_of,
 )
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Gate, Segments, cut
@@ -172,7 +171,7 @@ def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
     moves = [number for number in range(len(cells)) if count[number] >= FEWEST and lifts[number]]
     rows = design_of(segments, fit.knots)
     normals = np.array([rows[segments.trial == n].T @ rows[segments.trial == n] for n in moves])
-    prior = prior_of(segments, rows, fit.knots, noise)
+    prior = fit.prior(segments, noise)
     between = scattered(fit, SCATTER)
     tested = sorted({cells[n].pressure for n in moves})
     names = [(symbol, P) for symbol in SYMBOLS for P in tested] + [("F_c", 0.0)]

@@ -31,7 +31,7 @@ from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
     FLOOR,
     SYMBOLS,
-    Solved,
+    Fit,
     expected_noise,
     first_knots,
     fit,
@@ -39,7 +39,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
 )
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Cutter, Gate, Segments, gather, moved, strokes
 from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, curve, values
-from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
+from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold, without_value
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation"
@@ -81,6 +81,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
+    asked = (("joint", joint.facts), ("output_error", polished.facts), ("bootstrap", resampled))
     every = (*estimates, *joint.estimates, *polished.estimates, *stepwise.estimates)
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
@@ -106,9 +107,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             **facts,
             **checks.facts(campaign, pooled, simulated),
             **stepwise.facts,
-            **({"joint": joint.facts} if joint.facts else {}),
-            **({"output_error": polished.facts} if polished.facts else {}),
-            **({"bootstrap": resampled} if resampled else {}),
+            **{name: found for name, found in asked if found},
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
@@ -141,7 +140,7 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
                 reasons |= {key: why} if corrected else {}
             elif uncorrected is not None and not corrected:
                 why = f"not given: {uncorrected.text}, and this method has no correction for it"
-                e = replace(withhold(e, why), withheld=False)
+                e = without_value(e, why)
         result.append(e)
     return result
 
@@ -157,7 +156,7 @@ def segments_like(
 
 
 def _replays(
-    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], work: simulated.Stretches, other: Solved
+    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], work: simulated.Stretches, other: Fit
 ) -> Callable[[int], Segments]:
     """Segments of replays of a fitted muscle along the stretches, by their seed; NotUsable where it does not move."""
     run = simulated.run(other, work.P, work.dt, work.load, work.mass, work.x)
@@ -193,11 +192,9 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
 
     def first(late: Segments) -> Array:
         """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
-        again, _ = fit(late, knots, campaign.noise)
-        polygons = [again.values(symbol, solved.knots) for symbol in SYMBOLS]
-        return np.concatenate((*polygons, [again.coulomb]))
+        return fit(late, knots, campaign.noise)[0].at_knots(solved.knots)
 
-    def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
+    def trusted(other: Fit, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
         """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
         mine = segments.where(rows)
         replay, count = _replays(campaign, segments_of, work, other), int(options.get("replays", REPLAYS))
@@ -218,13 +215,13 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     departures = hidden(test, found.search.followed, diagnosis.weighed, alone, tests_of_noise)
     diagnosis = replace(diagnosis, hidden=departures)
 
-    def with_hidden(other: Solved, rows: NDArray[np.bool_], trust: Trust) -> Trust:
+    def with_hidden(other: Fit, rows: NDArray[np.bool_], trust: Trust) -> Trust:
         mine, scales = segments.where(rows), Scales.of(campaign.runs)
         lines = diagnosis.hidden.lines(other, rows)
         sensor = of_the_sensor(sensor_known(campaign), mine, other)
         return replace(trust, hides=(*lines, *of_the_cell(diagnosis.weighed, scales, mine, other), sensor))
 
-    def trust_of(other: Solved, rows: NDArray[np.bool_], seen: Array) -> Trust:
+    def trust_of(other: Fit, rows: NDArray[np.bool_], seen: Array) -> Trust:
         trust = trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)
         if spread is not None:
             trust = replace(trust, correction=spread.of(other, rows, rms_of(seen)))
@@ -235,7 +232,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
 
 def _skews(
     campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], again: Callable[[Segments], Array],
-    solved: Solved,
+    solved: Fit,
 ) -> Array:  # fmt: skip
     """Change of theta by the clock of each stream at its bound, both ways; shape (clocks, courses, p)."""
 
@@ -273,7 +270,7 @@ def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], li
     curves = []
     for symbol, orders in ORDERS.items():
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]
-        places = [pooled.fit.index(symbol, pooled.fit.at(e.at["pressure"])) for e in known]
+        places = [pooled.fit.columns(symbol).start + pooled.fit.at(e.at["pressure"]) for e in known]
         curves += [curve(known, order, pooled.trust, places) for order in orders]
     return estimates, [through for through in curves if through is not None]
 

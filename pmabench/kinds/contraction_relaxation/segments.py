@@ -82,6 +82,22 @@ class Segments:
         """Mean pressure of each segment [Pa], shape (n,)."""
         return self.P @ self.weights
 
+    @property
+    def contraction(self) -> Array:
+        """Mean contraction of each segment [m], shape (n,)."""
+        return self.x @ self.weights
+
+    @property
+    def reach(self) -> int:
+        """How many samples `P` and `x` reach beyond the segment itself at either end."""
+        return int(self.x.shape[1] - self.v.shape[1]) // 2
+
+    @property
+    def followed(self) -> NDArray[np.bool_]:
+        """Whether the next segment begins where each ends, in the same trial; shape (n - 1,)."""
+        late = np.abs(np.diff(self.t) - self.v.shape[1] * self.dt)
+        return np.asarray((np.diff(self.trial) == 0) & (late < 0.5 * self.dt))
+
     def where(self, rows: NDArray[np.bool_]) -> Segments:
         """Only some of the rows."""
         by_row = {name: values for name, values in vars(self).items() if name not in ("weights", "dt")}
@@ -357,8 +373,7 @@ def covariance(
     A row is F_L + M x'' + K x + B x' - F_ce. `slope` is its change by the pressure [N/Pa], with K [N/m] and B [N.s/m]
     at each segment, shape (n,).
     """
-    s, dt = segments.v.shape[1], segments.dt
-    m = (segments.x.shape[1] - s) // 2
+    s, m, dt = segments.v.shape[1], segments.reach, segments.dt
     # shares of the samples from start - m - 1 on; the next segment begins s later
     mean, speed, gained = (np.zeros(2 * s) for _ in range(3))
     mean[1 : s + 2 * m + 1] = segments.weights
@@ -376,8 +391,7 @@ def covariance(
     shared = float(mean[s:] @ mean[:s])
     after = moving[:-1] * moving[1:] * np.sum(x[:-1, s:] * x[1:, :s], axis=1)
     after += (pressing[:-1] * pressing[1:] + force[:-1] * force[1:]) * shared
-    near = (np.diff(segments.trial) == 0) & (np.abs(np.diff(segments.t) - s * dt) < 0.5 * dt)
-    return np.asarray(own), np.where(near, after, 0.0)
+    return np.asarray(own), np.where(segments.followed, after, 0.0)
 
 
 def _rate(values: Array, dt: float) -> Array:

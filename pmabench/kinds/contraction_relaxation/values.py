@@ -18,9 +18,9 @@ from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Trust
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
-from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, without_value
 from pmabench.store.records import Array
 
 METHOD = "measured-pressure"
@@ -59,7 +59,7 @@ class Solution:
 
     campaign: Campaign
     segments: Segments
-    fit: Solved
+    fit: Fit
     knots: Array
     """Pressures [Pa], tested ones among them, half way between which the samples near one of them end."""
     trust: Trust
@@ -73,21 +73,19 @@ def values(solution: Solution) -> list[Estimate]:
     """F_ce [N], K [N/m], B_c, B_r [N.s/m] at every tested pressure and F_c [N], or why there is none."""
     found = [_at(solution, symbol, P) for symbol in SYMBOLS for P in solution.campaign.tested]
     stiff = {e.at["pressure"] for e in found if e.symbol == "K" and e.value is not None}
-    found = [_open(e, OPEN_FORCE) if e.symbol == "F_ce" and e.at["pressure"] not in stiff else e for e in found]
+    found = [
+        without_value(e, OPEN_FORCE)
+        if e.symbol == "F_ce" and e.value is not None and e.at["pressure"] not in stiff
+        else e
+        for e in found
+    ]
     friction = _blank(solution, "F_c", np.ones(len(solution.segments), bool))
     if solution.fit.friction:
         friction = _given(solution, friction, solution.fit.row("F_c", 0.0), 0.0)
     else:
         note = "not identifiable: the samples move one way only, and F_ce carries the friction"
         friction = replace(friction, note=note)
-    return [*found, friction if stiff else _open(friction, OPEN_FRICTION)]
-
-
-def _open(estimate: Estimate, note: str) -> Estimate:
-    """The estimate without its value, and why."""
-    if estimate.value is None:
-        return estimate
-    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=note)
+    return [*found, friction if stiff or friction.value is None else without_value(friction, OPEN_FRICTION)]
 
 
 def name_of(symbol: str, P: float | None) -> str:

@@ -17,7 +17,8 @@ from pmabench.analysis.shared.samples import Samples
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, BY_WAY, LOADED, TYPICAL
-from pmabench.kinds.contraction_relaxation.pooled import Solved
+from pmabench.kinds.contraction_relaxation.intervals import CHANNELS
+from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments, moved
 from pmabench.store.records import Array
 
@@ -25,7 +26,6 @@ SOFTEST = 1.0
 """A fit to hardly anything may give any K; creep acts through one of at least this [N/m]."""
 MOST_LATE = 0.06
 """Longest time that a stream is moved or filtered by [s]."""
-CHANNELS = ("pressure", "displacement", "force")
 TIMES = ("late", "lag", "clock")
 """Explanations whose size is a time of a stream."""
 GUIDE = "gain or guide"
@@ -82,7 +82,7 @@ def plausible(one: Explanation) -> bool:
 
 
 def columns_of(
-    one: Explanation, campaign: Campaign, followed: columns.Followed, segments: Segments, fit: Solved,
+    one: Explanation, campaign: Campaign, followed: columns.Followed, segments: Segments, fit: Fit,
     others: Sequence[Explanation] = (),
 ) -> Array:  # fmt: skip
     """Change of F_L by each size, at first order [N per SI], shape (n, sizes)."""
@@ -98,7 +98,7 @@ def columns_of(
 
 
 def _of_muscle(
-    one: Explanation, followed: columns.Followed, segments: Segments, fit: Solved, others: Sequence[Explanation]
+    one: Explanation, followed: columns.Followed, segments: Segments, fit: Fit, others: Sequence[Explanation]
 ) -> Array:
     """Columns of a property of the muscle: what creeps is not strained, and does not bend the force."""
     creeps = [other for other in others if other.kind == "creep"] if one.family == "bend" else []
@@ -156,9 +156,7 @@ def _behind(values: Array, constant: float) -> Array:
     return np.where(known, columns.lagged(whole, constant), np.nan)
 
 
-def forces_of(
-    followed: columns.Followed, segments: Segments, fit: Solved, explanations: Sequence[Explanation]
-) -> Array:
+def forces_of(followed: columns.Followed, segments: Segments, fit: Fit, explanations: Sequence[Explanation]) -> Array:
     """What the muscle pulls beyond the straight form [N], shape (n,); `fit` is of the straight part."""
     mine = [one for one in explanations if one.of_muscle]
     forces = [_of_muscle(one, followed, segments, fit, mine) @ np.array(one.sizes) for one in mine]
@@ -236,7 +234,7 @@ class Named:
         return found
 
 
-def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str = "") -> Named:
+def named(one: Explanation, off: Array, fit: Fit, highest: float, trial: str = "") -> Named:
     """An explanation in words.
 
     `off` (groups, sizes) [SI] is what its sizes are off by without each group of trials (jackknife), `fit` that to the
@@ -251,7 +249,7 @@ def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str 
     return Named(one, "tube" if key == "late pressure" and size < 0 else key, size, error, text)
 
 
-def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
+def _weights(one: Explanation, fit: Fit, highest: float) -> Array:
     """What makes one size of all, shape (sizes,)."""
     if one.kind == "drift":  # the farthest that it went
         return np.where(np.arange(len(one.sizes)) == np.argmax(np.abs(one.sizes)), 1.0, 0.0)

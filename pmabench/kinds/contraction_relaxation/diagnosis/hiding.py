@@ -22,7 +22,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.columns import RADII, TIMES
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import shown
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import SURE, Test
 from pmabench.kinds.contraction_relaxation.intervals import Hiding, Trust
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, force_by_pressure
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, force_by_pressure
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
@@ -133,7 +133,7 @@ def _scales(test: Test, followed: Followed) -> Cause:
     segments, P = test.segments, test.segments.pressure
     course = columns.drift(test.campaign, segments) - 0.5
     push = force_by_pressure(segments, test.fit) * P
-    pull = test.fit.values("K", P) * (segments.x @ segments.weights)
+    pull = test.fit.values("K", P) * segments.contraction
     ways = (
         Way("the scale of the pressure, or the force of the muscle, drifted by {size} over the campaign", "ratio",
             -push * course),
@@ -227,7 +227,7 @@ class Hidden:
     moved: str
     """The coefficient that the clearest of `found` moves most, and by how much; empty without."""
 
-    def lines(self, fit: Solved, rows: NDArray[np.bool_]) -> list[Hiding]:
+    def lines(self, fit: Fit, rows: NDArray[np.bool_]) -> list[Hiding]:
         """Lines of the budget of a fit to some `rows` of the segments."""
         found: list[Hiding] = []
         clear = {one.cause.name for one in self.found}
@@ -257,7 +257,7 @@ def hidden(
     return Hidden(tuple(sizes), tuple(found), moved)
 
 
-def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solved) -> list[Hiding]:
+def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Fit) -> list[Hiding]:
     """The cell against the weights, as far as its calibration does not hold the difference: either may be right."""
     cell = np.where(segments.mass > 0, 0.0, 1.0)
     kinds = ((GAIN, weights.gain, scales.gains, segments.force * cell), (ZERO, weights.offset, scales.offsets, cell))
@@ -270,7 +270,7 @@ def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solve
     return lines
 
 
-def of_the_sensor(known: float, segments: Segments, fit: Solved) -> Hiding:
+def of_the_sensor(known: float, segments: Segments, fit: Fit) -> Hiding:
     """Backlash of the displacement sensor: what its calibration allows, `known` [m], else an assumed one.
 
     It looks like Coulomb friction of K times its size: where K is the same at all pressures, no data tell them apart.

@@ -28,7 +28,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     plausible,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
-from pmabench.kinds.contraction_relaxation.pooled import Fit, Solved, fit, rms_of, solve
+from pmabench.kinds.contraction_relaxation.pooled import Fit, fit, rms_of, solve
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.store.records import Array
 
@@ -168,7 +168,7 @@ class Search:
         return found
 
     def columns(
-        self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved, others: Sequence[Explanation] = ()
+        self, one: Explanation, campaign: Campaign, segments: Segments, fit: Fit, others: Sequence[Explanation] = ()
     ) -> Array:
         """See `columns_of`."""
         return columns_of(one, campaign, self.followed, segments, fit, others)
@@ -369,11 +369,10 @@ STILL_APART = 1.25
 
 @dataclass(frozen=True, eq=False)
 class Rivals:
-    """An explanation that was kept, and the best of other kinds in its place."""
+    """The best of other kinds in the place of an explanation that was kept."""
 
-    kept: Explanation
     before: float
-    """Ratio without it."""
+    """Ratio without that."""
     others: tuple[State, ...]
     """With others in its place, the best first; the last explanation of each is the other one."""
     alone: bool
@@ -452,7 +451,7 @@ def _rivals(without: State, now: State, kept: Explanation, tried: Sequence[State
     others = tuple(state for state in tried if state.last.cause != kept.cause)
     limit = ALONE * max(now.excess, LEAST_EXCESS)
     alone = not others or others[0].excess >= limit
-    return Rivals(kept, without.test.ratio, others, alone)
+    return Rivals(without.test.ratio, others, alone)
 
 
 def _without_needless(search: Search, before: State, now: State) -> Rounds:

@@ -15,8 +15,8 @@ from pmabench.analysis.shared import student
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import FINER
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TIMES
 from pmabench.kinds.contraction_relaxation.diagnosis.search import Search, State
-from pmabench.kinds.contraction_relaxation.intervals import Correction
-from pmabench.kinds.contraction_relaxation.pooled import Solved
+from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Correction
+from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
@@ -27,8 +27,6 @@ PART_OF_MUSCLE, PART_OF_BENCH = (0.05, 0.17), (0.002, 0.01)
 delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known faults."""
 CHANCE = 0.1
 """Excess that a right form leaves by chance."""
-NORMAL = 1.96
-"""Half width of a 95 % interval by its standard deviation."""
 UNSHOWN = 25.0
 """A size whose variance grows by so much without a group is shown by that group alone."""
 FEWEST = 3
@@ -51,7 +49,7 @@ class Spread:
     factor: float
     """By which all widths grow, for what the form still misses."""
 
-    def of(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction:
+    def of(self, fit: Fit, rows: NDArray[np.bool_], noise: float) -> Correction:
         """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
         # loads left out show where a form is not exact; without an explanation by the fit nothing is sized anew
@@ -62,7 +60,7 @@ class Spread:
         others_of = np.array(others).reshape(-1, len(fit.theta))
         return Correction(self._unsure(fit, rows, noise), tuple(spreads), others_of, self.factor)
 
-    def _unsure(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Array:
+    def _unsure(self, fit: Fit, rows: NDArray[np.bool_], noise: float) -> Array:
         """The part of each step of the correction that may be wrong, as changes of theta, shape (2, p): by the weights,
         and by the fit.
         """
@@ -109,7 +107,7 @@ class Spread:
             found.append(mine - mine.mean(axis=0) if len(mine) else np.zeros((1, len(one.sizes))))
         return tuple(found)
 
-    def _spread(self, fit: Solved, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
+    def _spread(self, fit: Fit, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
         """Covariance of theta by the jackknife over groups of rows, widened for few, shape (p, p)."""
         theta, _ = self._left_out(fit, rows, group)
         times = [(place, one) for place, one in enumerate(self.state.explanations) if one.kind in TIMES]
@@ -130,7 +128,7 @@ class Spread:
         by_trial = dict(zip(self.state.test.segments.trial[rows].tolist(), group.tolist(), strict=True))
         return np.array([by_trial.get(trial, -1.0) for trial in self.state.test.segments.trial.tolist()])
 
-    def _left_out(self, fit: Solved, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
+    def _left_out(self, fit: Fit, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
         """Theta and sizes off those of the state, without each group in turn; shapes (groups, p), (groups, sizes).
 
         nan where a group alone shows a size: without the loads after a slip nobody knows how large it is.

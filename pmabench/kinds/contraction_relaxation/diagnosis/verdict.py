@@ -36,8 +36,9 @@ from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     explained,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.spread import Spread
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
+from pmabench.kinds.contraction_relaxation.values import QUANTITY
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array
 
@@ -54,7 +55,6 @@ MANY = 3
 """From so many causes on values are not accepted: several seldom act at once, and each takes up a part of another."""
 BEND_POINTS = 33
 """Contractions at which a bend is written down, from 0 to a tenth beyond those tested."""
-QUANTITIES = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +228,7 @@ class Diagnosis:
         if not tested:
             return {}
         segments = self.reported.test.segments
-        x = np.linspace(0.0, 1.1 * float(np.max(segments.x @ segments.weights)), BEND_POINTS)
+        x = np.linspace(0.0, 1.1 * float(np.max(segments.contraction)), BEND_POINTS)
         more = [self.more(x, np.full(len(x), P)).tolist() for P in tested]
         return {"contraction": x.tolist(), "pressure": tested, "force": more}
 
@@ -241,13 +241,13 @@ class Diagnosis:
                 found.append(f"undecided between {TITLES[one.key]} and {_title(rival.others[0])}")
         return "; ".join(found)
 
-    def effect(self, fit: Solved, P: float) -> str:
+    def effect(self, fit: Fit, P: float) -> str:
         """Each coefficient at a pressure [Pa] before and after all corrections, for people."""
         parts = []
         for symbol in SYMBOLS:
             row = fit.row(symbol, P)
             after = float(row @ fit.theta)
-            before, now = (show(value, QUANTITIES[symbol], 4) for value in (after - float(row @ self.change), after))
+            before, now = (show(value, QUANTITY[symbol][1], 4) for value in (after - float(row @ self.change), after))
             parts.append(f"{symbol} {before} -> {now}")
         return f"at {show(P, 'pressure', 4)} {', '.join(parts)}"
 
