@@ -512,21 +512,28 @@ def overlays(campaign: Campaign, runs: Sequence[FreeRun]) -> tuple[Trace, ...]:
     picks = dict.fromkeys(round(i) for i in np.linspace(0, len(runs) - 1, SHOWN)) if runs else ()
     traces = []
     for run in (runs[i] for i in picks):
-        load, P_trial = campaign.samples[run.number].load, campaign.trials[run.number].point["pressure"]
-        stride = -(-len(run.t) // LONGEST_TRACE)
-        traces.append(
-            Trace(
-                name=f"overlay-{P_trial / 1e3:.0f}kPa-{load:.0f}N-{run.number}",
-                figure="overlay",
-                title=f"{show(P_trial, 'pressure', 4)}, {show(load, 'force', 4)}: measured and fitted muscle",
-                columns={
-                    "t": (run.t - run.t[0])[::stride],
-                    "pressure": run.P[::stride],
-                    "displacement": run.x[::stride],
-                    "model": run.model[::stride],
-                },
-                quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
-                marks={"pressure": P_trial, "load": load},
-            )
-        )
+        load, P = campaign.samples[run.number].load, campaign.trials[run.number].point["pressure"]
+        name = f"overlay-{P / 1e3:.0f}kPa-{load:.0f}N-{run.number}"
+        title = f"{show(P, 'pressure', 4)}, {show(load, 'force', 4)}: measured and fitted muscle"
+        traces.append(overlay(name, "overlay", title, (run.t, run.P, run.x, run.model), P, load))
     return tuple(traces)
+
+
+def overlay(
+    name: str, figure: str, title: str, columns: tuple[Array, Array, Array, Array], P: float, load: float
+) -> Trace:
+    """Measured and modelled contraction of a trial at P [Pa] with a load [N].
+
+    `columns` are time [s], pressure [Pa], measured and modelled contraction [m], all samples.
+    """
+    thin = slice(None, None, -(-len(columns[0]) // LONGEST_TRACE))
+    t, *others = columns
+    names = ("pressure", "displacement", "model")
+    return Trace(
+        name=name,
+        figure=figure,
+        title=title,
+        columns={"t": (t - t[0])[thin], **{one: values[thin] for one, values in zip(names, others, strict=True)}},
+        quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
+        marks={"pressure": P, "load": load},
+    )

@@ -29,7 +29,7 @@ from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.analysis.shared.simulated import Stretches
 from pmabench.analysis.shared.trials import compared
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, rms_of
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
+from pmabench.kinds.contraction_relaxation.segments import CHANNELS, Campaign, Segments, resting
 from pmabench.store.analyses.results import Parts, Source
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -61,10 +61,9 @@ def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: st
     """
     found, noise = np.full(len(trials), np.nan), np.full(len(trials), np.nan)
     for i, (trial, one) in enumerate(zip(trials, samples, strict=True)):
-        times = [c.t for c in trial.commands if c.output == "pressure"]
-        rest = one.ok & (one.t < min(times, default=-np.inf))
+        rest = resting(one, trial)
         if rest.sum() > 1:
-            values = (one.P if channel == "pressure" else one.x)[rest]
+            values = one.channels[channel][rest]
             found[i], noise[i] = float(np.mean(values)), float(np.var(values, ddof=1)) / len(values)
     read = np.flatnonzero(np.isfinite(found))
     if len(read) < 2:
@@ -150,7 +149,6 @@ def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
 
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
-CHANNELS = ("pressure", "displacement", "force")
 SCATTER = "noise, and scatter between trials"
 NO_UNCERTAINTY = "the record tells no uncertainty"
 FEW = 10

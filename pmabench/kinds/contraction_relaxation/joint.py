@@ -25,7 +25,7 @@ from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust
 from pmabench.kinds.contraction_relaxation.pooled import (
     SYMBOLS,
     Fit,
-    Polynomial,
+    Powers,
     above,
     rms_of,
     solve,
@@ -71,10 +71,10 @@ def order_of(form: str) -> int | None:
     return int(order) if order else WORDS[word]
 
 
-def forms_of(orders: Mapping[str, int | None], knots: Array) -> dict[str, Polynomial]:
+def forms_of(orders: Mapping[str, int | None], knots: Array) -> dict[str, Powers]:
     """The forms of those of `SYMBOLS` that have an order; z is 0 in the middle of the knots [Pa]."""
     centre, scale = float(np.mean(knots)), float(np.ptp(knots)) / 2 or 1.0
-    return {s: Polynomial(order, centre, scale) for s in SYMBOLS if (order := orders.get(s)) is not None}
+    return {s: Powers(order, centre, scale) for s in SYMBOLS if (order := orders.get(s)) is not None}
 
 
 FALL = 6.0

@@ -9,7 +9,7 @@ And paper 1's closed form against the test it was fitted to: accuracy at rest, r
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Any
 
@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 
 from pmabench.analysis.shared.samples import LEAST, Samples, onset
 from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.checks import overlay
 from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, least_squares, prior_of
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, cut
 from pmabench.kinds.contraction_relaxation.values import FEWEST, curve, near
@@ -145,7 +146,6 @@ def read(samples: Samples, trial: TrialData) -> Step | str:
 
 MODEL = "closed form of paper 1"
 METRIC = "100 (1 - |x_s - x_e| / x_e)"
-LONGEST_TRACE = 1500
 WORDS = {1: "contracting", -1: "relaxing"}
 
 
@@ -182,11 +182,13 @@ def compare(
             S, D = (float(of[name].values(np.array(P))) for name in ("K", symbol))
             misfits = []
             for step in group:
-                trace = _overlay(campaign, step, at_rest(braid, P, S, step.load, at), D / S, dead)
-                traces.append(_thinned(trace))
-                ok = campaign.samples[step.trial].ok
-                gap = (trace.columns["model"] - trace.columns["displacement"])[ok]
-                misfits.append(sqrt(float(np.mean(gap**2))))
+                model = _closed_form(campaign, step, at_rest(braid, P, S, step.load, at), D / S, dead)
+                samples, direction = campaign.samples[step.trial], "to" if way > 0 else "from"
+                misfits.append(sqrt(float(np.mean((model - samples.x)[samples.ok] ** 2))))
+                name = f"step-{direction}-{P / 1e3:.0f}kPa-{step.trial}"
+                title = f"{direction} {show(P, 'pressure', 4)}: measured and closed form"
+                columns = (samples.t, samples.P, samples.x, model)
+                traces.append(overlay(name, "step-overlay", title, columns, P, step.load))
             rms[way] += misfits
             measure, mean = "rms over the whole trial, rest before the step included", float(np.mean(misfits))
             found.append(_estimate(campaign, "misfit", group, mean, measure, ("m", "length"), WORDS[way]))
@@ -227,26 +229,12 @@ def _estimate(
     return Estimate(symbol, value, *unit, MODEL, at, n=len(group), note=note, trials=names, coordinate=way)
 
 
-def _overlay(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float) -> Trace:
-    """Measured and modelled contraction of a trial, all samples."""
-    samples, trial = campaign.samples[step.trial], campaign.trials[step.trial]
-    command = next(c.t for c in trial.commands if c.output == "pressure" and c.t >= samples.t[0] - 1e-9)
-    fade = np.exp(-np.maximum(samples.t - command - dead, 0.0) / tau)
-    model = x_s * (1 - fade) if step.way > 0 else x_s * fade
-    way = "to" if step.way > 0 else "from"
-    return Trace(
-        name=f"step-{way}-{step.pressure / 1e3:.0f}kPa-{step.trial}",
-        figure="step-overlay",
-        title=f"{way} {show(step.pressure, 'pressure', 4)}: measured and closed form",
-        columns={"t": samples.t - samples.t[0], "pressure": samples.P, "displacement": samples.x, "model": model},
-        quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
-        marks={"pressure": step.pressure, "load": step.load},
-    )
-
-
-def _thinned(trace: Trace) -> Trace:
-    stride = -(-len(trace.columns["t"]) // LONGEST_TRACE)
-    return replace(trace, columns={name: values[::stride] for name, values in trace.columns.items()})
+def _closed_form(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float) -> Array:
+    """Modelled contraction of a trial [m] at all its samples."""
+    t, trial = campaign.samples[step.trial].t, campaign.trials[step.trial]
+    command = next(c.t for c in trial.commands if c.output == "pressure" and c.t >= t[0] - 1e-9)
+    fade = np.exp(-np.maximum(t - command - dead, 0.0) / tau)
+    return np.asarray(x_s * (1 - fade) if step.way > 0 else x_s * fade)
 
 
 def _findings(

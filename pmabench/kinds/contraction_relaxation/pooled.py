@@ -40,7 +40,7 @@ FLOOR = 1e-4
 
 
 @dataclass(frozen=True)
-class Polynomial:
+class Powers:
     """A coefficient over pressure as powers of z = (P - centre) / scale, from the constant up."""
 
     order: int
@@ -67,7 +67,7 @@ class Polynomial:
         return np.column_stack(columns)
 
 
-POLYGONS: Mapping[str, Polynomial] = {}
+POLYGONS: Mapping[str, Powers] = {}
 """Forms of a fit whose coefficients all are straight lines between its knots."""
 NONE = np.empty(0)
 
@@ -94,7 +94,7 @@ class Fit:
     """Those of them [Pa] that only halve a stretch."""
     added: Array = field(default_factory=lambda: NONE)
     """Those of them [Pa] that were put where the residual asked for one."""
-    forms: Mapping[str, Polynomial] = field(default_factory=dict)
+    forms: Mapping[str, Powers] = field(default_factory=dict)
     """Coefficients that are polynomials; the others are straight lines between the knots."""
     least: float = 0.0
     """Pressure [Pa] from which on the forms hold: segments that come below it are left out."""
@@ -242,7 +242,7 @@ def sums_of(segments: Segments, knots: Array) -> tuple[Array, Array, Array]:
     )
 
 
-def design_of(segments: Segments, knots: Array, forms: Mapping[str, Polynomial] = POLYGONS) -> Array:
+def design_of(segments: Segments, knots: Array, forms: Mapping[str, Powers] = POLYGONS) -> Array:
     """Regressors, shape (n, p), in the order of `Fit.theta`."""
     weights, blocks = np.broadcast_to(segments.weights, segments.P.shape), dict.fromkeys(SYMBOLS, NONE)
     if len(forms) < len(SYMBOLS):
@@ -263,7 +263,7 @@ def _design(segments: Segments, force: Array, spring: Array, contracting: Array,
 
 def solve(
     segments: Segments, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE,
-    forms: Mapping[str, Polynomial] = POLYGONS,
+    forms: Mapping[str, Powers] = POLYGONS,
 ) -> Fit:  # fmt: skip
     """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
     return solve_design(segments, design_of(segments, knots, forms), knots, noise, halves, added, forms)
@@ -271,7 +271,7 @@ def solve(
 
 def solve_design(
     segments: Segments, design: Array, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE,
-    forms: Mapping[str, Polynomial] = POLYGONS,
+    forms: Mapping[str, Powers] = POLYGONS,
 ) -> Fit:  # fmt: skip
     """The same with the regressors (n, p) of these segments and knots, which do not depend on the force."""
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
@@ -306,7 +306,7 @@ def inverse_of(normal: Array) -> Array:
     return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
-def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Polynomial] = POLYGONS) -> Array:
+def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Array:
     """Rows that draw each knot weakly to the line between its neighbours, and everything very weakly to 0."""
     sizes = sizes_of(segments)
     noise = max(noise, FLOOR * sizes[0])

@@ -5,8 +5,8 @@ The muscle is that of `expected` in a specimen file, or a fit. Knows the plan as
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
 
@@ -25,7 +25,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
 )
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Gate, Segments, cut
 from pmabench.kinds.contraction_relaxation.values import FEWEST, WIDE, near
-from pmabench.store.records import Array
+from pmabench.store.records import Array, TrialData
 
 RATE = 250.0
 """Samples a second of simulated trials [Hz]; a segment is 40 ms."""
@@ -150,6 +150,28 @@ class Outlook:
     design: Design
     """Its wanted combinations are those values."""
 
+    def of_values(self, kept: Sequence[int]) -> Outlook:
+        """The same for some of the values."""
+        rows = list(kept)
+        design = replace(self.design, wanted=self.design.wanted[rows])
+        return replace(self, names=tuple(self.names[n] for n in rows), values=self.values[rows], design=design)
+
+    def without(self, keys: Set[tuple[float, float]]) -> Outlook:
+        """The same with the cells of these keys among the idle ones."""
+        kept = [number for number, cell in enumerate(self.cells) if cell.key not in keys]
+        idle = (*self.idle, *(cell for cell in self.cells if cell.key in keys))
+        design = replace(self.design, cells=self.design.cells[kept])
+        return replace(self, cells=tuple(self.cells[n] for n in kept), idle=idle, design=design)
+
+    def counts(self, trials: Sequence[TrialData]) -> Array:
+        """How many of the trials are in each cell, shape (cells,)."""
+        place = {cell.key: number for number, cell in enumerate(self.cells)}
+        counts = np.zeros(len(place))
+        for trial in trials:
+            if (number := place.get(cell_key(trial.point))) is not None:
+                counts[number] += 1
+        return counts
+
 
 def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
     """What trials in `cells` tell of F_ce [N], K [N/m], B_c, B_r [N.s/m] at the tested pressures, and of F_c [N].
@@ -183,14 +205,14 @@ def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
     if moves:
         counts = np.array([len(cells[n].trials) for n in moves], float)
         known = known & (NORMAL * np.sqrt(whole.variances(counts)) <= WIDE * _size(names, values))
-    kept = [n for n in range(len(names)) if known[n]] if moves else []
-    return Outlook(
+    found = Outlook(
         tuple(cells[n] for n in moves),
         tuple(cell for n, cell in enumerate(cells) if n not in moves),
-        tuple(names[n] for n in kept),
-        values[kept],
-        Design(whole.prior, whole.cells, noise, between, wanted[kept]),
+        tuple(names),
+        values,
+        whole,
     )
+    return found.of_values(np.flatnonzero(known).tolist() if moves else [])
 
 
 def scattered(fit: Fit, share: float) -> Array:

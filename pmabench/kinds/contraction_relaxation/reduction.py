@@ -178,8 +178,8 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     as_recorded = segments_of(recorded.samples)
     if len(as_recorded) < 2 * FEWEST:
         return None
-    found = examined(recorded, knots, segments_of, as_recorded)
-    diagnosis, spread, test = found.diagnosis, found.spread, found.diagnosis.reported.test
+    diagnosis = examined(recorded, knots, segments_of, as_recorded)
+    spread, test = diagnosis.spread, diagnosis.reported.test
     campaign, segments, solved = test.campaign, test.segments, test.fit
     noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
     slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # what rests show of it is corrected
@@ -194,25 +194,28 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
         return fit(late, knots, campaign.noise)[0].at_knots(solved.knots)
 
-    def trusted(other: Fit, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
-        """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
+    def trusted(
+        other: Fit, rows: NDArray[np.bool_], seen: Array, unit: float, again: Callable[[Segments], Array]
+    ) -> Trust:
+        """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each, `unit` [N] the
+        one that the correction is fitted again with.
+        """
         mine = segments.where(rows)
         replay, count = _replays(campaign, segments_of, work, other), int(options.get("replays", REPLAYS))
         replays = [other.again(replay(seed), rms_of(seen)).theta for seed in range(count)]
-        skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
+        skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
         drifts = drifts_of(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
-        return assess(campaign, mine, other, seen, replays, skews, drifts)
+        trust = assess(campaign, mine, other, seen, replays, skews, drifts)
+        return trust if spread is None else replace(trust, correction=spread.of(other, rows, unit))
 
     every = np.ones(len(segments), bool)
-    alone = trusted(solved, every, noise, first)
-    if spread is not None:
-        alone = replace(alone, correction=spread.of(solved, every, test.expected))
+    alone = trusted(solved, every, noise, test.expected, first)
 
     def tests_of_noise(count: int) -> list[Test]:
         found = map(_replays(campaign, segments_of, work, solved), range(count))
         return [Test.of(campaign, one, solved.again(one, test.expected), test.expected) for one in found]
 
-    departures = hidden(test, found.search.followed, diagnosis.weighed, alone, tests_of_noise)
+    departures = hidden(test, diagnosis.search.followed, diagnosis.weighed, alone, tests_of_noise)
     diagnosis = replace(diagnosis, hidden=departures)
 
     def with_hidden(other: Fit, rows: NDArray[np.bool_], trust: Trust) -> Trust:
@@ -222,10 +225,8 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         return replace(trust, hides=(*lines, *of_the_cell(diagnosis.weighed, scales, mine, other), sensor))
 
     def trust_of(other: Fit, rows: NDArray[np.bool_], seen: Array) -> Trust:
-        trust = trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)
-        if spread is not None:
-            trust = replace(trust, correction=spread.of(other, rows, rms_of(seen)))
-        return with_hidden(other, rows, trust)
+        unit = rms_of(seen)
+        return with_hidden(other, rows, trusted(other, rows, seen, unit, lambda late: other.again(late, unit).theta))
 
     return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, work, diagnosis)
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from pmabench.analysis.shared.skew import STAMPED, apart
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
+CHANNELS = ("pressure", "displacement", "force")
 ASSUMED_MASS = 0.5
 """Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
 FEWEST_STILL = 8
@@ -151,11 +153,8 @@ def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
 
     if "displacement" in channels:
         channels, by = [name for name in ("pressure", "force") if name not in channels], -by
-    P = later(samples.P, by) if "pressure" in channels else samples.P
-    force = samples.force
-    if force is not None and "force" in channels:
-        force = later(force, by)
-    return _finite(replace(samples, P=P, force=force))
+    taken = {name: later(values, by) for name, values in samples.channels.items() if name in channels}
+    return _finite(samples.having(taken))
 
 
 def _later(t: Array, values: Array, by: float) -> Array:
@@ -169,9 +168,7 @@ def _later(t: Array, values: Array, by: float) -> Array:
 
 def _finite(samples: Samples) -> Samples:
     """The samples, of which those with a number in every channel are usable."""
-    known = np.isfinite(samples.P) & np.isfinite(samples.x)
-    if samples.force is not None:
-        known &= np.isfinite(samples.force)
+    known = np.all([np.isfinite(values) for values in samples.channels.values()], axis=0)
     return samples if known[samples.ok].all() else replace(samples, ok=samples.ok & known)
 
 
@@ -212,7 +209,9 @@ class Cutter:
         n, m = self.gate.samples(self.rate)
         weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
         parts = [_taken(samples, self._places(samples, n, m), n, m, weights) for samples in stretches]
-        return _joined([part for part in parts if part is not None], n, m, weights, 1 / self.rate)
+        columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+        trial, t, way, P, x, P_mid, v, F_mid, force, mass = columns
+        return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, 1 / self.rate)
 
     def _places(self, samples: Samples, n: int, m: int) -> _Places:
         found = self.known.get(samples.trial)
@@ -224,15 +223,6 @@ class Cutter:
 def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
     """All segments of the stretches, in their order, contracting before relaxing in each."""
     return Cutter(rate, gate).cut(stretches)
-
-
-def _joined(found: Sequence[tuple[Array, ...]], n: int, m: int, weights: Array, dt: float) -> Segments:
-    """Segments of columns as `_taken` gives them."""
-    none, wide, narrow = np.empty(0), np.empty((0, n + 2 * m)), np.empty((0, n))
-    empty = (np.empty(0, np.intp), none, none, wide, wide, narrow, narrow, narrow, none, none)
-    columns = (np.concatenate(column) for column in zip(empty, *found, strict=True))
-    trial, t, way, P, x, P_mid, v, F_mid, force, mass = columns
-    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, dt)
 
 
 def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
@@ -252,11 +242,9 @@ def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
     return _Places(samples.x, samples.ok, v, np.concatenate(starts), np.concatenate(ways))
 
 
-def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) -> tuple[Array, ...] | None:
-    """Columns of `Segments` of one stretch, in the order of their declaration; None without any."""
-    start, way_of, v = places.start, places.way, places.v
-    if not len(start):
-        return None
+def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) -> tuple[NDArray[Any], ...]:
+    """Columns of `Segments` of one stretch, in the order of their declaration."""
+    start, v = places.start, places.v
     middle = start[:, None] + np.arange(n)
     around = start[:, None] + np.arange(-m, n + m)
     mass = np.zeros(len(start))
@@ -270,7 +258,7 @@ def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) ->
         force = samples.load + samples.mass * gained / (samples.t[start + n] - samples.t[start - 1])
     number = np.full(len(start), samples.trial)
     P, x = samples.P[around], samples.x[around]
-    return number, samples.t[start], way_of, P, x, P[:, m : m + n], v[middle], F_mid, force, mass
+    return number, samples.t[start], places.way, P, x, P[:, m : m + n], v[middle], F_mid, force, mass
 
 
 def noise_seen(
@@ -473,9 +461,9 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
 
 
 def _every(runs: Sequence[RunData]) -> dict[str, int]:
-    """Field of `Samples` -> how many rows lie between two samples of a slower stream that it comes from."""
+    """Field of `Samples` -> how many rows lie between two samples of the slower stream that it comes from."""
     found: dict[str, int] = {}
-    for name, channel in (("P", "pressure"), ("x", "displacement"), ("force", "force")):
+    for name, channel in zip(("P", "x", "force"), CHANNELS, strict=True):
         infos = [(run.rate, run.channels[channel].rate) for run in runs if channel in run.channels]
         found[name] = max((round(rate / own) for rate, own in infos if own > 0), default=1) or 1
     return found
@@ -508,6 +496,12 @@ def strokes(trial: TrialData) -> list[slice]:
     times = [c.t - 1e-9 for c in trial.commands if c.output == "pressure" and c.t >= trial.t[0] - 1e-9]
     edges = np.searchsorted(trial.t, times).tolist() or [0]
     return [slice(first, last) for first, last in zip(edges, [*edges[1:], len(trial.t)], strict=True) if last > first]
+
+
+def resting(samples: Samples, trial: TrialData) -> NDArray[np.bool_]:
+    """Which samples are usable and come before the first command of the pressure, shape (n,)."""
+    first = min((c.t for c in trial.commands if c.output == "pressure"), default=-np.inf)
+    return np.asarray(samples.ok & (samples.t < first))
 
 
 def settled(trial: TrialData, number: int = 0) -> slice:

@@ -16,7 +16,7 @@ import numpy as np
 from pmabench.analysis.shared import student
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import course
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import GUIDE, Explanation
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, settled, strokes
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, resting, settled
 from pmabench.store.records import Array
 
 G = 9.80665
@@ -247,17 +247,13 @@ def _means(campaign: Campaign, where: str) -> Array:
     for i, (samples, trial) in enumerate(zip(campaign.samples, campaign.trials, strict=True)):
         if samples.force is None or samples.mass * G < HANGING * samples.load:
             continue
-        times = [c.t for c in trial.commands if c.output == "pressure"]
+        rows = resting(samples, trial)
         if where != "rest":
             rows = np.zeros(len(samples.t), bool)
             rows[settled(trial, int(where == "lower"))] = True
             if (samples.x[rows] <= Gate.lift).any():
                 continue
             rows &= samples.ok
-        elif times and len(strokes(trial)):
-            rows = samples.ok & (samples.t < min(times))
-        else:
-            continue
         if rows.sum() > 1:
             found[i] = float(np.mean(samples.force[rows]))
     return found

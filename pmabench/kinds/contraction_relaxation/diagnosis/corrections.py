@@ -17,7 +17,6 @@ from pmabench.analysis.shared.samples import Samples
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, BY_WAY, LOADED, TYPICAL
-from pmabench.kinds.contraction_relaxation.intervals import CHANNELS
 from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments, moved
 from pmabench.store.records import Array
@@ -81,23 +80,7 @@ def plausible(one: Explanation) -> bool:
     return one.which != "steep" or sum(one.sizes[2:]) > 0
 
 
-def columns_of(
-    one: Explanation, campaign: Campaign, followed: columns.Followed, segments: Segments, fit: Fit,
-    others: Sequence[Explanation] = (),
-) -> Array:  # fmt: skip
-    """Change of F_L by each size, at first order [N per SI], shape (n, sizes)."""
-    if one.kind == "drift":
-        return columns.drift(campaign, segments)[:, None]
-    if one.kind == "slip":
-        return columns.slip(campaign, segments, fit, int(one.which))[:, None]
-    if one.kind in TIMES:
-        late = columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
-        growing = late * columns.clock(campaign)[segments.trial, None]
-        return np.hstack((late, growing)) if one.kind == "clock" else late
-    return _of_muscle(one, followed, segments, fit, others)
-
-
-def _of_muscle(
+def muscle_columns(
     one: Explanation, followed: columns.Followed, segments: Segments, fit: Fit, others: Sequence[Explanation]
 ) -> Array:
     """Columns of a property of the muscle: what creeps is not strained, and does not bend the force."""
@@ -137,13 +120,13 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
 
 def _filtered(samples: Samples, channel: str, constant: float, rate: float) -> Samples:
     """All other channels behind the filter that one has [s]; that one behind it where the constant is negative."""
-    filtered = {name for name in CHANNELS if (name == channel) != (constant > 0)}
-
-    def taken(name: str, values: Array) -> Array:
-        return _behind(values, abs(constant) * rate) if name in filtered else values
-
-    force = None if samples.force is None else taken("force", samples.force)
-    return replace(samples, P=taken("pressure", samples.P), x=taken("displacement", samples.x), force=force)
+    return samples.having(
+        {
+            name: _behind(values, abs(constant) * rate)
+            for name, values in samples.channels.items()
+            if (name == channel) != (constant > 0)
+        }
+    )
 
 
 def _behind(values: Array, constant: float) -> Array:
@@ -159,7 +142,7 @@ def _behind(values: Array, constant: float) -> Array:
 def forces_of(followed: columns.Followed, segments: Segments, fit: Fit, explanations: Sequence[Explanation]) -> Array:
     """What the muscle pulls beyond the straight form [N], shape (n,); `fit` is of the straight part."""
     mine = [one for one in explanations if one.of_muscle]
-    forces = [_of_muscle(one, followed, segments, fit, mine) @ np.array(one.sizes) for one in mine]
+    forces = [muscle_columns(one, followed, segments, fit, mine) @ np.array(one.sizes) for one in mine]
     return np.asarray(np.sum(forces, axis=0)) if mine else np.zeros(len(segments))
 
 

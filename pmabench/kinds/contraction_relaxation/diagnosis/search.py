@@ -22,9 +22,9 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     MOST_LATE,
     TIMES,
     Explanation,
-    columns_of,
     forces_of,
     in_samples,
+    muscle_columns,
     plausible,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
@@ -170,8 +170,16 @@ class Search:
     def columns(
         self, one: Explanation, campaign: Campaign, segments: Segments, fit: Fit, others: Sequence[Explanation] = ()
     ) -> Array:
-        """See `columns_of`."""
-        return columns_of(one, campaign, self.followed, segments, fit, others)
+        """Change of F_L by each size of an explanation, at first order [N per SI], shape (n, sizes)."""
+        if one.kind == "drift":
+            return columns.drift(campaign, segments)[:, None]
+        if one.kind == "slip":
+            return columns.slip(campaign, segments, fit, int(one.which))[:, None]
+        if one.kind in TIMES:
+            late = columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
+            growing = late * columns.clock(campaign)[segments.trial, None]
+            return np.hstack((late, growing)) if one.kind == "clock" else late
+        return muscle_columns(one, self.followed, segments, fit, others)
 
     def _timed(
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float

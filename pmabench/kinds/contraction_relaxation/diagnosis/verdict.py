@@ -61,6 +61,7 @@ BEND_POINTS = 33
 class Diagnosis:
     """What was found of a campaign."""
 
+    search: Search
     weighed: Weighed
     rounds: Rounds
     of_cell: tuple[Named, ...]
@@ -69,7 +70,14 @@ class Diagnosis:
     """What explains the misfit of the fit; corrected."""
     change: Array
     """Change of the coefficients by all corrections, as `Fit.theta`."""
+    spread: Spread | None = None
+    """What the correction does to intervals; None without one."""
     hidden: Hidden = field(default_factory=lambda: Hidden((), (), ""))
+
+    def corrected(self, segments: Segments) -> Segments:
+        """Segments of corrected samples without the forces that the muscle has beyond the straight form."""
+        state = self.reported
+        return segments.pulled(-forces_of(self.search.followed, segments, state.straight, state.explanations))
 
     @property
     def reported(self) -> State:
@@ -317,15 +325,6 @@ def _title(state: State) -> str:
     return NOT_STRAIGHT if last.kind == "sensor" else TITLES[last.cause]
 
 
-def name(state: State, off: Sequence[Array], names: Sequence[str]) -> tuple[Named, ...]:
-    """The explanations of a state in words; `off` as in `corrections.named` of each, `names` those of the trials."""
-    highest = max(state.test.campaign.tested)
-    return tuple(
-        named(one, each, state.test.fit, highest, names[int(one.which)] if one.kind == "slip" else "")
-        for one, each in zip(state.explanations, off, strict=True)
-    )
-
-
 def _why_hidden(one: Size, share: float) -> str:
     """Why values may not be reported that a departure could change by up to this share."""
     effect = f"could change these values by up to {100 * share:.2g} %"
@@ -339,38 +338,28 @@ def _why_hidden(one: Size, share: float) -> str:
     return f"it fits that {one.text}, which {effect} ({limit}). {REMEDY}"
 
 
-@dataclass(frozen=True, eq=False)
-class Examined:
-    """A campaign with what was found in it."""
-
-    search: Search
-    diagnosis: Diagnosis
-    spread: Spread | None
-    """What the correction does to intervals; None without one."""
-
-    def corrected(self, segments: Segments) -> Segments:
-        """Segments of corrected samples without the forces that the muscle has beyond the straight form."""
-        state = self.diagnosis.reported
-        return segments.pulled(-forces_of(self.search.followed, segments, state.straight, state.explanations))
-
-
 def examined(
     recorded: Campaign, knots: Array, segments_of: Callable[[Sequence[Samples]], Segments], segments: Segments
-) -> Examined:
+) -> Diagnosis:
     """The diagnosis of a campaign with these first knots [Pa]; `segments` are those of its samples as recorded."""
     gain = Scales.of(recorded.runs).gains.get("force", 0.0)
     weights = weighed(readings(recorded), {"drift": zero_known(recorded), "gain": gain})
     search = Search(in_samples(recorded, weights.found), segments_of, knots, weights.drift is None)
     rounds = explained(search, search.fitted(()))
-    after, names = rounds.after, [recorded.name(i) for i in range(len(recorded.trials))]
+    after = rounds.after
     known = weighed(readings(search.campaign)) if weights.found else weights
     of_cell = tuple(
         named(one, np.array([errors, -errors]), after.test.fit, 0.0)
         for one, errors in zip(weights.found, weights.errors, strict=True)
     )
     spread = Spread(search, rounds.before, after, segments, rounds.undecided(search), weights.unsure, 1.0)
+    highest = max(recorded.tested)
+    of_fit = tuple(
+        named(one, off, after.test.fit, highest, recorded.name(int(one.which)) if one.kind == "slip" else "")
+        for one, off in zip(after.explanations, spread.sizes(), strict=True)
+    )
     change = after.test.fit.theta - after.test.fit.again(segments, after.test.expected).theta
-    diagnosis = Diagnosis(known, rounds, of_cell, name(after, spread.sizes(), names), change)
-    if not of_cell and not diagnosis.reported.explanations:
-        return Examined(search, diagnosis, None)
-    return Examined(search, diagnosis, replace(spread, state=diagnosis.reported, factor=diagnosis.factor))
+    found = Diagnosis(search, known, rounds, of_cell, of_fit, change)
+    if not of_cell and not found.reported.explanations:
+        return found
+    return replace(found, spread=replace(spread, state=found.reported, factor=found.factor))
