@@ -31,6 +31,7 @@ from pmabench.analysis.verdict.agreement import weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
+from pmabench.kinds.contraction_relaxation.values import aicc
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
 
@@ -101,8 +102,7 @@ def _fitted(t: Array, y: Array, lags: int) -> tuple[Response, float] | None:
     slopes = np.array([np.subtract(times(found + by), times(found - by)) / 2e-5 for by in nudges])
     covariance = np.linalg.pinv(slope.T @ slope) * power / (n - p)
     errors = np.sqrt(np.maximum(0.0, np.diag(slopes.T @ covariance @ slopes)))
-    aicc = n * log(power / n) + 2 * p + 2 * p * (p + 1) / (n - p - 1)
-    return Response(values, tuple(float(e) for e in errors), sqrt(power / n)), aicc
+    return Response(values, tuple(float(e) for e in errors), sqrt(power / n)), aicc(power / n, n, p)
 
 
 def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
@@ -216,12 +216,12 @@ def _estimate(
 
 MODEL, STEP = "bandwidth, by coefficients", "bandwidth, by steps"
 LOWEST, HIGHEST = 0.01, 200.0
-"""Where it is looked for [Hz]."""
+"""Range in which a bandwidth is searched [Hz]."""
 LEVEL = sqrt(0.5)
 EXACT = 1e-9
 """It is found within this share of itself, or of the gain [1]."""
 LEAST_STEP = 1e-3
-"""Steps that move less tell nothing of a bandwidth [m]."""
+"""Smallest step that a bandwidth is computed from [m]."""
 NEAR_REST = 0.03
 """Share of a step that it may still move by in the last fifth of its hold."""
 SHIFT = 1e-3
@@ -230,7 +230,7 @@ TOGETHER = 0.01
 
 
 def crossing(gain: Callable[[Array], Array]) -> float | None:
-    """Lowest frequency [Hz] from which on |G| is below 1/sqrt(2); None where it is not looked for."""
+    """Lowest frequency [Hz] from which on |G| is below 1/sqrt(2); None where that is outside the range."""
     f = np.geomspace(LOWEST, HIGHEST, 120)
     for first in range(0, len(f), 12):
         below = first + np.flatnonzero(gain(f[first : first + 12]) < LEVEL)
@@ -253,7 +253,7 @@ def crossing(gain: Callable[[Array], Array]) -> float | None:
 
 
 def of_model(K: float, B: float, M: float, lags: Sequence[float]) -> float | None:
-    """Bandwidth [Hz] with K [N/m], B [N.s/m], M [kg] and the regulator's lags [s]; None where it is not looked for.
+    """Bandwidth [Hz] with K [N/m], B [N.s/m], M [kg] and the regulator's lags [s]; None outside the range.
 
     With w = omega^2, |G|^2 = 1/2 where prod(1 + T_i^2 w) ((K - M w)^2 + B^2 w) = 2 K^2: the lowest root above 0.
     """
@@ -287,8 +287,9 @@ def of_step(t: Array, y: Array) -> float | None:
 def estimates(campaign: Campaign, found: Sequence[Estimate], responses: dict[float, Response]) -> list[Estimate]:
     """f_b [Hz] at each tested pressure with the least and the largest load, by the coefficients and by steps.
 
-    `found` are the primary method's estimates. Method part: what B_c and B_r are apart is worth, beside what the parts
-    of K and B are; of steps, half the difference of the gain with and without their last fifth.
+    `found` are the primary method's estimates. Method part: half the
+    difference between the bandwidths with B_c and with B_r, next to the method parts of K and B; of steps, half the
+    difference of the bandwidths with and without their last fifth.
     """
     loads = sorted({sample.load for sample in campaign.samples})
     chosen = list(dict.fromkeys((loads[0], loads[-1])))

@@ -221,7 +221,7 @@ def _thinned(P: Array) -> Array:
 
 
 FEWEST = 3
-"""Fewest loads for one to be left out: two others tell F_ce from K."""
+"""Fewest loads for one to be left out: two others separate F_ce from K."""
 ENOUGH = 20
 """Fewest segments of a load or a direction."""
 WORSE = 2.0
@@ -243,7 +243,7 @@ def _level(error: float, residual: float, size: float) -> str:
 
 
 def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
-    """Each load predicted by a fit to all others, where these tell what it will be; the worst of them counts.
+    """Each load predicted by a fit to all others, where these determine it; the worst of them counts.
 
     The error is the rms of the residuals of the segments whose prediction is as sure as one segment is.
     """

@@ -4,8 +4,8 @@
 where trials scatter more than that. *Method*: what replays of the fitted muscle come back with. *Calibration*: the fit
 once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: of the
 specimen by its reference trials, of a zero by the check at the end of a run, and by what is read at rest before each
-trial. Nobody knows what drifted in a specimen whose stroke did: its compliance or its force; nor when a zero went. Each
-cause is fitted both ways, the larger counts. A `Source` each, which add up to the parts.
+trial. Where the stroke of a specimen drifted, its compliance or its force may have; and a zero may have drifted at any
+time. So each cause is fitted both ways, and the larger change counts. Each is a `Source`; together they are the parts.
 
 A check of the repeats part, which is the limit of many draws, by what the draws themselves say. Of n trials n - 1 are
 drawn and weigh n / (n - 1), or a draw from two would scatter by a half too little (Rao and Wu 1988, J. Am. Stat. Assoc.
@@ -43,7 +43,7 @@ NO_CHECK = "the record tells no zero at the end"
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """One cause of drift: change of theta when it is taken away, shape (ways, p), or why that is not known."""
+    """One cause of drift: change of theta without it, shape (ways, p); None and a note where that is not known."""
 
     name: str
     ways: Array | None
@@ -217,7 +217,7 @@ class Trust:
     shifts: Mapping[str, Array]
     """Change of theta by each cause of calibration error at its 95 % bound."""
     unknown: tuple[str, ...]
-    """Channels of whose calibration the record tells nothing."""
+    """Channels whose calibration is not in the record."""
     skews: Array
     """Change of theta by the clock of each stream at its bound, shape (clocks, courses, p); (0, 0, p) for one."""
     drifts: tuple[Cause, ...]
@@ -429,7 +429,7 @@ def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) 
 
 
 def _off(segments: Segments, fit: Fit, channel: str, gain: float, offset: float | Array, expected: float) -> Array:
-    """Theta had a channel read (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
+    """Theta of the fit where a channel reads (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
     begun = fit.followed(gain, float(np.mean(offset))) if channel == "pressure" else fit
     return begun.again(segments.shifted(channel, gain, offset), expected).theta
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import log, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     without_each,
 )
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
-from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, Solution, name_of, values
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, Solution, aicc, name_of, values
 from pmabench.store.analyses.results import Curve, Estimate, Finding
 from pmabench.store.records import Array
 
@@ -130,8 +130,7 @@ def _scores(
         missed = 0.0
         for rows, (_, without) in zip(trials, others, strict=True):
             missed += float(np.sum((segments.force[rows] - design[rows] @ without) ** 2))
-        aicc = n * log(max(power, 1e-300) / n) + 2 * p + 2 * p * (p + 1) / max(1, n - p - 1)
-        found[order] = {"aicc": aicc, "held_out": sqrt(missed / n)}
+        found[order] = {"aicc": aicc(max(power, 1e-300) / n, n, p), "held_out": sqrt(missed / n)}
     return found
 
 
@@ -142,7 +141,7 @@ ADEQUATE = 1.1
 """A residual this many times that of straight lines between pressures says that a form is too simple."""
 SIMPLE = "a form is too simple: its interval does not hold that"
 TOGETHER = 0.95
-"""Correlation from which on it is said that two coefficients hang together."""
+"""Correlation of two coefficients from which on it is reported."""
 STRAIGHT = "straight lines between pressures"
 
 

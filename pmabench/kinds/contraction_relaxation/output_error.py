@@ -1,8 +1,8 @@
 """The pooled coefficients polished by output error: simulated against measured contraction (option `polish`).
 
 Each stretch of consecutive segments, in which the muscle moves one way, is simulated from a free start, driven by the
-measured pressure and force. Rows are the means of segments. Their errors hang together, for the muscle shapes the noise
-of pressure and force; so rows are whitened by their covariance. Gauss-Newton, begun at the pooled fit: maximum
+measured pressure and force. Rows are the means of segments. Their errors are correlated, for the muscle filters the
+noise of pressure and force; so rows are whitened by their covariance. Gauss-Newton, begun at the pooled fit: maximum
 likelihood where noise is all that differs (Ljung, System Identification, 7.4). Knows segments; no trial point, no
 interval, no protocol.
 
@@ -122,13 +122,13 @@ def _together(segments: Segments, fit: Coefficients, pieces: list[slice]) -> Ite
     first = index[0]
     P, F = samples(segments.P_mid), samples(segments.F_mid)
     way, mass = segments.way[first], segments.mass[first]
-    inertia = bool((mass > 0).any())
     F_ce, K, B = _coefficients(fit, P, way)
     middle = [0.5 * (values[1:] + values[:-1]) for values in (P, F, F_ce, K, B)]
     P_step, drive = middle[0], middle[2] - middle[1] - way * fit.coulomb
-    step = _Step.of(middle[3], middle[4], mass, segments.dt, inertia)
-    x = step.run(drive, segments.x[first, segments.reach], segments.v[first, 0])
-    answer, start = step.answer(most, s)
+    A, g = _steps(middle[3], middle[4], mass, segments.dt)
+    begin = np.stack((segments.x[first, segments.reach], segments.v[first, 0]))[: g.shape[1]]
+    x = _run(A, g, drive, begin)
+    answer, start = _answer(A, g, most, s)
     x_step = 0.5 * (x[1:] + x[:-1])
     v_step = np.diff(x, axis=0) / segments.dt
     slope = _slope(fit, P, x, way, v_step)
@@ -156,68 +156,48 @@ def _slope(fit: Coefficients, P: Array, x: Array, way: Array, v_step: Array) -> 
     return np.asarray(((high[0] - low[0]) - (high[1] - low[1]) * x - (high[2] - low[2]) * v) / (2 * by))
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """From sample to sample, x' = a x + b v + g f and v' = c x + d v + e f; shape (steps, stretches) each.
+def _steps(K: Array, B: Array, mass: Array, dt: float) -> tuple[Array, Array]:
+    """From sample to sample the state x, and with a mass v, goes to A @ state + g f, exactly for a constant force f.
 
-    Without a mass there is no v, and b, c, d and e are 0.
+    K, B have shape (steps, stretches), A (steps, k, k, stretches) and g (steps, k, stretches), with k = 1 or 2.
     """
+    if not (mass > 0).any():
+        fade = -np.expm1(-K / B * dt)
+        return (1 - fade)[:, None, None], (fade / K)[:, None]
+    # eigenvalues -s +- w: exp(A dt) = e^(-s dt) [cosh + s sinh/w, sinh/w; -K/M sinh/w, cosh - s sinh/w]
+    s = 0.5 * B / mass
+    w = np.sqrt((s * s - K / mass).astype(np.complex128))
+    w = np.where(np.abs(w) * dt < 1e-6, 1e-6 / dt, w)
+    slow, fast = np.exp(-(K / mass) / (s + w) * dt), np.exp(-(s + w) * dt)
+    cosh, sinh = (0.5 * (slow + fast)).real, (0.5 * (slow - fast) / w).real
+    A = np.array([[cosh + s * sinh, sinh], [-K / mass * sinh, cosh - s * sinh]])
+    return A.transpose(2, 0, 1, 3), np.stack(((1 - A[0, 0]) / K, sinh / mass), axis=1)
 
-    a: Array
-    g: Array
-    b: Array
-    c: Array
-    d: Array
-    e: Array
-    inertia: bool
 
-    @classmethod
-    def of(cls, K: Array, B: Array, mass: Array, dt: float, inertia: bool) -> _Step:
-        if not inertia:
-            fade = -np.expm1(-K / B * dt)
-            none = np.zeros((len(K), 1))
-            return cls(1 - fade, fade / K, none, none, none, none, False)
-        # eigenvalues -s +- w: exp(A dt) = e^(-s dt) [cosh + s sinh/w, sinh/w; -K/M sinh/w, cosh - s sinh/w]
-        s = 0.5 * B / mass
-        w = np.sqrt((s * s - K / mass).astype(np.complex128))
-        w = np.where(np.abs(w) * dt < 1e-6, 1e-6 / dt, w)
-        slow, fast = np.exp(-(K / mass) / (s + w) * dt), np.exp(-(s + w) * dt)
-        cosh, sinh = (0.5 * (slow + fast)).real, (0.5 * (slow - fast) / w).real
-        a = cosh + s * sinh
-        return cls(a, (1 - a) / K, sinh, -K / mass * sinh, cosh - s * sinh, sinh / mass, True)
+def _run(A: Array, g: Array, drive: Array, state: Array) -> Array:
+    """Contraction [m] at the samples under the force of each step [N], from a state (k, stretches) on."""
+    found = np.empty((len(drive) + 1, drive.shape[1]))
+    found[0] = state[0]
+    for i, push in enumerate(g * drive[:, None]):
+        state = np.einsum("jkm,km->jm", A[i], state) + push
+        found[i + 1] = state[0]
+    return found
 
-    def run(self, drive: Array, x: Array, v: Array) -> Array:
-        """Contraction [m] at the samples under the force of each step [N], from x [m] and, with a mass, v [m/s]."""
-        found = np.empty((len(drive) + 1, drive.shape[1]))
-        pushed, kicked = self.g * drive, self.e * drive
-        found[0] = x
-        for i in range(len(drive)):
-            if self.inertia:
-                x, v = self.a[i] * x + self.b[i] * v + pushed[i], self.c[i] * x + self.d[i] * v + kicked[i]
-            else:
-                x = self.a[i] * x + pushed[i]
-            found[i + 1] = x
-        return found
 
-    def answer(self, n: int, s: int) -> tuple[Array, Array]:
-        """Change of the mean contraction of n segments of s samples each by the force on a step, and by the start.
+def _answer(A: Array, g: Array, n: int, s: int) -> tuple[Array, Array]:
+    """Change of the mean contraction of n segments of s samples each by the force on a step, and by the start.
 
-        Shapes (steps, n, stretches) [m/N] and (1 or 2, n, stretches). Backwards in time (adjoint): what a sample's
-        contraction is worth to each mean.
-        """
-        steps, m = self.a.shape
-        worth, worth_v = np.zeros((n, m)), np.zeros((n, m))
-        found = np.empty((steps, n, m))
-        worth[n - 1] += 1 / s
-        for i in range(steps - 1, -1, -1):
-            if self.inertia:
-                found[i] = self.g[i] * worth + self.e[i] * worth_v
-                worth, worth_v = self.a[i] * worth + self.c[i] * worth_v, self.b[i] * worth + self.d[i] * worth_v
-            else:
-                np.multiply(self.g[i], worth, out=found[i])
-                worth *= self.a[i]
-            worth[i // s] += 1 / s
-        return found, np.stack([worth, worth_v]) if self.inertia else worth[None]
+    Shapes (steps, n, stretches) [m/N] and (k, n, stretches). Backwards in time (adjoint): what a sample's state is
+    worth to each mean.
+    """
+    steps, k, m = g.shape
+    worth, found = np.zeros((k, n, m)), np.empty((steps, n, m))
+    worth[0, n - 1] += 1 / s
+    for i in range(steps - 1, -1, -1):
+        np.einsum("km,knm->nm", g[i], worth, out=found[i])
+        worth = np.einsum("jkm,jnm->knm", A[i], worth)
+        worth[0, i // s] += 1 / s
+    return found, worth
 
 
 MOST_STEPS = 25

@@ -126,7 +126,7 @@ def _plan_of(run: RunData) -> Any:
 
 
 def _asked(run: RunData, settings: Mapping[str, Any]) -> tuple[Braid, str, dict[str, int]]:
-    """Geometry, convention and orders; InvalidFile where the plan does not tell them as `check` leaves them."""
+    """Geometry, convention and orders; InvalidFile where the plan does not hold them as `check` writes them."""
     try:
         braid, chosen = Braid.of(settings), str(settings.get("F_ce_at", "x0"))
         orders = {str(symbol): int(order) for symbol, order in dict(settings.get("orders") or {}).items()}

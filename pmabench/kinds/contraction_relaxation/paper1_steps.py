@@ -1,7 +1,8 @@
 """Single steps as paper 1 reads them: stroke, time constant, stiffness from the braid; K and B_c with F_ce known.
 
-One load cannot tell F_ce from K x: every solution of F_L = F_ce - K x - B x' can be scaled. F_ce from elsewhere settles
-it; K and B are then fitted to all contractions at once as in `pooled`. Knows samples and geometry; no interval.
+With one load F_ce and K x cannot be separated: every solution of F_L = F_ce - K x - B x' can be scaled. So F_ce is
+taken from elsewhere, and K and B are fitted to all contractions at once as in `pooled`. Knows samples and geometry; no
+interval.
 
 And paper 1's closed form against the test it was fitted to: accuracy at rest, residual over time, overlays, figure.
 """

@@ -321,7 +321,7 @@ def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str,
 
 
 def bent(knots: Array) -> Array:
-    """Rows that tell how far each inner knot lies off the line between its neighbours, shape (k - 2, k)."""
+    """Rows that give how far each inner knot lies off the line between its neighbours, shape (k - 2, k)."""
     k = len(knots)
     rows = np.zeros((k - 2, k))
     for j in range(1, k - 1):

@@ -1,4 +1,4 @@
-"""What trials that were not done yet will tell: the fit's rows from a simulated trial in each cell of a plan.
+"""What further trials would add: rows of the fit from a simulated trial in each cell of a plan.
 
 The muscle is that of `expected` in a specimen file, or a fit. Knows the plan as it is kept with a run, and no run.
 """
@@ -144,7 +144,7 @@ class Outlook:
     """Those that are expected to move."""
     idle: tuple[Cell, ...]
     names: tuple[tuple[str, float], ...]
-    """Symbol and pressure [Pa] of each value that all trials of the plan together can tell."""
+    """Symbol and pressure [Pa] of each value that all trials of the plan together determine."""
     values: Array
     """[SI], shape (m,)."""
     design: Design
@@ -174,7 +174,7 @@ class Outlook:
 
 
 def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
-    """What trials in `cells` tell of F_ce [N], K [N/m], B_c, B_r [N.s/m] at the tested pressures, and of F_c [N].
+    """How well trials in `cells` determine F_ce [N], K [N/m], B_c, B_r [N.s/m] at the tested pressures, and F_c [N].
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def intervals_of_plan(plan: Mapping[str, Any], expected: Mapping[str, Any], nois
 
     By C = N^-1 (sum S_i) N^-1 of `pmabench.analysis.design`, with a scatter between trials of 2 %: what the noise and
     the scatter make; calibration, drift and what the muscle does beyond the form come on top. Values that the plan
-    cannot tell (no motion near their pressure) are left out.
+    does not determine (no motion near their pressure) are left out.
 
     Parameters
     ----------

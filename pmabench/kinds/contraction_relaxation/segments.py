@@ -27,7 +27,7 @@ CHANNELS = ("pressure", "displacement", "force")
 ASSUMED_MASS = 0.5
 """Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
 FEWEST_STILL = 8
-"""Fewest samples at rest that tell of noise."""
+"""Fewest samples at rest from which noise is estimated."""
 FEW, COUNTS = 256, 65536
 """So many samples show the step of a converter, most often; and so many of these it has at most, of 16 bits."""
 LEVELS = 20
@@ -112,7 +112,7 @@ class Segments:
         return self if rows.all() else self.where(rows)
 
     def shifted(self, channel: str, gain: float, offset: float | Array) -> Segments:
-        """The same segments had `channel` read (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
+        """The segments if `channel` read (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
         each = np.asarray(offset)[..., None]
         if channel == "pressure":
             return replace(self, P=self.P * (1 + gain) + each, P_mid=self.P_mid * (1 + gain) + each)
@@ -141,9 +141,9 @@ def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
 
 
 def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
-    """The samples had the clock of `channels` been `by` [s] ahead of that of the others.
+    """The samples if the clock of `channels` were `by` [s] ahead of that of the others.
 
-    Displacement, which tells the segments, stays where it is: in its place the others move the other way. No sample
+    Segments are cut by the displacement, so that stays where it is: the others move the other way instead. No sample
     becomes unusable by it, so that the same segments come of both: next to a hole values stay as they are.
     """
 
@@ -268,7 +268,7 @@ def noise_seen(
 
     The noise is the median over the stretches, each looked at in its rows `still`, where nothing moves; of these the
     longest run of usable samples counts. It is never less than that of the steps, which is not seen at rest.
-    `every` tells of channels whose own samples come at every k-th row only and are interpolated between: a mean of n
+    `every` is for channels whose own samples come at every k-th row only and are interpolated between: a mean of n
     rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
     """
     runs = [_unbroken(samples.ok, rows) for samples, rows in zip(stretches, still, strict=True)]

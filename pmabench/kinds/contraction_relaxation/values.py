@@ -114,14 +114,14 @@ def biases(estimates: Sequence[Estimate], symbols: Sequence[str]) -> list[str]:
 
 
 def near(segments: Segments, knots: Array, symbol: str, P: float) -> NDArray[np.bool_]:
-    """Which segments tell of a coefficient at P [Pa], shape (n,): half way to the next of the knots, B of its way."""
+    """Segments that determine a coefficient at P [Pa], shape (n,): up to half way to the next knots, B one way only."""
     others = knots[np.abs(knots - P) > 1e-6 * P]
     found = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(others - P)))
     return np.asarray(found & ((segments.way > 0) == (symbol == "B_c")) if symbol in ("B_c", "B_r") else found)
 
 
 def _blank(solution: Solution, symbol: str, rows: NDArray[np.bool_], at: Mapping[str, float] = NOWHERE) -> Estimate:
-    """No value yet of a coefficient that some rows of the segments tell."""
+    """An estimate, without a value yet, of a coefficient that these rows of the segments determine."""
     names = tuple(solution.campaign.name(int(number)) for number in np.unique(solution.segments.trial[rows]))
     note = sentences(solution.note, solution.stiffness_is(at["pressure"]) if symbol == "K" else "")
     return Estimate(symbol, None, *QUANTITY[symbol], solution.method, at, n=len(names), note=note, trials=names)
@@ -268,9 +268,15 @@ def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
         lever = np.sum(design * fitted.rows.T, axis=1)
         power = max(float(residual @ residual) / n, floor**2)
         p = order + 2
-        aicc = n * log(power) + 2 * p + 2 * p * (p + 1) / (n - p - 1)
-        found[order] = aicc, sqrt(float(np.mean((residual / np.maximum(1 - lever, EXACT)) ** 2)))
+        found[order] = aicc(power, n, p), sqrt(float(np.mean((residual / np.maximum(1 - lever, EXACT)) ** 2)))
     return found
+
+
+def aicc(power: float, n: int, p: int) -> float:
+    """Corrected Akaike criterion of p unknowns, that of the noise among them, which leave a mean square `power` of n
+    values.
+    """
+    return n * log(power) + 2 * p + 2 * p * (p + 1) / max(1, n - p - 1)
 
 
 def least(terms: Array, ends: tuple[float, float]) -> float:
@@ -327,7 +333,7 @@ def curve(
 def _parts_of(
     found: Polynomial, power: int, estimates: Sequence[Estimate], trust: Trust | None, places: Sequence[int]
 ) -> tuple[Parts, float | None]:
-    """The interval of one term in parts, and its bias where the trust of a fit tells one."""
+    """The interval of one term in parts, and its bias where it comes from a fit."""
     scatter = 0.0 if found.scatter is None else float(found.scatter[power])
     if trust is None:
         return _independent(estimates, found.rows[power], scatter), None
@@ -337,16 +343,12 @@ def _parts_of(
 
 
 def _independent(estimates: Sequence[Estimate], row: Array, scatter: float) -> Parts:
-    """Parts of sum(row y) for independent y; one error of calibration is in all of them, with one sign."""
-
-    def of(name: str) -> list[float] | None:
-        parts = [getattr(e.parts, name) for e in estimates]
-        return None if any(part is None for part in parts) else parts
-
-    repeats, method, calibration = of("repeats"), of("method"), of("calibration")
-    return Parts(
-        repeats=None if repeats is None else float(np.linalg.norm(row * repeats)),
-        method=hypot(0.0 if method is None else float(np.linalg.norm(row * method)), scatter),
-        calibration=None if calibration is None else abs(float(row @ calibration)),
+    """Parts of sum(row y) for independent y; an error of calibration, or of the clocks, is the same in all of them."""
+    parts = weighted(list(zip(estimates, row.tolist(), strict=True)), estimates[0].symbol).parts
+    known = [e.parts.calibration for e in estimates]
+    return replace(
+        parts,
+        method=hypot(parts.method or 0.0, scatter),
+        calibration=None if None in known else abs(float(row @ np.array(known))),
         skew=float(np.abs(row) @ [e.parts.skew for e in estimates]),
     )

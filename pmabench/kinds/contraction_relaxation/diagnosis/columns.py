@@ -6,7 +6,7 @@ are compared with what the fit leaves over. See docs/uncertainty.md, "Is the for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -192,11 +192,13 @@ def hysteresis(followed: Followed, segments: Segments, fit: Fit) -> Array:
     """Frictions of 1 N that need some contraction after each turn, of each of `RADII` constant and in proportion to
     pressure; shape (n, 8). What F_c holds of it is taken off.
     """
-    found = []
-    for stop in followed.stops(segments).T:
-        for column in (stop, stop * segments.pressure / TYPICAL):
-            found.append(-(column - float(np.mean(column * segments.way)) * segments.way))
-    return np.column_stack(found)
+    return _less_friction(followed.stops(segments).T, segments)
+
+
+def _less_friction(stops: Iterable[Array], segments: Segments) -> Array:
+    """Forces (n,) each, and the same in proportion to pressure, without what F_c holds of them; shape (n, columns)."""
+    both = [column for stop in stops for column in (stop, stop * segments.pressure / TYPICAL)]
+    return np.column_stack([float(np.mean(one * segments.way)) * segments.way - one for one in both])
 
 
 def hysteresis_by_way(followed: Followed, segments: Segments, fit: Fit) -> Array:
@@ -206,11 +208,9 @@ def hysteresis_by_way(followed: Followed, segments: Segments, fit: Fit) -> Array
     found = []
     for way in (1.0, -1.0):
         rows = segments.way == way
-        for stop in followed.stops(segments).T * rows:
-            off = stop - 0.5 * (stop.sum() / max(1, rows.sum()))
-            for column in (off, off * segments.pressure / TYPICAL):
-                found.append(-(column - float(np.mean(column * segments.way)) * segments.way))
-    return np.column_stack(found)
+        stops = followed.stops(segments).T * rows
+        found.append(_less_friction([stop - 0.5 * (stop.sum() / max(1, rows.sum())) for stop in stops], segments))
+    return np.hstack(found)
 
 
 def creep_parts(followed: Followed, segments: Segments, fit: Fit) -> Array:

@@ -149,7 +149,7 @@ def forces_of(followed: columns.Followed, segments: Segments, fit: Fit, explanat
 LASTING = 100.0
 """Creep is stated for the decades of time below this one [s]: what is slower hardly shows in one trial."""
 KIND_IS_A_GUESS = 8e-3
-"""Below so long a time [s] nobody can tell a delay from a filter."""
+"""Below so long a time [s] a delay cannot be distinguished from a filter."""
 TO_TELL = "relax in steps (`relax.by`): after the way down a guide makes the cell read too little, a gain does not"
 TITLES: Mapping[str, str] = {
     "drift": "drift of the force cell",

@@ -34,7 +34,7 @@ ENOUGH = 50
 HICCUPS = 0.02
 """Share of the rows of polled devices that answers may displace which came much later than usual: a busy computer."""
 FEWEST_REPEATS = 10
-"""Fewest repetitions in all that tell how much trials scatter by themselves."""
+"""Fewest repetitions in all from which the scatter between trials is estimated."""
 TINY = 1e-9
 """Columns of which less than this share of the squares is left by the coefficients have no size."""
 

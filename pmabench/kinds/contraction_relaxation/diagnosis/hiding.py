@@ -273,7 +273,7 @@ def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Fit) 
 def of_the_sensor(known: float, segments: Segments, fit: Fit) -> Hiding:
     """Backlash of the displacement sensor: what its calibration allows, `known` [m], else an assumed one.
 
-    It looks like Coulomb friction of K times its size: where K is the same at all pressures, no data tell them apart.
+    It looks like Coulomb friction of K times its size: where K is the same at all pressures, no data can separate them.
     """
     size = known or columns.UNDECLARED
     name = REVERSAL if known else f"{REVERSAL}, assumed {show(size, 'length', 2)}: the record gives no uncertainty"

@@ -5,7 +5,7 @@ sized by least squares together with the coefficients; times of streams are sear
 
 In each round every explanation that is left is put in, and the one that predicts trials which were left out best is
 kept. At the end each of those kept is taken out again and the others are tried in its place: where one does nearly as
-well, nobody can tell which of both it is.
+well, the data do not decide between them.
 """
 
 from __future__ import annotations
@@ -398,7 +398,7 @@ class Rounds:
     """For each explanation of `after` that the fit found."""
 
     def undecided(self, search: Search) -> tuple[State, ...]:
-        """States with another explanation in place of one that was kept, which nobody can tell from it.
+        """States with another explanation in place of one that was kept, between which the data do not decide.
 
         Of another cause, or a filter of the same stream in place of a delay.
         """

@@ -28,7 +28,7 @@ delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known
 CHANCE = 0.1
 """Excess that a right form leaves by chance."""
 UNSHOWN = 25.0
-"""A size whose variance grows by so much without a group is shown by that group alone."""
+"""A size whose variance grows by so much without a group is determined by that group alone."""
 FEWEST = 3
 """Fewest loads, or trials, of which one is left out at a time."""
 
@@ -43,7 +43,7 @@ class Spread:
     state: State
     recorded: Segments
     others: tuple[State, ...]
-    """With other explanations, which nobody can tell from the ones that were corrected."""
+    """With other explanations, between which and the corrected ones the data do not decide."""
     unsure: float
     """Share of the correction by the weights that may be wrong [1]."""
     factor: float
@@ -131,7 +131,7 @@ class Spread:
     def _left_out(self, fit: Fit, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
         """Theta and sizes off those of the state, without each group in turn; shapes (groups, p), (groups, sizes).
 
-        nan where a group alone shows a size: without the loads after a slip nobody knows how large it is.
+        nan where only that group determines a size: without the loads after a slip its size is unknown.
         """
         forces = self._forces[rows]
         scale = np.maximum(np.sqrt(np.mean(forces**2, axis=0)), 1e-300)
