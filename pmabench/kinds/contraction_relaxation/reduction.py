@@ -37,7 +37,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     fit,
     rms_of,
 )
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Cutter, Gate, Segments, gather, moved, strokes
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments, cut, gather, moved, strokes
 from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, curve, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold, without_value
 from pmabench.store.records import Array, RunData
@@ -149,10 +149,10 @@ def segments_like(
     campaign: Campaign, options: Mapping[str, Any]
 ) -> tuple[Array, Callable[[Sequence[Samples]], Segments]]:
     """First knots of the fit [Pa], and what cuts samples into segments within their reach."""
-    cutter = Cutter(campaign.rate, Gate(speed=float(options.get("speed", Gate.speed))))
+    gate = Gate(speed=float(options.get("speed", Gate.speed)))
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
     knots = first_knots(np.array(campaign.tested), commanded)
-    return knots, lambda samples: cutter.cut(samples).within(knots)
+    return knots, lambda samples: cut(samples, campaign.rate, gate).within(knots)
 
 
 def _replays(

@@ -12,7 +12,7 @@ A `Campaign` holds the trials of all runs that can be reduced together, with the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -180,71 +180,22 @@ def velocity(t: Array, x: Array, reach: int) -> Array:
     return v
 
 
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Where the segments of a stretch lie, by these samples of it."""
-
-    x: Array
-    ok: NDArray[np.bool_]
-    v: Array
-    """Velocity at each sample [m/s]."""
-    start: NDArray[np.intp]
-    way: Array
-    """Shape (segments,) both."""
-
-
-@dataclass(frozen=True, eq=False)
-class Cutter:
-    """Cuts stretches into segments; where only pressures and forces of a trial differ from the last time, its places
-    are known.
-    """
-
-    rate: float
-    gate: Gate
-    known: dict[int, _Places] = field(default_factory=dict)
-    """Trial -> places."""
-
-    def cut(self, stretches: Sequence[Samples]) -> Segments:
-        """All segments of the stretches, in their order, contracting before relaxing in each."""
-        n, m = self.gate.samples(self.rate)
-        weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
-        parts = [_taken(samples, self._places(samples, n, m), n, m, weights) for samples in stretches]
-        columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-        trial, t, way, P, x, P_mid, v, F_mid, force, mass = columns
-        return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, 1 / self.rate)
-
-    def _places(self, samples: Samples, n: int, m: int) -> _Places:
-        found = self.known.get(samples.trial)
-        if found is None or found.x is not samples.x or found.ok is not samples.ok:
-            found = self.known[samples.trial] = _places(samples, n, m, self.gate)
-        return found
-
-
 def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
     """All segments of the stretches, in their order, contracting before relaxing in each."""
-    return Cutter(rate, gate).cut(stretches)
+    n, m = gate.samples(rate)
+    weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
+    parts = [_taken(samples, n, m, weights, gate) for samples in stretches]
+    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    trial, t, way, P, x, P_mid, v, F_mid, force, mass = columns
+    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, 1 / rate)
 
 
-def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
-    """Segments of `n` samples that a velocity over `m` samples to both sides allows."""
+def _taken(samples: Samples, n: int, m: int, weights: Array, gate: Gate) -> tuple[NDArray[Any], ...]:
+    """Columns of `Segments` of one stretch, in the order of their declaration: segments of `n` samples, which a
+    velocity over `m` samples to both sides allows.
+    """
     v = velocity(samples.t, samples.x, m)
-    usable = samples.ok & (samples.x > gate.lift)
-    starts, ways = [np.empty(0, np.intp)], [np.empty(0)]
-    inside = np.zeros(len(v) + 2, bool)
-    for way, moving in ((1.0, v > gate.speed), (-1.0, v < -gate.speed)):
-        np.logical_and(usable, moving, out=inside[1:-1])
-        for first, last in (inside[1:] != inside[:-1]).nonzero()[0].reshape(-1, 2).tolist():
-            begin = first + 2 * m + 1
-            count = (last - m - begin) // n
-            if count > 0:
-                starts.append(begin + n * np.arange(count))
-                ways.append(np.full(count, way))
-    return _Places(samples.x, samples.ok, v, np.concatenate(starts), np.concatenate(ways))
-
-
-def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) -> tuple[NDArray[Any], ...]:
-    """Columns of `Segments` of one stretch, in the order of their declaration."""
-    start, v = places.start, places.v
+    start, way = _places(samples, v, n, m, gate)
     middle = start[:, None] + np.arange(n)
     around = start[:, None] + np.arange(-m, n + m)
     mass = np.zeros(len(start))
@@ -258,7 +209,23 @@ def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) ->
         force = samples.load + samples.mass * gained / (samples.t[start + n] - samples.t[start - 1])
     number = np.full(len(start), samples.trial)
     P, x = samples.P[around], samples.x[around]
-    return number, samples.t[start], places.way, P, x, P[:, m : m + n], v[middle], F_mid, force, mass
+    return number, samples.t[start], way, P, x, P[:, m : m + n], v[middle], F_mid, force, mass
+
+
+def _places(samples: Samples, v: Array, n: int, m: int, gate: Gate) -> tuple[NDArray[np.intp], Array]:
+    """Where segments begin and which way they go, shape (segments,) each, by the velocity `v` of all samples."""
+    usable = samples.ok & (samples.x > gate.lift)
+    starts, ways = [np.empty(0, np.intp)], [np.empty(0)]
+    inside = np.zeros(len(v) + 2, bool)
+    for way, moving in ((1.0, v > gate.speed), (-1.0, v < -gate.speed)):
+        np.logical_and(usable, moving, out=inside[1:-1])
+        for first, last in (inside[1:] != inside[:-1]).nonzero()[0].reshape(-1, 2).tolist():
+            begin = first + 2 * m + 1
+            count = (last - m - begin) // n
+            if count > 0:
+                starts.append(begin + n * np.arange(count))
+                ways.append(np.full(count, way))
+    return np.concatenate(starts), np.concatenate(ways)
 
 
 def noise_seen(

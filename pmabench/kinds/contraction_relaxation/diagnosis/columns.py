@@ -7,7 +7,7 @@ are compared with what the fit leaves over. See docs/uncertainty.md, "Is the for
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
@@ -301,8 +301,6 @@ class Followed:
     """Sums over rows of `GRID` of frictions by their size, from -1 to 1, and of lags of the contraction [m];
     shape (rows, radii + times, trials that lifted + 1).
     """
-    known: dict[bytes, Array] = field(default_factory=dict)
-    """Means over segments that were asked for before, by the times of these."""
 
     @classmethod
     def of(cls, campaign: Campaign) -> Followed:
@@ -346,14 +344,10 @@ class Followed:
         return self._means(segments)[:, len(RADII) :]
 
     def _means(self, segments: Segments) -> Array:
-        key = segments.t.tobytes() + segments.trial.tobytes()
-        if key not in self.known:
-            length = segments.v.shape[1] * segments.dt
-            row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
-            trial = self.column[segments.trial]
-            ends = self._at(row + length / GRID, trial) - self._at(row, trial)
-            self.known[key] = ends * GRID / length
-        return self.known[key]
+        length = segments.v.shape[1] * segments.dt
+        row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
+        trial = self.column[segments.trial]
+        return np.asarray((self._at(row + length / GRID, trial) - self._at(row, trial)) * GRID / length)
 
     def _at(self, row: Array, trial: NDArray[np.intp]) -> Array:
         """The integrals between rows, shape (n, k)."""

@@ -28,7 +28,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     plausible,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
-from pmabench.kinds.contraction_relaxation.pooled import Fit, fit, rms_of, solve
+from pmabench.kinds.contraction_relaxation.pooled import Fit, fit, rms_of
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.store.records import Array
 
@@ -93,8 +93,6 @@ class Search:
     """Whether the cell may have drifted: not where weights show it, and it is taken off already."""
     cuts: dict[tuple[Explanation, ...], tuple[Campaign, Segments]] = field(default_factory=dict)
     """Faults of the bench -> campaign and segments without them, of the last few."""
-    fits: list[tuple[Fit, Segments, Array, float]] = field(default_factory=list)
-    """The last fit to segments without a force taken off, with its knots and noise."""
 
     def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
         """Explanations corrected, from the sizes of `begin` on, with knots where the rest asks for them."""
@@ -131,7 +129,7 @@ class Search:
                 explanations = self._timed(explanations, i, straight, expected)
             if linear:
                 campaign, segments = self._corrected(explanations)
-                raw = self._solved(segments, solved, expected)
+                raw = solved.again(segments, expected)
                 forces = [self.columns(explanations[i], campaign, segments, straight, explanations) for i in linear]
                 explanations = _sized(explanations, linear, sizes_of(raw, np.hstack(forces)))
                 straight = self._rest(explanations, straight, solved, expected)[1]
@@ -144,16 +142,7 @@ class Search:
         """What is left when all is corrected, and the fit to it at the knots of `like`."""
         segments = self._corrected(explanations)[1]
         off = forces_of(self.followed, segments, straight, explanations)
-        return segments.pulled(-off), self._solved(segments, like, noise).pulled(-off)
-
-    def _solved(self, segments: Segments, like: Fit, noise: float) -> Fit:
-        """The fit to segments at the knots of `like`; the last one is kept."""
-        for known, of, knots, expected in self.fits:
-            if of is segments and knots is like.knots and expected == noise:
-                return known
-        found = solve(segments, like.knots, noise, like.halves, like.added)
-        self.fits[:] = [(found, segments, like.knots, noise)]
-        return found
+        return segments.pulled(-off), like.again(segments, noise).pulled(-off)
 
     def _corrected(self, explanations: Sequence[Explanation]) -> tuple[Campaign, Segments]:
         """The campaign with what is wrong with the bench corrected, and its segments; the last few are kept."""
@@ -219,7 +208,7 @@ class Search:
         """The same of both sizes of a clock together, from those that it has on (Gauss-Newton)."""
         for _ in range(PASSES):
             campaign, segments = self._corrected(explanations)
-            raw, one = self._solved(segments, fit, noise), explanations[place]
+            raw, one = fit.again(segments, noise), explanations[place]
             sizes = one.sizes + sizes_of(raw, self.columns(one, campaign, segments, raw))
             if not (np.abs(sizes) < 2 * MOST_LATE).all():  # no clock: another thing is wrong
                 break
@@ -229,7 +218,7 @@ class Search:
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
         """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
         campaign, segments = self._corrected(explanations)
-        raw = self._solved(segments, fit, noise)
+        raw = fit.again(segments, noise)
         mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
         if not mine:
             return segments, raw.residual
