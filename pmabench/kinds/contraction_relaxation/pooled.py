@@ -230,35 +230,28 @@ def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
     return total.reshape(-1, k)
 
 
-def sums_of(segments: Segments, knots: Array) -> tuple[Array, Array, Array]:
-    """What F_ce, K and B at the knots are multiplied by, by their size, each of shape (n, k)."""
+def sums_of(segments: Segments, knots: Array) -> dict[str, Array]:
+    """What each coefficient at the knots is multiplied by, by its size, each of shape (n, k)."""
     weights, k = np.broadcast_to(segments.weights, segments.P.shape), len(knots)
     left, share = at = place(segments.P, knots)
     first, s = segments.reach, segments.v.shape[1]  # of the pressures in the middle, `P_mid`
-    return (
-        spread(at, weights, k),
-        spread(at, weights * segments.x, k),
-        spread((left[:, first : first + s], share[:, first : first + s]), segments.v / s, k),
-    )
+    damping = spread((left[:, first : first + s], share[:, first : first + s]), segments.v / s, k)
+    return {
+        "F_ce": spread(at, weights, k), "K": spread(at, weights * segments.x, k), "B_c": damping, "B_r": damping,
+    }  # fmt: skip
 
 
 def design_of(segments: Segments, knots: Array, forms: Mapping[str, Powers] = POLYGONS) -> Array:
     """Regressors, shape (n, p), in the order of `Fit.theta`."""
-    weights, blocks = np.broadcast_to(segments.weights, segments.P.shape), dict.fromkeys(SYMBOLS, NONE)
-    if len(forms) < len(SYMBOLS):
-        force, spring, damping = sums_of(segments, knots)
-        blocks = {"F_ce": force, "K": spring, "B_c": damping, "B_r": damping}
+    of = sums_of(segments, knots) if len(forms) < len(SYMBOLS) else {}
     for symbol, form in forms.items():
         P, by = segments.P_mid, segments.v / segments.v.shape[1]
         if symbol in ("F_ce", "K"):
-            P, by = segments.P, weights * segments.x if symbol == "K" else weights
-        blocks[symbol] = form.sums(P, by)
-    return _design(segments, *blocks.values())
-
-
-def _design(segments: Segments, force: Array, spring: Array, contracting: Array, relaxing: Array) -> Array:
-    up, way = segments.way[:, None] > 0, segments.way[:, None]
-    return np.hstack([force, -spring, -np.where(up, contracting, 0.0), -np.where(up, 0.0, relaxing), -way])
+            P, by = segments.P, segments.weights * (segments.x if symbol == "K" else np.ones(segments.x.shape))
+        of[symbol] = form.sums(P, by)
+    way = segments.way[:, None]
+    up = way > 0
+    return np.hstack([of["F_ce"], -of["K"], -np.where(up, of["B_c"], 0.0), -np.where(up, 0.0, of["B_r"]), -way])
 
 
 def solve(
@@ -266,14 +259,7 @@ def solve(
     forms: Mapping[str, Powers] = POLYGONS,
 ) -> Fit:  # fmt: skip
     """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
-    return solve_design(segments, design_of(segments, knots, forms), knots, noise, halves, added, forms)
-
-
-def solve_design(
-    segments: Segments, design: Array, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE,
-    forms: Mapping[str, Powers] = POLYGONS,
-) -> Fit:  # fmt: skip
-    """The same with the regressors (n, p) of these segments and knots, which do not depend on the force."""
+    design = design_of(segments, knots, forms)
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
     if not friction:
         design[:, -1] = 0.0
@@ -308,14 +294,14 @@ def inverse_of(normal: Array) -> Array:
 
 def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Array:
     """Rows that draw each knot weakly to the line between its neighbours, and everything very weakly to 0."""
-    sizes = sizes_of(segments)
+    sizes, bends = sizes_of(segments), bent(knots) if len(forms) < len(SYMBOLS) else NONE
     noise = max(noise, FLOOR * sizes[0])
     counts = [forms[symbol].order + 1 if symbol in forms else len(knots) for symbol in SYMBOLS]
     rows = [np.diag(noise / (1e3 * np.repeat((*sizes, sizes[0]), (*counts, 1))))]
     for symbol, size, begin in zip(SYMBOLS, sizes, np.cumsum([0, *counts[:-1]]), strict=True):
         if symbol not in forms:
             bend = np.zeros((len(knots) - 2, len(rows[0])))
-            bend[:, begin : begin + len(knots)] = bent(knots) * (noise / (BEND * size))
+            bend[:, begin : begin + len(knots)] = bends * (noise / (BEND * size))
             rows.append(bend)
     return np.vstack(rows)
 
@@ -407,26 +393,14 @@ def rms_of(values: Array) -> float:
 
 
 def _with_knot(segments: Segments, solved: Fit, stretch: tuple[float, float], expected: float) -> Fit:
-    """The fit with one more knot in the stretch [Pa]: at the best of some places, then at the best near that one.
-
-    Only segments that come into the stretch notice it.
-    """
+    """The fit with one more knot in the stretch [Pa]: at the best of some places, then at the best near that one."""
     low, high = stretch
     found: list[tuple[float, Fit]] = []
     number = int(np.searchsorted(solved.knots, low))
-    without = [np.insert(sums, number + 1, 0.0, axis=1) for sums in sums_of(segments, solved.knots)]
-    near = np.zeros(len(segments), bool)
-    for P in (segments.P, segments.P_mid):
-        near |= (place(P, solved.knots)[0] == number).any(axis=1)
-    inside = segments.where(near)
     for _ in range(2):
         apart = (high - low) / (PLACES + 1)
         for P in low + apart * np.arange(1, PLACES + 1):
-            knots = np.insert(solved.knots, number + 1, P)
-            for sums, there in zip(without, sums_of(inside, knots), strict=True):
-                sums[near] = there
-            design = _design(segments, without[0], without[1], without[2], without[2])
-            found.append((float(P), solve_design(segments, design, knots, expected)))
+            found.append((float(P), solve(segments, np.insert(solved.knots, number + 1, P), expected)))
         place_of, best = min(found, key=lambda one: float(one[1].residual @ one[1].residual))
         low, high = place_of - apart, place_of + apart
     return best

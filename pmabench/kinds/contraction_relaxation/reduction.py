@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -156,18 +156,18 @@ def segments_like(
 
 
 def _replays(
-    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], work: simulated.Stretches, other: Fit
-) -> Callable[[int], Segments]:
-    """Segments of replays of a fitted muscle along the stretches, by their seed; NotUsable where it does not move."""
-    run = simulated.run(other, work.P, work.dt, work.load, work.mass, work.x)
-
-    def replayed(seed: int) -> Segments:
+    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], work: simulated.Stretches, fit: Fit,
+    count: int,
+) -> Iterator[Segments]:  # fmt: skip
+    """Segments of replays of a fitted muscle along the stretches; NotUsable where it does not move."""
+    if not count:
+        return
+    run = simulated.run(fit, work.P, work.dt, work.load, work.mass, work.x)
+    for seed in range(count):
         seen_again = segments_of(simulated.measured(work, run, campaign.noise, campaign.cell, seed))
         if len(seen_again) < 2 * FEWEST:
             raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
-        return seen_again
-
-    return replayed
+        yield seen_again
 
 
 def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
@@ -201,8 +201,8 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         one that the correction is fitted again with.
         """
         mine = segments.where(rows)
-        replay, count = _replays(campaign, segments_of, work, other), int(options.get("replays", REPLAYS))
-        replays = [other.again(replay(seed), rms_of(seen)).theta for seed in range(count)]
+        again_seen = _replays(campaign, segments_of, work, other, int(options.get("replays", REPLAYS)))
+        replays = [other.again(one, rms_of(seen)).theta for one in again_seen]
         skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
         drifts = drifts_of(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
         trust = assess(campaign, mine, other, seen, replays, skews, drifts)
@@ -212,7 +212,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     alone = trusted(solved, every, noise, test.expected, first)
 
     def tests_of_noise(count: int) -> list[Test]:
-        found = map(_replays(campaign, segments_of, work, solved), range(count))
+        found = _replays(campaign, segments_of, work, solved, count)
         return [Test.of(campaign, one, solved.again(one, test.expected), test.expected) for one in found]
 
     departures = hidden(test, diagnosis.search.followed, diagnosis.weighed, alone, tests_of_noise)
