@@ -10,7 +10,7 @@ shown of the fit: findings, facts, overlays. Knows the pooled fit; fits nothing,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from math import inf, nan, sqrt
@@ -24,8 +24,6 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TO_TELL
-from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled, bootstrap
 from pmabench.kinds.contraction_relaxation.pooled import (
     SYMBOLS,
@@ -372,107 +370,38 @@ def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[s
     }
 
 
-def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) -> list[Finding]:
+def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) -> Iterator[Finding]:
     """Adequacy of the model, what could not be identified, and how trials scatter."""
-    rms, expected = pooled.fit.rms, pooled.expected
+    rms, expected, trust = pooled.fit.rms, pooled.expected, pooled.trust
     size = f"residual {show(rms, 'force', 2)} rms over {len(pooled.segments)} segments"
     if rms > MISFIT * expected:
         text = (
             f"{size}, {rms / expected:.2g} times what the noise explains ({show(expected, 'force', 2)}): the model does"
             " not have the form of this muscle, the pressure is not that inside it, or trials differ by themselves"
         )
-        lines = [Finding("doubt", text)]
+        yield Finding("doubt", text)
     else:
-        lines = [Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")]
-    lines += [*_of_the_form(campaign, pooled), *_of_the_weights(pooled)]
+        yield Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")
+    yield from pooled.diagnosis.findings(pooled.fit, trust)
     if not campaign.cell:
         text = "no load cell: F_L is the weight, and M x'' of the moving mass; both are taken as exact, M is not fitted"
         if any("mass" not in trial.point for trial in campaign.trials):
             text += f"; where a trial names no moving mass, {show(ASSUMED_MASS, 'mass')} is taken"
-        lines.append(Finding("note", text))
-    lack = Scales.of(campaign.runs).lack(campaign.channels)
-    if lack:
-        lines.append(Finding("note", lack))
+        yield Finding("note", text)
+    if lack := Scales.of(campaign.runs).lack(campaign.channels):
+        yield Finding("note", lack)
     if not pooled.fit.friction:
-        lines.append(Finding("doubt", "all samples move one way: F_ce carries the friction"))
-    for symbol in ("F_ce", "K", "B_c", "B_r"):
-        none = [e.at["pressure"] for e in estimates if e.symbol == symbol and e.value is None]
+        yield Finding("doubt", "all samples move one way: F_ce carries the friction")
+    for symbol in SYMBOLS:
+        none = [show(e.at["pressure"], "pressure", 4) for e in estimates if e.symbol == symbol and e.value is None]
         if none:
-            places = ", ".join(show(P, "pressure", 4) for P in none)
-            lines.append(Finding("note", f"{symbol} is not identifiable at {places}"))
-    trust = pooled.trust
+            yield Finding("note", f"{symbol} is not identifiable at {', '.join(none)}")
     uneven = [symbol for symbol, value in trust.excess.items() if value > UNEVEN]
     if uneven:
         between = "repeats of a cell scatter" if trust.within else "trials scatter about the fit"
-        lines.append(Finding("note", f"{between} more than the noise explains ({', '.join(uneven)}); intervals follow"))
+        yield Finding("note", f"{between} more than the noise explains ({', '.join(uneven)}); intervals follow")
     if not trust.within:
-        lines.append(
-            Finding("note", "hardly a cell is repeated: the repeats part rests on noise and on the fit's residual")
-        )
-    return lines
-
-
-def _of_the_form(campaign: Campaign, pooled: Pooled) -> list[Finding]:
-    """What the tests of the form say, what was found and corrected, and what to look at."""
-    found = pooled.diagnosis
-    if found.reason:
-        return [Finding("doubt", f"form: {found.reason}")]
-    lines = []
-    for one in found.named:
-        of = "property of the muscle" if one.of_muscle else "fault of the bench"
-        lines.append(Finding("doubt", f"diagnosis, {of}: {one.text}; corrected. Advice: {one.advice}"))
-    if found.named:
-        middle = campaign.tested[len(campaign.tested) // 2]
-        which = f"; {found.between}" if found.between else ""
-        lines.append(
-            Finding("note", f"diagnosis: {_rivals(pooled)}corrected, {found.effect(pooled.fit, middle)}{which}")
-        )
-    text = (
-        f"form: {found.missed} {found.ratio:.3g} times what the noise allows, residuals of neighbouring segments agree "
-        f"by {found.rounds.after.test.alike:.2g} of the noise"
-    )
-    if found.hidden.found:
-        more = f"but it fits that {found.fits}. {found.hidden.moved}; it is a line of each interval"
-        return [*lines, Finding("doubt", f"{text}; {more}")]
-    count = len(found.hidden.sizes)
-    return [*lines, Finding("note", f"{text}; no departure of {count} moves a coefficient beyond its interval")]
-
-
-def _rivals(pooled: Pooled) -> str:
-    """What the form was missed by before, and the runner-up of each explanation, in words."""
-    rounds = pooled.diagnosis.rounds
-    if not rounds.rivals:
-        return ""
-    parts = [f"missed by {rounds.before.test.ratio:.3g} times the noise before, {rounds.after.test.ratio:.3g} after"]
-    for facts in pooled.diagnosis.facts["explanations"]:
-        if facts["runner_up"]:
-            parts.append(f"next best to {facts['title']} is {facts['runner_up']}, {facts['runner_up_ratio']:.3g}")
-    return f"{'; '.join(parts)}; "
-
-
-def _of_the_weights(pooled: Pooled) -> list[Finding]:
-    """Where the force cell and the weights that hang on it contradict each other."""
-    seen, weighed = {one.name for one in pooled.trust.hides if one.seen}, pooled.diagnosis.weighed
-    lines = []
-    if weighed.guide:
-        text = f"a guide between cell and weights rubs by about {show(weighed.guide, 'force', 2)}: after the way down"
-        lines.append(Finding("note", f"{text} the cell reads twice that less than after the way up. F_c is without it"))
-    for name, found, quantity in ((GAIN, weighed.gain, "ratio"), (ZERO, weighed.offset, "force")):
-        if name in seen and found is not None:
-            size, unsure = (show(abs(value), quantity, 2) for value in (found[0], 2 * found[1]))
-            way = "more" if found[0] > 0 else "less"
-            text = f"{name}: it reads {size} {way} than they weigh, +- {unsure}, which its calibration does not allow"
-            text += ": one of them is wrong, and the intervals hold both"
-            if weighed.guide is None and found[0] > 0:
-                text += f"; or a guide between them rubs. To know, {TO_TELL}"
-            lines.append(Finding("doubt", text))
-    if weighed.wrong is not None:
-        load, off, error = weighed.wrong
-        size, unsure = (show(value, "force", 2) for value in (abs(off), 2 * error))
-        way = "more" if off > 0 else "less"
-        text = f"the weight of {show(load, 'force', 4)} is {size} {way} by the force cell, +- {unsure}"
-        lines.append(Finding("doubt", f"{text}; the others agree. Weigh it; no value of the fit rests on its mark"))
-    return lines
+        yield Finding("note", "hardly a cell is repeated: the repeats part rests on noise and on the fit's residual")
 
 
 def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:

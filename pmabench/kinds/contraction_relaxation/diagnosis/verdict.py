@@ -6,7 +6,7 @@ what is too small to be seen (`hiding`). docs/uncertainty.md has the rules in wo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -20,13 +20,14 @@ from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed, readin
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import Span, bent, zero_known
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     TITLES,
+    TO_TELL,
     Named,
     forces_of,
     in_samples,
     named,
     shown,
 )
-from pmabench.kinds.contraction_relaxation.diagnosis.hiding import HARDLY, MOST_HIDDEN, Hidden, Size
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, HARDLY, MOST_HIDDEN, ZERO, Hidden, Size
 from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     EXPLAINS,
     STILL_APART,
@@ -36,10 +37,11 @@ from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     explained,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.spread import Spread
+from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.kinds.contraction_relaxation.values import QUANTITY
-from pmabench.store.analyses.results import Estimate
+from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array
 
 NEARLY = 0.9
@@ -273,6 +275,63 @@ class Diagnosis:
                 found[place] = (one, half / abs(estimate.value))
         most = {id(one): max(share for other, share in found.values() if other is one) for one, _ in found.values()}
         return {place: _why_hidden(one, most[id(one)]) for place, (one, _) in found.items()}
+
+    def findings(self, fit: Fit, trust: Trust) -> Iterator[Finding]:
+        """What the tests of the form and the weights say, what was found and corrected, and what to look at."""
+        if self.reason:
+            yield Finding("doubt", f"form: {self.reason}")
+        else:
+            yield from self._of_the_form(fit)
+        yield from self._of_the_weights({one.name for one in trust.hides if one.seen})
+
+    def _of_the_form(self, fit: Fit) -> Iterator[Finding]:
+        rounds, tested = self.rounds, self.reported.test.campaign.tested
+        for one in self.named:
+            of = "property of the muscle" if one.of_muscle else "fault of the bench"
+            yield Finding("doubt", f"diagnosis, {of}: {one.text}; corrected. Advice: {one.advice}")
+        if self.named:
+            ratios = (one.test.ratio for one in (rounds.before, rounds.after))
+            parts = ["missed by {:.3g} times the noise before, {:.3g} after".format(*ratios)] if rounds.rivals else []
+            for one, rival in zip(self.of_fit, rounds.rivals, strict=True):
+                for best in rival.others[:1]:
+                    ratio = f"{best.test.ratio:.3g}"
+                    parts.append(f"next best to {TITLES[one.key]} is {_title(best)}, {ratio}")
+            parts.append(f"corrected, {self.effect(fit, tested[len(tested) // 2])}")
+            which = f"; {self.between}" if self.between else ""
+            yield Finding("note", f"diagnosis: {'; '.join(parts)}{which}")
+        text = (
+            f"form: {self.missed} {self.ratio:.3g} times what the noise allows, residuals of neighbouring segments"
+            f" agree by {rounds.after.test.alike:.2g} of the noise"
+        )
+        if self.hidden.found:
+            more = f"but it fits that {self.fits}. {self.hidden.moved}; it is a line of each interval"
+            yield Finding("doubt", f"{text}; {more}")
+        else:
+            count = len(self.hidden.sizes)
+            yield Finding("note", f"{text}; no departure of {count} moves a coefficient beyond its interval")
+
+    def _of_the_weights(self, seen: Set[str]) -> Iterator[Finding]:
+        """Where the force cell and the weights that hang on it contradict each other; `seen` are significant lines."""
+        weighed = self.weighed
+        if weighed.guide:
+            size = show(weighed.guide, "force", 2)
+            text = f"a guide between cell and weights rubs by about {size}: after the way down the cell reads twice"
+            yield Finding("note", f"{text} that less than after the way up. F_c is without it")
+        for name, found, quantity in ((GAIN, weighed.gain, "ratio"), (ZERO, weighed.offset, "force")):
+            if name in seen and found is not None:
+                size, unsure = (show(abs(value), quantity, 2) for value in (found[0], 2 * found[1]))
+                way = "more" if found[0] > 0 else "less"
+                text = f"{name}: it reads {size} {way} than they weigh, +- {unsure}, which its calibration does not"
+                text += " allow: one of them is wrong, and the intervals hold both"
+                if weighed.guide is None and found[0] > 0:
+                    text += f"; or a guide between them rubs. To know, {TO_TELL}"
+                yield Finding("doubt", text)
+        if weighed.wrong is not None:
+            load, off, error = weighed.wrong
+            size, unsure = (show(value, "force", 2) for value in (abs(off), 2 * error))
+            way = "more" if off > 0 else "less"
+            text = f"the weight of {show(load, 'force', 4)} is {size} {way} by the force cell, +- {unsure}"
+            yield Finding("doubt", f"{text}; the others agree. Weigh it; no value of the fit rests on its mark")
 
     @property
     def facts(self) -> dict[str, Any]:
