@@ -7,7 +7,7 @@ does not take the pressure for a step. D of relaxation carries the pressure *bef
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import hypot
 from typing import Any
@@ -59,8 +59,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     campaign, unusable = gather(alike)
     dropped += unusable
-    steps, unreadable = _steps_of(campaign)
-    dropped += unreadable
+    steps = _steps_of(campaign, dropped) if campaign else []
     if campaign is None or not any(step.way > 0 for step in steps):
         fault = Finding("fault", "no contraction can be read: there is no S, and no D without it")
         facts = {"options": settings, "trials_used": 0}
@@ -82,9 +81,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=curves,
         dropped=dropped,
         findings=(
-            *_convention(chosen),
-            *_biased(estimates),
-            *_creep(campaign, steps),
+            *_said(campaign, steps, estimates, chosen),
             *findings,
             *said,
             *skew.findings(alike, campaign.channels, campaign.skew, driven),
@@ -100,19 +97,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _steps_of(campaign: Campaign | None) -> tuple[list[Step], list[Dropped]]:
-    """The steps that can be read, and the trials whose step cannot."""
+def _steps_of(campaign: Campaign, dropped: list[Dropped]) -> list[Step]:
+    """The steps that can be read; trials whose step cannot are added to those dropped."""
     steps: list[Step] = []
-    dropped = []
-    for number, trial in enumerate(campaign.trials if campaign else ()):
-        step = read(campaign.samples[number], trial) if campaign else ""
+    for samples, trial in zip(campaign.samples, campaign.trials, strict=True):
+        step = read(samples, trial)
         if isinstance(step, Step) and step.pressure < LOWEST * (1 - 1e-9):
             step = f"below {show(LOWEST, 'pressure')}, where paper 1's S and D do not hold"
         if isinstance(step, Step):
             steps.append(step)
         else:
             dropped.append(Dropped(trial.name, trial.point, step))
-    return steps, dropped
+    return steps
 
 
 def _as_fact(campaign: Campaign, step: Step) -> dict[str, Any]:
@@ -311,31 +307,22 @@ def _sound(known: Sequence[Estimate], order: int, normalised: bool) -> Curve | N
     return found if least(terms, (low, high)) > 0 else None
 
 
-def _convention(chosen: str) -> list[Finding]:
+def _said(campaign: Campaign, steps: Sequence[Step], estimates: Sequence[Estimate], chosen: str) -> Iterator[Finding]:
+    """The convention of F_ce, how far paper 1's way lies from the fit with the measured pressure in the one convention
+    that both have, and steps that had not come to rest.
+    """
     text = (
         f"F_ce at {'x = 0' if chosen == 'x0' else 'x_max'} comes first, as the protocol says; the other convention "
         "is given next to it: S, D and F_ce of one must not be used with those of the other"
     )
-    return [Finding("note", text)]
-
-
-def _biased(estimates: Sequence[Estimate]) -> list[Finding]:
-    """How far paper 1's way lies from the fit with the measured pressure, in the one convention both have."""
-    parts = biases(estimates, ("K", "B_c"))
-    if not parts:
-        return []
-    text = f"{METHODS['x0']} against {DRIVEN}: {', '.join(parts)}; it takes the pressure for a step"
-    return [Finding("note", text + ", as it must for B_r, which no second method can tell here")]
-
-
-def _creep(campaign: Campaign, steps: Sequence[Step]) -> list[Finding]:
-    """Steps that had not come to rest."""
-    moving = [s for s in steps if abs(s.creeps) > STILL]
-    if not moving:
-        return []
-    worst = max(moving, key=lambda s: abs(s.creeps))
-    text = (
-        f"{len(moving)} of {len(steps)} steps still moved at their end, {campaign.name(worst.trial)} by "
-        f"{100 * abs(worst.creeps):.2g} % of its stroke: x_max and tau come out short; hold longer"
-    )
-    return [Finding("doubt", text)]
+    yield Finding("note", text)
+    if parts := biases(estimates, ("K", "B_c")):
+        text = f"{METHODS['x0']} against {DRIVEN}: {', '.join(parts)}; it takes the pressure for a step"
+        yield Finding("note", text + ", as it must for B_r, which no second method can tell here")
+    if moving := [s for s in steps if abs(s.creeps) > STILL]:
+        worst = max(moving, key=lambda s: abs(s.creeps))
+        text = (
+            f"{len(moving)} of {len(steps)} steps still moved at their end, {campaign.name(worst.trial)} by "
+            f"{100 * abs(worst.creeps):.2g} % of its stroke: x_max and tau come out short; hold longer"
+        )
+        yield Finding("doubt", text)

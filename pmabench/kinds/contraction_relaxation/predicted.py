@@ -201,7 +201,9 @@ def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
     normals = normals.reshape(len(moves), len(fit.theta), len(fit.theta))
     whole = Design(prior.T @ prior, normals, noise, between, wanted)
     values = wanted @ fit.theta
-    known = np.array([_near(segments, fit, name) for name in names])
+    known = np.array(
+        [symbol == "F_c" or bool(near(segments, fit.knots, symbol, P).sum() >= FEWEST) for symbol, P in names]
+    )
     if moves:
         counts = np.array([len(cells[n].trials) for n in moves], float)
         known = known & (NORMAL * np.sqrt(whole.variances(counts)) <= WIDE * _size(names, values))
@@ -227,17 +229,11 @@ def scattered(fit: Fit, share: float) -> Array:
     return covariance
 
 
-def _near(segments: Segments, fit: Fit, name: tuple[str, float]) -> bool:
-    """Whether there are segments near a pressure, as the reduction wants them for a value there."""
-    return name[0] == "F_c" or bool(near(segments, fit.knots, *name).sum() >= FEWEST)
-
-
 def _size(names: Sequence[tuple[str, float]], values: Array) -> Array:
     """The size of each value, at least the median of its symbol; shape (m,)."""
     symbols = np.array([symbol for symbol, _ in names])
     median = {symbol: float(np.median(np.abs(values[symbols == symbol]))) for symbol in set(symbols.tolist())}
-    least: Array = np.array([median[symbol] for symbol in symbols.tolist()])
-    return np.asarray(np.maximum(np.abs(values), least))
+    return np.maximum(np.abs(values), [median[symbol] for symbol in symbols.tolist()])
 
 
 @dataclass(frozen=True)

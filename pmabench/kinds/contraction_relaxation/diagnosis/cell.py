@@ -189,10 +189,11 @@ def _unsure(
     gains = [one.which for one in explanations if one.kind == "gain"]
     if gains:
         return OR_OF_GUIDE if GUIDE in gains else PART_OF_GAIN
-    for one, error in zip(explanations, errors, strict=True):
-        size, own = (0.0, 2 * float(np.mean(error))) if len(one.sizes) > 1 else bent.get("bow", (0.0, 0.0))
-        return 0.5 * (abs(size) + 2 * own) / max(map(abs, one.sizes))
-    return 0.0
+    if not explanations:
+        return 0.0
+    drift = explanations[0].sizes
+    size, own = (0.0, 2 * float(np.mean(errors[0]))) if len(drift) > 1 else bent.get("bow", (0.0, 0.0))
+    return 0.5 * (abs(size) + 2 * own) / max(map(abs, drift))
 
 
 def _pieces(readings: Readings) -> int:
