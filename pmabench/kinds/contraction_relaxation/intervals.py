@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.form import more_than_squares
 from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.analysis.shared.simulated import Stretches
 from pmabench.analysis.shared.trials import compared
@@ -261,18 +262,13 @@ class Trust:
         if len(self.skews):
             apart = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
             found.append(Source("time between the streams", "skew", "B", apart))
-        found += self._shifts(combination, parts_of(found).combined or 0.0)
+        seen = [(one, one.half(combination)) for one in self.hides if one.seen]
+        more = more_than_squares([half for _, half in seen], parts_of(found).combined or 0.0)
+        found += [Source(one.name, one.part, "B", half * more) for one, half in seen]
         if self.correction is not None:
             found = [replace(s, half=None if s.half is None else self.correction.factor * s.half) for s in found]
         found.sort(key=lambda source: -1.0 if source.half is None else source.half, reverse=True)
         return parts_of(found), bias, tuple(found)
-
-    def _shifts(self, combination: Array, rest: float) -> list[Source]:
-        """Lines of significant departures, such that all squares add up to `rest` and the sizes of the departures."""
-        halves = [(one, one.half(combination)) for one in self.hides if one.seen]
-        total, squares = sum(half for _, half in halves), sum(half**2 for _, half in halves)
-        more = sqrt((total**2 + 2 * total * rest) / squares) if squares else 1.0
-        return [Source(one.name, one.part, "B", half * more) for one, half in halves]
 
 
 def parts_of(sources: Sequence[Source]) -> Parts:
@@ -325,7 +321,8 @@ def assess(
     skews, drifts
         As in `Trust`.
     """
-    bias, spread = _replayed(fit, replays)
+    off = np.array(replays).reshape(-1, len(fit.theta)) - fit.theta
+    spread = off.std(axis=0, ddof=1) if len(off) > 1 else np.zeros(len(fit.theta))
     expected, scales = rms_of(noise), Scales.of(campaign.runs)
     channels = [name for name in CHANNELS if name != "force" or not (segments.mass > 0).all()]
     more = max(1.0, fit.rms / expected)
@@ -335,11 +332,16 @@ def assess(
     if len(replays) > 1:
         seen = 0.5 * (analytic + (more * spread) ** 2)
     between, freedom, within = _between(segments, fit, campaign.cells)
-    excess, widen = _widened(segments, fit, between / np.maximum(seen, 1e-300))
+    ratio = between / np.maximum(seen, 1e-300)
+    excess = {symbol: _pooled(fit, symbol, ratio) for symbol in (*SYMBOLS, "F_c")}
+    pooled = np.ones(len(fit.theta))
+    for symbol, of_symbol in excess.items():
+        pooled[fit.columns(symbol)] = of_symbol
+    widen = np.maximum(1.0, 0.5 * (pooled + ratio))
     stretch = student.ppf(0.975, freedom) / NORMAL
     scale = np.sqrt(seen / analytic * (1.0 + stretch**2 * (widen - 1.0)))
     return Trust(
-        bias=bias,
+        bias=off.mean(axis=0) if len(off) else np.zeros(len(fit.theta)),
         covariance=covariance * np.outer(scale, scale),
         steps={n: fit.scatter(segments, Noise(**{n: size})) for n, size in vars(campaign.steps).items() if size > 0},
         mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
@@ -353,28 +355,11 @@ def assess(
     )
 
 
-def _widened(segments: Segments, fit: Fit, ratio: Array) -> tuple[dict[str, float], Array]:
-    """By symbol how much more the cells scatter than the fit explains, and the factor on each variance."""
-    excess = {symbol: _pooled(fit, symbol, ratio, segments) for symbol in (*SYMBOLS, "F_c")}
-    pooled = np.ones(len(fit.theta))
-    for symbol, of_symbol in excess.items():
-        pooled[fit.columns(symbol)] = of_symbol
-    return excess, np.maximum(1.0, 0.5 * (pooled + ratio))
-
-
 def _covariance(fit: Fit, noise: Array) -> Array:
     """Covariance of theta for independent segments of unlike `noise` (n,) [N]; the prior counts as rows of its rms."""
     even = rms_of(noise) ** 2
     uneven = (fit.design * noise[:, None] ** 2).T @ fit.design - even * (fit.design.T @ fit.design)
     return np.asarray(even * fit.inverse + fit.inverse @ uneven @ fit.inverse)
-
-
-def _replayed(fit: Fit, replays: Sequence[Array]) -> tuple[Array, Array]:
-    """Mean and standard deviation of what replays come back with, less what went in."""
-    if not replays:
-        return np.zeros(len(fit.theta)), np.zeros(len(fit.theta))
-    off = np.array(replays) - fit.theta
-    return off.mean(axis=0), off.std(axis=0, ddof=1) if len(off) > 1 else np.zeros(len(fit.theta))
 
 
 def _between(segments: Segments, fit: Fit, cells: NDArray[np.intp]) -> tuple[Array, Array, bool]:
@@ -406,7 +391,7 @@ def _between(segments: Segments, fit: Fit, cells: NDArray[np.intp]) -> tuple[Arr
     return np.sum((off @ fit.inverse) ** 2, axis=0), np.maximum(1.0, effective * freedom / total), within
 
 
-def _pooled(fit: Fit, symbol: str, ratio: Array, segments: Segments) -> float:
+def _pooled(fit: Fit, symbol: str, ratio: Array) -> float:
     """Mean of `ratio` over the coefficients of a symbol that rest on samples."""
     columns = fit.columns(symbol)
     if symbol == "F_c":

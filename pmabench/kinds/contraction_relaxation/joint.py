@@ -166,17 +166,18 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> F
     estimates = values(Solution(campaign, segments, solved, pooled.fit.knots, trust, METHOD, note, stiffness_is))
     known = [e for e in estimates if e.value is not None]
     curved = [s for s in solved.forms if sum(e.symbol == s for e in known) > 1]
+    correlation = _correlation(solved, trust, known)
     return Further(
         tuple(estimates),
         tuple(_curve(solved, trust, symbol, known) for symbol in curved),
-        (_adequacy(solved, pooled), *_together(solved, trust, known)),
+        (_adequacy(solved, pooled), *_together(correlation, known)),
         {
             "forms": {s: solved.forms[s].name if s in solved.forms else STRAIGHT for s in SYMBOLS},
             "orders": {
                 symbol: {str(order): score for order, score in found.items()} for symbol, found in scores.items()
             },
             "residual_rms": solved.rms,
-            "correlation": _correlation(solved, trust, known),
+            "correlation": correlation,
         },
     )
 
@@ -236,9 +237,8 @@ def _correlation(solved: Fit, trust: Trust, known: Sequence[Estimate]) -> dict[s
     }
 
 
-def _together(solved: Fit, trust: Trust, known: Sequence[Estimate]) -> list[Finding]:
+def _together(correlation: Mapping[str, Any], known: Sequence[Estimate]) -> list[Finding]:
     """Different coefficients at one pressure whose estimates are correlated, the worst pair of each kind."""
-    correlation = _correlation(solved, trust, known)
     worst: dict[tuple[str, str], tuple[float, str, str]] = {}
     for i, one in enumerate(known):
         for j in range(i):
