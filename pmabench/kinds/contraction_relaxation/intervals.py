@@ -96,7 +96,7 @@ def drifts_of(
         each = off[segments.trial]
         shrunk = replace(segments, x=segments.x / (1 + each)[:, None], v=segments.v / (1 + each)[:, None])
         pull = fit.values("F_ce", segments.pressure)
-        # a stroke is (F_ce - F_L) / K: by a share of it F_ce went by that share of what is above the load
+        # the stroke is (F_ce - F_L) / K: its relative change is a change of F_ce by that share of F_ce - F_L
         weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
         changes = [fit.again(other, noise).theta - fit.theta for other in (shrunk, weaker)]
         found = [Cause(SPECIMEN, np.array(changes))]
@@ -153,12 +153,12 @@ NORMAL = 1.96
 SCATTER = "noise, and scatter between trials"
 NO_UNCERTAINTY = "the record tells no uncertainty"
 FEW = 10
-"""With fewer repetitions than this in all, scatter is taken between all trials instead of within cells."""
+"""With fewer repetitions in all, the scatter is that between all trials and not that within cells."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hiding:
-    """A departure from the form that the data do not exclude: one of its ways is there, or none."""
+    """A departure from the form that the data do not exclude: at most one of its ways is present."""
 
     name: str
     part: str
@@ -166,10 +166,10 @@ class Hiding:
     change: Array
     """Change of theta by each way at the largest size that could hide, shape (p, ways)."""
     likely: Array
-    """How likely each way is by the data, shape (ways,); they add up to less than 1, the rest is that none is there."""
+    """Probability of each way by the data, shape (ways,); what is missing to a sum of 1 is that of none."""
 
     seen: bool
-    """It is significant: then it shifts the value one way, and adds to the half width of all else as it is."""
+    """It is significant: then it shifts the value one way, and adds to the half width as it is, not as a square."""
 
     def half(self, combination: Array) -> float:
         """Root of the mean square change of a linear combination (p,) over the ways."""
@@ -184,9 +184,9 @@ class Correction:
     """What corrected samples owe to their correction."""
 
     changes: Array
-    """Of theta, the part of each of its steps that may be wrong; shape (m, p)."""
+    """Change of theta by the part of each step of the correction that may be wrong; shape (m, p)."""
     spreads: tuple[Array, ...]
-    """Covariances of theta, sizes of the correction among what is found anew, by loads and by trials; (p, p) each."""
+    """Covariances of theta by leaving out loads and trials, with the sizes of the correction found anew; (p, p) each."""
     others: Array
     """Change of theta by each other explanation in place of the one that was taken, shape (m, p)."""
     factor: float

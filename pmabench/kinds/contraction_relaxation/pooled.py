@@ -28,7 +28,7 @@ EXCESS = 1.5
 GAIN = 0.03
 """Least relative fall of the sum of squares for which one more knot is kept."""
 CHANCE = 8.0
-"""The same in units of what its coefficients take away by chance, in a run of few segments: the best place is taken."""
+"""The same in units of what its coefficients explain by chance, for runs of few segments: the best place is taken."""
 FEWEST_KNOTS = 3
 """A fit whose stretches are not halved has at least so many."""
 MOST_KNOTS = 8
@@ -93,7 +93,7 @@ class Fit:
     halves: Array = field(default_factory=lambda: NONE)
     """Those of them [Pa] that only halve a stretch."""
     added: Array = field(default_factory=lambda: NONE)
-    """Those of them [Pa] that were put where the residual asked for one."""
+    """Those of them [Pa] that were put where the residual needed one."""
     forms: Mapping[str, Powers] = field(default_factory=dict)
     """Coefficients that are polynomials; the others are straight lines between the knots."""
     least: float = 0.0
@@ -364,7 +364,7 @@ def first_knots(tested: Array, commanded: Array) -> Array:
 
 
 def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
-    """The pooled fit with knots added where the residual asks for them, and the noise of each segment [N], shape (n,).
+    """The pooled fit with knots added where the residual needs them, and the noise of each segment [N], shape (n,).
 
     `knots` [Pa] as `first_knots` gives them, every other one half way between its neighbours.
 

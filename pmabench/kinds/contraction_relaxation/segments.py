@@ -29,9 +29,9 @@ ASSUMED_MASS = 0.5
 FEWEST_STILL = 8
 """Fewest samples at rest from which noise is estimated."""
 FEW, COUNTS = 256, 65536
-"""So many samples show the step of a converter, most often; and so many of these it has at most, of 16 bits."""
+"""Samples that usually show the step of a converter, and most steps that it has, with 16 bits."""
 LEVELS = 20
-"""A channel takes at least so many values before the least distance between two is the step of its converter."""
+"""Fewest values of a channel whose least distance is taken for the step of its converter."""
 
 
 @dataclass(frozen=True)

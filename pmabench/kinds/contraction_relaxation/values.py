@@ -205,7 +205,7 @@ EXACT = 1e-9
 """Residual below this share of the largest value counts as none when orders are compared."""
 FORMS = {1: "line", 2: "quadratic"}
 FLOOR = 5e-3
-"""Least weight-giving error of a point, as a share of the largest value: no point of a curve counts for all."""
+"""Least error by which a point of a curve is weighted, as a share of the largest value: no point outweighs all."""
 POWERS = (("", ""), ("/Pa", " per pressure"), ("/Pa2", " per pressure squared"))
 """What the powers of a curve over pressure add to the unit and to the quantity of a coefficient."""
 
@@ -296,8 +296,8 @@ def curve(
 ) -> Curve | None:
     """A polynomial over the estimates' pressures; None with fewer than `order` + 1 of them.
 
-    With `trust` and the `places` of the estimates in its fit, correlations between them are carried through; else they
-    count as independent. What the points scatter about the curve enters as method. `normalised`: the terms are those of
+    With `trust` and the `places` of the estimates in its fit, correlations between them count; else they are taken as
+    independent. The scatter of the points about the curve is the method part. `normalised`: the terms are those of
     z = (P - centre) / scale, with the unit of the coefficient (paper 1 eqs. 17-20).
     """
     if len(estimates) < order + 1:

@@ -22,7 +22,7 @@ from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments, m
 from pmabench.store.records import Array
 
 SOFTEST = 1.0
-"""A fit to hardly anything may give any K; creep acts through one of at least this [N/m]."""
+"""Least K that creep acts through [N/m]: a fit to hardly any motion may give any K."""
 MOST_LATE = 0.06
 """Longest time that a stream is moved or filtered by [s]."""
 TIMES = ("late", "lag", "clock")
@@ -83,7 +83,7 @@ def plausible(one: Explanation) -> bool:
 def muscle_columns(
     one: Explanation, followed: columns.Followed, segments: Segments, fit: Fit, others: Sequence[Explanation]
 ) -> Array:
-    """Columns of a property of the muscle: what creeps is not strained, and does not bend the force."""
+    """Columns of a property of the muscle; of a bend, over the contraction without the part that crept."""
     creeps = [other for other in others if other.kind == "creep"] if one.family == "bend" else []
     for other in creeps:
         forces = columns.OF_MUSCLE["creep"][other.which](followed, segments, fit) @ np.array(other.sizes)

@@ -29,7 +29,7 @@ from pmabench.store.records import Array
 FALSE_ALARMS = 0.01
 """Share of campaigns without any departure of which one or more is called significant (Bonferroni)."""
 HIDES = 2.0
-"""What hides is as large as it was found, and so many standard deviations more."""
+"""A departure may be as large as it was found, and so many standard deviations more."""
 EVEN = 2.0
 """A departure of so many standard deviations is as likely to be there as not: the fit is better for it by as much as
 two more coefficients cost by Akaike's criterion."""

@@ -35,7 +35,7 @@ from pmabench.store.records import Array
 MOST_CUTS = 3
 """Corrected campaigns that are kept: what a round tries has most of them in common."""
 ALONE = 2.0
-"""So many times the excess is left by the best of another kind where an explanation is the only one ..."""
+"""An explanation is the only one where the best of another kind leaves more than so many times its excess ..."""
 LEAST_EXCESS = 0.15
 """... counted from this excess on."""
 PASSES = 3
@@ -45,9 +45,9 @@ PLACES = 2
 MOST_COMPARED = 3
 """Most explanations of a round that are compared with knots of their own."""
 FROM_BEGIN = (0.5, 1.0)
-"""Sizes of a clock that is right when a run begins, over the last one: the search begins with such, as most are."""
+"""Sizes of a clock that is right when a run begins, as most are, over the second size: where the search begins."""
 STEPS = (5e-3, 1.5e-3)
-"""Steps of the search for a time [s]; from a size that is known on, the last alone."""
+"""Steps of the search for a time [s]; only the last one where a size is known already."""
 WORTH = 0.9
 """An explanation that by first order leaves more than this share of the excess is not tried in whole."""
 ALL_OF_MUSCLE = (
@@ -68,7 +68,7 @@ class State:
     straight: Fit
     """The fit by whose K the properties of the muscle were made forces."""
     own_knots: bool = False
-    """Whether its knots were put where its own residual asks for them."""
+    """Whether its knots were put where its own residual needs them."""
 
     @property
     def excess(self) -> float:
@@ -95,7 +95,7 @@ class Search:
     """Faults of the bench -> campaign and segments without them, of the last few."""
 
     def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
-        """Explanations corrected, from the sizes of `begin` on, with knots where the rest asks for them."""
+        """Explanations corrected, from the sizes of `begin` on, with knots where the residual needs them."""
         segments = self._corrected(explanations)[1] if begin is None else begin.test.segments
         solved, noise = fit(segments, self.knots, self.campaign.noise)
         if begin is None:
@@ -250,8 +250,8 @@ class Search:
         return sorted(best.values(), key=lambda state: state.test.ratio)
 
     def compared(self, tried: Sequence[State]) -> list[State]:
-        """The same, the best first, where several are near the best: those with knots of their own, for the residual
-        of none of them asked for the knots that they were tried with.
+        """The same, the best first; where several are near the best, these are fitted with knots for their own
+        residuals first, for those that they were tried with were put for another one.
         """
         limit = ALONE * max(tried[0].excess, LEAST_EXCESS) if tried else 0.0
         near = [state for state in tried[:MOST_COMPARED] if state.excess < limit]
