@@ -53,6 +53,8 @@ class Response:
     times: tuple[float, ...]
     errors: tuple[float, ...]
     rms: float
+    aicc: float
+    """Corrected Akaike criterion."""
 
 
 def response(t: Array, y: Array) -> Response | None:
@@ -61,9 +63,8 @@ def response(t: Array, y: Array) -> Response | None:
     if one is None:
         return None
     two = _fitted(t, y, 2)
-    if two is None or two[1] > one[1] - FALL or two[0].times[2] < float(np.median(np.diff(t))):
-        return one[0]
-    return two[0]
+    needless = two is None or two.aicc > one.aicc - FALL or two.times[2] < float(np.median(np.diff(t)))
+    return one if needless else two
 
 
 def step(since: Array, times: Sequence[float]) -> Array:
@@ -75,8 +76,8 @@ def step(since: Array, times: Sequence[float]) -> Array:
     return np.asarray(1 - (T_1 * np.exp(-s / T_1) - T_2 * np.exp(-s / T_2)) / (T_1 - T_2))
 
 
-def _fitted(t: Array, y: Array, lags: int) -> tuple[Response, float] | None:
-    """Best fit with so many lags and its corrected Akaike criterion; unknowns: end value, dead time, ln lags."""
+def _fitted(t: Array, y: Array, lags: int) -> Response | None:
+    """Best fit with so many lags; unknowns: end value, dead time, ln lags."""
     risen = np.flatnonzero(y > 0.632)
     if len(t) < FEWEST or not len(risen):
         return None
@@ -102,7 +103,7 @@ def _fitted(t: Array, y: Array, lags: int) -> tuple[Response, float] | None:
     slopes = np.array([np.subtract(times(found + by), times(found - by)) / 2e-5 for by in nudges])
     covariance = np.linalg.pinv(slope.T @ slope) * power / (n - p)
     errors = np.sqrt(np.maximum(0.0, np.diag(slopes.T @ covariance @ slopes)))
-    return Response(values, tuple(float(e) for e in errors), sqrt(power / n)), aicc(power / n, n, p)
+    return Response(values, tuple(errors.tolist()), sqrt(power / n), aicc(power / n, n, p))
 
 
 def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:

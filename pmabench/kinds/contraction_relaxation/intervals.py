@@ -44,15 +44,30 @@ NO_CHECK = "the record tells no zero at the end"
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """One cause of drift: change of theta without it, shape (ways, p); None and a note where that is not known."""
+    """What may be off, and what that changes theta by."""
 
     name: str
+    """As in the budget."""
+    part: str
+    """Field of `Parts` that it belongs to."""
     ways: Array | None
+    """Change of theta by each way that it may go, shape (m, p); None where it is not known, and `note` says why."""
     note: str = ""
+    likely: Array | None = None
+    """Probability of each way, shape (m,); what is missing to 1 is that of none. None: the worst one counts."""
+    seen: bool = False
+    """It is significant: then it shifts the value one way, and adds to the half width as it is, not as a square."""
+    kind: str = "B"
+    """As in `Source`."""
 
-    def half(self, combination: Array) -> float | None:
-        """The largest change of a linear combination (p,) of the coefficients."""
-        return None if self.ways is None else float(np.max(np.abs(self.ways @ combination), initial=0.0))
+    def source(self, combination: Array) -> Source:
+        """The line in the budget of a linear combination (p,) of the coefficients."""
+        half = None
+        if self.ways is not None:
+            changes = self.ways @ combination
+            worst = float(np.max(np.abs(changes), initial=0.0))
+            half = worst if self.likely is None else sqrt(float(changes**2 @ self.likely))
+        return Source(self.name, self.part, self.kind, half, self.note)
 
 
 def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: str, known: float) -> Array:
@@ -91,7 +106,7 @@ def drifts_of(
 
     off = _specimen(runs, trials)
     if off is None:
-        found = [Cause(SPECIMEN, None, NO_REFERENCE)]
+        found = [Cause(SPECIMEN, "drift", None, NO_REFERENCE)]
     else:
         each = off[segments.trial]
         shrunk = replace(segments, x=segments.x / (1 + each)[:, None], v=segments.v / (1 + each)[:, None])
@@ -99,15 +114,16 @@ def drifts_of(
         # the stroke is (F_ce - F_L) / K: its relative change is a change of F_ce by that share of F_ce - F_L
         weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
         changes = [fit.again(other, noise).theta - fit.theta for other in (shrunk, weaker)]
-        found = [Cause(SPECIMEN, np.array(changes))]
+        found = [Cause(SPECIMEN, "drift", np.array(changes))]
     for channel, rest in rests.items():
         ways = zeros(channel, (by for by in -rest[:, segments.trial] if by.any()))
-        found.append(Cause(f"zero of {channel} from trial to trial", ways))
+        found.append(Cause(f"zero of {channel} from trial to trial", "drift", ways))
     for channel in channels:
         if channel != "displacement":  # nobody knows of its zero: the specimen keeps it
             ends = _zero_ends(runs, trials, channel)
             ways_of = None if ends is None else zeros(channel, (-by[segments.trial] for by in ends))
-            found.append(Cause(f"drift of the zero of {channel}", ways_of, NO_CHECK if ends is None else ""))
+            name = f"drift of the zero of {channel}"
+            found.append(Cause(name, "drift", ways_of, NO_CHECK if ends is None else ""))
     return tuple(found)
 
 
@@ -156,26 +172,6 @@ FEW = 10
 """With fewer repetitions in all, the scatter is that between all trials and not that within cells."""
 
 
-@dataclass(frozen=True, eq=False)
-class Hiding:
-    """A departure from the form that the data do not exclude: at most one of its ways is present."""
-
-    name: str
-    part: str
-    """Field of `Parts` that it belongs to."""
-    change: Array
-    """Change of theta by each way at the largest size that could hide, shape (p, ways)."""
-    likely: Array
-    """Probability of each way by the data, shape (ways,); what is missing to a sum of 1 is that of none."""
-
-    seen: bool
-    """It is significant: then it shifts the value one way, and adds to the half width as it is, not as a square."""
-
-    def half(self, combination: Array) -> float:
-        """Root of the mean square change of a linear combination (p,) over the ways."""
-        return sqrt(float((combination @ self.change) ** 2 @ self.likely))
-
-
 CORRECTED = "correction"
 
 
@@ -186,7 +182,7 @@ class Correction:
     changes: Array
     """Change of theta by the part of each step of the correction that may be wrong; shape (m, p)."""
     spreads: tuple[Array, ...]
-    """Covariances of theta by leaving out loads and trials, with the sizes of the correction found anew; (p, p) each."""
+    """Covariances of theta by leaving out loads and trials, sizes of the correction found anew; (p, p) each."""
     others: Array
     """Change of theta by each other explanation in place of the one that was taken, shape (m, p)."""
     factor: float
@@ -211,23 +207,14 @@ class Trust:
     """For the repeats part, shape (p, p)."""
     steps: Mapping[str, Array]
     """The part of it that the steps of a channel's values make, shape (p, p) each."""
-    mean_error: Array
-    """Half width of the mean bias of the replays."""
-    form: Array
-    """What straight lines between the knots leave of a bend."""
-    shifts: Mapping[str, Array]
-    """Change of theta by each cause of calibration error at its 95 % bound."""
-    unknown: tuple[str, ...]
-    """Channels whose calibration is not in the record."""
+    causes: tuple[Cause, ...]
+    """Of all other parts but that of the clocks."""
     skews: Array
     """Change of theta by the clock of each stream at its bound, shape (clocks, courses, p); (0, 0, p) for one."""
-    drifts: tuple[Cause, ...]
     excess: Mapping[str, float]
     """Scatter between trials by the scatter from noise, as variance ratio, for each symbol."""
     within: bool
     """True where that scatter is within cells, between repeats."""
-    hides: tuple[Hiding, ...] = ()
-    """Departures from the form that could hide."""
     correction: Correction | None = None
 
     def parts(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float]:
@@ -240,21 +227,12 @@ class Trust:
         if self.correction is not None:
             variance = max(variance, self.correction.variance(combination))
         steps = {name: max(0.0, float(combination @ part @ combination)) for name, part in self.steps.items()}
-        unsure = float(np.linalg.norm(combination * self.mean_error))
-        shifts = {name: abs(float(shift @ combination)) for name, shift in self.shifts.items()}
         shrink = min(1.0, variance / max(1e-300, sum(steps.values())))
-        bias = float(combination @ self.bias)
         found = [
             Source(SCATTER, "repeats", "A", NORMAL * sqrt(max(0.0, variance - shrink * sum(steps.values())))),
             *(Source(f"steps of {name}", "repeats", "B", NORMAL * sqrt(shrink * v)) for name, v in steps.items()),
-            Source("bias of the fit, taken off", "method", "B", abs(bias)),
-            Source("how few replays tell the bias", "method", "A", unsure),
-            Source("straight lines between pressures", "method", "B", abs(float(combination @ self.form))),
             *([Source("steps of the replays", "method", "B", extra_method)] if extra_method else ()),
-            *(Source(f"calibration of {n}", "calibration", "B", half) for n, half in shifts.items()),
-            *(Source(f"calibration of {n}", "calibration", "B", None, NO_UNCERTAINTY) for n in self.unknown),
-            *(Source(one.name, "drift", "B", one.half(combination), one.note) for one in self.drifts),
-            *(Source(one.name, one.part, "B", one.half(combination)) for one in self.hides if not one.seen),
+            *(one.source(combination) for one in self.causes if not one.seen),
             Source("regulator", "method", "B", 0.0, "the fit is driven by the pressure that was measured"),
         ]  # fmt: skip
         if self.correction is not None:
@@ -262,13 +240,13 @@ class Trust:
         if len(self.skews):
             apart = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
             found.append(Source("time between the streams", "skew", "B", apart))
-        seen = [(one, one.half(combination)) for one in self.hides if one.seen]
-        more = more_than_squares([half for _, half in seen], parts_of(found).combined or 0.0)
-        found += [Source(one.name, one.part, "B", half * more) for one, half in seen]
+        seen = [one.source(combination) for one in self.causes if one.seen]
+        more = more_than_squares([one.half or 0.0 for one in seen], parts_of(found).combined or 0.0)
+        found += [replace(one, half=more * (one.half or 0.0)) for one in seen]
         if self.correction is not None:
             found = [replace(s, half=None if s.half is None else self.correction.factor * s.half) for s in found]
         found.sort(key=lambda source: -1.0 if source.half is None else source.half, reverse=True)
-        return parts_of(found), bias, tuple(found)
+        return parts_of(found), float(combination @ self.bias), tuple(found)
 
 
 def parts_of(sources: Sequence[Source]) -> Parts:
@@ -318,13 +296,16 @@ def assess(
         Standard deviation of each segment [N] that the channels explain, shape (n,).
     replays
         Theta of fits to replays of `fit`.
-    skews, drifts
+    skews
         As in `Trust`.
+    drifts
+        See `drifts_of`.
     """
     off = np.array(replays).reshape(-1, len(fit.theta)) - fit.theta
     spread = off.std(axis=0, ddof=1) if len(off) > 1 else np.zeros(len(fit.theta))
-    expected, scales = rms_of(noise), Scales.of(campaign.runs)
-    channels = [name for name in CHANNELS if name != "force" or not (segments.mass > 0).all()]
+    bias = off.mean(axis=0) if len(off) else np.zeros(len(fit.theta))
+    unsure = 2.0 * spread / np.sqrt(max(1, len(replays)))
+    expected = rms_of(noise)
     more = max(1.0, fit.rms / expected)
     covariance = more**2 * _covariance(fit, noise) + fit.shared(segments, campaign.noise)
     analytic = np.diag(covariance)
@@ -341,15 +322,17 @@ def assess(
     stretch = student.ppf(0.975, freedom) / NORMAL
     scale = np.sqrt(seen / analytic * (1.0 + stretch**2 * (widen - 1.0)))
     return Trust(
-        bias=off.mean(axis=0) if len(off) else np.zeros(len(fit.theta)),
+        bias=bias,
         covariance=covariance * np.outer(scale, scale),
         steps={n: fit.scatter(segments, Noise(**{n: size})) for n, size in vars(campaign.steps).items() if size > 0},
-        mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
-        form=fit.bends(segments, expected),
-        shifts=_calibration(segments, fit, expected, scales),
-        unknown=tuple(n for n in channels if not scales.offsets.get(n) and not scales.gains.get(n)),
+        causes=(
+            Cause("bias of the fit, taken off", "method", bias[None]),
+            Cause("how few replays tell the bias", "method", np.diag(unsure), "", np.ones(len(unsure)), kind="A"),
+            Cause("straight lines between pressures", "method", fit.bends(segments, expected)[None]),
+            *_calibration(segments, fit, expected, Scales.of(campaign.runs)),
+            *drifts,
+        ),
         skews=skews,
-        drifts=drifts,
         excess=excess,
         within=within,
     )
@@ -401,16 +384,17 @@ def _pooled(fit: Fit, symbol: str, ratio: Array) -> float:
     return float(np.mean(ratio[columns][solid])) if solid.any() else 1.0
 
 
-def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) -> dict[str, Array]:
-    """Shift of theta with each channel's offset, then gain, off by its expanded uncertainty: the mean of both ways."""
-    shifts = {}
+def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) -> Iterator[Cause]:
+    """Each channel's offset and gain off by its expanded uncertainty: half of what both ways are apart."""
     for channel in CHANNELS:
-        offset, gain = scales.offsets.get(channel, 0.0), scales.gains.get(channel, 0.0)
-        for name, by in (("offset", (0.0, offset)), ("gain", (gain, 0.0))):
-            if any(by):
-                up, down = (_off(segments, fit, channel, way * by[0], way * by[1], expected) for way in (1.0, -1.0))
-                shifts[f"{channel}, {name}"] = 0.5 * (up - down)
-    return shifts
+        for name, known in (("offset", scales.offsets), ("gain", scales.gains)):
+            if by := known.get(channel, 0.0):
+                gain, offset = (by, 0.0) if name == "gain" else (0.0, by)
+                up, down = (_off(segments, fit, channel, way * gain, way * offset, expected) for way in (1.0, -1.0))
+                yield Cause(f"calibration of {channel}, {name}", "calibration", 0.5 * (up - down)[None])
+    for channel in CHANNELS if not (segments.mass > 0).all() else CHANNELS[:2]:
+        if not scales.offsets.get(channel) and not scales.gains.get(channel):
+            yield Cause(f"calibration of {channel}", "calibration", None, NO_UNCERTAINTY)
 
 
 def _off(segments: Segments, fit: Fit, channel: str, gain: float, offset: float | Array, expected: float) -> Array:

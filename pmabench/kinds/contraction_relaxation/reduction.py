@@ -220,9 +220,9 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
 
     def with_hidden(other: Fit, rows: NDArray[np.bool_], trust: Trust) -> Trust:
         mine, scales = segments.where(rows), Scales.of(campaign.runs)
-        lines = diagnosis.hidden.lines(other, rows)
+        of_cell = of_the_cell(diagnosis.weighed, scales, mine, other)
         sensor = of_the_sensor(sensor_known(campaign), mine, other)
-        return replace(trust, hides=(*lines, *of_the_cell(diagnosis.weighed, scales, mine, other), sensor))
+        return replace(trust, causes=(*trust.causes, *diagnosis.hidden.lines(other, rows), *of_cell, sensor))
 
     def trust_of(other: Fit, rows: NDArray[np.bool_], seen: Array) -> Trust:
         unit = rms_of(seen)

@@ -282,7 +282,7 @@ class Diagnosis:
             yield Finding("doubt", f"form: {self.reason}")
         else:
             yield from self._of_the_form(fit)
-        yield from self._of_the_weights({one.name for one in trust.hides if one.seen})
+        yield from self._of_the_weights({one.name for one in trust.causes if one.seen})
 
     def _of_the_form(self, fit: Fit) -> Iterator[Finding]:
         rounds, tested = self.rounds, self.reported.test.campaign.tested
