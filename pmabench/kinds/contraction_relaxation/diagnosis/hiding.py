@@ -24,6 +24,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.held_out import SURE, Test
 from pmabench.kinds.contraction_relaxation.intervals import Cause, Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, force_by_pressure
 from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.values import WIDE, name_of
 from pmabench.store.records import Array
 
 FALSE_ALARMS = 0.01
@@ -356,28 +357,22 @@ def _with_weights(size: Size, weights: Weighed) -> Size:
 
 def _matter(significant: Sequence[Size], fit: Fit, trust: Trust, tested: Sequence[float]) -> tuple[list[Size], str]:
     """Those that move a coefficient by more than its interval, the clearest of each cause; the first one's effect."""
-    places = [(symbol, P) for symbol in SYMBOLS for P in tested]
-    combinations = {f"{symbol} at {show(P, 'pressure', 4)}": fit.row(symbol, P) for symbol, P in places}
-    if fit.friction:
-        combinations["F_c"] = fit.row("F_c", 0.0)
-    halves = {name: trust.parts(row)[0] for name, row in combinations.items()}
-    found: dict[int, Size] = {}
-    moves: dict[int, tuple[float, str]] = {}
+    places: list[tuple[str, float | None]] = [(symbol, P) for symbol in SYMBOLS for P in tested]
+    places += [("F_c", None)] if fit.friction else []
+    rows = np.array([fit.row(symbol, P or 0.0) for symbol, P in places])
+    values = np.abs(rows @ fit.theta)
+    halves = np.array([trust.parts(row)[0].combined or 0.0 for row in rows])
+    known = (halves > 0) & (halves <= WIDE * values)
+    found: dict[str, Size] = {}
+    moved = ""
     for one in sorted(significant, key=lambda s: s.beyond, reverse=True):
         change = fit.change(one.way.column[:, None])[:, 0] * max(0.0, abs(one.size) - one.way.known)
-        share, text = max(
-            (_moved(name, row, change, halves[name].combined, fit) for name, row in combinations.items()),
-            default=(0.0, ""),
-        )
-        if share > 1.0 and id(one.cause) not in found:
-            found[id(one.cause)], moves[id(one.cause)] = one, (share, text)
-    return list(found.values()), next(iter(moves.values()))[1] if moves else ""
-
-
-def _moved(name: str, row: Array, change: Array, half: float | None, fit: Fit) -> tuple[float, str]:
-    """By how many half widths a coefficient is moved, and that in words."""
-    value, by = abs(float(row @ fit.theta)), abs(float(row @ change))
-    if not half or not value or half > 0.25 * value:
-        return 0.0, ""
-    moved, interval = 100 * by / value, 100 * half / value
-    return by / half, f"it would move {name} by {moved:.2g} %, where its interval without that is +-{interval:.2g} %"
+        by = np.abs(rows @ change)
+        worst = int(np.argmax(np.where(known, by / np.maximum(halves, 1e-300), 0.0)))
+        if known[worst] and by[worst] > halves[worst] and one.cause.name not in found:
+            found[one.cause.name] = one
+            size, half = (100 * each[worst] / values[worst] for each in (by, halves))
+            name = name_of(*places[worst])
+            text = f"it would move {name} by {size:.2g} %, where its interval without that is +-{half:.2g} %"
+            moved = moved or text
+    return list(found.values()), moved
