@@ -27,6 +27,7 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.student import half_width
+from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.verdict.agreement import weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL
@@ -367,11 +368,9 @@ def _scatter(groups: Mapping[float, Sequence[tuple[str, float, float, float]]]) 
 
     Two repeats agree by chance; all pairs of a campaign do not.
     """
-    like: dict[tuple[float, float], list[float]] = {}
-    for target, rows in groups.items():
-        for _, by, value, _ in rows:
-            like.setdefault((target, round(by, -2)), []).append(value)
-    off = [np.array(values) / np.mean(values) - 1 for values in like.values()]
+    steps = [(target, round(by, -2), value) for target, rows in groups.items() for _, by, value, _ in rows]
+    like = [np.array([value for *_, value in alike]) for alike in grouped(steps, lambda one: one[:2]).values()]
+    off = [values / values.mean() - 1 for values in like]
     freedom = sum(len(one) - 1 for one in off)
     return (sqrt(sum(float(one @ one) for one in off) / freedom) if freedom else 0.0), freedom
 

@@ -37,7 +37,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     fit,
     rms_of,
 )
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments, cut, gather, moved, strokes
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Gate, Segments, cut, gather, moved, strokes
 from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, curve, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold, without_value
 from pmabench.store.records import Array, RunData
@@ -145,9 +145,7 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
     return result
 
 
-def segments_like(
-    campaign: Campaign, options: Mapping[str, Any]
-) -> tuple[Array, Callable[[Sequence[Samples]], Segments]]:
+def segments_like(campaign: Campaign, options: Mapping[str, Any]) -> tuple[Array, Cut]:
     """First knots of the fit [Pa], and what cuts samples into segments within their reach."""
     gate = Gate(speed=float(options.get("speed", Gate.speed)))
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
@@ -156,9 +154,8 @@ def segments_like(
 
 
 def _replays(
-    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], work: simulated.Stretches, fit: Fit,
-    count: int,
-) -> Iterator[Segments]:  # fmt: skip
+    campaign: Campaign, segments_of: Cut, work: simulated.Stretches, fit: Fit, count: int
+) -> Iterator[Segments]:
     """Segments of replays of a fitted muscle along the stretches; NotUsable where it does not move."""
     if not count:
         return
@@ -231,10 +228,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, work, diagnosis)
 
 
-def _skews(
-    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], again: Callable[[Segments], Array],
-    solved: Fit,
-) -> Array:  # fmt: skip
+def _skews(campaign: Campaign, segments_of: Cut, again: Callable[[Segments], Array], solved: Fit) -> Array:
     """Change of theta by the clock of each stream at its bound, both ways; shape (clocks, courses, p)."""
 
     def changed(channels: tuple[str, ...], by: Array) -> Array:

@@ -11,7 +11,7 @@ A `Campaign` holds the trials of all runs that can be reduced together, with the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -125,6 +125,10 @@ class Segments:
     def pulled(self, by: Array) -> Segments:
         """The same segments with `by` (n,) [N] added to F_L, by a cell or a weight."""
         return replace(self, force=self.force + by, F_mid=self.F_mid + by[:, None])
+
+
+Cut = Callable[[Sequence[Samples]], Segments]
+"""What makes segments of samples."""
 
 
 def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:

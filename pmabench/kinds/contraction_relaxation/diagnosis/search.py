@@ -10,13 +10,12 @@ well, the data do not decide between them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from pmabench.analysis.shared.samples import Samples
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     MOST_LATE,
@@ -29,7 +28,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.pooled import Fit, fit, rms_of
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segments
 from pmabench.store.records import Array
 
 MOST_CUTS = 3
@@ -86,7 +85,7 @@ class Search:
     """A campaign as it was recorded, and how segments and knots come of it."""
 
     campaign: Campaign
-    cut: Callable[[Sequence[Samples]], Segments]
+    cut: Cut
     knots: Array
     """That a fit begins with [Pa]."""
     drifts: bool = True

@@ -6,7 +6,7 @@ what is too small to be seen (`hiding`). docs/uncertainty.md has the rules in wo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import Samples
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed, readings, weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import Span, bent, zero_known
@@ -39,7 +38,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.search import (
 from pmabench.kinds.contraction_relaxation.diagnosis.spread import Spread
 from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segments
 from pmabench.kinds.contraction_relaxation.values import QUANTITY
 from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array
@@ -397,9 +396,7 @@ def _why_hidden(one: Size, share: float) -> str:
     return f"it fits that {one.text}, which {effect} ({limit}). {REMEDY}"
 
 
-def examined(
-    recorded: Campaign, knots: Array, segments_of: Callable[[Sequence[Samples]], Segments], segments: Segments
-) -> Diagnosis:
+def examined(recorded: Campaign, knots: Array, segments_of: Cut, segments: Segments) -> Diagnosis:
     """The diagnosis of a campaign with these first knots [Pa]; `segments` are those of its samples as recorded."""
     gain = Scales.of(recorded.runs).gains.get("force", 0.0)
     weights = weighed(readings(recorded), {"drift": zero_known(recorded), "gain": gain})
