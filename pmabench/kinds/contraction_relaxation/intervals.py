@@ -26,7 +26,7 @@ from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import more_than_squares
-from pmabench.analysis.shared.samples import Noise, Samples
+from pmabench.analysis.shared.samples import Noise
 from pmabench.analysis.shared.simulated import Stretches
 from pmabench.analysis.shared.trials import compared
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, rms_of
@@ -70,43 +70,40 @@ class Cause:
         return Source(self.name, self.part, self.kind, half, self.note)
 
 
-def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: str, known: float) -> Array:
+def at_rest(campaign: Campaign, channel: str, known: float) -> Array:
     """What a channel reads before the first command of each trial, less the first, and less the median [SI], as far as
     noise and a zero that its calibration leaves open, `known` [SI], do not make it; shape (2, trials), 0 where nothing
     was recorded then.
     """
-    found, noise = np.full(len(trials), np.nan), np.full(len(trials), np.nan)
-    for i, (trial, one) in enumerate(zip(trials, samples, strict=True)):
+    found, noise = np.full((2, len(campaign.trials)), np.nan)
+    for i, (trial, one) in enumerate(zip(campaign.trials, campaign.samples, strict=True)):
         rest = resting(one, trial)
         if rest.sum() > 1:
             values = one.channels[channel][rest]
             found[i], noise[i] = float(np.mean(values)), float(np.var(values, ddof=1)) / len(values)
     read = np.flatnonzero(np.isfinite(found))
     if len(read) < 2:
-        return np.zeros((2, len(trials)))
+        return np.zeros((2, len(found)))
     seen = float(np.var(found[read], ddof=1))
     share = np.sqrt(max(0.0, 1.0 - float(np.mean(noise[read])) / max(seen, 1e-300)))
-    first = read[np.argmin([float(samples[i].t[0]) for i in read.tolist()])]
+    first = read[np.argmin([float(campaign.samples[i].t[0]) for i in read.tolist()])]
     off = share * np.nan_to_num(found - np.array([[found[first]], [np.median(found[read])]]))
     return np.asarray(off - np.clip(off, -known, known))
 
 
 def drifts_of(
-    runs: Sequence[RunData], trials: Sequence[TrialData], channels: Sequence[str], segments: Segments, fit: Fit,
-    noise: float, rests: Mapping[str, Array],
-) -> tuple[Cause, ...]:  # fmt: skip
-    """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `again`, and `rests`
-    what channels read `at_rest`.
-    """
+    campaign: Campaign, segments: Segments, fit: Fit, noise: float, rests: Mapping[str, Array]
+) -> Iterator[Cause]:
+    """All causes of drift of a fit to `segments`; `noise` [N] as in `again`, `rests` what channels read `at_rest`."""
 
     def zeros(channel: str, each: Iterable[Array]) -> Array:
         """Change by a zero that is off by each of these [SI], (n,)."""
         ways = [_off(segments, fit, channel, 0.0, by, noise) - fit.theta for by in each]
         return np.array(ways).reshape(-1, len(fit.theta))
 
-    off = _specimen(runs, trials)
+    off = _specimen(campaign.runs, campaign.trials)
     if off is None:
-        found = [Cause(SPECIMEN, "drift", None, NO_REFERENCE)]
+        yield Cause(SPECIMEN, "drift", None, NO_REFERENCE)
     else:
         each = off[segments.trial]
         shrunk = replace(segments, x=segments.x / (1 + each)[:, None], v=segments.v / (1 + each)[:, None])
@@ -114,17 +111,15 @@ def drifts_of(
         # the stroke is (F_ce - F_L) / K: its relative change is a change of F_ce by that share of F_ce - F_L
         weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
         changes = [fit.again(other, noise).theta - fit.theta for other in (shrunk, weaker)]
-        found = [Cause(SPECIMEN, "drift", np.array(changes))]
+        yield Cause(SPECIMEN, "drift", np.array(changes))
     for channel, rest in rests.items():
         ways = zeros(channel, (by for by in -rest[:, segments.trial] if by.any()))
-        found.append(Cause(f"zero of {channel} from trial to trial", "drift", ways))
-    for channel in channels:
+        yield Cause(f"zero of {channel} from trial to trial", "drift", ways)
+    for channel in campaign.channels:
         if channel != "displacement":  # nobody knows of its zero: the specimen keeps it
-            ends = _zero_ends(runs, trials, channel)
+            ends = _zero_ends(campaign.runs, campaign.trials, channel)
             ways_of = None if ends is None else zeros(channel, (-by[segments.trial] for by in ends))
-            name = f"drift of the zero of {channel}"
-            found.append(Cause(name, "drift", ways_of, NO_CHECK if ends is None else ""))
-    return tuple(found)
+            yield Cause(f"drift of the zero of {channel}", "drift", ways_of, NO_CHECK if ends is None else "")
 
 
 def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | None:
@@ -286,7 +281,7 @@ class Pooled:
 
 def assess(
     campaign: Campaign, segments: Segments, fit: Fit, noise: Array, replays: Sequence[Array], skews: Array,
-    drifts: tuple[Cause, ...],
+    drifts: Iterable[Cause],
 ) -> Trust:  # fmt: skip
     """All parts for a fit to segments of a campaign.
 

@@ -182,9 +182,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # what rests show of it is corrected
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
     offsets = Scales.of(campaign.runs).offsets
-    rests = {
-        channel: at_rest(campaign.trials, campaign.samples, channel, offsets.get(channel, 0.0)) for channel in rested
-    }
+    rests = {channel: at_rest(campaign, channel, offsets.get(channel, 0.0)) for channel in rested}
     work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:
@@ -201,7 +199,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         again_seen = _replays(campaign, segments_of, work, other, int(options.get("replays", REPLAYS)))
         replays = [other.again(one, rms_of(seen)).theta for one in again_seen]
         skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
-        drifts = drifts_of(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
+        drifts = drifts_of(campaign, mine, other, rms_of(seen), rests)
         trust = assess(campaign, mine, other, seen, replays, skews, drifts)
         return trust if spread is None else replace(trust, correction=spread.of(other, rows, unit))
 
