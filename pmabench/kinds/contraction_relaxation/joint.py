@@ -117,7 +117,7 @@ def _scores(
 ) -> dict[int, Score]:  # fmt: skip
     """The scores of orders 0 to `most` of one symbol; trials are left out by their normal equations."""
     forms = forms_of({**orders, symbol: most}, knots)
-    highest = solve(segments, knots, noise, forms=forms)
+    highest = solve(segments, knots, noise, forms)
     prior, begin = highest.prior(segments, noise), highest.columns(symbol).start
     trials = [segments.trial == trial for trial in np.unique(segments.trial)]
     found = {}
@@ -158,8 +158,7 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> F
     segments, noise = pooled.segments.where(rows), rms_of(pooled.noise[rows])
     knots = pooled.fit.knots[pooled.fit.knots >= least]
     orders, scores = choose(segments, {s: wanted.get(s) for s in SYMBOLS}, knots, noise)
-    solved = solve(segments, knots, noise, added=pooled.fit.added, forms=forms_of(orders, knots))
-    solved = replace(solved, least=least)
+    solved = replace(solve(segments, knots, noise, forms_of(orders, knots)), added=pooled.fit.added, least=least)
     trust = pooled.trust_of(solved, rows, pooled.noise[rows])
     note = sentences(_forms(solved), "" if _enough(solved, pooled) else SIMPLE)
     stiffness_is = pooled.diagnosis.stiffness_is

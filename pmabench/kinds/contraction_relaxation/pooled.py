@@ -68,7 +68,7 @@ class Powers:
 
 
 POLYGONS: Mapping[str, Powers] = {}
-"""Forms of a fit whose coefficients all are straight lines between its knots."""
+"""Forms of a fit in which every coefficient is a polygon: straight lines between its knots."""
 NONE = np.empty(0)
 
 
@@ -148,8 +148,8 @@ class Fit:
         """The same fit to other segments, whose residual should be `noise` [N]."""
         if self.least:
             segments = segments.where(above(segments, self.least))
-        found = solve(segments, self.knots, noise, self.halves, self.added, self.forms)
-        return replace(found, least=self.least)
+        found = solve(segments, self.knots, noise, self.forms)
+        return replace(found, halves=self.halves, added=self.added, least=self.least)
 
     def followed(self, gain: float, offset: float) -> Fit:
         """The same where pressure reads (1 + gain) times as much, plus `offset` [Pa]: a bend that a knot was put at
@@ -216,7 +216,7 @@ def above(segments: Segments, least: float) -> NDArray[np.bool_]:
 
 
 def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
-    """Left neighbour among the knots, and the way to the right one as a share; lines go on beyond the ends."""
+    """Left neighbour among the knots, and the share of the way from there to the right one; lines go on at the ends."""
     left = np.searchsorted(knots[1:-1], P, side="right")
     return left, (P - knots[left]) / np.diff(knots)[left]
 
@@ -254,10 +254,7 @@ def design_of(segments: Segments, knots: Array, forms: Mapping[str, Powers] = PO
     return np.hstack([of["F_ce"], -of["K"], -np.where(up, of["B_c"], 0.0), -np.where(up, 0.0, of["B_r"]), -way])
 
 
-def solve(
-    segments: Segments, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE,
-    forms: Mapping[str, Powers] = POLYGONS,
-) -> Fit:  # fmt: skip
+def solve(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Fit:
     """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
     design = design_of(segments, knots, forms)
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
@@ -266,7 +263,7 @@ def solve(
     prior = prior_of(segments, knots, noise, forms)
     inverse = inverse_of(design.T @ design + prior.T @ prior)
     theta = inverse @ (design.T @ segments.force)
-    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots, halves, added, forms)
+    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots, forms=forms)
 
 
 def least_squares(design: Array, force: Array, prior: Array) -> Array:
@@ -309,10 +306,9 @@ def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str,
 def bent(knots: Array) -> Array:
     """Rows that give how far each inner knot lies off the line between its neighbours, shape (k - 2, k)."""
     k = len(knots)
-    rows = np.zeros((k - 2, k))
-    for j in range(1, k - 1):
-        share = (knots[j] - knots[j - 1]) / (knots[j + 1] - knots[j - 1])
-        rows[j - 1, j - 1 : j + 2] = share - 1, 1, -share
+    rows, j = np.zeros((k - 2, k)), np.arange(k - 2)
+    share = (knots[1:-1] - knots[:-2]) / (knots[2:] - knots[:-2])
+    rows[j, j], rows[j, j + 1], rows[j, j + 2] = share - 1, 1, -share
     return rows
 
 
@@ -384,7 +380,8 @@ def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
             break
         solved = finer
     each = np.maximum(floor, expected_noise(segments, solved, noise))
-    return solve(segments, solved.knots, rms_of(each), knots[1::2], np.setdiff1d(solved.knots, knots)), each
+    found = solve(segments, solved.knots, rms_of(each))
+    return replace(found, halves=knots[1::2], added=np.setdiff1d(solved.knots, knots)), each
 
 
 def rms_of(values: Array) -> float:
