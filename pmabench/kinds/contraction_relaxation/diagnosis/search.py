@@ -408,29 +408,28 @@ def explained(search: Search, before: State) -> Rounds:
             now = search.fitted(finer.explanations, finer)
             continue
         if now.excess - best.excess < EXPLAINS * now.excess:
-            together = _together(search, before, now)
-            if together.excess < 0.5 * best.excess and all(plausible(one) for one in together.explanations):
-                best = together
+            best = _together(search, before, now, 0.5 * best.excess) or best
         if best is now:
             break
         tried, now = found, best if best.own_knots else search.fitted(best.explanations, best)
     if now.test.doubted and now is not before:
-        together = _together(search, before, now)
-        if together.excess < (1 - FURTHER) * now.excess and all(plausible(one) for one in together.explanations):
-            now = search.fitted(together.explanations, together)
+        together = _together(search, before, now, (1 - FURTHER) * now.excess)
+        now = now if together is None else search.fitted(together.explanations, together)
     if len(now.explanations) == given + 1 and tried:
         return Rounds(before, now, (_rivals(before, now, now.explanations[-1], tried),))
     return _without_needless(search, before, now)
 
 
-def _together(search: Search, before: State, now: State) -> State:
-    """`now` with all properties of the muscle, in finest forms where one is found already and coarser ones fail."""
+def _together(search: Search, before: State, now: State, limit: float) -> State | None:
+    """`now` with all properties of the muscle, in finest forms where one is found already and coarser ones fail; None
+    where no muscle can be so, or the excess is not below a limit.
+    """
     together, mine = search.all_of_muscle(now), now.explanations[len(before.explanations) :]
     if mine and all(one.of_muscle for one in mine) and together.test.ratio >= STILL_APART * together.test.most_ratio:
         finest = search.finest(before, now)
-        if ALONE * finest.excess < together.excess:
-            return finest
-    return together
+        together = finest if ALONE * finest.excess < together.excess else together
+    sound = together.excess < limit and all(plausible(one) for one in together.explanations)
+    return together if sound else None
 
 
 def _worth(found: State, now: State, first: bool) -> bool:

@@ -30,6 +30,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, HARDLY,
 from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     EXPLAINS,
     STILL_APART,
+    Rivals,
     Rounds,
     Search,
     State,
@@ -345,8 +346,8 @@ class Diagnosis:
             "explanations": [
                 {"cause": one.key, "title": TITLES[one.key], "of": "muscle" if one.of_muscle else "bench",
                  "kind": one.explanation.kind, "which": one.explanation.which, "text": one.text, "size": one.size,
-                 "error": one.error, "sizes": list(one.explanation.sizes), "advice": one.advice, **_rival(self, one)}
-                for one in self.named
+                 "error": one.error, "sizes": list(one.explanation.sizes), "advice": one.advice, **_rival(rival)}
+                for one, rival in zip(self.named, (*(None for _ in self.of_cell), *self.rounds.rivals), strict=True)
             ],
             "K_at": [
                 {"pressure": P, "contraction": x, "force": self.force_at(P, x)}
@@ -362,17 +363,16 @@ class Diagnosis:
         }  # fmt: skip
 
 
-def _rival(diagnosis: Diagnosis, one: Named) -> dict[str, Any]:
-    """The ratio without an explanation of the fit, whether it is the only one, and the next best in its place."""
-    if one not in diagnosis.of_fit:
-        return {"alone": True, "ratio_without": None, "runner_up": None, "runner_up_ratio": None}
-    rival = diagnosis.rounds.rivals[diagnosis.of_fit.index(one)]
-    best = rival.others[0] if rival.others else None
+def _rival(rival: Rivals | None) -> dict[str, Any]:
+    """The ratio without an explanation of the fit, whether it is the only one, and the next best in its place; None for
+    what the weights show.
+    """
+    best = rival.others[0] if rival and rival.others else None
     return {
-        "alone": rival.alone,
-        "ratio_without": rival.before,
-        "runner_up": None if best is None else _title(best),
-        "runner_up_ratio": None if best is None else best.test.ratio,
+        "alone": rival is None or rival.alone,
+        "ratio_without": rival and rival.before,
+        "runner_up": best and _title(best),
+        "runner_up_ratio": best and best.test.ratio,
     }
 
 
