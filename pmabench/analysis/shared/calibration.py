@@ -7,9 +7,10 @@ reading [SI of the channel], and a gain, a share of the reading: true value = (1
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 
+from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import RunData
 
 Sensitivities = Mapping[str, float]
@@ -98,6 +99,13 @@ def of_one_channel(
     causes = [(more, share) for more, share in ((offset, 0.0), (0.0, gain)) if more or share]
     each = [changes(now, values(-more, -share), values(more, share)) for more, share in causes]
     return {name: hypot(*(one[name] for one in each)) for name in now} if each else None
+
+
+def calibrated(e: Estimate, scales: Scales, gains: Sensitivities, offsets: Sensitivities) -> Estimate:
+    """The estimate with its calibration part as in `Scales.part`, or with a note that says what the record lacks."""
+    part = scales.part(gains, offsets)
+    lack = "" if part is not None else scales.lack(gains, offsets)
+    return replace(e, parts=replace(e.parts, calibration=part), note=sentences(e.note, lack))
 
 
 def listed(names: Sequence[str]) -> str:

@@ -66,8 +66,7 @@ def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) ->
     before = e.parts.combined or 0.0
     known = [one for one in known if one.half > NEGLIGIBLE * before]
     rest = hypot(before, *(one.half for one in known if not one.seen))
-    shift, squares = sum(one.half for one in known if one.seen), sum(one.half**2 for one in known if one.seen)
-    more = sqrt((shift**2 + 2 * shift * rest) / squares) if squares else 1.0
+    more = more_than_squares([one.half for one in known if one.seen], rest)
     lines = [Source(one.name, one.part, "B", one.half * (more if one.seen else 1.0)) for one in known]
     if not lines:
         return e
@@ -79,6 +78,14 @@ def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) ->
     base = e.budget or [Source(NAMES[part], part, "A" if part == "repeats" else "B", half) for part, half in named]
     budget = sorted((*base, *lines), key=lambda line: line.half or 0.0, reverse=True)
     return replace(e, parts=Parts(**halves), budget=tuple(budget))
+
+
+def more_than_squares(shifts: Sequence[float], rest: float) -> float:
+    """By how much `shifts` are to be multiplied so that their squares and that of `rest` add up to the square of the
+    sum of them all: a shift goes one way, and adds to a half width as it is.
+    """
+    total, squares = sum(shifts), sum(shift**2 for shift in shifts)
+    return sqrt((total**2 + 2 * total * rest) / squares) if squares else 1.0
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,17 @@ class Samples:
     load: float
     mass: float
 
+    @property
+    def channels(self) -> dict[str, Array]:
+        """Channel -> its samples [SI], of those that were recorded."""
+        found = {"pressure": self.P, "displacement": self.x}
+        return found if self.force is None else {**found, "force": self.force}
+
+    def having(self, channels: Mapping[str, Array]) -> Samples:
+        """The same with other samples of some channels."""
+        P, x = channels.get("pressure", self.P), channels.get("displacement", self.x)
+        return replace(self, P=P, x=x, force=channels.get("force", self.force))
+
 
 @dataclass(frozen=True)
 class Noise:

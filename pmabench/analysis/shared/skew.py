@@ -14,7 +14,7 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import listed, sentences
 from pmabench.analysis.shared.samples import lag_open
-from pmabench.store.analyses.results import Estimate, Finding, Parts
+from pmabench.store.analyses.results import Estimate, Finding, without_value
 from pmabench.store.records import Array, RunData, TrialData
 
 WIDE = 0.25
@@ -83,9 +83,8 @@ def settled(estimate: Estimate, between: str, skew: float) -> Estimate:
     if part <= rest:
         return estimate
     worth = f"worth {part / abs(value):.0%} of it" if value else "worth more than it"
-    note = f"{REFUSED}: {between} may be {milliseconds(skew)} apart, {worth}"
-    note = sentences(note, estimate.note)
-    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=note)
+    why = f"{REFUSED}: {between} may be {milliseconds(skew)} apart, {worth}"
+    return without_value(estimate, sentences(why, estimate.note))
 
 
 def findings(

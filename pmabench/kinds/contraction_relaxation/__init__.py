@@ -7,7 +7,7 @@
 - the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`
 - where asked for: chosen forms over pressure in `joint`; output error in `output_error`
 - by paper 1: `paper1`, made of `paper1_steps`
-- further trials: what they will tell in `predicted`, what is known so far in `known`, the choice in `next_trial`
+- further trials: what they would add in `predicted`, what is known so far in `known`, the choice in `next_trial`
 - protocol files: `protocol`; one trial on the display: `live`
 """
 

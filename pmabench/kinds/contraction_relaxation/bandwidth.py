@@ -27,8 +27,12 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.student import half_width
+from pmabench.analysis.shared.trials import grouped
+from pmabench.analysis.verdict.agreement import weighted
 from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.intervals import NORMAL
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
+from pmabench.kinds.contraction_relaxation.values import aicc
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
 
@@ -50,6 +54,8 @@ class Response:
     times: tuple[float, ...]
     errors: tuple[float, ...]
     rms: float
+    aicc: float
+    """Corrected Akaike criterion."""
 
 
 def response(t: Array, y: Array) -> Response | None:
@@ -58,9 +64,8 @@ def response(t: Array, y: Array) -> Response | None:
     if one is None:
         return None
     two = _fitted(t, y, 2)
-    if two is None or two[1] > one[1] - FALL or two[0].times[2] < float(np.median(np.diff(t))):
-        return one[0]
-    return two[0]
+    needless = two is None or two.aicc > one.aicc - FALL or two.times[2] < float(np.median(np.diff(t)))
+    return one if needless else two
 
 
 def step(since: Array, times: Sequence[float]) -> Array:
@@ -72,8 +77,8 @@ def step(since: Array, times: Sequence[float]) -> Array:
     return np.asarray(1 - (T_1 * np.exp(-s / T_1) - T_2 * np.exp(-s / T_2)) / (T_1 - T_2))
 
 
-def _fitted(t: Array, y: Array, lags: int) -> tuple[Response, float] | None:
-    """Best fit with so many lags and its corrected Akaike criterion; unknowns: end value, dead time, ln lags."""
+def _fitted(t: Array, y: Array, lags: int) -> Response | None:
+    """Best fit with so many lags; unknowns: end value, dead time, ln lags."""
     risen = np.flatnonzero(y > 0.632)
     if len(t) < FEWEST or not len(risen):
         return None
@@ -99,8 +104,7 @@ def _fitted(t: Array, y: Array, lags: int) -> tuple[Response, float] | None:
     slopes = np.array([np.subtract(times(found + by), times(found - by)) / 2e-5 for by in nudges])
     covariance = np.linalg.pinv(slope.T @ slope) * power / (n - p)
     errors = np.sqrt(np.maximum(0.0, np.diag(slopes.T @ covariance @ slopes)))
-    aicc = n * log(power / n) + 2 * p + 2 * p * (p + 1) / (n - p - 1)
-    return Response(values, tuple(float(e) for e in errors), sqrt(power / n)), aicc
+    return Response(values, tuple(errors.tolist()), sqrt(power / n), aicc(power / n, n, p))
 
 
 def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
@@ -137,7 +141,7 @@ def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
     if not found:
         return [], [Finding("note", "the regulator's dead time and lag are not identifiable: no step of the pressure")]
     estimates = [  # intervals at one pressure from the residual
-        _estimate(campaign, place, {"pressure": P}, value, Parts(1.96 * error, 0.0), trials)
+        _estimate(campaign, place, {"pressure": P}, value, Parts(NORMAL * error, 0.0), trials)
         for P, (one, trials) in found.items()
         for place, (value, error) in enumerate(zip(one.times, one.errors, strict=True))
     ]
@@ -191,7 +195,7 @@ def _over_all(
         return []
     values, errors = np.array(mine).T
     mean = float(values.mean())
-    half = 1.96 * float(np.sqrt(np.sum(errors**2))) / len(values)
+    half = NORMAL * float(np.sqrt(np.sum(errors**2))) / len(values)
     reach = float(np.max(np.abs(values - mean)))
     trials = tuple(trial for _, names in found.values() for trial in names)
     low, high = (show(float(end), "time", 3) for end in (values.min(), values.max()))
@@ -214,12 +218,12 @@ def _estimate(
 
 MODEL, STEP = "bandwidth, by coefficients", "bandwidth, by steps"
 LOWEST, HIGHEST = 0.01, 200.0
-"""Where it is looked for [Hz]."""
+"""Range in which a bandwidth is searched [Hz]."""
 LEVEL = sqrt(0.5)
 EXACT = 1e-9
 """It is found within this share of itself, or of the gain [1]."""
 LEAST_STEP = 1e-3
-"""Steps that move less tell nothing of a bandwidth [m]."""
+"""Smallest step that a bandwidth is computed from [m]."""
 NEAR_REST = 0.03
 """Share of a step that it may still move by in the last fifth of its hold."""
 SHIFT = 1e-3
@@ -228,7 +232,7 @@ TOGETHER = 0.01
 
 
 def crossing(gain: Callable[[Array], Array]) -> float | None:
-    """Lowest frequency [Hz] from which on |G| is below 1/sqrt(2); None where it is not looked for."""
+    """Lowest frequency [Hz] from which on |G| is below 1/sqrt(2); None where that is outside the range."""
     f = np.geomspace(LOWEST, HIGHEST, 120)
     for first in range(0, len(f), 12):
         below = first + np.flatnonzero(gain(f[first : first + 12]) < LEVEL)
@@ -251,7 +255,7 @@ def crossing(gain: Callable[[Array], Array]) -> float | None:
 
 
 def of_model(K: float, B: float, M: float, lags: Sequence[float]) -> float | None:
-    """Bandwidth [Hz] with K [N/m], B [N.s/m], M [kg] and the regulator's lags [s]; None where it is not looked for.
+    """Bandwidth [Hz] with K [N/m], B [N.s/m], M [kg] and the regulator's lags [s]; None outside the range.
 
     With w = omega^2, |G|^2 = 1/2 where prod(1 + T_i^2 w) ((K - M w)^2 + B^2 w) = 2 K^2: the lowest root above 0.
     """
@@ -285,8 +289,9 @@ def of_step(t: Array, y: Array) -> float | None:
 def estimates(campaign: Campaign, found: Sequence[Estimate], responses: dict[float, Response]) -> list[Estimate]:
     """f_b [Hz] at each tested pressure with the least and the largest load, by the coefficients and by steps.
 
-    `found` are the primary method's estimates. Method part: what B_c and B_r are apart is worth, beside what the parts
-    of K and B are; of steps, half the difference of the gain with and without their last fifth.
+    `found` are the primary method's estimates. Method part: half the
+    difference between the bandwidths with B_c and with B_r, next to the method parts of K and B; of steps, half the
+    difference of the bandwidths with and without their last fifth.
     """
     loads = sorted({sample.load for sample in campaign.samples})
     chosen = list(dict.fromkeys((loads[0], loads[-1])))
@@ -318,24 +323,11 @@ def _by_coefficients(
         change(K, B, [T * (1 + SHIFT * (i == j)) for j, T in enumerate(lags)]) / (SHIFT * lag)
         for i, lag in enumerate(lags)
     ]
-    slopes = (by_K, by_B, by_B)
-
-    def part(name: str) -> float | None:
-        values = [getattr(e.parts, name) for e in known]
-        if any(v is None for v in values):
-            return None
-        return hypot(*(slope * v for slope, v in zip(slopes, values, strict=True)))
-
-    repeats = part("repeats")
-    times = hypot(*(slope * 1.96 * error for slope, error in zip(by_lag, response.errors[1:], strict=True)))
+    parts = weighted(list(zip(known, (by_K, by_B, by_B), strict=True)), "f_b").parts
+    times = hypot(*(slope * NORMAL * error for slope, error in zip(by_lag, response.errors[1:], strict=True)))
     apart = 0.5 * abs(change(K, B_c, lags) - change(K, B_r, lags))
-    parts = Parts(
-        None if repeats is None else hypot(repeats, times),
-        hypot(part("method") or 0.0, apart),
-        part("calibration"),
-        part("skew") or 0.0,
-        part("drift") or 0.0,
-    )
+    repeats = None if parts.repeats is None else hypot(parts.repeats, times)
+    parts = replace(parts, repeats=repeats, method=hypot(parts.method or 0.0, apart))
     note = f"K, (B_c + B_r)/2, M {M:.3g} kg, regulator {' and '.join(show(T, 'time', 3) for T in lags)}"
     names = tuple(dict.fromkeys(name for e in known for name in e.trials))
     at = {"pressure": P, "load": load}
@@ -376,11 +368,9 @@ def _scatter(groups: Mapping[float, Sequence[tuple[str, float, float, float]]]) 
 
     Two repeats agree by chance; all pairs of a campaign do not.
     """
-    like: dict[tuple[float, float], list[float]] = {}
-    for target, rows in groups.items():
-        for _, by, value, _ in rows:
-            like.setdefault((target, round(by, -2)), []).append(value)
-    off = [np.array(values) / np.mean(values) - 1 for values in like.values()]
+    steps = [(target, round(by, -2), value) for target, rows in groups.items() for _, by, value, _ in rows]
+    like = [np.array([value for *_, value in alike]) for alike in grouped(steps, lambda one: one[:2]).values()]
+    off = [values / values.mean() - 1 for values in like]
     freedom = sum(len(one) - 1 for one in off)
     return (sqrt(sum(float(one @ one) for one in off) / freedom) if freedom else 0.0), freedom
 

@@ -10,7 +10,7 @@ shown of the fit: findings, facts, overlays. Knows the pooled fit; fits nothing,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from math import inf, nan, sqrt
@@ -24,10 +24,17 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TO_TELL
-from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled, bootstrap
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, inverse_of, place, prior_of, rms_of, spread
+from pmabench.kinds.contraction_relaxation.pooled import (
+    SYMBOLS,
+    inverse_of,
+    least_squares,
+    levers,
+    place,
+    rms_of,
+    spread,
+    without_each,
+)
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Campaign, Gate, Segments, strokes, velocity
 from pmabench.kinds.contraction_relaxation.values import WIDE
 from pmabench.store.analyses.results import Estimate, Finding, Trace
@@ -192,12 +199,11 @@ def _identified(pooled: Pooled) -> tuple[Array, Array]:
     the scatter that is left to it, shape (4, n) in the order of `SYMBOLS`.
     """
     solved = pooled.fit
-    k = len(solved.knots)
     P = np.linspace(solved.knots[0], solved.knots[-1], 256)
-    hats = spread(place(P[:, None], solved.knots), np.ones((len(P), 1)), k)
+    hats = spread(place(P[:, None], solved.knots), np.ones((len(P), 1)), len(solved.knots))
     found = []
     for symbol in SYMBOLS:
-        mine = slice(solved.index(symbol), solved.index(symbol) + k)
+        mine = solved.columns(symbol)
         half = NORMAL * np.sqrt(np.maximum(0.0, np.sum(hats @ pooled.trust.covariance[mine, mine] * hats, axis=1)))
         size = float(np.median(np.abs(solved.theta[mine])))
         found.append(half <= WIDE * np.maximum(np.abs(hats @ solved.theta[mine]), size))
@@ -213,7 +219,7 @@ def _thinned(P: Array) -> Array:
 
 
 FEWEST = 3
-"""Fewest loads for one to be left out: two others tell F_ce from K."""
+"""Fewest loads for one to be left out: two others separate F_ce from K."""
 ENOUGH = 20
 """Fewest segments of a load or a direction."""
 WORSE = 2.0
@@ -235,28 +241,27 @@ def _level(error: float, residual: float, size: float) -> str:
 
 
 def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
-    """Each load predicted by a fit to all others, where these tell what it will be; the worst of them counts.
+    """Each load predicted by a fit to all others, where these determine it; the worst of them counts.
 
     The error is the rms of the residuals of the segments whose prediction is as sure as one segment is.
     """
     segments, fit = pooled.segments, pooled.fit
     loads = np.array([round(samples.load, 2) for samples in campaign.samples])[segments.trial]
-    prior = prior_of(segments, fit.design, fit.knots, pooled.expected)
-    normal = fit.design.T @ fit.design + prior.T @ prior
-    right = fit.design.T @ segments.force
+    each = np.unique(loads)
+    if len(each) < FEWEST:
+        return None
+    without = without_each(fit.design, segments.force, fit.prior(segments, pooled.expected), [loads == n for n in each])
     errors: dict[float, float] = {}
-    for load in np.unique(loads) if len(np.unique(loads)) >= FEWEST else ():
+    for load, (inverse, theta) in zip(each, without, strict=True):
         design, force = fit.design[loads == load], segments.force[loads == load]
-        inverse = inverse_of(normal - design.T @ design)
-        theta = inverse @ (right - design.T @ force)
-        sure = _variance(design, inverse) <= 1.0
+        sure = levers(design, inverse) <= 1.0
         if sure.sum() >= ENOUGH:
             errors[float(load)] = rms_of(force[sure] - design[sure] @ theta)
     if not errors:
         return None
     worst = max(errors, key=lambda load: errors[load])
     text = (
-        f"loads predicted by a fit to all others, {len(errors)} of {len(np.unique(loads))}: within "
+        f"loads predicted by a fit to all others, {len(errors)} of {len(each)}: within "
         f"{show(errors[worst], 'force', 2)} rms, worst at {show(worst, 'force', 4)}, "
         f"{100 * errors[worst] / size:.2g} % of the largest; "
         f"the residual of the fit to all is {show(fit.rms, 'force', 2)}"
@@ -278,17 +283,17 @@ def _other_direction(pooled: Pooled, size: float) -> Check | None:
     up, down = segments.way > 0, segments.way < 0
     if min(up.sum(), down.sum()) < ENOUGH:
         return None
-    prior = prior_of(segments, fit.design, fit.knots, pooled.expected)
+    prior = fit.prior(segments, pooled.expected)
     design = fit.design[up, theirs]
     inverse = inverse_of(design.T @ design + prior[:, theirs].T @ prior[:, theirs])
     alone = inverse @ (design.T @ segments.force[up])
     rows = np.flatnonzero(down)
-    rows = rows[_variance(fit.design[rows, both], inverse[both, both]) <= 1.0]
+    rows = rows[levers(fit.design[rows, both], inverse[both, both]) <= 1.0]
     if len(rows) < ENOUGH:
         return None
     target = segments.force[rows] - fit.design[rows, both] @ alone[both]
     design = fit.design[np.ix_(rows, own)]
-    free = _solved(design, target, prior[:, own])
+    free = least_squares(design, target, prior[:, own])
     error = rms_of(target - design @ free)
     level = _level(error, fit.rms, size)
     text = (
@@ -301,24 +306,14 @@ def _other_direction(pooled: Pooled, size: float) -> Check | None:
     return Check("other_direction", error / size, "ratio", level, text)
 
 
-def _variance(design: Array, inverse: Array) -> Array:
-    """Variance of a prediction by that of one segment; shape (n,)."""
-    return np.asarray(np.sum(design @ inverse * design, axis=1))
-
-
-def _solved(design: Array, target: Array, prior: Array) -> Array:
-    both = np.vstack([design, prior])
-    return np.asarray(np.linalg.lstsq(both, np.concatenate((target, np.zeros(len(prior)))), rcond=None)[0])
-
-
 def _friction(pooled: Pooled, size: float) -> Check | None:
     """Residual by the sign of the velocity: without the Coulomb term, and what is left of it with it."""
     segments, fit = pooled.segments, pooled.fit
     if not fit.friction:
         return None
     design = fit.design[:, :-1]
-    prior = prior_of(segments, fit.design, fit.knots, pooled.expected)[:, :-1]
-    theta = _solved(design, segments.force, prior)
+    prior = fit.prior(segments, pooled.expected)[:, :-1]
+    theta = least_squares(design, segments.force, prior)
     without = rms_of(segments.force - design @ theta)
     left = max(abs(float(fit.residual[rows].mean())) for rows in _groups(segments))
     needed = without > WORSE * fit.rms
@@ -375,107 +370,38 @@ def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[s
     }
 
 
-def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) -> list[Finding]:
+def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) -> Iterator[Finding]:
     """Adequacy of the model, what could not be identified, and how trials scatter."""
-    rms, expected = pooled.fit.rms, pooled.expected
+    rms, expected, trust = pooled.fit.rms, pooled.expected, pooled.trust
     size = f"residual {show(rms, 'force', 2)} rms over {len(pooled.segments)} segments"
     if rms > MISFIT * expected:
         text = (
             f"{size}, {rms / expected:.2g} times what the noise explains ({show(expected, 'force', 2)}): the model does"
             " not have the form of this muscle, the pressure is not that inside it, or trials differ by themselves"
         )
-        lines = [Finding("doubt", text)]
+        yield Finding("doubt", text)
     else:
-        lines = [Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")]
-    lines += [*_of_the_form(campaign, pooled), *_of_the_weights(pooled)]
+        yield Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")
+    yield from pooled.diagnosis.findings(pooled.fit, trust)
     if not campaign.cell:
         text = "no load cell: F_L is the weight, and M x'' of the moving mass; both are taken as exact, M is not fitted"
         if any("mass" not in trial.point for trial in campaign.trials):
             text += f"; where a trial names no moving mass, {show(ASSUMED_MASS, 'mass')} is taken"
-        lines.append(Finding("note", text))
-    lack = Scales.of(campaign.runs).lack(campaign.channels)
-    if lack:
-        lines.append(Finding("note", lack))
+        yield Finding("note", text)
+    if lack := Scales.of(campaign.runs).lack(campaign.channels):
+        yield Finding("note", lack)
     if not pooled.fit.friction:
-        lines.append(Finding("doubt", "all samples move one way: F_ce carries the friction"))
-    for symbol in ("F_ce", "K", "B_c", "B_r"):
-        none = [e.at["pressure"] for e in estimates if e.symbol == symbol and e.value is None]
+        yield Finding("doubt", "all samples move one way: F_ce carries the friction")
+    for symbol in SYMBOLS:
+        none = [show(e.at["pressure"], "pressure", 4) for e in estimates if e.symbol == symbol and e.value is None]
         if none:
-            places = ", ".join(show(P, "pressure", 4) for P in none)
-            lines.append(Finding("note", f"{symbol} is not identifiable at {places}"))
-    trust = pooled.trust
+            yield Finding("note", f"{symbol} is not identifiable at {', '.join(none)}")
     uneven = [symbol for symbol, value in trust.excess.items() if value > UNEVEN]
     if uneven:
         between = "repeats of a cell scatter" if trust.within else "trials scatter about the fit"
-        lines.append(Finding("note", f"{between} more than the noise explains ({', '.join(uneven)}); intervals follow"))
+        yield Finding("note", f"{between} more than the noise explains ({', '.join(uneven)}); intervals follow")
     if not trust.within:
-        lines.append(
-            Finding("note", "hardly a cell is repeated: the repeats part rests on noise and on the fit's residual")
-        )
-    return lines
-
-
-def _of_the_form(campaign: Campaign, pooled: Pooled) -> list[Finding]:
-    """What the tests of the form say, what was found and corrected, and what to look at."""
-    found = pooled.diagnosis
-    if found.reason:
-        return [Finding("doubt", f"form: {found.reason}")]
-    lines = []
-    for one in found.named:
-        of = "property of the muscle" if one.of_muscle else "fault of the bench"
-        lines.append(Finding("doubt", f"diagnosis, {of}: {one.text}; corrected. Advice: {one.advice}"))
-    if found.named:
-        middle = campaign.tested[len(campaign.tested) // 2]
-        which = f"; {found.between}" if found.between else ""
-        lines.append(
-            Finding("note", f"diagnosis: {_rivals(pooled)}corrected, {found.effect(pooled.fit, middle)}{which}")
-        )
-    text = (
-        f"form: {found.missed} {found.ratio:.3g} times what the noise allows, residuals of neighbouring segments agree "
-        f"by {found.rounds.after.test.alike:.2g} of the noise"
-    )
-    if found.hidden.found:
-        more = f"but it fits that {found.fits}. {found.hidden.moved}; it is a line of each interval"
-        return [*lines, Finding("doubt", f"{text}; {more}")]
-    count = len(found.hidden.sizes)
-    return [*lines, Finding("note", f"{text}; no departure of {count} moves a coefficient beyond its interval")]
-
-
-def _rivals(pooled: Pooled) -> str:
-    """What the form was missed by before, and the runner-up of each explanation, in words."""
-    rounds = pooled.diagnosis.rounds
-    if not rounds.rivals:
-        return ""
-    parts = [f"missed by {rounds.before.test.ratio:.3g} times the noise before, {rounds.after.test.ratio:.3g} after"]
-    for facts in pooled.diagnosis.facts["explanations"]:
-        if facts["runner_up"]:
-            parts.append(f"next best to {facts['title']} is {facts['runner_up']}, {facts['runner_up_ratio']:.3g}")
-    return f"{'; '.join(parts)}; "
-
-
-def _of_the_weights(pooled: Pooled) -> list[Finding]:
-    """Where the force cell and the weights that hang on it contradict each other."""
-    seen, weighed = {one.name for one in pooled.trust.hides if one.seen}, pooled.diagnosis.weighed
-    lines = []
-    if weighed.guide:
-        text = f"a guide between cell and weights rubs by about {show(weighed.guide, 'force', 2)}: after the way down"
-        lines.append(Finding("note", f"{text} the cell reads twice that less than after the way up. F_c is without it"))
-    for name, found, quantity in ((GAIN, weighed.gain, "ratio"), (ZERO, weighed.offset, "force")):
-        if name in seen and found is not None:
-            size, unsure = (show(abs(value), quantity, 2) for value in (found[0], 2 * found[1]))
-            way = "more" if found[0] > 0 else "less"
-            text = f"{name}: it reads {size} {way} than they weigh, +- {unsure}, which its calibration does not allow"
-            text += ": one of them is wrong, and the intervals hold both"
-            if weighed.guide is None and found[0] > 0:
-                text += f"; or a guide between them rubs. To know, {TO_TELL}"
-            lines.append(Finding("doubt", text))
-    if weighed.wrong is not None:
-        load, off, error = weighed.wrong
-        size, unsure = (show(value, "force", 2) for value in (abs(off), 2 * error))
-        way = "more" if off > 0 else "less"
-        text = f"the weight of {show(load, 'force', 4)} is {size} {way} by the force cell, +- {unsure}"
-        lines.append(Finding("doubt", f"{text}; the others agree. Weigh it; no value of the fit rests on its mark"))
-    return lines
+        yield Finding("note", "hardly a cell is repeated: the repeats part rests on noise and on the fit's residual")
 
 
 def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:
@@ -515,21 +441,28 @@ def overlays(campaign: Campaign, runs: Sequence[FreeRun]) -> tuple[Trace, ...]:
     picks = dict.fromkeys(round(i) for i in np.linspace(0, len(runs) - 1, SHOWN)) if runs else ()
     traces = []
     for run in (runs[i] for i in picks):
-        load, P_trial = campaign.samples[run.number].load, campaign.trials[run.number].point["pressure"]
-        stride = -(-len(run.t) // LONGEST_TRACE)
-        traces.append(
-            Trace(
-                name=f"overlay-{P_trial / 1e3:.0f}kPa-{load:.0f}N-{run.number}",
-                figure="overlay",
-                title=f"{show(P_trial, 'pressure', 4)}, {show(load, 'force', 4)}: measured and fitted muscle",
-                columns={
-                    "t": (run.t - run.t[0])[::stride],
-                    "pressure": run.P[::stride],
-                    "displacement": run.x[::stride],
-                    "model": run.model[::stride],
-                },
-                quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
-                marks={"pressure": P_trial, "load": load},
-            )
-        )
+        load, P = campaign.samples[run.number].load, campaign.trials[run.number].point["pressure"]
+        name = f"overlay-{P / 1e3:.0f}kPa-{load:.0f}N-{run.number}"
+        title = f"{show(P, 'pressure', 4)}, {show(load, 'force', 4)}: measured and fitted muscle"
+        traces.append(overlay(name, "overlay", title, (run.t, run.P, run.x, run.model), P, load))
     return tuple(traces)
+
+
+def overlay(
+    name: str, figure: str, title: str, columns: tuple[Array, Array, Array, Array], P: float, load: float
+) -> Trace:
+    """Measured and modelled contraction of a trial at P [Pa] with a load [N].
+
+    `columns` are time [s], pressure [Pa], measured and modelled contraction [m], all samples.
+    """
+    thin = slice(None, None, -(-len(columns[0]) // LONGEST_TRACE))
+    t, *others = columns
+    names = ("pressure", "displacement", "model")
+    return Trace(
+        name=name,
+        figure=figure,
+        title=title,
+        columns={"t": (t - t[0])[thin], **{one: values[thin] for one, values in zip(names, others, strict=True)}},
+        quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
+        marks={"pressure": P, "load": load},
+    )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared import skew
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.calibration import Scales, calibrated, sentences
 from pmabench.analysis.shared.samples import KINDS, Samples, dead_times
 from pmabench.analysis.shared.student import half_width, mean_over
 from pmabench.base.quantities import show
@@ -23,7 +23,7 @@ from pmabench.kinds.contraction_relaxation.bandwidth import responses
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
 from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, biases, curve, with_bias
-from pmabench.store.analyses.results import Estimate, Finding, Parts
+from pmabench.store.analyses.results import Estimate, Finding, Parts, without_value
 from pmabench.store.records import Array, TrialData
 
 LEAST_STEP = 0.2e-3
@@ -302,9 +302,7 @@ def _calibrated(raw: Sequence[_Raw], scales: Scales) -> list[Estimate]:
             gains["pressure"] = offsets["pressure"] * e.at["pressure"]
         else:
             alone = "calibration part without that of the pressure: one pressure only"
-        part = scales.part(gains, offsets)
-        lack = "" if part is not None else scales.lack(gains, offsets)
-        result.append(replace(e, parts=replace(e.parts, calibration=part), note=sentences(e.note, alone, lack)))
+        result.append(calibrated(replace(e, note=sentences(e.note, alone)), scales, gains, offsets))
     return result
 
 
@@ -318,7 +316,7 @@ def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], float |
         return replace(estimate, note=sentences(estimate.note, note))
     if known is None or estimate.value is None:
         note = "the pressure is taken for a step, and measured-pressure gives no value to hold that against"
-        return replace(estimate, value=None, parts=Parts(), note=note)
+        return without_value(estimate, note)
     return with_bias(estimate, known)
 
 
@@ -379,16 +377,12 @@ def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Seque
     over = "the loads" if at else "loads and pressures" if motion else "the pressures"
     note = _spread(over, ends) if len(set(conditions)) > 1 else ""
     reach = max(ends[1] - mean, mean - ends[0])
-    between, skewed = _between(campaign, kind)
+    if kind == "pressure-to-motion":
+        between, skewed = "pressure and displacement", skew.apart(campaign.runs, ("pressure", "displacement"))
+    else:
+        channel = "displacement" if motion else "pressure"
+        between, skewed = f"command and {channel}", skew.off(campaign.runs, channel)
     parts = Parts(half, hypot(0.5 / campaign.rate, reach), 0.0, skewed)
     note, names = sentences(ONCE if half is None else "", note), tuple(map(campaign.name, numbers))
     found = Estimate("t_d", mean, "s", "time", ONSET, at, parts, len(group), note=note, trials=names, coordinate=kind)
     return skew.settled(found, between, skewed)
-
-
-def _between(campaign: Campaign, kind: str) -> tuple[str, float]:
-    """What a kind of dead time lies between, and how far their clocks may be apart [s]."""
-    if kind == "pressure-to-motion":
-        return "pressure and displacement", skew.apart(campaign.runs, ("pressure", "displacement"))
-    channel = "displacement" if kind.endswith("motion") else "pressure"
-    return f"command and {channel}", skew.off(campaign.runs, channel)

@@ -4,8 +4,8 @@
 where trials scatter more than that. *Method*: what replays of the fitted muscle come back with. *Calibration*: the fit
 once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: of the
 specimen by its reference trials, of a zero by the check at the end of a run, and by what is read at rest before each
-trial. Nobody knows what drifted in a specimen whose stroke did: its compliance or its force; nor when a zero went. Each
-cause is fitted both ways, the larger counts. A `Source` each, which add up to the parts.
+trial. Where the stroke of a specimen drifted, its compliance or its force may have; and a zero may have drifted at any
+time. So each cause is fitted both ways, and the larger change counts. Each is a `Source`; together they are the parts.
 
 A check of the repeats part, which is the limit of many draws, by what the draws themselves say. Of n trials n - 1 are
 drawn and weigh n / (n - 1), or a draw from two would scatter by a half too little (Rao and Wu 1988, J. Am. Stat. Assoc.
@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.imported import in_time
-from pmabench.analysis.shared import student
+from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import Noise, Samples
+from pmabench.analysis.shared.form import more_than_squares
+from pmabench.analysis.shared.samples import Noise
 from pmabench.analysis.shared.simulated import Stretches
 from pmabench.analysis.shared.trials import compared
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, rms_of
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, rms_of
+from pmabench.kinds.contraction_relaxation.segments import CHANNELS, Campaign, Segments, resting
 from pmabench.store.analyses.results import Parts, Source
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -43,76 +44,82 @@ NO_CHECK = "the record tells no zero at the end"
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """One cause of drift: change of theta when it is taken away, shape (ways, p), or why that is not known."""
+    """What may be off, and what that changes theta by."""
 
     name: str
+    """As in the budget."""
+    part: str
+    """Field of `Parts` that it belongs to."""
     ways: Array | None
+    """Change of theta by each way that it may go, shape (m, p); None where it is not known, and `note` says why."""
     note: str = ""
+    likely: Array | None = None
+    """Probability of each way, shape (m,); what is missing to 1 is that of none. None: the worst one counts."""
+    seen: bool = False
+    """It is significant: then it shifts the value one way, and adds to the half width as it is, not as a square."""
+    kind: str = "B"
+    """As in `Source`."""
+
+    def source(self, combination: Array) -> Source:
+        """The line in the budget of a linear combination (p,) of the coefficients."""
+        half = None
+        if self.ways is not None:
+            changes = self.ways @ combination
+            worst = float(np.max(np.abs(changes), initial=0.0))
+            half = worst if self.likely is None else sqrt(float(changes**2 @ self.likely))
+        return Source(self.name, self.part, self.kind, half, self.note)
 
 
-def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: str, known: float) -> Array:
+def at_rest(campaign: Campaign, channel: str, known: float) -> Array:
     """What a channel reads before the first command of each trial, less the first, and less the median [SI], as far as
     noise and a zero that its calibration leaves open, `known` [SI], do not make it; shape (2, trials), 0 where nothing
     was recorded then.
     """
-    found, noise = np.full(len(trials), np.nan), np.full(len(trials), np.nan)
-    for i, (trial, one) in enumerate(zip(trials, samples, strict=True)):
-        times = [c.t for c in trial.commands if c.output == "pressure"]
-        rest = one.ok & (one.t < min(times, default=-np.inf))
+    found, noise = np.full((2, len(campaign.trials)), np.nan)
+    for i, (trial, one) in enumerate(zip(campaign.trials, campaign.samples, strict=True)):
+        rest = resting(one, trial)
         if rest.sum() > 1:
-            values = (one.P if channel == "pressure" else one.x)[rest]
+            values = one.channels[channel][rest]
             found[i], noise[i] = float(np.mean(values)), float(np.var(values, ddof=1)) / len(values)
     read = np.flatnonzero(np.isfinite(found))
     if len(read) < 2:
-        return np.zeros((2, len(trials)))
+        return np.zeros((2, len(found)))
     seen = float(np.var(found[read], ddof=1))
     share = np.sqrt(max(0.0, 1.0 - float(np.mean(noise[read])) / max(seen, 1e-300)))
-    first = read[np.argmin([float(samples[i].t[0]) for i in read.tolist()])]
+    first = read[np.argmin([float(campaign.samples[i].t[0]) for i in read.tolist()])]
     off = share * np.nan_to_num(found - np.array([[found[first]], [np.median(found[read])]]))
     return np.asarray(off - np.clip(off, -known, known))
 
 
 def drifts_of(
-    runs: Sequence[RunData], trials: Sequence[TrialData], channels: Sequence[str], segments: Segments, fit: Solved,
-    noise: float, rests: Mapping[str, Array],
-) -> tuple[Cause, ...]:  # fmt: skip
-    """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `again`, and `rests`
-    what channels read `at_rest`.
-    """
-
-    def change(other: Segments, begun: Solved = fit) -> Array:
-        return np.asarray(begun.again(other, noise).theta - fit.theta)
+    campaign: Campaign, segments: Segments, fit: Fit, noise: float, rests: Mapping[str, Array]
+) -> Iterator[Cause]:
+    """All causes of drift of a fit to `segments`; `noise` [N] as in `again`, `rests` what channels read `at_rest`."""
 
     def zeros(channel: str, each: Iterable[Array]) -> Array:
         """Change by a zero that is off by each of these [SI], (n,)."""
-        moved = [
-            change(
-                segments.shifted(channel, 0.0, by),
-                fit.followed(0.0, float(np.mean(by))) if channel == "pressure" else fit,
-            )
-            for by in each
-        ]
-        return np.array(moved).reshape(-1, len(fit.theta))
+        ways = [_off(segments, fit, channel, 0.0, by, noise) - fit.theta for by in each]
+        return np.array(ways).reshape(-1, len(fit.theta))
 
-    off = _specimen(runs, trials)
+    off = _specimen(campaign.runs, campaign.trials)
     if off is None:
-        found = [Cause(SPECIMEN, None, NO_REFERENCE)]
+        yield Cause(SPECIMEN, "drift", None, NO_REFERENCE)
     else:
         each = off[segments.trial]
         shrunk = replace(segments, x=segments.x / (1 + each)[:, None], v=segments.v / (1 + each)[:, None])
         pull = fit.values("F_ce", segments.pressure)
-        # a stroke is (F_ce - F_L) / K: by a share of it F_ce went by that share of what is above the load
+        # the stroke is (F_ce - F_L) / K: its relative change is a change of F_ce by that share of F_ce - F_L
         weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
-        found = [Cause(SPECIMEN, np.array([change(shrunk), change(weaker)]))]
+        changes = [fit.again(other, noise).theta - fit.theta for other in (shrunk, weaker)]
+        yield Cause(SPECIMEN, "drift", np.array(changes))
     for channel, rest in rests.items():
         ways = zeros(channel, (by for by in -rest[:, segments.trial] if by.any()))
-        found.append(Cause(f"zero of {channel} from trial to trial", ways))
-    for channel in channels:
+        yield Cause(f"zero of {channel} from trial to trial", "drift", ways)
+    for channel in campaign.channels:
         if channel != "displacement":  # nobody knows of its zero: the specimen keeps it
-            ends = _zero_ends(runs, trials, channel)
+            ends = _zero_ends(campaign.runs, campaign.trials, channel)
             ways_of = None if ends is None else zeros(channel, (-by[segments.trial] for by in ends))
-            found.append(Cause(f"drift of the zero of {channel}", ways_of, NO_CHECK if ends is None else ""))
-    return tuple(found)
+            yield Cause(f"drift of the zero of {channel}", "drift", ways_of, NO_CHECK if ends is None else "")
 
 
 def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | None:
@@ -135,18 +142,11 @@ def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | N
 
 def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: str) -> tuple[Array, Array] | None:
     """What a zero was off by at the end of each trial's run [SI], all the time, and growing evenly; (trials,) each."""
-    whole, growing = np.zeros(len(trials)), np.zeros(len(trials))
-    referenced = False
-    for run in runs:
-        end = next(zero_drifts(run, channel), None)
-        mine = np.array([trial.run == run.id for trial in trials])
-        if end is None or not mine.any():
-            continue
-        referenced = True
-        begins = np.array([float(trial.t[0]) for trial in trials])[mine]
-        whole[mine] = end
-        growing[mine] = end * (begins - begins.min()) / max(float(np.ptp(begins)), 1e-9)
-    return (whole, growing) if referenced else None
+    ends = {run.id: end for run in runs if (end := next(zero_drifts(run, channel), None)) is not None}
+    if not any(trial.run in ends for trial in trials):
+        return None
+    whole = np.array([ends.get(trial.run, 0.0) for trial in trials])
+    return whole, whole * 0.5 * (1 + skew.courses(trials)[1])
 
 
 def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
@@ -161,31 +161,10 @@ def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
 
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
-CHANNELS = ("pressure", "displacement", "force")
 SCATTER = "noise, and scatter between trials"
 NO_UNCERTAINTY = "the record tells no uncertainty"
 FEW = 10
-"""With fewer repetitions than this in all, scatter is taken between all trials instead of within cells."""
-
-
-@dataclass(frozen=True, eq=False)
-class Hiding:
-    """A departure from the form that the data do not exclude: one of its ways is there, or none."""
-
-    name: str
-    part: str
-    """Field of `Parts` that it belongs to."""
-    change: Array
-    """Change of theta by each way at the largest size that could hide, shape (p, ways)."""
-    likely: Array
-    """How likely each way is by the data, shape (ways,); they add up to less than 1, the rest is that none is there."""
-
-    seen: bool
-    """It is significant: then it shifts the value one way, and adds to the half width of all else as it is."""
-
-    def half(self, combination: Array) -> float:
-        """Root of the mean square change of a linear combination (p,) over the ways."""
-        return sqrt(float((combination @ self.change) ** 2 @ self.likely))
+"""With fewer repetitions in all, the scatter is that between all trials and not that within cells."""
 
 
 CORRECTED = "correction"
@@ -196,9 +175,9 @@ class Correction:
     """What corrected samples owe to their correction."""
 
     changes: Array
-    """Of theta, the part of each of its steps that may be wrong; shape (m, p)."""
+    """Change of theta by the part of each step of the correction that may be wrong; shape (m, p)."""
     spreads: tuple[Array, ...]
-    """Covariances of theta, sizes of the correction among what is found anew, by loads and by trials; (p, p) each."""
+    """Covariances of theta by leaving out loads and trials, sizes of the correction found anew; (p, p) each."""
     others: Array
     """Change of theta by each other explanation in place of the one that was taken, shape (m, p)."""
     factor: float
@@ -223,29 +202,19 @@ class Trust:
     """For the repeats part, shape (p, p)."""
     steps: Mapping[str, Array]
     """The part of it that the steps of a channel's values make, shape (p, p) each."""
-    mean_error: Array
-    """Half width of the mean bias of the replays."""
-    form: Array
-    """What straight lines between the knots leave of a bend."""
-    shifts: Mapping[str, Array]
-    """Change of theta by each cause of calibration error at its 95 % bound."""
-    unknown: tuple[str, ...]
-    """Channels of whose calibration the record tells nothing."""
+    causes: tuple[Cause, ...]
+    """Of all other parts but that of the clocks."""
     skews: Array
     """Change of theta by the clock of each stream at its bound, shape (clocks, courses, p); (0, 0, p) for one."""
-    drifts: tuple[Cause, ...]
     excess: Mapping[str, float]
     """Scatter between trials by the scatter from noise, as variance ratio, for each symbol."""
     within: bool
     """True where that scatter is within cells, between repeats."""
-    hides: tuple[Hiding, ...] = ()
-    """Departures from the form that could hide."""
     correction: Correction | None = None
 
     def parts(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float]:
         """Interval parts and bias of a linear combination (p,) of the coefficients."""
-        parts, bias, _ = self.budget(combination, extra_method)
-        return parts, bias
+        return self.budget(combination, extra_method)[:2]
 
     def budget(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float, tuple[Source, ...]]:
         """The same, and every source behind them, largest first."""
@@ -253,45 +222,26 @@ class Trust:
         if self.correction is not None:
             variance = max(variance, self.correction.variance(combination))
         steps = {name: max(0.0, float(combination @ part @ combination)) for name, part in self.steps.items()}
-        unsure = float(np.linalg.norm(combination * self.mean_error))
-        shifts = {name: abs(float(shift @ combination)) for name, shift in self.shifts.items()}
         shrink = min(1.0, variance / max(1e-300, sum(steps.values())))
-        bias = float(combination @ self.bias)
         found = [
             Source(SCATTER, "repeats", "A", NORMAL * sqrt(max(0.0, variance - shrink * sum(steps.values())))),
             *(Source(f"steps of {name}", "repeats", "B", NORMAL * sqrt(shrink * v)) for name, v in steps.items()),
-            Source("bias of the fit, taken off", "method", "B", abs(bias)),
-            Source("how few replays tell the bias", "method", "A", unsure),
-            Source("straight lines between pressures", "method", "B", abs(float(combination @ self.form))),
             *([Source("steps of the replays", "method", "B", extra_method)] if extra_method else ()),
-            *(Source(f"calibration of {n}", "calibration", "B", half) for n, half in shifts.items()),
-            *(Source(f"calibration of {n}", "calibration", "B", None, NO_UNCERTAINTY) for n in self.unknown),
-            *(_drift(cause, combination) for cause in self.drifts),
-            *(Source(one.name, one.part, "B", one.half(combination)) for one in self.hides if not one.seen),
+            *(one.source(combination) for one in self.causes if not one.seen),
             Source("regulator", "method", "B", 0.0, "the fit is driven by the pressure that was measured"),
         ]  # fmt: skip
         if self.correction is not None:
             found.append(Source(CORRECTED, "method", "B", self.correction.half(combination)))
         if len(self.skews):
-            skew = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
-            found.append(Source("time between the streams", "skew", "B", skew))
-        found += self._shifts(combination, parts_of(found).combined or 0.0)
+            apart = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
+            found.append(Source("time between the streams", "skew", "B", apart))
+        seen = [one.source(combination) for one in self.causes if one.seen]
+        more = more_than_squares([one.half or 0.0 for one in seen], parts_of(found).combined or 0.0)
+        found += [replace(one, half=more * (one.half or 0.0)) for one in seen]
         if self.correction is not None:
             found = [replace(s, half=None if s.half is None else self.correction.factor * s.half) for s in found]
         found.sort(key=lambda source: -1.0 if source.half is None else source.half, reverse=True)
-        return parts_of(found), bias, tuple(found)
-
-    def _shifts(self, combination: Array, rest: float) -> list[Source]:
-        """Lines of significant departures, such that all squares add up to `rest` and the sizes of the departures."""
-        halves = [(one, one.half(combination)) for one in self.hides if one.seen]
-        total, squares = sum(half for _, half in halves), sum(half**2 for _, half in halves)
-        more = sqrt((total**2 + 2 * total * rest) / squares) if squares else 1.0
-        return [Source(one.name, one.part, "B", half * more) for one, half in halves]
-
-
-def _drift(cause: Cause, combination: Array) -> Source:
-    half = None if cause.ways is None else float(np.max(np.abs(cause.ways @ combination), initial=0.0))
-    return Source(cause.name, "drift", "B", half, cause.note)
+        return parts_of(found), float(combination @ self.bias), tuple(found)
 
 
 def parts_of(sources: Sequence[Source]) -> Parts:
@@ -316,7 +266,7 @@ class Pooled:
     noise: Array
     """Of each segment [N], that the channels explain; shape (n,)."""
     trust: Trust
-    trust_of: Callable[[Solved, NDArray[np.bool_], Array], Trust]
+    trust_of: Callable[[Fit, NDArray[np.bool_], Array], Trust]
     """How far another fit to some rows of the segments can be trusted, whose rows have this noise each [N]."""
     work: Stretches
     """The strokes that were replayed."""
@@ -330,8 +280,8 @@ class Pooled:
 
 
 def assess(
-    campaign: Campaign, segments: Segments, fit: Solved, noise: Array, replays: Sequence[Array], skews: Array,
-    drifts: tuple[Cause, ...],
+    campaign: Campaign, segments: Segments, fit: Fit, noise: Array, replays: Sequence[Array], skews: Array,
+    drifts: Iterable[Cause],
 ) -> Trust:  # fmt: skip
     """All parts for a fit to segments of a campaign.
 
@@ -341,12 +291,16 @@ def assess(
         Standard deviation of each segment [N] that the channels explain, shape (n,).
     replays
         Theta of fits to replays of `fit`.
-    skews, drifts
+    skews
         As in `Trust`.
+    drifts
+        See `drifts_of`.
     """
-    bias, spread = _replayed(fit, replays)
-    expected, scales = rms_of(noise), Scales.of(campaign.runs)
-    channels = [name for name in CHANNELS if name != "force" or not (segments.mass > 0).all()]
+    off = np.array(replays).reshape(-1, len(fit.theta)) - fit.theta
+    spread = off.std(axis=0, ddof=1) if len(off) > 1 else np.zeros(len(fit.theta))
+    bias = off.mean(axis=0) if len(off) else np.zeros(len(fit.theta))
+    unsure = 2.0 * spread / np.sqrt(max(1, len(replays)))
+    expected = rms_of(noise)
     more = max(1.0, fit.rms / expected)
     covariance = more**2 * _covariance(fit, noise) + fit.shared(segments, campaign.noise)
     analytic = np.diag(covariance)
@@ -354,49 +308,39 @@ def assess(
     if len(replays) > 1:
         seen = 0.5 * (analytic + (more * spread) ** 2)
     between, freedom, within = _between(segments, fit, campaign.cells)
-    excess, widen = _widened(segments, fit, between / np.maximum(seen, 1e-300))
+    ratio = between / np.maximum(seen, 1e-300)
+    excess = {symbol: _pooled(fit, symbol, ratio) for symbol in (*SYMBOLS, "F_c")}
+    pooled = np.ones(len(fit.theta))
+    for symbol, of_symbol in excess.items():
+        pooled[fit.columns(symbol)] = of_symbol
+    widen = np.maximum(1.0, 0.5 * (pooled + ratio))
     stretch = student.ppf(0.975, freedom) / NORMAL
     scale = np.sqrt(seen / analytic * (1.0 + stretch**2 * (widen - 1.0)))
     return Trust(
         bias=bias,
         covariance=covariance * np.outer(scale, scale),
         steps={n: fit.scatter(segments, Noise(**{n: size})) for n, size in vars(campaign.steps).items() if size > 0},
-        mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
-        form=fit.bends(segments, expected),
-        shifts=_calibration(segments, fit, expected, scales),
-        unknown=tuple(n for n in channels if not scales.offsets.get(n) and not scales.gains.get(n)),
+        causes=(
+            Cause("bias of the fit, taken off", "method", bias[None]),
+            Cause("how few replays tell the bias", "method", np.diag(unsure), "", np.ones(len(unsure)), kind="A"),
+            Cause("straight lines between pressures", "method", fit.bends(segments, expected)[None]),
+            *_calibration(segments, fit, expected, Scales.of(campaign.runs)),
+            *drifts,
+        ),
         skews=skews,
-        drifts=drifts,
         excess=excess,
         within=within,
     )
 
 
-def _widened(segments: Segments, fit: Solved, ratio: Array) -> tuple[dict[str, float], Array]:
-    """By symbol how much more the cells scatter than the fit explains, and the factor on each variance."""
-    excess = {symbol: _pooled(fit, symbol, ratio, segments) for symbol in (*SYMBOLS, "F_c")}
-    pooled = np.ones(len(fit.theta))
-    for symbol, of_symbol in excess.items():
-        pooled[fit.columns(symbol)] = of_symbol
-    return excess, np.maximum(1.0, 0.5 * (pooled + ratio))
-
-
-def _covariance(fit: Solved, noise: Array) -> Array:
+def _covariance(fit: Fit, noise: Array) -> Array:
     """Covariance of theta for independent segments of unlike `noise` (n,) [N]; the prior counts as rows of its rms."""
     even = rms_of(noise) ** 2
     uneven = (fit.design * noise[:, None] ** 2).T @ fit.design - even * (fit.design.T @ fit.design)
     return np.asarray(even * fit.inverse + fit.inverse @ uneven @ fit.inverse)
 
 
-def _replayed(fit: Solved, replays: Sequence[Array]) -> tuple[Array, Array]:
-    """Mean and standard deviation of what replays come back with, less what went in."""
-    if not replays:
-        return np.zeros(len(fit.theta)), np.zeros(len(fit.theta))
-    off = np.array(replays) - fit.theta
-    return off.mean(axis=0), off.std(axis=0, ddof=1) if len(off) > 1 else np.zeros(len(fit.theta))
-
-
-def _between(segments: Segments, fit: Solved, cells: NDArray[np.intp]) -> tuple[Array, Array, bool]:
+def _between(segments: Segments, fit: Fit, cells: NDArray[np.intp]) -> tuple[Array, Array, bool]:
     """Variance of theta from the scatter between trials, its degrees of freedom (p,), and whether within cells.
 
     The bootstrap over trials (resampling their normal equations) in its limit of many draws: the variance of
@@ -425,7 +369,7 @@ def _between(segments: Segments, fit: Solved, cells: NDArray[np.intp]) -> tuple[
     return np.sum((off @ fit.inverse) ** 2, axis=0), np.maximum(1.0, effective * freedom / total), within
 
 
-def _pooled(fit: Solved, symbol: str, ratio: Array, segments: Segments) -> float:
+def _pooled(fit: Fit, symbol: str, ratio: Array) -> float:
     """Mean of `ratio` over the coefficients of a symbol that rest on samples."""
     columns = fit.columns(symbol)
     if symbol == "F_c":
@@ -435,21 +379,22 @@ def _pooled(fit: Solved, symbol: str, ratio: Array, segments: Segments) -> float
     return float(np.mean(ratio[columns][solid])) if solid.any() else 1.0
 
 
-def _calibration(segments: Segments, fit: Solved, expected: float, scales: Scales) -> dict[str, Array]:
-    """Shift of theta with each channel's offset, then gain, off by its expanded uncertainty: the mean of both ways."""
-    shifts = {}
+def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) -> Iterator[Cause]:
+    """Each channel's offset and gain off by its expanded uncertainty: half of what both ways are apart."""
     for channel in CHANNELS:
-        offset, gain = scales.offsets.get(channel, 0.0), scales.gains.get(channel, 0.0)
-        for name, by in (("offset", (0.0, offset)), ("gain", (gain, 0.0))):
-            if any(by):
-                up, down = (_off(segments, fit, channel, way * by[0], way * by[1], expected) for way in (1.0, -1.0))
-                shifts[f"{channel}, {name}"] = 0.5 * (up - down)
-    return shifts
+        for name, known in (("offset", scales.offsets), ("gain", scales.gains)):
+            if by := known.get(channel, 0.0):
+                gain, offset = (by, 0.0) if name == "gain" else (0.0, by)
+                up, down = (_off(segments, fit, channel, way * gain, way * offset, expected) for way in (1.0, -1.0))
+                yield Cause(f"calibration of {channel}, {name}", "calibration", 0.5 * (up - down)[None])
+    for channel in CHANNELS if not (segments.mass > 0).all() else CHANNELS[:2]:
+        if not scales.offsets.get(channel) and not scales.gains.get(channel):
+            yield Cause(f"calibration of {channel}", "calibration", None, NO_UNCERTAINTY)
 
 
-def _off(segments: Segments, fit: Solved, channel: str, gain: float, offset: float, expected: float) -> Array:
-    """Theta had a channel read (1 + gain) times as much, plus `offset` [SI]."""
-    begun = fit.followed(gain, offset) if channel == "pressure" else fit
+def _off(segments: Segments, fit: Fit, channel: str, gain: float, offset: float | Array, expected: float) -> Array:
+    """Theta of the fit where a channel reads (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
+    begun = fit.followed(gain, float(np.mean(offset))) if channel == "pressure" else fit
     return begun.again(segments.shifted(channel, gain, offset), expected).theta
 
 
@@ -465,7 +410,7 @@ class Draws:
         return float(high - low) / 2
 
 
-def bootstrap(segments: Segments, fit: Solved, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
+def bootstrap(segments: Segments, fit: Fit, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
     """`count` fits to trials drawn with replacement: within their cells, or among all.
 
     `cells` holds the cell of each trial number in `segments.trial`. The prior of the fit stays in every draw. The

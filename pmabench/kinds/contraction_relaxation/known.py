@@ -14,7 +14,7 @@ from pmabench.analysis.next_trial import SWEEP, Aim, Goal
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.kinds.contraction_relaxation import predicted
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, design_of, rms_of
+from pmabench.kinds.contraction_relaxation.pooled import design_of, rms_of
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, withheld
 from pmabench.kinds.contraction_relaxation.segments import Gate, cut, gather
 from pmabench.store.analyses.results import Estimate
@@ -47,19 +47,13 @@ class Known:
 
     def counts(self, trials: Sequence[TrialData]) -> Array:
         """How many of the trials are in each cell of the outlook, shape (cells,)."""
-        place = {cell.key: number for number, cell in enumerate(self.outlook.cells)}
-        counts = np.zeros(len(place))
-        for trial in trials:
-            if (number := place.get(predicted.cell_key(trial.point))) is not None:
-                counts[number] += 1
-        return counts
+        return self.outlook.counts(trials)
 
     def narrowed(self, kept: Sequence[int]) -> Known:
         """The same for some of the wanted values."""
-        rows, seen, aim = list(kept), self.outlook, self.aim
-        design = replace(seen.design, wanted=seen.design.wanted[rows])
-        fewer = replace(seen, names=tuple(seen.names[n] for n in rows), values=seen.values[rows], design=design)
-        return replace(self, outlook=fewer, aim=Aim(aim.goal[rows], aim.factor[rows], aim.rest[rows]))
+        rows, aim = list(kept), self.aim
+        fewer = Aim(aim.goal[rows], aim.factor[rows], aim.rest[rows])
+        return replace(self, outlook=self.outlook.of_values(rows), aim=fewer)
 
     @property
     def sure(self) -> bool:
@@ -130,16 +124,12 @@ def _measured(cells: Sequence[predicted.Cell], goals: Sequence[Goal], pooled: Po
     trials = [campaign.trials[number] for number in used]
     freedom = len(used) - len(np.unique(campaign.cells[used]))
     seen = predicted.outlook(pooled.fit, cells, pooled.expected)
-    still = {predicted.cell_key(t.point) for t in campaign.trials} - {
-        predicted.cell_key(campaign.trials[number].point) for number in used
-    }
-    seen = _without(seen, still)
-    every = _with_goals(seen, [Goal(symbol, 1.0, True) for symbol in (*SYMBOLS, "F_c")], reported, None)
-    rows = [n for n, name in enumerate(every.outlook.names) if _repeats(reported.get(name)) > 0]
+    moved = {predicted.cell_key(trial.point) for trial in trials}
+    seen = seen.without({predicted.cell_key(trial.point) for trial in campaign.trials} - moved)
+    halves = np.array([_repeats(reported.get(name)) for name in seen.names])
     whole = predicted.scattered(pooled.fit, 1.0)
-    alike = replace(seen.design, wanted=every.outlook.design.wanted[rows], between=whole)
-    halves = np.array([_repeats(reported[every.outlook.names[n]]) for n in rows])
-    share = scatter_like(alike, every.counts(trials), halves, SCATTER) if freedom >= FEWEST else SCATTER
+    alike = replace(seen.design, wanted=seen.design.wanted[halves > 0], between=whole)
+    share = scatter_like(alike, seen.counts(trials), halves[halves > 0], SCATTER) if freedom >= FEWEST else SCATTER
     design = replace(seen.design, between=share**2 * whole)
     found = _with_goals(replace(seen, design=design), goals, reported, pooled)
     gone = [e for e in reported.values() if e.withheld and (e.symbol, e.at.get("pressure", 0.0)) in found.outlook.names]
@@ -150,16 +140,6 @@ def _measured(cells: Sequence[predicted.Cell], goals: Sequence[Goal], pooled: Po
 def _repeats(estimate: Estimate | None) -> float:
     """The part of a half width that noise and scatter make; 0 without a value."""
     return 0.0 if estimate is None or estimate.value is None else estimate.parts.repeats or 0.0
-
-
-def _without(seen: predicted.Outlook, still: set[tuple[float, float]]) -> predicted.Outlook:
-    """The outlook without cells in which nothing moved."""
-    kept = [number for number, cell in enumerate(seen.cells) if cell.key not in still]
-    if len(kept) == len(seen.cells):
-        return seen
-    gone = tuple(cell for cell in seen.cells if cell.key in still)
-    design = replace(seen.design, cells=seen.design.cells[kept])
-    return replace(seen, cells=tuple(seen.cells[n] for n in kept), idle=(*seen.idle, *gone), design=design)
 
 
 def _with_goals(
@@ -177,13 +157,9 @@ def _with_goals(
         halves = [half for goal in goals if (half := goal.of(name, float(value), whole)) is not None]
         if halves:
             wanted[number] = min(halves)
-    aim = Aim(
-        np.array([wanted.get(n, np.inf) for n in range(len(seen.names))]),
-        np.full(len(seen.names), NORMAL),
-        np.zeros(len(seen.names)),
-    )
+    aim = Aim(np.array(list(wanted.values())), np.full(len(wanted), NORMAL), np.zeros(len(wanted)))
     as_reported = not any(goal.symbol == SWEEP for goal in goals)
-    found = Known(seen, aim, 0, "", pooled, reported, as_reported).narrowed(list(wanted))
+    found = Known(seen.of_values(list(wanted)), aim, 0, "", pooled, reported, as_reported)
     if pooled is None or not wanted or not as_reported:
         return found
     seen, factor, rest = found.outlook, found.aim.factor, found.aim.rest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmabench.analysis.shared import student
+from pmabench.analysis.shared.student import half_width
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.exponentials import regress, steps_of
@@ -46,7 +46,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     ]
     rest = F_e - slip if F_e is not None else None
     if line is not None:
-        half = None if line.se_K is None else float(student.ppf(0.975, line.n - 2)) * line.se_K
+        half = half_width(line.se_K, line.n - 2)
         found.append(Measured("K", "stiffness", line.K, K_e, pooled=True, half=half))
         found.append(Measured("F_ce", "force", line.F_ce, rest, tolerance=slip, pooled=True))
     else:

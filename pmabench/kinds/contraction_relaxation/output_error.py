@@ -1,8 +1,8 @@
 """The pooled coefficients polished by output error: simulated against measured contraction (option `polish`).
 
 Each stretch of consecutive segments, in which the muscle moves one way, is simulated from a free start, driven by the
-measured pressure and force. Rows are the means of segments. Their errors hang together, for the muscle shapes the noise
-of pressure and force; so rows are whitened by their covariance. Gauss-Newton, begun at the pooled fit: maximum
+measured pressure and force. Rows are the means of segments. Their errors are correlated, for the muscle filters the
+noise of pressure and force; so rows are whitened by their covariance. Gauss-Newton, begun at the pooled fit: maximum
 likelihood where noise is all that differs (Ljung, System Identification, 7.4). Knows segments; no trial point, no
 interval, no protocol.
 
@@ -29,15 +29,13 @@ from pmabench.analysis.shared.simulated import LEAST, Coefficients
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
 from pmabench.kinds.contraction_relaxation.pooled import (
-    FEWEST_KNOTS,
     FLOOR,
     NONE,
-    SYMBOLS,
     Fit,
     design_of,
     inverse_of,
+    levers,
     place,
-    prior_of,
     rms_of,
     sizes_of,
 )
@@ -105,11 +103,7 @@ def _pieces(segments: Segments) -> Iterator[slice]:
     """Rows of consecutive segments of one trial that go one way without a gap."""
     if not len(segments):
         return
-    length = segments.v.shape[1] * segments.dt
-    apart = (
-        (np.diff(segments.trial) != 0) | (np.diff(segments.way) != 0)
-        | (np.abs(np.diff(segments.t) - length) > 0.5 * segments.dt)
-    )  # fmt: skip
+    apart = ~segments.followed | (np.diff(segments.way) != 0)
     edges = [0, *(np.flatnonzero(apart) + 1).tolist(), len(segments)]
     for first, last in pairwise(edges):
         if last - first >= SHORTEST:
@@ -126,16 +120,15 @@ def _together(segments: Segments, fit: Coefficients, pieces: list[slice]) -> Ite
         return np.asarray(field[index].transpose(0, 2, 1).reshape(most * s, m))
 
     first = index[0]
-    half = (segments.x.shape[1] - s) // 2
     P, F = samples(segments.P_mid), samples(segments.F_mid)
     way, mass = segments.way[first], segments.mass[first]
-    inertia = bool((mass > 0).any())
     F_ce, K, B = _coefficients(fit, P, way)
     middle = [0.5 * (values[1:] + values[:-1]) for values in (P, F, F_ce, K, B)]
     P_step, drive = middle[0], middle[2] - middle[1] - way * fit.coulomb
-    step = _Step.of(middle[3], middle[4], mass, segments.dt, inertia)
-    x = step.run(drive, segments.x[first, half], segments.v[first, 0])
-    answer, start = step.answer(most, s)
+    A, g = _steps(middle[3], middle[4], mass, segments.dt)
+    begin = np.stack((segments.x[first, segments.reach], segments.v[first, 0]))[: g.shape[1]]
+    x = _run(A, g, drive, begin)
+    answer, start = _answer(A, g, most, s)
     x_step = 0.5 * (x[1:] + x[:-1])
     v_step = np.diff(x, axis=0) / segments.dt
     slope = _slope(fit, P, x, way, v_step)
@@ -163,68 +156,48 @@ def _slope(fit: Coefficients, P: Array, x: Array, way: Array, v_step: Array) -> 
     return np.asarray(((high[0] - low[0]) - (high[1] - low[1]) * x - (high[2] - low[2]) * v) / (2 * by))
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """From sample to sample, x' = a x + b v + g f and v' = c x + d v + e f; shape (steps, stretches) each.
+def _steps(K: Array, B: Array, mass: Array, dt: float) -> tuple[Array, Array]:
+    """From sample to sample the state x, and with a mass v, goes to A @ state + g f, exactly for a constant force f.
 
-    Without a mass there is no v, and b, c, d and e are 0.
+    K, B have shape (steps, stretches), A (steps, k, k, stretches) and g (steps, k, stretches), with k = 1 or 2.
     """
+    if not (mass > 0).any():
+        fade = -np.expm1(-K / B * dt)
+        return (1 - fade)[:, None, None], (fade / K)[:, None]
+    # eigenvalues -s +- w: exp(A dt) = e^(-s dt) [cosh + s sinh/w, sinh/w; -K/M sinh/w, cosh - s sinh/w]
+    s = 0.5 * B / mass
+    w = np.sqrt((s * s - K / mass).astype(np.complex128))
+    w = np.where(np.abs(w) * dt < 1e-6, 1e-6 / dt, w)
+    slow, fast = np.exp(-(K / mass) / (s + w) * dt), np.exp(-(s + w) * dt)
+    cosh, sinh = (0.5 * (slow + fast)).real, (0.5 * (slow - fast) / w).real
+    A = np.array([[cosh + s * sinh, sinh], [-K / mass * sinh, cosh - s * sinh]])
+    return A.transpose(2, 0, 1, 3), np.stack(((1 - A[0, 0]) / K, sinh / mass), axis=1)
 
-    a: Array
-    g: Array
-    b: Array
-    c: Array
-    d: Array
-    e: Array
-    inertia: bool
 
-    @classmethod
-    def of(cls, K: Array, B: Array, mass: Array, dt: float, inertia: bool) -> _Step:
-        if not inertia:
-            fade = -np.expm1(-K / B * dt)
-            none = np.zeros((len(K), 1))
-            return cls(1 - fade, fade / K, none, none, none, none, False)
-        # eigenvalues -s +- w: exp(A dt) = e^(-s dt) [cosh + s sinh/w, sinh/w; -K/M sinh/w, cosh - s sinh/w]
-        s = 0.5 * B / mass
-        w = np.sqrt((s * s - K / mass).astype(np.complex128))
-        w = np.where(np.abs(w) * dt < 1e-6, 1e-6 / dt, w)
-        slow, fast = np.exp(-(K / mass) / (s + w) * dt), np.exp(-(s + w) * dt)
-        cosh, sinh = (0.5 * (slow + fast)).real, (0.5 * (slow - fast) / w).real
-        a = cosh + s * sinh
-        return cls(a, (1 - a) / K, sinh, -K / mass * sinh, cosh - s * sinh, sinh / mass, True)
+def _run(A: Array, g: Array, drive: Array, state: Array) -> Array:
+    """Contraction [m] at the samples under the force of each step [N], from a state (k, stretches) on."""
+    found = np.empty((len(drive) + 1, drive.shape[1]))
+    found[0] = state[0]
+    for i, push in enumerate(g * drive[:, None]):
+        state = np.einsum("jkm,km->jm", A[i], state) + push
+        found[i + 1] = state[0]
+    return found
 
-    def run(self, drive: Array, x: Array, v: Array) -> Array:
-        """Contraction [m] at the samples under the force of each step [N], from x [m] and, with a mass, v [m/s]."""
-        found = np.empty((len(drive) + 1, drive.shape[1]))
-        pushed, kicked = self.g * drive, self.e * drive
-        found[0] = x
-        for i in range(len(drive)):
-            if self.inertia:
-                x, v = self.a[i] * x + self.b[i] * v + pushed[i], self.c[i] * x + self.d[i] * v + kicked[i]
-            else:
-                x = self.a[i] * x + pushed[i]
-            found[i + 1] = x
-        return found
 
-    def answer(self, n: int, s: int) -> tuple[Array, Array]:
-        """Change of the mean contraction of n segments of s samples each by the force on a step, and by the start.
+def _answer(A: Array, g: Array, n: int, s: int) -> tuple[Array, Array]:
+    """Change of the mean contraction of n segments of s samples each by the force on a step, and by the start.
 
-        Shapes (steps, n, stretches) [m/N] and (1 or 2, n, stretches). Backwards in time (adjoint): what a sample's
-        contraction is worth to each mean.
-        """
-        steps, m = self.a.shape
-        worth, worth_v = np.zeros((n, m)), np.zeros((n, m))
-        found = np.empty((steps, n, m))
-        worth[n - 1] += 1 / s
-        for i in range(steps - 1, -1, -1):
-            if self.inertia:
-                found[i] = self.g[i] * worth + self.e[i] * worth_v
-                worth, worth_v = self.a[i] * worth + self.c[i] * worth_v, self.b[i] * worth + self.d[i] * worth_v
-            else:
-                np.multiply(self.g[i], worth, out=found[i])
-                worth *= self.a[i]
-            worth[i // s] += 1 / s
-        return found, np.stack([worth, worth_v]) if self.inertia else worth[None]
+    Shapes (steps, n, stretches) [m/N] and (k, n, stretches). Backwards in time (adjoint): what a sample's state is
+    worth to each mean.
+    """
+    steps, k, m = g.shape
+    worth, found = np.zeros((k, n, m)), np.empty((steps, n, m))
+    worth[0, n - 1] += 1 / s
+    for i in range(steps - 1, -1, -1):
+        np.einsum("km,knm->nm", g[i], worth, out=found[i])
+        worth = np.einsum("jkm,jnm->knm", A[i], worth)
+        worth[0, i // s] += 1 / s
+    return found, worth
 
 
 MOST_STEPS = 25
@@ -264,29 +237,23 @@ class Polished(Fit):
 
     @property
     def rms(self) -> float:
-        """See `Solved`; `unit` where noise explains it."""
+        """See `Fit`; `unit` where noise explains it."""
         count = int(np.isfinite(self.misses).sum())
-        free = max(1.0, count - self.starts - float(np.sum(self.design @ self.inverse * self.design)))
+        free = max(1.0, count - self.starts - float(np.sum(levers(self.design, self.inverse))))
         return float(np.sqrt(self.residual @ self.residual / free))
 
     def again(self, segments: Segments, noise: float) -> Polished:
-        """See `Solved`: one step from here, which is enough for what changes little; rows are those of before it."""
+        """See `Fit`: one step from here, which is enough for what changes little; rows are those of before it."""
         there = linear(segments, self)
         return there.moved(there.newton(segments))
 
-    def bends(self, segments: Segments, noise: float) -> Array:
-        """See `Solved`."""
-        kept = np.setdiff1d(self.knots, self.halves)
-        if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
-            return np.zeros(len(self.theta))
-        values = [self.values(symbol, kept) for symbol in SYMBOLS]
-        coarse = replace(self, theta=np.concatenate((*values, [self.theta[-1]])), knots=kept, halves=NONE)
-        coarse = coarse.again(segments, noise).again(segments, noise)
-        fine = [coarse.values(symbol, self.knots) for symbol in SYMBOLS]
-        return np.asarray((np.concatenate((*fine, [coarse.theta[-1]])) - self.theta) / 3.0)
+    def coarser(self, segments: Segments, knots: Array, noise: float) -> Fit:
+        """See `Fit`."""
+        coarse = replace(self, theta=self.at_knots(knots), knots=knots, halves=NONE)
+        return coarse.again(segments, noise).again(segments, noise)
 
     def scatter(self, segments: Segments, noise: Noise) -> Array:
-        """See `Solved`."""
+        """See `Fit`."""
         found = np.zeros((len(self.theta), len(self.theta)))
         for one in answers(segments, self):
             white = np.linalg.inv(_root(one, self, segments))
@@ -295,16 +262,16 @@ class Polished(Fit):
         return np.asarray(self.inverse @ found @ self.inverse)
 
     def shared(self, segments: Segments, noise: Noise) -> Array:
-        """See `Solved`: nothing, rows are whitened."""
+        """See `Fit`: nothing, rows are whitened."""
         return np.zeros((len(self.theta), len(self.theta)))
 
     def change(self, columns: Array) -> Array:
-        """See `Solved`: as much as of the pooled fit, whose equation of motion is the same."""
+        """See `Fit`: as much as of the pooled fit, whose equation of motion is the same."""
         return self.begun.change(columns)
 
     def newton(self, segments: Segments) -> Array:
         """The step of Gauss and Newton from here, shape (p,)."""
-        prior = prior_of(segments, self.design, self.knots, self.unit)
+        prior = self.prior(segments, self.unit)
         return np.asarray(self.inverse @ (self.design.T @ self.residual - prior.T @ (prior @ self.theta)))
 
     def moved(self, by: Array) -> Polished:
@@ -339,7 +306,7 @@ def linear(segments: Segments, fit: Polished) -> Polished:
     n, p = len(segments), len(fit.theta)
     design, residual = np.zeros((n, p)), np.zeros(n)
     misses, expected = np.full(n, np.nan), np.full(n, np.nan)
-    measured = segments.x[:, _middle(segments)].mean(axis=1)
+    measured = segments.x[:, segments.reach : segments.x.shape[1] - segments.reach].mean(axis=1)
     starts = 0
     for one in answers(segments, fit):
         root = _root(one, fit, segments)
@@ -355,17 +322,11 @@ def linear(segments: Segments, fit: Polished) -> Polished:
         starts += one.start.shape[1]
     if not fit.friction:
         design[:, -1] = 0.0
-    prior = prior_of(segments, design, fit.knots, fit.unit)
+    prior = fit.prior(segments, fit.unit)
     inverse = inverse_of(design.T @ design + prior.T @ prior)
     return replace(
         fit, design=design, residual=residual, inverse=inverse, starts=starts, misses=misses, expected=expected
     )
-
-
-def _middle(segments: Segments) -> slice:
-    """Samples of `x` that are those of the segment itself."""
-    reach = (segments.x.shape[1] - segments.v.shape[1]) // 2
-    return slice(reach, segments.x.shape[1] - reach)
 
 
 def _root(one: Stretch, fit: Polished, segments: Segments) -> Array:
@@ -439,12 +400,12 @@ def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], o
     found = values(Solution(campaign, pooled.segments, polished, polished.knots, trust, METHOD, "", stiffness_is))
     return Further(
         estimates=tuple(found),
-        findings=(_residual(polished, facts), *_moved(estimates, found), *_open(estimates, found)),
+        findings=(_residual(facts), *_compared(estimates, found)),
         facts=facts,
     )
 
 
-def _residual(polished: Polished, facts: Mapping[str, Any]) -> Finding:
+def _residual(facts: Mapping[str, Any]) -> Finding:
     """What is left, in m and in N, and whether noise explains it."""
     left, noise = show(facts["residual_rms"], "length", 2), show(facts["expected_rms"], "length", 2)
     force, shaken = show(facts["residual_rms_force"], "force", 2), show(facts["expected_rms_force"], "force", 2)
@@ -458,22 +419,29 @@ def _residual(polished: Polished, facts: Mapping[str, Any]) -> Finding:
     return Finding("note", size)
 
 
-def _pairs(ours: Sequence[Estimate], theirs: Sequence[Estimate]) -> Iterator[tuple[Estimate, Estimate]]:
-    there = {(e.symbol, tuple(e.at.items())): e for e in theirs}
-    for e in ours:
-        other = there.get((e.symbol, tuple(e.at.items())))
-        if other is not None:
-            yield e, other
+def _compared(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Finding]:
+    """Coefficients that the polish moves by more than their interval, and those that it leaves open."""
+    there = {(e.symbol, tuple(e.at.items())): e for e in after}
+    known, moved, lost = 0, list[tuple[float, Estimate, Estimate]](), list[str]()
+    for a in before:
+        b = there.get((a.symbol, tuple(a.at.items())))
+        if a.value is None or b is None:
+            continue
+        if b.value is None:
+            lost.append(name_of(b.symbol, b.at.get("pressure")))
+            continue
+        known, half, by = known + 1, a.parts.combined, abs(b.value - a.value)
+        if half is not None and by > half:
+            moved.append((by / max(half, 1e-300), a, b))
+    yield from _moved(moved, known)
+    if lost:
+        more = f" and {len(lost) - MOST_NAMED} more" if len(lost) > MOST_NAMED else ""
+        names = ", ".join(lost[:MOST_NAMED])
+        yield Finding("note", f"output error leaves open what measured-pressure tells: {names}{more}")
 
 
-def _moved(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Finding]:
-    """Coefficients that the polish moves by more than their interval, the worst first; or that it moves none."""
-    known, moved = 0, []
-    for a, b in _pairs(before, after):
-        if a.value is not None and b.value is not None:
-            known, half, by = known + 1, a.parts.combined, abs(b.value - a.value)
-            if half is not None and by > half:
-                moved.append((by / max(half, 1e-300), a, b, half))
+def _moved(moved: list[tuple[float, Estimate, Estimate]], known: int) -> Iterator[Finding]:
+    """Estimates of both methods that differ, and by how many half widths of the first; of `known` ones in all."""
     if not known:
         return
     if not moved:
@@ -482,8 +450,8 @@ def _moved(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Fi
     moved.sort(key=lambda one: -one[0])
     changes = [
         f"{name_of(a.symbol, a.at.get('pressure'))} from {show(a.value or 0.0, a.quantity, 5)} to"
-        f" {show(b.value or 0.0, b.quantity, 5)} (± {show(half, a.quantity, 2)})"
-        for _, a, b, half in moved[:MOST_NAMED]
+        f" {show(b.value or 0.0, b.quantity, 5)} (± {show(a.parts.combined or 0.0, a.quantity, 2)})"
+        for _, a, b in moved[:MOST_NAMED]
     ]
     more = f" and {len(moved) - MOST_NAMED} more" if len(moved) > MOST_NAMED else ""
     few = len(moved) <= FEW * known
@@ -493,16 +461,3 @@ def _moved(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Fi
         f"output error moves {len(moved)} of {known} coefficients by more than the interval of measured-pressure:"
         f" {', '.join(changes)}{more}{why}",
     )
-
-
-def _open(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Finding]:
-    """What is identifiable by one of the two alone."""
-    lost = [
-        name_of(b.symbol, b.at.get("pressure"))
-        for a, b in _pairs(before, after)
-        if a.value is not None and b.value is None
-    ]
-    if lost:
-        more = f" and {len(lost) - MOST_NAMED} more" if len(lost) > MOST_NAMED else ""
-        names = ", ".join(lost[:MOST_NAMED])
-        yield Finding("note", f"output error leaves open what measured-pressure tells: {names}{more}")

@@ -7,7 +7,7 @@ does not take the pressure for a step. D of relaxation carries the pressure *bef
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import hypot
 from typing import Any
@@ -15,16 +15,17 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared import skew
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.calibration import Scales, calibrated, sentences
 from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.shared.student import mean_over, mean_with_half
+from pmabench.analysis.shared.trials import grouped
 from pmabench.base.errors import invalid
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import PAPER_1_RESULTS
 from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, compare, fit_known_force, read
 from pmabench.kinds.contraction_relaxation.segments import Campaign, gather, moved
-from pmabench.kinds.contraction_relaxation.values import biases, compare_orders, curve, least, with_bias
-from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, biases, compare_orders, curve, least, with_bias
+from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, without_value
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation-paper-1"
@@ -32,7 +33,7 @@ METHODS = {"x0": "paper-1-x0", "xmax": "paper-1-xmax"}
 DRIVEN = "measured-pressure-x0"
 LOWEST = 100e3
 """Paper 1's S and D are declared invalid below this pressure [Pa]."""
-SYMBOLS = {"K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
+SYMBOLS = ("K", "B_c", "B_r")
 GIVEN = "F_ce from the braid's geometry, whose error is in no part"
 START = "by the pressure before the release: a reduction only, no coefficient at that pressure"
 OTHER = "F_ce at x_max: not to be mixed with values at x = 0"
@@ -58,13 +59,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     campaign, unusable = gather(alike)
     dropped += unusable
-    steps, unreadable = _steps_of(campaign)
-    dropped += unreadable
+    steps = _steps_of(campaign, dropped) if campaign else []
     if campaign is None or not any(step.way > 0 for step in steps):
         fault = Finding("fault", "no contraction can be read: there is no S, and no D without it")
         facts = {"options": settings, "trials_used": 0}
         return Analysis.of(KIND, runs, results=PAPER_1_RESULTS, dropped=dropped, findings=[fault], facts=facts)
-    up, down = (_grouped([s for s in steps if s.way == way]) for way in (1, -1))
+    both = sorted(grouped(steps, lambda step: (step.way, step.pressure)).items())
+    up, down = ([group for (way, _), group in both if way == each] for each in (1, -1))
     driven = _driven(campaign, up, braid)
     estimates: list[Estimate] = []
     for at in sorted(METHODS, key=lambda name: name != chosen):
@@ -80,9 +81,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=curves,
         dropped=dropped,
         findings=(
-            *_convention(chosen),
-            *_biased(estimates),
-            *_creep(campaign, steps),
+            *_said(campaign, steps, estimates, chosen),
             *findings,
             *said,
             *skew.findings(alike, campaign.channels, campaign.skew, driven),
@@ -98,19 +97,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _steps_of(campaign: Campaign | None) -> tuple[list[Step], list[Dropped]]:
-    """The steps that can be read, and the trials whose step cannot."""
+def _steps_of(campaign: Campaign, dropped: list[Dropped]) -> list[Step]:
+    """The steps that can be read; trials whose step cannot are added to those dropped."""
     steps: list[Step] = []
-    dropped = []
-    for number, trial in enumerate(campaign.trials if campaign else ()):
-        step = read(campaign.samples[number], trial) if campaign else ""
+    for samples, trial in zip(campaign.samples, campaign.trials, strict=True):
+        step = read(samples, trial)
         if isinstance(step, Step) and step.pressure < LOWEST * (1 - 1e-9):
             step = f"below {show(LOWEST, 'pressure')}, where paper 1's S and D do not hold"
         if isinstance(step, Step):
             steps.append(step)
         else:
             dropped.append(Dropped(trial.name, trial.point, step))
-    return steps, dropped
+    return steps
 
 
 def _as_fact(campaign: Campaign, step: Step) -> dict[str, Any]:
@@ -124,7 +122,7 @@ def _plan_of(run: RunData) -> Any:
 
 
 def _asked(run: RunData, settings: Mapping[str, Any]) -> tuple[Braid, str, dict[str, int]]:
-    """Geometry, convention and orders; InvalidFile where the plan does not tell them as `check` leaves them."""
+    """Geometry, convention and orders; InvalidFile where the plan does not hold them as `check` writes them."""
     try:
         braid, chosen = Braid.of(settings), str(settings.get("F_ce_at", "x0"))
         orders = {str(symbol): int(order) for symbol, order in dict(settings.get("orders") or {}).items()}
@@ -137,11 +135,6 @@ def _asked(run: RunData, settings: Mapping[str, Any]) -> tuple[Braid, str, dict[
         )
         raise invalid(run.path, text) from error
     return braid, chosen, orders
-
-
-def _grouped(steps: Sequence[Step]) -> list[list[Step]]:
-    """The steps at each pressure, which rises."""
-    return [[s for s in steps if s.pressure == P] for P in sorted({step.pressure for step in steps})]
 
 
 def _by_paper(
@@ -158,7 +151,7 @@ def _by_paper(
         B = _estimate(campaign, "B_c", group, [s.tau * S for s, S in zip(group, values, strict=True)], at)
         if min(values) <= 0:
             note = "not identifiable: by its geometry the muscle has no pull above the load left at x_max"
-            K, B = (replace(e, value=None, parts=Parts(), note=note) for e in (K, B))
+            K, B = (without_value(e, note) for e in (K, B))
         else:
             tau = float(np.mean([s.tau for s in group]))
             K, B = _calibrated(K, group, braid, at, scales, 1.0), _calibrated(B, group, braid, at, scales, tau)
@@ -170,7 +163,7 @@ def _by_paper(
         if S is None or S.value is None:
             blank = _estimate(campaign, "B_r", group, [0.0] * len(group), at)
             note = "not identifiable: there is no S of a contraction to this pressure"
-            estimates.append(replace(blank, value=None, parts=Parts(), note=note))
+            estimates.append(without_value(blank, note))
             continue
         taus = [s.tau for s in group]
         mean = float(np.mean(taus))
@@ -180,7 +173,7 @@ def _by_paper(
         calibration = None if S.parts.calibration is None else mean * S.parts.calibration
         B = replace(B, parts=replace(B.parts, repeats=repeats, calibration=calibration))
         estimates.append(_sampled(campaign, B, mean))
-    return sorted(estimates, key=lambda e: list(SYMBOLS).index(e.symbol))
+    return sorted(estimates, key=lambda e: SYMBOLS.index(e.symbol))
 
 
 def _estimate(
@@ -191,7 +184,7 @@ def _estimate(
     note = sentences(note, GIVEN, OTHER if at == "xmax" else "", ONCE if half is None else "")
     where, names = {"pressure": group[0].pressure}, tuple(campaign.name(s.trial) for s in group)
     return Estimate(
-        symbol, mean, *SYMBOLS[symbol], METHODS[at], where, Parts(half), len(values), note=note, trials=names
+        symbol, mean, *QUANTITY[symbol], METHODS[at], where, Parts(half), len(values), note=note, trials=names
     )
 
 
@@ -201,9 +194,7 @@ def _calibrated(e: Estimate, group: Sequence[Step], braid: Braid, at: str, scale
     by_P = factor * (braid.stiffness(P * 1.001, x, load, at) - braid.stiffness(P * 0.999, x, load, at)) / (0.002 * P)
     by_x = factor * (braid.stiffness(P, x * 1.001, load, at) - braid.stiffness(P, x * 0.999, load, at)) / 0.002
     gains, offsets = {"displacement": by_x, "pressure": by_P * P}, {"pressure": by_P}
-    part = scales.part(gains, offsets)
-    lack = "" if part is not None else scales.lack(gains, offsets)
-    return replace(e, parts=replace(e.parts, calibration=part), note=sentences(e.note, lack))
+    return calibrated(e, scales, gains, offsets)
 
 
 def _sampled(campaign: Campaign, e: Estimate, tau: float) -> Estimate:
@@ -234,12 +225,12 @@ def _driven(campaign: Campaign, up: Sequence[Sequence[Step]], braid: Braid) -> l
             changes = [abs(float(np.mean(again[key]) - np.mean(values))) for again in ways if key in again]
             late[key] += max(changes, default=0.0)
     estimates = []
-    for (symbol, P), fitted in sorted(found.items(), key=lambda item: (list(SYMBOLS).index(item[0][0]), item[0][1])):
+    for (symbol, P), fitted in sorted(found.items(), key=lambda item: (SYMBOLS.index(item[0][0]), item[0][1])):
         mean, half = mean_with_half(fitted)
         names = tuple(campaign.name(s.trial) for group in up if group[0].pressure == P for s in group)
         parts, note = Parts(half, skew=late[symbol, P]), sentences(GIVEN, ONCE if half is None else "")
         at = {"pressure": P}
-        e = Estimate(symbol, mean, *SYMBOLS[symbol], DRIVEN, at, parts, len(names), note=note, trials=names)
+        e = Estimate(symbol, mean, *QUANTITY[symbol], DRIVEN, at, parts, len(names), note=note, trials=names)
         estimates.append(skew.settled(e, "pressure and displacement", campaign.skew))
     return estimates
 
@@ -316,31 +307,22 @@ def _sound(known: Sequence[Estimate], order: int, normalised: bool) -> Curve | N
     return found if least(terms, (low, high)) > 0 else None
 
 
-def _convention(chosen: str) -> list[Finding]:
+def _said(campaign: Campaign, steps: Sequence[Step], estimates: Sequence[Estimate], chosen: str) -> Iterator[Finding]:
+    """The convention of F_ce, how far paper 1's way lies from the fit with the measured pressure in the one convention
+    that both have, and steps that had not come to rest.
+    """
     text = (
         f"F_ce at {'x = 0' if chosen == 'x0' else 'x_max'} comes first, as the protocol says; the other convention "
         "is given next to it: S, D and F_ce of one must not be used with those of the other"
     )
-    return [Finding("note", text)]
-
-
-def _biased(estimates: Sequence[Estimate]) -> list[Finding]:
-    """How far paper 1's way lies from the fit with the measured pressure, in the one convention both have."""
-    parts = biases(estimates, ("K", "B_c"))
-    if not parts:
-        return []
-    text = f"{METHODS['x0']} against {DRIVEN}: {', '.join(parts)}; it takes the pressure for a step"
-    return [Finding("note", text + ", as it must for B_r, which no second method can tell here")]
-
-
-def _creep(campaign: Campaign, steps: Sequence[Step]) -> list[Finding]:
-    """Steps that had not come to rest."""
-    moving = [s for s in steps if abs(s.creeps) > STILL]
-    if not moving:
-        return []
-    worst = max(moving, key=lambda s: abs(s.creeps))
-    text = (
-        f"{len(moving)} of {len(steps)} steps still moved at their end, {campaign.name(worst.trial)} by "
-        f"{100 * abs(worst.creeps):.2g} % of its stroke: x_max and tau come out short; hold longer"
-    )
-    return [Finding("doubt", text)]
+    yield Finding("note", text)
+    if parts := biases(estimates, ("K", "B_c")):
+        text = f"{METHODS['x0']} against {DRIVEN}: {', '.join(parts)}; it takes the pressure for a step"
+        yield Finding("note", text + ", as it must for B_r, which no second method can tell here")
+    if moving := [s for s in steps if abs(s.creeps) > STILL]:
+        worst = max(moving, key=lambda s: abs(s.creeps))
+        text = (
+            f"{len(moving)} of {len(steps)} steps still moved at their end, {campaign.name(worst.trial)} by "
+            f"{100 * abs(worst.creeps):.2g} % of its stroke: x_max and tau come out short; hold longer"
+        )
+        yield Finding("doubt", text)

@@ -1,7 +1,8 @@
 """Single steps as paper 1 reads them: stroke, time constant, stiffness from the braid; K and B_c with F_ce known.
 
-One load cannot tell F_ce from K x: every solution of F_L = F_ce - K x - B x' can be scaled. F_ce from elsewhere settles
-it; K and B are then fitted to all contractions at once as in `pooled`. Knows samples and geometry; no interval.
+With one load F_ce and K x cannot be separated: every solution of F_L = F_ce - K x - B x' can be scaled. So F_ce is
+taken from elsewhere, and K and B are fitted to all contractions at once as in `pooled`. Knows samples and geometry; no
+interval.
 
 And paper 1's closed form against the test it was fitted to: accuracy at rest, residual over time, overlays, figure.
 """
@@ -9,7 +10,7 @@ And paper 1's closed form against the test it was fitted to: accuracy at rest, r
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Any
 
@@ -18,7 +19,8 @@ from scipy.optimize import brentq
 
 from pmabench.analysis.shared.samples import LEAST, Samples, onset
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, prior_of
+from pmabench.kinds.contraction_relaxation.checks import overlay
+from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, least_squares, prior_of
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, cut
 from pmabench.kinds.contraction_relaxation.values import FEWEST, curve, near
 from pmabench.model.library.braid import braid_force
@@ -45,11 +47,9 @@ def fit_known_force(
     wanted = slice(SYMBOLS.index("K") * k, (SYMBOLS.index("B_c") + 1) * k)
     known = force(segments.P) @ segments.weights
     noise = FLOOR * float(np.sqrt(np.mean(known**2)))
-    prior = prior_of(segments, design, knots, noise)
+    prior = prior_of(segments, knots, noise)
     rows = prior[np.any(prior[:, wanted] != 0, axis=1)][:, wanted]
-    columns = np.vstack([design[:, wanted], rows])
-    target = np.concatenate([segments.force - known, np.zeros(len(rows))])
-    theta = np.linalg.lstsq(columns, target, rcond=None)[0]
+    theta = least_squares(design[:, wanted], segments.force - known, rows)
     found = {}
     for P in tested:
         knot = int(np.argmin(np.abs(knots - P)))
@@ -147,7 +147,6 @@ def read(samples: Samples, trial: TrialData) -> Step | str:
 
 MODEL = "closed form of paper 1"
 METRIC = "100 (1 - |x_s - x_e| / x_e)"
-LONGEST_TRACE = 1500
 WORDS = {1: "contracting", -1: "relaxing"}
 
 
@@ -184,11 +183,13 @@ def compare(
             S, D = (float(of[name].values(np.array(P))) for name in ("K", symbol))
             misfits = []
             for step in group:
-                trace = _overlay(campaign, step, at_rest(braid, P, S, step.load, at), D / S, dead)
-                traces.append(_thinned(trace))
-                ok = campaign.samples[step.trial].ok
-                gap = (trace.columns["model"] - trace.columns["displacement"])[ok]
-                misfits.append(sqrt(float(np.mean(gap**2))))
+                model = _closed_form(campaign, step, at_rest(braid, P, S, step.load, at), D / S, dead)
+                samples, direction = campaign.samples[step.trial], "to" if way > 0 else "from"
+                misfits.append(sqrt(float(np.mean((model - samples.x)[samples.ok] ** 2))))
+                name = f"step-{direction}-{P / 1e3:.0f}kPa-{step.trial}"
+                title = f"{direction} {show(P, 'pressure', 4)}: measured and closed form"
+                columns = (samples.t, samples.P, samples.x, model)
+                traces.append(overlay(name, "step-overlay", title, columns, P, step.load))
             rms[way] += misfits
             measure, mean = "rms over the whole trial, rest before the step included", float(np.mean(misfits))
             found.append(_estimate(campaign, "misfit", group, mean, measure, ("m", "length"), WORDS[way]))
@@ -229,26 +230,12 @@ def _estimate(
     return Estimate(symbol, value, *unit, MODEL, at, n=len(group), note=note, trials=names, coordinate=way)
 
 
-def _overlay(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float) -> Trace:
-    """Measured and modelled contraction of a trial, all samples."""
-    samples, trial = campaign.samples[step.trial], campaign.trials[step.trial]
-    command = next(c.t for c in trial.commands if c.output == "pressure" and c.t >= samples.t[0] - 1e-9)
-    fade = np.exp(-np.maximum(samples.t - command - dead, 0.0) / tau)
-    model = x_s * (1 - fade) if step.way > 0 else x_s * fade
-    way = "to" if step.way > 0 else "from"
-    return Trace(
-        name=f"step-{way}-{step.pressure / 1e3:.0f}kPa-{step.trial}",
-        figure="step-overlay",
-        title=f"{way} {show(step.pressure, 'pressure', 4)}: measured and closed form",
-        columns={"t": samples.t - samples.t[0], "pressure": samples.P, "displacement": samples.x, "model": model},
-        quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
-        marks={"pressure": step.pressure, "load": step.load},
-    )
-
-
-def _thinned(trace: Trace) -> Trace:
-    stride = -(-len(trace.columns["t"]) // LONGEST_TRACE)
-    return replace(trace, columns={name: values[::stride] for name, values in trace.columns.items()})
+def _closed_form(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float) -> Array:
+    """Modelled contraction of a trial [m] at all its samples."""
+    t, trial = campaign.samples[step.trial].t, campaign.trials[step.trial]
+    command = next(c.t for c in trial.commands if c.output == "pressure" and c.t >= t[0] - 1e-9)
+    fade = np.exp(-np.maximum(t - command - dead, 0.0) / tau)
+    return np.asarray(x_s * (1 - fade) if step.way > 0 else x_s * fade)
 
 
 def _findings(

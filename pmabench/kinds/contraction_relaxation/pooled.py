@@ -8,7 +8,7 @@ lines between. Linear in all of them.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -28,7 +28,7 @@ EXCESS = 1.5
 GAIN = 0.03
 """Least relative fall of the sum of squares for which one more knot is kept."""
 CHANCE = 8.0
-"""The same in units of what its coefficients take away by chance, in a run of few segments: the best place is taken."""
+"""The same in units of what its coefficients explain by chance, for runs of few segments: the best place is taken."""
 FEWEST_KNOTS = 3
 """A fit whose stretches are not halved has at least so many."""
 MOST_KNOTS = 8
@@ -39,11 +39,45 @@ FLOOR = 1e-4
 """Least noise, as a share of the typical force."""
 
 
-@dataclass(frozen=True, eq=False)
-class Solved(ABC):
-    """A solved least squares of segments, whatever forms its coefficients have over pressure.
+@dataclass(frozen=True)
+class Powers:
+    """A coefficient over pressure as powers of z = (P - centre) / scale, from the constant up."""
 
-    `theta` (p,) holds the unknowns of F_ce [N], K [N/m], B_c, B_r [N.s/m], then F_c [N] and what else there is.
+    order: int
+    centre: float
+    """[Pa]"""
+    scale: float
+    """[Pa]"""
+
+    @property
+    def name(self) -> str:
+        """The form in words."""
+        return ("constant", "a line")[self.order] if self.order < 2 else f"a polynomial of order {self.order}"
+
+    def powers(self, P: Array) -> Array:
+        """The powers of z at pressures P [Pa] of any shape; shape (*P.shape, order + 1)."""
+        return ((P[..., None] - self.centre) / self.scale) ** np.arange(self.order + 1)
+
+    def sums(self, P: Array, by: Array) -> Array:
+        """Sums over the second axis of the powers at P (n, w) [Pa] times `by` (n, w); shape (n, order + 1)."""
+        z, columns = (P - self.centre) / self.scale, []
+        for _ in range(self.order + 1):
+            columns.append(by.sum(axis=1))
+            by = by * z
+        return np.column_stack(columns)
+
+
+POLYGONS: Mapping[str, Powers] = {}
+"""Forms of a fit in which every coefficient is a polygon: straight lines between its knots."""
+NONE = np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A solved least squares of segments.
+
+    `theta` (p,) holds the unknowns of F_ce [N], K [N/m], B_c, B_r [N.s/m], then F_c [N]: of each coefficient its values
+    at the `knots`, or the terms of its polynomial.
     """
 
     theta: Array
@@ -54,32 +88,94 @@ class Solved(ABC):
     """[N], one per segment."""
     friction: bool
     """False: all segments go one way, and F_c cannot be separated from F_ce."""
+    knots: Array
+    """[Pa]"""
+    halves: Array = field(default_factory=lambda: NONE)
+    """Those of them [Pa] that only halve a stretch."""
+    added: Array = field(default_factory=lambda: NONE)
+    """Those of them [Pa] that were put where the residual needed one."""
+    forms: Mapping[str, Powers] = field(default_factory=dict)
+    """Coefficients that are polynomials; the others are straight lines between the knots."""
+    least: float = 0.0
+    """Pressure [Pa] from which on the forms hold: segments that come below it are left out."""
 
-    @abstractmethod
     def columns(self, symbol: str) -> slice:
         """Places of the unknowns of one of `SYMBOLS` or F_c in `theta`."""
+        sizes = [self.forms[name].order + 1 if name in self.forms else len(self.knots) for name in SYMBOLS]
+        place = (*SYMBOLS, symbol).index(symbol)
+        start = sum(sizes[:place])
+        return slice(start, start + [*sizes, 1][place])
 
-    @abstractmethod
     def row(self, symbol: str, P: float) -> Array:
         """What theta is to be multiplied by for a coefficient at P [Pa], shape (p,)."""
+        found, mine = np.zeros(len(self.theta)), self.columns(symbol)
+        if symbol in self.forms:
+            found[mine] = self.forms[symbol].powers(np.array(P))
+        elif symbol in SYMBOLS:
+            left, share = place(np.array([P]), self.knots)
+            found[mine][left[0] : left[0] + 2] = 1 - share[0], share[0]
+        else:
+            found[mine] = 1.0
+        return found
 
-    @abstractmethod
+    def at(self, P: float) -> int:
+        """Number of the knot at pressure P [Pa]."""
+        return int(np.argmin(np.abs(self.knots - P)))
+
     def values(self, symbol: str, P: Array) -> Array:
         """A coefficient [SI] at pressures P [Pa] of any shape."""
+        values = self.theta[self.columns(symbol)]
+        if symbol in self.forms:
+            return np.asarray(self.forms[symbol].powers(P) @ values)
+        left, share = place(P, self.knots)
+        return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
 
-    @abstractmethod
-    def again(self, segments: Segments, noise: float) -> Solved:
+    def damping(self, segments: Segments) -> Array:
+        """B of the way that each segment goes [N.s/m], shape (n,)."""
+        P = segments.pressure
+        return np.where(segments.way > 0, self.values("B_c", P), self.values("B_r", P))
+
+    def prior(self, segments: Segments, noise: float) -> Array:
+        """See `prior_of`."""
+        return prior_of(segments, self.knots, noise, self.forms)
+
+    def pulled(self, by: Array) -> Fit:
+        """The fit to the same segments with `by` (n,) [N] added to F_L."""
+        change = self.change(by[:, None])[:, 0]
+        return replace(self, theta=self.theta + change, residual=self.residual + by - self.design @ change)
+
+    def again(self, segments: Segments, noise: float) -> Fit:
         """The same fit to other segments, whose residual should be `noise` [N]."""
+        if self.least:
+            segments = segments.where(above(segments, self.least))
+        found = solve(segments, self.knots, noise, self.forms)
+        return replace(found, halves=self.halves, added=self.added, least=self.least)
 
-    @abstractmethod
-    def followed(self, gain: float, offset: float) -> Solved:
+    def followed(self, gain: float, offset: float) -> Fit:
         """The same where pressure reads (1 + gain) times as much, plus `offset` [Pa]: a bend that a knot was put at
         is then read elsewhere, and the knot goes with it; tested pressures stay where they are.
         """
+        there, knots = self.added * (1 + gain) + offset, self.knots.copy()
+        knots[np.isin(knots, self.added)] = there
+        return replace(self, knots=knots if (np.diff(knots) > 0).all() else self.knots, added=there)
 
-    @abstractmethod
     def bends(self, segments: Segments, noise: float) -> Array:
-        """What the forms leave of a bend in each unknown, shape (p,)."""
+        """What straight lines leave of a bend in each unknown, shape (p,): a third of what it changes to halve no
+        stretch (Richardson), for their errors go with length^2.
+        """
+        kept = np.setdiff1d(self.knots, self.halves)
+        if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
+            return np.zeros(len(self.theta))
+        coarse = self.coarser(segments, kept, noise)
+        return np.asarray((coarse.at_knots(self.knots) - self.theta) / 3.0)
+
+    def at_knots(self, knots: Array) -> Array:
+        """The unknowns of the same polygons at other knots [Pa]."""
+        return np.concatenate((*(self.values(symbol, knots) for symbol in SYMBOLS), [self.theta[-1]]))
+
+    def coarser(self, segments: Segments, knots: Array, noise: float) -> Fit:
+        """The same fit with fewer knots [Pa]."""
+        return solve(segments, knots, noise)
 
     def change(self, columns: Array) -> Array:
         """Change of theta by forces [N] at the segments that the form does not have; (n, m) gives (p, m)."""
@@ -105,76 +201,22 @@ class Solved(ABC):
     @cached_property
     def rms(self) -> float:
         """Root mean square residual [N], with the degrees of freedom that the fit took."""
-        free = max(1.0, len(self.residual) - float(np.sum(self.design @ self.inverse * self.design)))
+        free = max(1.0, len(self.residual) - float(np.sum(levers(self.design, self.inverse))))
         return float(np.sqrt(self.residual @ self.residual / free))
 
 
-@dataclass(frozen=True, eq=False)
-class Fit(Solved):
-    """Every coefficient a polygon: `theta` holds their values at the `knots` [Pa], then F_c [N]."""
+def levers(design: Array, inverse: Array) -> Array:
+    """Variance of the prediction of each row by a fit, over that of one row; shape (n,)."""
+    return np.asarray(np.sum(design @ inverse * design, axis=1))
 
-    knots: Array
-    halves: Array = field(default_factory=lambda: np.empty(0))
-    """Those of them [Pa] that only halve a stretch."""
-    added: Array = field(default_factory=lambda: np.empty(0))
-    """Those of them [Pa] that were put where the residual asked for one."""
 
-    def index(self, symbol: str, knot: int = 0) -> int:
-        """Place of a coefficient in `theta`."""
-        return SYMBOLS.index(symbol) * len(self.knots) + knot if symbol in SYMBOLS else len(self.theta) - 1
-
-    def columns(self, symbol: str) -> slice:
-        """See `Solved`."""
-        start = self.index(symbol)
-        return slice(start, start + (len(self.knots) if symbol in SYMBOLS else 1))
-
-    def row(self, symbol: str, P: float) -> Array:
-        """See `Solved`."""
-        found = np.zeros(len(self.theta))
-        if symbol not in SYMBOLS:
-            found[-1] = 1.0
-            return found
-        left, share = place(np.array([P]), self.knots)
-        start = self.index(symbol, int(left[0]))
-        found[start : start + 2] = 1 - share[0], share[0]
-        return found
-
-    def at(self, P: float) -> int:
-        """Number of the knot at pressure P [Pa]."""
-        return int(np.argmin(np.abs(self.knots - P)))
-
-    def values(self, symbol: str, P: Array) -> Array:
-        """See `Solved`."""
-        left, share = place(P, self.knots)
-        values = self.theta[self.columns(symbol)]
-        return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
-
-    def pulled(self, by: Array) -> Fit:
-        """The fit to the same segments with `by` (n,) [N] added to F_L."""
-        change = self.change(by[:, None])[:, 0]
-        return replace(self, theta=self.theta + change, residual=self.residual + by - self.design @ change)
-
-    def again(self, segments: Segments, noise: float) -> Fit:
-        """See `Solved`."""
-        return solve(segments, self.knots, noise, self.halves, self.added)
-
-    def followed(self, gain: float, offset: float) -> Fit:
-        """See `Solved`."""
-        there = follow(self.added, gain, offset)
-        return replace(self, knots=carried(self.knots, self.added, there), added=there)
-
-    def bends(self, segments: Segments, noise: float) -> Array:
-        """A third of what it changes to halve no stretch (Richardson): errors of straight lines go with length^2."""
-        kept = np.setdiff1d(self.knots, self.halves)
-        if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
-            return np.zeros(len(self.theta))
-        coarse = solve(segments, kept, noise)
-        values = [coarse.values(symbol, self.knots) for symbol in SYMBOLS]
-        return np.asarray((np.concatenate((*values, [coarse.theta[-1]])) - self.theta) / 3.0)
+def above(segments: Segments, least: float) -> NDArray[np.bool_]:
+    """Which segments lie above a pressure [Pa], shape (n,)."""
+    return np.asarray(segments.P.min(axis=1) >= least)
 
 
 def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
-    """Left neighbour among the knots, and the way to the right one as a share; lines go on beyond the ends."""
+    """Left neighbour among the knots, and the share of the way from there to the right one; lines go on at the ends."""
     left = np.searchsorted(knots[1:-1], P, side="right")
     return left, (P - knots[left]) / np.diff(knots)[left]
 
@@ -188,69 +230,57 @@ def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
     return total.reshape(-1, k)
 
 
-def sums_of(segments: Segments, knots: Array) -> tuple[Array, Array, Array]:
-    """What F_ce, K and B at the knots are multiplied by, by their size, each of shape (n, k)."""
+def sums_of(segments: Segments, knots: Array) -> dict[str, Array]:
+    """What each coefficient at the knots is multiplied by, by its size, each of shape (n, k)."""
     weights, k = np.broadcast_to(segments.weights, segments.P.shape), len(knots)
     left, share = at = place(segments.P, knots)
-    s = segments.v.shape[1]
-    first = (left.shape[1] - s) // 2  # of the pressures in the middle, `P_mid`
-    return (
-        spread(at, weights, k),
-        spread(at, weights * segments.x, k),
-        spread((left[:, first : first + s], share[:, first : first + s]), segments.v / s, k),
-    )
+    first, s = segments.reach, segments.v.shape[1]  # of the pressures in the middle, `P_mid`
+    damping = spread((left[:, first : first + s], share[:, first : first + s]), segments.v / s, k)
+    return {
+        "F_ce": spread(at, weights, k), "K": spread(at, weights * segments.x, k), "B_c": damping, "B_r": damping,
+    }  # fmt: skip
 
 
-def design_of(segments: Segments, knots: Array) -> Array:
-    """Regressors, shape (n, 4 k + 1), in the order of `Fit.theta`."""
-    return _design(segments, sums_of(segments, knots))
+def design_of(segments: Segments, knots: Array, forms: Mapping[str, Powers] = POLYGONS) -> Array:
+    """Regressors, shape (n, p), in the order of `Fit.theta`."""
+    of = sums_of(segments, knots) if len(forms) < len(SYMBOLS) else {}
+    for symbol, form in forms.items():
+        P, by = segments.P_mid, segments.v / segments.v.shape[1]
+        if symbol in ("F_ce", "K"):
+            P, by = segments.P, segments.weights * (segments.x if symbol == "K" else np.ones(segments.x.shape))
+        of[symbol] = form.sums(P, by)
+    way = segments.way[:, None]
+    up = way > 0
+    return np.hstack([of["F_ce"], -of["K"], -np.where(up, of["B_c"], 0.0), -np.where(up, 0.0, of["B_r"]), -way])
 
 
-def _design(segments: Segments, sums: tuple[Array, Array, Array]) -> Array:
-    force, spring, damping = sums
-    contracting = segments.way[:, None] > 0
-    return np.hstack(
-        [
-            force,
-            -spring,
-            -np.where(contracting, damping, 0.0),
-            -np.where(contracting, 0.0, damping),
-            -segments.way[:, None],
-        ]
-    )
-
-
-NONE = np.empty(0)
-
-
-def follow(added: Array, gain: float, offset: float) -> Array:
-    """Where knots [Pa] go when pressure reads (1 + gain) times as much, plus `offset` [Pa]."""
-    return np.asarray(added * (1 + gain) + offset)
-
-
-def carried(knots: Array, old: Array, new: Array) -> Array:
-    """The knots [Pa] with `new` in place of `old`, in the same order; as they are where that would change."""
-    there = knots.copy()
-    there[np.isin(knots, old)] = new
-    return there if (np.diff(there) > 0).all() else knots
-
-
-def solve(segments: Segments, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE) -> Fit:
+def solve(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Fit:
     """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
-    return solve_design(segments, design_of(segments, knots), knots, noise, halves, added)
-
-
-def solve_design(
-    segments: Segments, design: Array, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE
-) -> Fit:
-    """The same with the regressors (n, 4 k + 1) of these segments and knots, which do not depend on the force."""
+    design = design_of(segments, knots, forms)
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
     if not friction:
         design[:, -1] = 0.0
-    prior = prior_of(segments, design, knots, noise)
+    prior = prior_of(segments, knots, noise, forms)
     inverse = inverse_of(design.T @ design + prior.T @ prior)
     theta = inverse @ (design.T @ segments.force)
-    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots, halves, added)
+    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots, forms=forms)
+
+
+def least_squares(design: Array, force: Array, prior: Array) -> Array:
+    """Theta of least squares with rows of a prior, by way of no normal matrix."""
+    both = np.vstack([design, prior])
+    return np.asarray(np.linalg.lstsq(both, np.concatenate((force, np.zeros(len(prior)))), rcond=None)[0])
+
+
+def without_each(
+    design: Array, force: Array, prior: Array, groups: Iterable[NDArray[np.bool_]]
+) -> Iterator[tuple[Array, Array]]:
+    """Inverse and theta of least squares with a prior, without each group of rows in turn."""
+    normal, right = design.T @ design + prior.T @ prior, design.T @ force
+    for rows in groups:
+        mine = design[rows]
+        inverse = inverse_of(normal - mine.T @ mine)
+        yield inverse, inverse @ (right - mine.T @ force[rows])
 
 
 def inverse_of(normal: Array) -> Array:
@@ -259,26 +289,26 @@ def inverse_of(normal: Array) -> Array:
     return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
-def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
+def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Array:
     """Rows that draw each knot weakly to the line between its neighbours, and everything very weakly to 0."""
-    k, p = len(knots), design.shape[1]
-    sizes, bends = sizes_of(segments), bent(knots)
+    sizes, bends = sizes_of(segments), bent(knots) if len(forms) < len(SYMBOLS) else NONE
     noise = max(noise, FLOOR * sizes[0])
-    rows = [np.diag([noise / (1e3 * size) for size in np.repeat(sizes, k)] + [noise / (1e3 * sizes[0])])]
-    for number, size in enumerate(sizes):
-        bend = np.zeros((k - 2, p))
-        bend[:, number * k : (number + 1) * k] = bends * (noise / (BEND * size))
-        rows.append(bend)
+    counts = [forms[symbol].order + 1 if symbol in forms else len(knots) for symbol in SYMBOLS]
+    rows = [np.diag(noise / (1e3 * np.repeat((*sizes, sizes[0]), (*counts, 1))))]
+    for symbol, size, begin in zip(SYMBOLS, sizes, np.cumsum([0, *counts[:-1]]), strict=True):
+        if symbol not in forms:
+            bend = np.zeros((len(knots) - 2, len(rows[0])))
+            bend[:, begin : begin + len(knots)] = bends * (noise / (BEND * size))
+            rows.append(bend)
     return np.vstack(rows)
 
 
 def bent(knots: Array) -> Array:
-    """Rows that tell how far each inner knot lies off the line between its neighbours, shape (k - 2, k)."""
+    """Rows that give how far each inner knot lies off the line between its neighbours, shape (k - 2, k)."""
     k = len(knots)
-    rows = np.zeros((k - 2, k))
-    for j in range(1, k - 1):
-        share = (knots[j] - knots[j - 1]) / (knots[j + 1] - knots[j - 1])
-        rows[j - 1, j - 1 : j + 2] = share - 1, 1, -share
+    rows, j = np.zeros((k - 2, k)), np.arange(k - 2)
+    share = (knots[1:-1] - knots[:-2]) / (knots[2:] - knots[:-2])
+    rows[j, j], rows[j, j + 1], rows[j, j + 2] = share - 1, 1, -share
     return rows
 
 
@@ -289,24 +319,23 @@ def sizes_of(segments: Segments) -> tuple[float, float, float, float]:
     return force, force / x, force / v, force / v
 
 
-def expected_noise(segments: Segments, fit: Solved, noise: Noise) -> Array:
+def expected_noise(segments: Segments, fit: Fit, noise: Noise) -> Array:
     """Standard deviation of the residual of each segment from the noise of the channels alone [N], shape (n,)."""
     return np.asarray(np.sqrt(noise_covariance(segments, fit, noise)[0]))
 
 
-def noise_covariance(segments: Segments, fit: Solved, noise: Noise, late: Noise = ON_TIME) -> tuple[Array, Array]:
+def noise_covariance(segments: Segments, fit: Fit, noise: Noise, late: Noise = ON_TIME) -> tuple[Array, Array]:
     """Of the residuals, as in `segments`: from the noise of the cell or, where none measures, in M x''; of the
     pressure, by the slope of F_ce - K x; of the displacement, by K and in the velocity by B.
     """
-    P = segments.pressure
-    damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P))
-    return covariance(segments, force_by_pressure(segments, fit), fit.values("K", P), damping, noise, late)
+    K = fit.values("K", segments.pressure)
+    return covariance(segments, force_by_pressure(segments, fit), K, fit.damping(segments), noise, late)
 
 
-def force_by_pressure(segments: Segments, fit: Solved) -> Array:
+def force_by_pressure(segments: Segments, fit: Fit) -> Array:
     """Change of F_ce - K x with the pressure at each segment [N/Pa], shape (n,)."""
     P, step = segments.pressure, 1e3
-    x = segments.x @ segments.weights
+    x = segments.contraction
     slope = fit.values("F_ce", P + step) - fit.values("F_ce", P - step)
     return np.asarray((slope - (fit.values("K", P + step) - fit.values("K", P - step)) * x) / (2 * step))
 
@@ -331,7 +360,7 @@ def first_knots(tested: Array, commanded: Array) -> Array:
 
 
 def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
-    """The pooled fit with knots added where the residual asks for them, and the noise of each segment [N], shape (n,).
+    """The pooled fit with knots added where the residual needs them, and the noise of each segment [N], shape (n,).
 
     `knots` [Pa] as `first_knots` gives them, every other one half way between its neighbours.
 
@@ -351,7 +380,8 @@ def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
             break
         solved = finer
     each = np.maximum(floor, expected_noise(segments, solved, noise))
-    return solve(segments, solved.knots, rms_of(each), knots[1::2], np.setdiff1d(solved.knots, knots)), each
+    found = solve(segments, solved.knots, rms_of(each))
+    return replace(found, halves=knots[1::2], added=np.setdiff1d(solved.knots, knots)), each
 
 
 def rms_of(values: Array) -> float:
@@ -360,26 +390,14 @@ def rms_of(values: Array) -> float:
 
 
 def _with_knot(segments: Segments, solved: Fit, stretch: tuple[float, float], expected: float) -> Fit:
-    """The fit with one more knot in the stretch [Pa]: at the best of some places, then at the best near that one.
-
-    Only segments that come into the stretch notice it.
-    """
+    """The fit with one more knot in the stretch [Pa]: at the best of some places, then at the best near that one."""
     low, high = stretch
     found: list[tuple[float, Fit]] = []
     number = int(np.searchsorted(solved.knots, low))
-    without = [np.insert(sums, number + 1, 0.0, axis=1) for sums in sums_of(segments, solved.knots)]
-    near = np.zeros(len(segments), bool)
-    for P in (segments.P, segments.P_mid):
-        near |= (place(P, solved.knots)[0] == number).any(axis=1)
-    inside = segments.where(near)
     for _ in range(2):
         apart = (high - low) / (PLACES + 1)
         for P in low + apart * np.arange(1, PLACES + 1):
-            knots = np.insert(solved.knots, number + 1, P)
-            for sums, there in zip(without, sums_of(inside, knots), strict=True):
-                sums[near] = there
-            design = _design(segments, (without[0], without[1], without[2]))
-            found.append((float(P), solve_design(segments, design, knots, expected)))
+            found.append((float(P), solve(segments, np.insert(solved.knots, number + 1, P), expected)))
         place_of, best = min(found, key=lambda one: float(one[1].residual @ one[1].residual))
         low, high = place_of - apart, place_of + apart
     return best

@@ -1,12 +1,12 @@
-"""What trials that were not done yet will tell: the fit's rows from a simulated trial in each cell of a plan.
+"""What further trials would add: rows of the fit from a simulated trial in each cell of a plan.
 
 The muscle is that of `expected` in a specimen file, or a fit. Knows the plan as it is kept with a run, and no run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
 
@@ -21,12 +21,11 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     design_of,
     expected_noise,
     first_knots,
-    prior_of,
     rms_of,
 )
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Gate, Segments, cut
 from pmabench.kinds.contraction_relaxation.values import FEWEST, WIDE, near
-from pmabench.store.records import Array
+from pmabench.store.records import Array, TrialData
 
 RATE = 250.0
 """Samples a second of simulated trials [Hz]; a segment is 40 ms."""
@@ -145,15 +144,37 @@ class Outlook:
     """Those that are expected to move."""
     idle: tuple[Cell, ...]
     names: tuple[tuple[str, float], ...]
-    """Symbol and pressure [Pa] of each value that all trials of the plan together can tell."""
+    """Symbol and pressure [Pa] of each value that all trials of the plan together determine."""
     values: Array
     """[SI], shape (m,)."""
     design: Design
     """Its wanted combinations are those values."""
 
+    def of_values(self, kept: Sequence[int]) -> Outlook:
+        """The same for some of the values."""
+        rows = list(kept)
+        design = replace(self.design, wanted=self.design.wanted[rows])
+        return replace(self, names=tuple(self.names[n] for n in rows), values=self.values[rows], design=design)
+
+    def without(self, keys: Set[tuple[float, float]]) -> Outlook:
+        """The same with the cells of these keys among the idle ones."""
+        kept = [number for number, cell in enumerate(self.cells) if cell.key not in keys]
+        idle = (*self.idle, *(cell for cell in self.cells if cell.key in keys))
+        design = replace(self.design, cells=self.design.cells[kept])
+        return replace(self, cells=tuple(self.cells[n] for n in kept), idle=idle, design=design)
+
+    def counts(self, trials: Sequence[TrialData]) -> Array:
+        """How many of the trials are in each cell, shape (cells,)."""
+        place = {cell.key: number for number, cell in enumerate(self.cells)}
+        counts = np.zeros(len(place))
+        for trial in trials:
+            if (number := place.get(cell_key(trial.point))) is not None:
+                counts[number] += 1
+        return counts
+
 
 def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
-    """What trials in `cells` tell of F_ce [N], K [N/m], B_c, B_r [N.s/m] at the tested pressures, and of F_c [N].
+    """How well trials in `cells` determine F_ce [N], K [N/m], B_c, B_r [N.s/m] at the tested pressures, and F_c [N].
 
     Parameters
     ----------
@@ -172,7 +193,7 @@ def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
     moves = [number for number in range(len(cells)) if count[number] >= FEWEST and lifts[number]]
     rows = design_of(segments, fit.knots)
     normals = np.array([rows[segments.trial == n].T @ rows[segments.trial == n] for n in moves])
-    prior = prior_of(segments, rows, fit.knots, noise)
+    prior = fit.prior(segments, noise)
     between = scattered(fit, SCATTER)
     tested = sorted({cells[n].pressure for n in moves})
     names = [(symbol, P) for symbol in SYMBOLS for P in tested] + [("F_c", 0.0)]
@@ -180,18 +201,20 @@ def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
     normals = normals.reshape(len(moves), len(fit.theta), len(fit.theta))
     whole = Design(prior.T @ prior, normals, noise, between, wanted)
     values = wanted @ fit.theta
-    known = np.array([_near(segments, fit, name) for name in names])
+    known = np.array(
+        [symbol == "F_c" or bool(near(segments, fit.knots, symbol, P).sum() >= FEWEST) for symbol, P in names]
+    )
     if moves:
         counts = np.array([len(cells[n].trials) for n in moves], float)
         known = known & (NORMAL * np.sqrt(whole.variances(counts)) <= WIDE * _size(names, values))
-    kept = [n for n in range(len(names)) if known[n]] if moves else []
-    return Outlook(
+    found = Outlook(
         tuple(cells[n] for n in moves),
         tuple(cell for n, cell in enumerate(cells) if n not in moves),
-        tuple(names[n] for n in kept),
-        values[kept],
-        Design(whole.prior, whole.cells, noise, between, wanted[kept]),
+        tuple(names),
+        values,
+        whole,
     )
+    return found.of_values(np.flatnonzero(known).tolist() if moves else [])
 
 
 def scattered(fit: Fit, share: float) -> Array:
@@ -206,17 +229,11 @@ def scattered(fit: Fit, share: float) -> Array:
     return covariance
 
 
-def _near(segments: Segments, fit: Fit, name: tuple[str, float]) -> bool:
-    """Whether there are segments near a pressure, as the reduction wants them for a value there."""
-    return name[0] == "F_c" or bool(near(segments, fit.knots, *name).sum() >= FEWEST)
-
-
 def _size(names: Sequence[tuple[str, float]], values: Array) -> Array:
     """The size of each value, at least the median of its symbol; shape (m,)."""
     symbols = np.array([symbol for symbol, _ in names])
     median = {symbol: float(np.median(np.abs(values[symbols == symbol]))) for symbol in set(symbols.tolist())}
-    least: Array = np.array([median[symbol] for symbol in symbols.tolist()])
-    return np.asarray(np.maximum(np.abs(values), least))
+    return np.maximum(np.abs(values), [median[symbol] for symbol in symbols.tolist()])
 
 
 @dataclass(frozen=True)
@@ -244,7 +261,7 @@ def intervals_of_plan(plan: Mapping[str, Any], expected: Mapping[str, Any], nois
 
     By C = N^-1 (sum S_i) N^-1 of `pmabench.analysis.design`, with a scatter between trials of 2 %: what the noise and
     the scatter make; calibration, drift and what the muscle does beyond the form come on top. Values that the plan
-    cannot tell (no motion near their pressure) are left out.
+    does not determine (no motion near their pressure) are left out.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -31,15 +31,15 @@ from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
     FLOOR,
     SYMBOLS,
-    Solved,
+    Fit,
     expected_noise,
     first_knots,
     fit,
     rms_of,
 )
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Cutter, Gate, Segments, gather, moved, strokes
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Gate, Segments, cut, gather, moved, strokes
 from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, curve, values
-from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
+from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold, without_value
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation"
@@ -81,6 +81,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
+    asked = (("joint", joint.facts), ("output_error", polished.facts), ("bootstrap", resampled))
     every = (*estimates, *joint.estimates, *polished.estimates, *stepwise.estimates)
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
@@ -106,9 +107,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             **facts,
             **checks.facts(campaign, pooled, simulated),
             **stepwise.facts,
-            **({"joint": joint.facts} if joint.facts else {}),
-            **({"output_error": polished.facts} if polished.facts else {}),
-            **({"bootstrap": resampled} if resampled else {}),
+            **{name: found for name, found in asked if found},
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
@@ -141,34 +140,31 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
                 reasons |= {key: why} if corrected else {}
             elif uncorrected is not None and not corrected:
                 why = f"not given: {uncorrected.text}, and this method has no correction for it"
-                e = replace(withhold(e, why), withheld=False)
+                e = without_value(e, why)
         result.append(e)
     return result
 
 
-def segments_like(
-    campaign: Campaign, options: Mapping[str, Any]
-) -> tuple[Array, Callable[[Sequence[Samples]], Segments]]:
+def segments_like(campaign: Campaign, options: Mapping[str, Any]) -> tuple[Array, Cut]:
     """First knots of the fit [Pa], and what cuts samples into segments within their reach."""
-    cutter = Cutter(campaign.rate, Gate(speed=float(options.get("speed", Gate.speed))))
+    gate = Gate(speed=float(options.get("speed", Gate.speed)))
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
     knots = first_knots(np.array(campaign.tested), commanded)
-    return knots, lambda samples: cutter.cut(samples).within(knots)
+    return knots, lambda samples: cut(samples, campaign.rate, gate).within(knots)
 
 
 def _replays(
-    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], work: simulated.Stretches, other: Solved
-) -> Callable[[int], Segments]:
-    """Segments of replays of a fitted muscle along the stretches, by their seed; NotUsable where it does not move."""
-    run = simulated.run(other, work.P, work.dt, work.load, work.mass, work.x)
-
-    def replayed(seed: int) -> Segments:
+    campaign: Campaign, segments_of: Cut, work: simulated.Stretches, fit: Fit, count: int
+) -> Iterator[Segments]:
+    """Segments of replays of a fitted muscle along the stretches; NotUsable where it does not move."""
+    if not count:
+        return
+    run = simulated.run(fit, work.P, work.dt, work.load, work.mass, work.x)
+    for seed in range(count):
         seen_again = segments_of(simulated.measured(work, run, campaign.noise, campaign.cell, seed))
         if len(seen_again) < 2 * FEWEST:
             raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
-        return seen_again
-
-    return replayed
+        yield seen_again
 
 
 def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
@@ -179,64 +175,58 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     as_recorded = segments_of(recorded.samples)
     if len(as_recorded) < 2 * FEWEST:
         return None
-    found = examined(recorded, knots, segments_of, as_recorded)
-    diagnosis, spread, test = found.diagnosis, found.spread, found.diagnosis.reported.test
+    diagnosis = examined(recorded, knots, segments_of, as_recorded)
+    spread, test = diagnosis.spread, diagnosis.reported.test
     campaign, segments, solved = test.campaign, test.segments, test.fit
     noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
     slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # what rests show of it is corrected
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
     offsets = Scales.of(campaign.runs).offsets
-    rests = {
-        channel: at_rest(campaign.trials, campaign.samples, channel, offsets.get(channel, 0.0)) for channel in rested
-    }
+    rests = {channel: at_rest(campaign, channel, offsets.get(channel, 0.0)) for channel in rested}
     work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:
         """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
-        again, _ = fit(late, knots, campaign.noise)
-        polygons = [again.values(symbol, solved.knots) for symbol in SYMBOLS]
-        return np.concatenate((*polygons, [again.coulomb]))
+        return fit(late, knots, campaign.noise)[0].at_knots(solved.knots)
 
-    def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
-        """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
+    def trusted(
+        other: Fit, rows: NDArray[np.bool_], seen: Array, unit: float, again: Callable[[Segments], Array]
+    ) -> Trust:
+        """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each, `unit` [N] the
+        one that the correction is fitted again with.
+        """
         mine = segments.where(rows)
-        replay, count = _replays(campaign, segments_of, work, other), int(options.get("replays", REPLAYS))
-        replays = [other.again(replay(seed), rms_of(seen)).theta for seed in range(count)]
-        skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
-        drifts = drifts_of(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
-        return assess(campaign, mine, other, seen, replays, skews, drifts)
+        again_seen = _replays(campaign, segments_of, work, other, int(options.get("replays", REPLAYS)))
+        replays = [other.again(one, rms_of(seen)).theta for one in again_seen]
+        skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
+        drifts = drifts_of(campaign, mine, other, rms_of(seen), rests)
+        trust = assess(campaign, mine, other, seen, replays, skews, drifts)
+        return trust if spread is None else replace(trust, correction=spread.of(other, rows, unit))
 
     every = np.ones(len(segments), bool)
-    alone = trusted(solved, every, noise, first)
-    if spread is not None:
-        alone = replace(alone, correction=spread.of(solved, every, test.expected))
+    alone = trusted(solved, every, noise, test.expected, first)
 
     def tests_of_noise(count: int) -> list[Test]:
-        found = map(_replays(campaign, segments_of, work, solved), range(count))
+        found = _replays(campaign, segments_of, work, solved, count)
         return [Test.of(campaign, one, solved.again(one, test.expected), test.expected) for one in found]
 
-    departures = hidden(test, found.search.followed, diagnosis.weighed, alone, tests_of_noise)
+    departures = hidden(test, diagnosis.search.followed, diagnosis.weighed, alone, tests_of_noise)
     diagnosis = replace(diagnosis, hidden=departures)
 
-    def with_hidden(other: Solved, rows: NDArray[np.bool_], trust: Trust) -> Trust:
+    def with_hidden(other: Fit, rows: NDArray[np.bool_], trust: Trust) -> Trust:
         mine, scales = segments.where(rows), Scales.of(campaign.runs)
-        lines = diagnosis.hidden.lines(other, rows)
+        of_cell = of_the_cell(diagnosis.weighed, scales, mine, other)
         sensor = of_the_sensor(sensor_known(campaign), mine, other)
-        return replace(trust, hides=(*lines, *of_the_cell(diagnosis.weighed, scales, mine, other), sensor))
+        return replace(trust, causes=(*trust.causes, *diagnosis.hidden.lines(other, rows), *of_cell, sensor))
 
-    def trust_of(other: Solved, rows: NDArray[np.bool_], seen: Array) -> Trust:
-        trust = trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)
-        if spread is not None:
-            trust = replace(trust, correction=spread.of(other, rows, rms_of(seen)))
-        return with_hidden(other, rows, trust)
+    def trust_of(other: Fit, rows: NDArray[np.bool_], seen: Array) -> Trust:
+        unit = rms_of(seen)
+        return with_hidden(other, rows, trusted(other, rows, seen, unit, lambda late: other.again(late, unit).theta))
 
     return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, work, diagnosis)
 
 
-def _skews(
-    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], again: Callable[[Segments], Array],
-    solved: Solved,
-) -> Array:  # fmt: skip
+def _skews(campaign: Campaign, segments_of: Cut, again: Callable[[Segments], Array], solved: Fit) -> Array:
     """Change of theta by the clock of each stream at its bound, both ways; shape (clocks, courses, p)."""
 
     def changed(channels: tuple[str, ...], by: Array) -> Array:
@@ -273,7 +263,7 @@ def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], li
     curves = []
     for symbol, orders in ORDERS.items():
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]
-        places = [pooled.fit.index(symbol, pooled.fit.at(e.at["pressure"])) for e in known]
+        places = [pooled.fit.columns(symbol).start + pooled.fit.at(e.at["pressure"]) for e in known]
         curves += [curve(known, order, pooled.trust, places) for order in orders]
     return estimates, [through for through in curves if through is not None]
 

@@ -11,8 +11,9 @@ A `Campaign` holds the trials of all runs that can be reduced together, with the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +23,15 @@ from pmabench.analysis.shared.skew import STAMPED, apart
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
+CHANNELS = ("pressure", "displacement", "force")
 ASSUMED_MASS = 0.5
 """Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
 FEWEST_STILL = 8
-"""Fewest samples at rest that tell of noise."""
+"""Fewest samples at rest from which noise is estimated."""
 FEW, COUNTS = 256, 65536
-"""So many samples show the step of a converter, most often; and so many of these it has at most, of 16 bits."""
+"""Samples that usually show the step of a converter, and most steps that it has, with 16 bits."""
 LEVELS = 20
-"""A channel takes at least so many values before the least distance between two is the step of its converter."""
+"""Fewest values of a channel whose least distance is taken for the step of its converter."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,22 @@ class Segments:
         """Mean pressure of each segment [Pa], shape (n,)."""
         return self.P @ self.weights
 
+    @property
+    def contraction(self) -> Array:
+        """Mean contraction of each segment [m], shape (n,)."""
+        return self.x @ self.weights
+
+    @property
+    def reach(self) -> int:
+        """How many samples `P` and `x` reach beyond the segment itself at either end."""
+        return int(self.x.shape[1] - self.v.shape[1]) // 2
+
+    @property
+    def followed(self) -> NDArray[np.bool_]:
+        """Whether the next segment begins where each ends, in the same trial; shape (n - 1,)."""
+        late = np.abs(np.diff(self.t) - self.v.shape[1] * self.dt)
+        return np.asarray((np.diff(self.trial) == 0) & (late < 0.5 * self.dt))
+
     def where(self, rows: NDArray[np.bool_]) -> Segments:
         """Only some of the rows."""
         by_row = {name: values for name, values in vars(self).items() if name not in ("weights", "dt")}
@@ -94,7 +112,7 @@ class Segments:
         return self if rows.all() else self.where(rows)
 
     def shifted(self, channel: str, gain: float, offset: float | Array) -> Segments:
-        """The same segments had `channel` read (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
+        """The segments if `channel` read (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
         each = np.asarray(offset)[..., None]
         if channel == "pressure":
             return replace(self, P=self.P * (1 + gain) + each, P_mid=self.P_mid * (1 + gain) + each)
@@ -107,6 +125,10 @@ class Segments:
     def pulled(self, by: Array) -> Segments:
         """The same segments with `by` (n,) [N] added to F_L, by a cell or a weight."""
         return replace(self, force=self.force + by, F_mid=self.F_mid + by[:, None])
+
+
+Cut = Callable[[Sequence[Samples]], Segments]
+"""What makes segments of samples."""
 
 
 def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
@@ -123,9 +145,9 @@ def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
 
 
 def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
-    """The samples had the clock of `channels` been `by` [s] ahead of that of the others.
+    """The samples if the clock of `channels` were `by` [s] ahead of that of the others.
 
-    Displacement, which tells the segments, stays where it is: in its place the others move the other way. No sample
+    Segments are cut by the displacement, so that stays where it is: the others move the other way instead. No sample
     becomes unusable by it, so that the same segments come of both: next to a hole values stay as they are.
     """
 
@@ -135,11 +157,8 @@ def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
 
     if "displacement" in channels:
         channels, by = [name for name in ("pressure", "force") if name not in channels], -by
-    P = later(samples.P, by) if "pressure" in channels else samples.P
-    force = samples.force
-    if force is not None and "force" in channels:
-        force = later(force, by)
-    return _finite(replace(samples, P=P, force=force))
+    taken = {name: later(values, by) for name, values in samples.channels.items() if name in channels}
+    return _finite(samples.having(taken))
 
 
 def _later(t: Array, values: Array, by: float) -> Array:
@@ -153,9 +172,7 @@ def _later(t: Array, values: Array, by: float) -> Array:
 
 def _finite(samples: Samples) -> Samples:
     """The samples, of which those with a number in every channel are usable."""
-    known = np.isfinite(samples.P) & np.isfinite(samples.x)
-    if samples.force is not None:
-        known &= np.isfinite(samples.force)
+    known = np.all([np.isfinite(values) for values in samples.channels.values()], axis=0)
     return samples if known[samples.ok].all() else replace(samples, ok=samples.ok & known)
 
 
@@ -167,80 +184,22 @@ def velocity(t: Array, x: Array, reach: int) -> Array:
     return v
 
 
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Where the segments of a stretch lie, by these samples of it."""
-
-    x: Array
-    ok: NDArray[np.bool_]
-    v: Array
-    """Velocity at each sample [m/s]."""
-    start: NDArray[np.intp]
-    way: Array
-    """Shape (segments,) both."""
-
-
-@dataclass(frozen=True, eq=False)
-class Cutter:
-    """Cuts stretches into segments; where only pressures and forces of a trial differ from the last time, its places
-    are known.
-    """
-
-    rate: float
-    gate: Gate
-    known: dict[int, _Places] = field(default_factory=dict)
-    """Trial -> places."""
-
-    def cut(self, stretches: Sequence[Samples]) -> Segments:
-        """All segments of the stretches, in their order, contracting before relaxing in each."""
-        n, m = self.gate.samples(self.rate)
-        weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
-        parts = [_taken(samples, self._places(samples, n, m), n, m, weights) for samples in stretches]
-        return _joined([part for part in parts if part is not None], n, m, weights, 1 / self.rate)
-
-    def _places(self, samples: Samples, n: int, m: int) -> _Places:
-        found = self.known.get(samples.trial)
-        if found is None or found.x is not samples.x or found.ok is not samples.ok:
-            found = self.known[samples.trial] = _places(samples, n, m, self.gate)
-        return found
-
-
 def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
     """All segments of the stretches, in their order, contracting before relaxing in each."""
-    return Cutter(rate, gate).cut(stretches)
-
-
-def _joined(found: Sequence[tuple[Array, ...]], n: int, m: int, weights: Array, dt: float) -> Segments:
-    """Segments of columns as `_taken` gives them."""
-    none, wide, narrow = np.empty(0), np.empty((0, n + 2 * m)), np.empty((0, n))
-    empty = (np.empty(0, np.intp), none, none, wide, wide, narrow, narrow, narrow, none, none)
-    columns = (np.concatenate(column) for column in zip(empty, *found, strict=True))
+    n, m = gate.samples(rate)
+    weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
+    parts = [_taken(samples, n, m, weights, gate) for samples in stretches]
+    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
     trial, t, way, P, x, P_mid, v, F_mid, force, mass = columns
-    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, dt)
+    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, 1 / rate)
 
 
-def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
-    """Segments of `n` samples that a velocity over `m` samples to both sides allows."""
+def _taken(samples: Samples, n: int, m: int, weights: Array, gate: Gate) -> tuple[NDArray[Any], ...]:
+    """Columns of `Segments` of one stretch, in the order of their declaration: segments of `n` samples, which a
+    velocity over `m` samples to both sides allows.
+    """
     v = velocity(samples.t, samples.x, m)
-    usable = samples.ok & (samples.x > gate.lift)
-    starts, ways = [np.empty(0, np.intp)], [np.empty(0)]
-    inside = np.zeros(len(v) + 2, bool)
-    for way, moving in ((1.0, v > gate.speed), (-1.0, v < -gate.speed)):
-        np.logical_and(usable, moving, out=inside[1:-1])
-        for first, last in (inside[1:] != inside[:-1]).nonzero()[0].reshape(-1, 2).tolist():
-            begin = first + 2 * m + 1
-            count = (last - m - begin) // n
-            if count > 0:
-                starts.append(begin + n * np.arange(count))
-                ways.append(np.full(count, way))
-    return _Places(samples.x, samples.ok, v, np.concatenate(starts), np.concatenate(ways))
-
-
-def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) -> tuple[Array, ...] | None:
-    """Columns of `Segments` of one stretch, in the order of their declaration; None without any."""
-    start, way_of, v = places.start, places.way, places.v
-    if not len(start):
-        return None
+    start, way = _places(samples, v, n, m, gate)
     middle = start[:, None] + np.arange(n)
     around = start[:, None] + np.arange(-m, n + m)
     mass = np.zeros(len(start))
@@ -254,7 +213,23 @@ def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) ->
         force = samples.load + samples.mass * gained / (samples.t[start + n] - samples.t[start - 1])
     number = np.full(len(start), samples.trial)
     P, x = samples.P[around], samples.x[around]
-    return number, samples.t[start], way_of, P, x, P[:, m : m + n], v[middle], F_mid, force, mass
+    return number, samples.t[start], way, P, x, P[:, m : m + n], v[middle], F_mid, force, mass
+
+
+def _places(samples: Samples, v: Array, n: int, m: int, gate: Gate) -> tuple[NDArray[np.intp], Array]:
+    """Where segments begin and which way they go, shape (segments,) each, by the velocity `v` of all samples."""
+    usable = samples.ok & (samples.x > gate.lift)
+    starts, ways = [np.empty(0, np.intp)], [np.empty(0)]
+    inside = np.zeros(len(v) + 2, bool)
+    for way, moving in ((1.0, v > gate.speed), (-1.0, v < -gate.speed)):
+        np.logical_and(usable, moving, out=inside[1:-1])
+        for first, last in (inside[1:] != inside[:-1]).nonzero()[0].reshape(-1, 2).tolist():
+            begin = first + 2 * m + 1
+            count = (last - m - begin) // n
+            if count > 0:
+                starts.append(begin + n * np.arange(count))
+                ways.append(np.full(count, way))
+    return np.concatenate(starts), np.concatenate(ways)
 
 
 def noise_seen(
@@ -264,7 +239,7 @@ def noise_seen(
 
     The noise is the median over the stretches, each looked at in its rows `still`, where nothing moves; of these the
     longest run of usable samples counts. It is never less than that of the steps, which is not seen at rest.
-    `every` tells of channels whose own samples come at every k-th row only and are interpolated between: a mean of n
+    `every` is for channels whose own samples come at every k-th row only and are interpolated between: a mean of n
     rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
     """
     runs = [_unbroken(samples.ok, rows) for samples, rows in zip(stretches, still, strict=True)]
@@ -357,8 +332,7 @@ def covariance(
     A row is F_L + M x'' + K x + B x' - F_ce. `slope` is its change by the pressure [N/Pa], with K [N/m] and B [N.s/m]
     at each segment, shape (n,).
     """
-    s, dt = segments.v.shape[1], segments.dt
-    m = (segments.x.shape[1] - s) // 2
+    s, m, dt = segments.v.shape[1], segments.reach, segments.dt
     # shares of the samples from start - m - 1 on; the next segment begins s later
     mean, speed, gained = (np.zeros(2 * s) for _ in range(3))
     mean[1 : s + 2 * m + 1] = segments.weights
@@ -376,8 +350,7 @@ def covariance(
     shared = float(mean[s:] @ mean[:s])
     after = moving[:-1] * moving[1:] * np.sum(x[:-1, s:] * x[1:, :s], axis=1)
     after += (pressing[:-1] * pressing[1:] + force[:-1] * force[1:]) * shared
-    near = (np.diff(segments.trial) == 0) & (np.abs(np.diff(segments.t) - s * dt) < 0.5 * dt)
-    return np.asarray(own), np.where(near, after, 0.0)
+    return np.asarray(own), np.where(segments.followed, after, 0.0)
 
 
 def _rate(values: Array, dt: float) -> Array:
@@ -459,9 +432,9 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
 
 
 def _every(runs: Sequence[RunData]) -> dict[str, int]:
-    """Field of `Samples` -> how many rows lie between two samples of a slower stream that it comes from."""
+    """Field of `Samples` -> how many rows lie between two samples of the slower stream that it comes from."""
     found: dict[str, int] = {}
-    for name, channel in (("P", "pressure"), ("x", "displacement"), ("force", "force")):
+    for name, channel in zip(("P", "x", "force"), CHANNELS, strict=True):
         infos = [(run.rate, run.channels[channel].rate) for run in runs if channel in run.channels]
         found[name] = max((round(rate / own) for rate, own in infos if own > 0), default=1) or 1
     return found
@@ -494,6 +467,12 @@ def strokes(trial: TrialData) -> list[slice]:
     times = [c.t - 1e-9 for c in trial.commands if c.output == "pressure" and c.t >= trial.t[0] - 1e-9]
     edges = np.searchsorted(trial.t, times).tolist() or [0]
     return [slice(first, last) for first, last in zip(edges, [*edges[1:], len(trial.t)], strict=True) if last > first]
+
+
+def resting(samples: Samples, trial: TrialData) -> NDArray[np.bool_]:
+    """Which samples are usable and come before the first command of the pressure, shape (n,)."""
+    first = min((c.t for c in trial.commands if c.output == "pressure"), default=-np.inf)
+    return np.asarray(samples.ok & (samples.t < first))
 
 
 def settled(trial: TrialData, number: int = 0) -> slice:

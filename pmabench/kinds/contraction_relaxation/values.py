@@ -18,9 +18,9 @@ from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Trust
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
-from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, without_value
 from pmabench.store.records import Array
 
 METHOD = "measured-pressure"
@@ -59,7 +59,7 @@ class Solution:
 
     campaign: Campaign
     segments: Segments
-    fit: Solved
+    fit: Fit
     knots: Array
     """Pressures [Pa], tested ones among them, half way between which the samples near one of them end."""
     trust: Trust
@@ -73,21 +73,19 @@ def values(solution: Solution) -> list[Estimate]:
     """F_ce [N], K [N/m], B_c, B_r [N.s/m] at every tested pressure and F_c [N], or why there is none."""
     found = [_at(solution, symbol, P) for symbol in SYMBOLS for P in solution.campaign.tested]
     stiff = {e.at["pressure"] for e in found if e.symbol == "K" and e.value is not None}
-    found = [_open(e, OPEN_FORCE) if e.symbol == "F_ce" and e.at["pressure"] not in stiff else e for e in found]
+    found = [
+        without_value(e, OPEN_FORCE)
+        if e.symbol == "F_ce" and e.value is not None and e.at["pressure"] not in stiff
+        else e
+        for e in found
+    ]
     friction = _blank(solution, "F_c", np.ones(len(solution.segments), bool))
     if solution.fit.friction:
         friction = _given(solution, friction, solution.fit.row("F_c", 0.0), 0.0)
     else:
         note = "not identifiable: the samples move one way only, and F_ce carries the friction"
         friction = replace(friction, note=note)
-    return [*found, friction if stiff else _open(friction, OPEN_FRICTION)]
-
-
-def _open(estimate: Estimate, note: str) -> Estimate:
-    """The estimate without its value, and why."""
-    if estimate.value is None:
-        return estimate
-    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=note)
+    return [*found, friction if stiff or friction.value is None else without_value(friction, OPEN_FRICTION)]
 
 
 def name_of(symbol: str, P: float | None) -> str:
@@ -116,14 +114,14 @@ def biases(estimates: Sequence[Estimate], symbols: Sequence[str]) -> list[str]:
 
 
 def near(segments: Segments, knots: Array, symbol: str, P: float) -> NDArray[np.bool_]:
-    """Which segments tell of a coefficient at P [Pa], shape (n,): half way to the next of the knots, B of its way."""
+    """Segments that determine a coefficient at P [Pa], shape (n,): up to half way to the next knots, B one way only."""
     others = knots[np.abs(knots - P) > 1e-6 * P]
     found = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(others - P)))
     return np.asarray(found & ((segments.way > 0) == (symbol == "B_c")) if symbol in ("B_c", "B_r") else found)
 
 
 def _blank(solution: Solution, symbol: str, rows: NDArray[np.bool_], at: Mapping[str, float] = NOWHERE) -> Estimate:
-    """No value yet of a coefficient that some rows of the segments tell."""
+    """An estimate, without a value yet, of a coefficient that these rows of the segments determine."""
     names = tuple(solution.campaign.name(int(number)) for number in np.unique(solution.segments.trial[rows]))
     note = sentences(solution.note, solution.stiffness_is(at["pressure"]) if symbol == "K" else "")
     return Estimate(symbol, None, *QUANTITY[symbol], solution.method, at, n=len(names), note=note, trials=names)
@@ -207,7 +205,7 @@ EXACT = 1e-9
 """Residual below this share of the largest value counts as none when orders are compared."""
 FORMS = {1: "line", 2: "quadratic"}
 FLOOR = 5e-3
-"""Least weight-giving error of a point, as a share of the largest value: no point of a curve counts for all."""
+"""Least error by which a point of a curve is weighted, as a share of the largest value: no point outweighs all."""
 POWERS = (("", ""), ("/Pa", " per pressure"), ("/Pa2", " per pressure squared"))
 """What the powers of a curve over pressure add to the unit and to the quantity of a coefficient."""
 
@@ -270,9 +268,15 @@ def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
         lever = np.sum(design * fitted.rows.T, axis=1)
         power = max(float(residual @ residual) / n, floor**2)
         p = order + 2
-        aicc = n * log(power) + 2 * p + 2 * p * (p + 1) / (n - p - 1)
-        found[order] = aicc, sqrt(float(np.mean((residual / np.maximum(1 - lever, EXACT)) ** 2)))
+        found[order] = aicc(power, n, p), sqrt(float(np.mean((residual / np.maximum(1 - lever, EXACT)) ** 2)))
     return found
+
+
+def aicc(power: float, n: int, p: int) -> float:
+    """Corrected Akaike criterion of p unknowns, that of the noise among them, which leave a mean square `power` of n
+    values.
+    """
+    return n * log(power) + 2 * p + 2 * p * (p + 1) / max(1, n - p - 1)
 
 
 def least(terms: Array, ends: tuple[float, float]) -> float:
@@ -292,8 +296,8 @@ def curve(
 ) -> Curve | None:
     """A polynomial over the estimates' pressures; None with fewer than `order` + 1 of them.
 
-    With `trust` and the `places` of the estimates in its fit, correlations between them are carried through; else they
-    count as independent. What the points scatter about the curve enters as method. `normalised`: the terms are those of
+    With `trust` and the `places` of the estimates in its fit, correlations between them count; else they are taken as
+    independent. The scatter of the points about the curve is the method part. `normalised`: the terms are those of
     z = (P - centre) / scale, with the unit of the coefficient (paper 1 eqs. 17-20).
     """
     if len(estimates) < order + 1:
@@ -329,7 +333,7 @@ def curve(
 def _parts_of(
     found: Polynomial, power: int, estimates: Sequence[Estimate], trust: Trust | None, places: Sequence[int]
 ) -> tuple[Parts, float | None]:
-    """The interval of one term in parts, and its bias where the trust of a fit tells one."""
+    """The interval of one term in parts, and its bias where it comes from a fit."""
     scatter = 0.0 if found.scatter is None else float(found.scatter[power])
     if trust is None:
         return _independent(estimates, found.rows[power], scatter), None
@@ -339,16 +343,12 @@ def _parts_of(
 
 
 def _independent(estimates: Sequence[Estimate], row: Array, scatter: float) -> Parts:
-    """Parts of sum(row y) for independent y; one error of calibration is in all of them, with one sign."""
-
-    def of(name: str) -> list[float] | None:
-        parts = [getattr(e.parts, name) for e in estimates]
-        return None if any(part is None for part in parts) else parts
-
-    repeats, method, calibration = of("repeats"), of("method"), of("calibration")
-    return Parts(
-        repeats=None if repeats is None else float(np.linalg.norm(row * repeats)),
-        method=hypot(0.0 if method is None else float(np.linalg.norm(row * method)), scatter),
-        calibration=None if calibration is None else abs(float(row @ calibration)),
+    """Parts of sum(row y) for independent y; an error of calibration, or of the clocks, is the same in all of them."""
+    parts = weighted(list(zip(estimates, row.tolist(), strict=True)), estimates[0].symbol).parts
+    known = [e.parts.calibration for e in estimates]
+    return replace(
+        parts,
+        method=hypot(parts.method or 0.0, scatter),
+        calibration=None if None in known else abs(float(row @ np.array(known))),
         skew=float(np.abs(row) @ [e.parts.skew for e in estimates]),
     )

@@ -182,11 +182,14 @@ class Estimate:
         return data
 
 
+def without_value(estimate: Estimate, why: str) -> Estimate:
+    """The estimate without its value and interval, which cannot be determined."""
+    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=why)
+
+
 def withhold(estimate: Estimate, reason: str) -> Estimate:
     """The estimate without its value and interval, because the data contradict it; `reason` completes "withheld: "."""
-    return replace(
-        estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=reason, withheld=True
-    )
+    return replace(without_value(estimate, reason), withheld=True)
 
 
 def _known(e: Estimate) -> Estimate:

@@ -16,7 +16,7 @@ import numpy as np
 from pmabench.analysis.shared import student
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import course
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import GUIDE, Explanation
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, settled, strokes
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, resting, settled
 from pmabench.store.records import Array
 
 G = 9.80665
@@ -189,10 +189,11 @@ def _unsure(
     gains = [one.which for one in explanations if one.kind == "gain"]
     if gains:
         return OR_OF_GUIDE if GUIDE in gains else PART_OF_GAIN
-    for one, error in zip(explanations, errors, strict=True):
-        size, own = (0.0, 2 * float(np.mean(error))) if len(one.sizes) > 1 else bent.get("bow", (0.0, 0.0))
-        return 0.5 * (abs(size) + 2 * own) / max(map(abs, one.sizes))
-    return 0.0
+    if not explanations:
+        return 0.0
+    drift = explanations[0].sizes
+    size, own = (0.0, 2 * float(np.mean(errors[0]))) if len(drift) > 1 else bent.get("bow", (0.0, 0.0))
+    return 0.5 * (abs(size) + 2 * own) / max(map(abs, drift))
 
 
 def _pieces(readings: Readings) -> int:
@@ -247,17 +248,13 @@ def _means(campaign: Campaign, where: str) -> Array:
     for i, (samples, trial) in enumerate(zip(campaign.samples, campaign.trials, strict=True)):
         if samples.force is None or samples.mass * G < HANGING * samples.load:
             continue
-        times = [c.t for c in trial.commands if c.output == "pressure"]
+        rows = resting(samples, trial)
         if where != "rest":
             rows = np.zeros(len(samples.t), bool)
             rows[settled(trial, int(where == "lower"))] = True
             if (samples.x[rows] <= Gate.lift).any():
                 continue
             rows &= samples.ok
-        elif times and len(strokes(trial)):
-            rows = samples.ok & (samples.t < min(times))
-        else:
-            continue
         if rows.sum() > 1:
             found[i] = float(np.mean(samples.force[rows]))
     return found

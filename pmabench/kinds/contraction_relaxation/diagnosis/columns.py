@@ -6,8 +6,8 @@ are compared with what the fit leaves over. See docs/uncertainty.md, "Is the for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.kinds.contraction_relaxation.intervals import zero_drifts
-from pmabench.kinds.contraction_relaxation.pooled import Solved, force_by_pressure
+from pmabench.kinds.contraction_relaxation.pooled import Fit, force_by_pressure
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments
 from pmabench.store.records import Array
 
@@ -97,7 +97,7 @@ def clock(campaign: Campaign) -> Array:
     return np.asarray(0.5 * skew.courses(campaign.trials)[1])
 
 
-def slip(campaign: Campaign, segments: Segments, fit: Solved, first: int) -> Array:
+def slip(campaign: Campaign, segments: Segments, fit: Fit, first: int) -> Array:
     """From trial number `first` on contractions read less by 1 m: a mount or the sensor slipped; shape (n,)."""
     place = order(campaign)
     return np.asarray(-fit.values("K", segments.pressure) * (place[segments.trial] >= place[first]))
@@ -111,7 +111,7 @@ def slip_places(campaign: Campaign, segments: Segments) -> list[int]:
     return [later[i] for i in chosen]
 
 
-def late(segments: Segments, fit: Solved, cell: bool) -> dict[str, tuple[Array, Array]]:
+def late(segments: Segments, fit: Fit, cell: bool) -> dict[str, tuple[Array, Array]]:
     """A channel late by 1 s, or behind a filter of that time constant: first and second change of F_L, (n,) each."""
     slope = force_by_pressure(segments, fit)
     push = [slope * of(segments.P_mid, segments.dt) for of in (_rate, _second)]
@@ -130,7 +130,7 @@ class Span:
     @classmethod
     def of(cls, segments: Segments) -> Span:
         """Those of the segments."""
-        x, P = segments.x @ segments.weights, segments.pressure
+        x, P = segments.contraction, segments.pressure
         line = np.linalg.lstsq(np.column_stack((np.ones(len(P)), P / TYPICAL)), x, rcond=None)[0]
         reach = float(np.ptp(x))
         return cls(np.asarray(line), reach if reach > STROKE else 1.0)
@@ -158,86 +158,85 @@ def bent(which: str, x: Array, P: Array, K: Array, span: Span) -> Array:
     return np.column_stack([column for one in shapes for column in (one, one * P / TYPICAL)])
 
 
-def bend(which: str, followed: Followed, segments: Segments, fit: Solved) -> Array:
+def bend(which: str, followed: Followed, segments: Segments, fit: Fit) -> Array:
     """`bent` at each segment."""
     P = segments.pressure
-    return bent(which, segments.x @ segments.weights, P, fit.values("K", P), Span.of(segments))
+    return bent(which, segments.contraction, P, fit.values("K", P), Span.of(segments))
 
 
-def bent_sensor(followed: Followed, segments: Segments, fit: Solved) -> Array:
+def bent_sensor(followed: Followed, segments: Segments, fit: Fit) -> Array:
     """K and B fall alike over the contractions that were tested, by their own size: so it looks where the displacement
     sensor is not straight; shape (n, 1).
     """
-    x, P, span = segments.x @ segments.weights, segments.pressure, Span.of(segments)
-    damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P)) * segments.v.mean(axis=1)
-    by_speed = damping * (x - span.middle(P)) / span.reach
+    x, P, span = segments.contraction, segments.pressure, Span.of(segments)
+    by_speed = fit.damping(segments) * segments.v.mean(axis=1) * (x - span.middle(P)) / span.reach
     return np.asarray(bent("as K", x, P, fit.values("K", P), span) + by_speed[:, None])
 
 
-def off_straight(segments: Segments, fit: Solved, radius: float, phase: float) -> Array:
+def off_straight(segments: Segments, fit: Fit, radius: float, phase: float) -> Array:
     """The displacement sensor reads off by a sine of the contraction of 1 m, as an encoder on a wheel of `radius` [m]
     that turns about a point off its middle; `phase` in half turns; shape (n,).
     """
-    x, P = segments.x @ segments.weights, segments.pressure
-    damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P)) * segments.v.mean(axis=1)
+    x, P = segments.contraction, segments.pressure
+    damping = fit.damping(segments) * segments.v.mean(axis=1)
     angle, begin = x / radius + np.pi * phase, np.pi * phase
     return np.asarray(fit.values("K", P) * (np.sin(angle) - np.sin(begin)) + damping * np.cos(angle) / radius)
 
 
-def play(segments: Segments, fit: Solved) -> Array:
+def play(segments: Segments, fit: Fit) -> Array:
     """The displacement sensor reads less by 1 m while it contracts, and more while it relaxes; shape (n,)."""
     return np.asarray(-fit.values("K", segments.pressure) * segments.way)
 
 
-def hysteresis(followed: Followed, segments: Segments, fit: Solved) -> Array:
+def hysteresis(followed: Followed, segments: Segments, fit: Fit) -> Array:
     """Frictions of 1 N that need some contraction after each turn, of each of `RADII` constant and in proportion to
     pressure; shape (n, 8). What F_c holds of it is taken off.
     """
-    found = []
-    for stop in followed.stops(segments).T:
-        for column in (stop, stop * segments.pressure / TYPICAL):
-            found.append(-(column - float(np.mean(column * segments.way)) * segments.way))
-    return np.column_stack(found)
+    return _less_friction(followed.stops(segments).T, segments)
 
 
-def hysteresis_by_way(followed: Followed, segments: Segments, fit: Solved) -> Array:
+def _less_friction(stops: Iterable[Array], segments: Segments) -> Array:
+    """Forces (n,) each, and the same in proportion to pressure, without what F_c holds of them; shape (n, columns)."""
+    both = [column for stop in stops for column in (stop, stop * segments.pressure / TYPICAL)]
+    return np.column_stack([float(np.mean(one * segments.way)) * segments.way - one for one in both])
+
+
+def hysteresis_by_way(followed: Followed, segments: Segments, fit: Fit) -> Array:
     """The same of each of `RADII` while it contracts, then while it relaxes; shape (n, 16). What F_ce holds of it, the
     middle of both branches, is taken off, too.
     """
     found = []
     for way in (1.0, -1.0):
         rows = segments.way == way
-        for stop in followed.stops(segments).T * rows:
-            off = stop - 0.5 * (stop.sum() / max(1, rows.sum()))
-            for column in (off, off * segments.pressure / TYPICAL):
-                found.append(-(column - float(np.mean(column * segments.way)) * segments.way))
-    return np.column_stack(found)
+        stops = followed.stops(segments).T * rows
+        found.append(_less_friction([stop - 0.5 * (stop.sum() / max(1, rows.sum())) for stop in stops], segments))
+    return np.hstack(found)
 
 
-def creep_parts(followed: Followed, segments: Segments, fit: Solved) -> Array:
+def creep_parts(followed: Followed, segments: Segments, fit: Fit) -> Array:
     """The muscle goes on contracting by its whole contraction in a decade of time, of each of `TIMES`; shape (n, 8)."""
     K = fit.values("K", segments.pressure)
     return np.asarray(0.5 * K[:, None] * followed.slow(segments))
 
 
-def creep_decades(followed: Followed, segments: Segments, fit: Solved) -> Array:
+def creep_decades(followed: Followed, segments: Segments, fit: Fit) -> Array:
     """The same of each decade, two of `TIMES`; shape (n, 4)."""
     parts = creep_parts(followed, segments, fit)
     return np.asarray(parts[:, 0::2] + parts[:, 1::2])
 
 
-def creep(followed: Followed, segments: Segments, fit: Solved) -> Array:
+def creep(followed: Followed, segments: Segments, fit: Fit) -> Array:
     """The same in every decade; shape (n, 1)."""
     return np.asarray(creep_parts(followed, segments, fit).sum(axis=1, keepdims=True))
 
 
-def creep_by_load(followed: Followed, segments: Segments, fit: Solved) -> Array:
+def creep_by_load(followed: Followed, segments: Segments, fit: Fit) -> Array:
     """The same as `creep_parts` at every load, and in proportion to the load; shape (n, 16)."""
     even = creep_parts(followed, segments, fit)
     return np.hstack((even, even * (segments.force / LOADED)[:, None]))
 
 
-OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Solved], Array]]] = {
+OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Fit], Array]]] = {
     "bend": {which: partial(bend, which) for which in ("as K", "line", "steep")},
     "sensor": {"": bent_sensor},
     "hysteresis": {"": hysteresis, BY_WAY: hysteresis_by_way},
@@ -246,7 +245,7 @@ OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Solved], Arra
 """Property of a muscle -> variant -> its columns; `sensor` is either the muscle or the displacement sensor."""
 
 
-def allowed(campaign: Campaign, segments: Segments, fit: Solved) -> Array:
+def allowed(campaign: Campaign, segments: Segments, fit: Fit) -> Array:
     """What departures of known size may do to each segment, constant or growing over the campaign [N], shape (n, m)."""
     course = 2 * order(campaign)[segments.trial]
     columns: list[Array] = []
@@ -302,8 +301,6 @@ class Followed:
     """Sums over rows of `GRID` of frictions by their size, from -1 to 1, and of lags of the contraction [m];
     shape (rows, radii + times, trials that lifted + 1).
     """
-    known: dict[bytes, Array] = field(default_factory=dict)
-    """Means over segments that were asked for before, by the times of these."""
 
     @classmethod
     def of(cls, campaign: Campaign) -> Followed:
@@ -347,14 +344,10 @@ class Followed:
         return self._means(segments)[:, len(RADII) :]
 
     def _means(self, segments: Segments) -> Array:
-        key = segments.t.tobytes() + segments.trial.tobytes()
-        if key not in self.known:
-            length = segments.v.shape[1] * segments.dt
-            row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
-            trial = self.column[segments.trial]
-            ends = self._at(row + length / GRID, trial) - self._at(row, trial)
-            self.known[key] = ends * GRID / length
-        return self.known[key]
+        length = segments.v.shape[1] * segments.dt
+        row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
+        trial = self.column[segments.trial]
+        return np.asarray((self._at(row + length / GRID, trial) - self._at(row, trial)) * GRID / length)
 
     def _at(self, row: Array, trial: NDArray[np.intp]) -> Array:
         """The integrals between rows, shape (n, k)."""

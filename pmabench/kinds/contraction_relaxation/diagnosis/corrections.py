@@ -17,15 +17,14 @@ from pmabench.analysis.shared.samples import Samples
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, BY_WAY, LOADED, TYPICAL
-from pmabench.kinds.contraction_relaxation.pooled import Solved
+from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments, moved
 from pmabench.store.records import Array
 
 SOFTEST = 1.0
-"""A fit to hardly anything may give any K; creep acts through one of at least this [N/m]."""
+"""Least K that creep acts through [N/m]: a fit to hardly any motion may give any K."""
 MOST_LATE = 0.06
 """Longest time that a stream is moved or filtered by [s]."""
-CHANNELS = ("pressure", "displacement", "force")
 TIMES = ("late", "lag", "clock")
 """Explanations whose size is a time of a stream."""
 GUIDE = "gain or guide"
@@ -81,26 +80,10 @@ def plausible(one: Explanation) -> bool:
     return one.which != "steep" or sum(one.sizes[2:]) > 0
 
 
-def columns_of(
-    one: Explanation, campaign: Campaign, followed: columns.Followed, segments: Segments, fit: Solved,
-    others: Sequence[Explanation] = (),
-) -> Array:  # fmt: skip
-    """Change of F_L by each size, at first order [N per SI], shape (n, sizes)."""
-    if one.kind == "drift":
-        return columns.drift(campaign, segments)[:, None]
-    if one.kind == "slip":
-        return columns.slip(campaign, segments, fit, int(one.which))[:, None]
-    if one.kind in TIMES:
-        late = columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
-        growing = late * columns.clock(campaign)[segments.trial, None]
-        return np.hstack((late, growing)) if one.kind == "clock" else late
-    return _of_muscle(one, followed, segments, fit, others)
-
-
-def _of_muscle(
-    one: Explanation, followed: columns.Followed, segments: Segments, fit: Solved, others: Sequence[Explanation]
+def muscle_columns(
+    one: Explanation, followed: columns.Followed, segments: Segments, fit: Fit, others: Sequence[Explanation]
 ) -> Array:
-    """Columns of a property of the muscle: what creeps is not strained, and does not bend the force."""
+    """Columns of a property of the muscle; of a bend, over the contraction without the part that crept."""
     creeps = [other for other in others if other.kind == "creep"] if one.family == "bend" else []
     for other in creeps:
         forces = columns.OF_MUSCLE["creep"][other.which](followed, segments, fit) @ np.array(other.sizes)
@@ -137,13 +120,13 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
 
 def _filtered(samples: Samples, channel: str, constant: float, rate: float) -> Samples:
     """All other channels behind the filter that one has [s]; that one behind it where the constant is negative."""
-    filtered = {name for name in CHANNELS if (name == channel) != (constant > 0)}
-
-    def taken(name: str, values: Array) -> Array:
-        return _behind(values, abs(constant) * rate) if name in filtered else values
-
-    force = None if samples.force is None else taken("force", samples.force)
-    return replace(samples, P=taken("pressure", samples.P), x=taken("displacement", samples.x), force=force)
+    return samples.having(
+        {
+            name: _behind(values, abs(constant) * rate)
+            for name, values in samples.channels.items()
+            if (name == channel) != (constant > 0)
+        }
+    )
 
 
 def _behind(values: Array, constant: float) -> Array:
@@ -156,19 +139,17 @@ def _behind(values: Array, constant: float) -> Array:
     return np.where(known, columns.lagged(whole, constant), np.nan)
 
 
-def forces_of(
-    followed: columns.Followed, segments: Segments, fit: Solved, explanations: Sequence[Explanation]
-) -> Array:
+def forces_of(followed: columns.Followed, segments: Segments, fit: Fit, explanations: Sequence[Explanation]) -> Array:
     """What the muscle pulls beyond the straight form [N], shape (n,); `fit` is of the straight part."""
     mine = [one for one in explanations if one.of_muscle]
-    forces = [_of_muscle(one, followed, segments, fit, mine) @ np.array(one.sizes) for one in mine]
+    forces = [muscle_columns(one, followed, segments, fit, mine) @ np.array(one.sizes) for one in mine]
     return np.asarray(np.sum(forces, axis=0)) if mine else np.zeros(len(segments))
 
 
 LASTING = 100.0
 """Creep is stated for the decades of time below this one [s]: what is slower hardly shows in one trial."""
 KIND_IS_A_GUESS = 8e-3
-"""Below so long a time [s] nobody can tell a delay from a filter."""
+"""Below so long a time [s] a delay cannot be distinguished from a filter."""
 TO_TELL = "relax in steps (`relax.by`): after the way down a guide makes the cell read too little, a gain does not"
 TITLES: Mapping[str, str] = {
     "drift": "drift of the force cell",
@@ -236,7 +217,7 @@ class Named:
         return found
 
 
-def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str = "") -> Named:
+def named(one: Explanation, off: Array, fit: Fit, highest: float, trial: str = "") -> Named:
     """An explanation in words.
 
     `off` (groups, sizes) [SI] is what its sizes are off by without each group of trials (jackknife), `fit` that to the
@@ -251,7 +232,7 @@ def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str 
     return Named(one, "tube" if key == "late pressure" and size < 0 else key, size, error, text)
 
 
-def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
+def _weights(one: Explanation, fit: Fit, highest: float) -> Array:
     """What makes one size of all, shape (sizes,)."""
     if one.kind == "drift":  # the farthest that it went
         return np.where(np.arange(len(one.sizes)) == np.argmax(np.abs(one.sizes)), 1.0, 0.0)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import allowed
-from pmabench.kinds.contraction_relaxation.pooled import FLOOR, Fit, inverse_of, noise_covariance, prior_of, rms_of
+from pmabench.kinds.contraction_relaxation.pooled import FLOOR, Fit, levers, noise_covariance, rms_of, without_each
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.store.records import Array
 
@@ -34,7 +34,7 @@ ENOUGH = 50
 HICCUPS = 0.02
 """Share of the rows of polled devices that answers may displace which came much later than usual: a busy computer."""
 FEWEST_REPEATS = 10
-"""Fewest repetitions in all that tell how much trials scatter by themselves."""
+"""Fewest repetitions in all from which the scatter between trials is estimated."""
 TINY = 1e-9
 """Columns of which less than this share of the squares is left by the coefficients have no size."""
 
@@ -78,7 +78,7 @@ class Test:
         if len(squares) >= ENOUGH:
             return sqrt(_mean_without(squares, self._displaced)), len(squares), True
         fit = self.fit
-        free = max(1.0, len(self.own) - float(np.sum(fit.design @ fit.inverse * fit.design)))
+        free = max(1.0, len(self.own) - float(np.sum(levers(fit.design, fit.inverse))))
         return sqrt(float(fit.residual @ fit.residual) / free / float(np.mean(self.whole))), free, False
 
     @property
@@ -106,9 +106,7 @@ class Test:
     @cached_property
     def _pairs(self) -> NDArray[np.intp]:
         """Segments that are followed at once by the next."""
-        segments = self.segments
-        late = np.abs(np.diff(segments.t) - segments.v.shape[1] * segments.dt)
-        return np.flatnonzero((np.diff(segments.trial) == 0) & (late < 0.5 * segments.dt))
+        return np.flatnonzero(self.segments.followed)
 
     @cached_property
     def alike(self) -> float:
@@ -138,15 +136,12 @@ class Test:
         """Each sixth of the trials, left out."""
         found = []
         segments, fit = self.segments, self.fit
-        prior = prior_of(segments, fit.design, fit.knots, self.expected)
-        normal, right = fit.design.T @ fit.design + prior.T @ prior, fit.design.T @ segments.force
         trials, trial = np.unique(segments.trial, return_inverse=True)
-        for fold in range(min(FOLDS, len(trials))):
-            rows = trial % FOLDS == fold
+        folds = [trial % FOLDS == fold for fold in range(min(FOLDS, len(trials)))]
+        without = without_each(fit.design, segments.force, fit.prior(segments, self.expected), folds)
+        for rows, (inverse, theta) in zip(folds, without, strict=True):
             design, force = fit.design[rows], segments.force[rows]
-            inverse = inverse_of(normal - design.T @ design)
-            theta = inverse @ (right - design.T @ force)
-            lever = np.sum(design @ inverse * design, axis=1)
+            lever = levers(design, inverse)
             sure = (lever >= 0) & (lever <= 1)
             variance = self.whole[rows] + self.own[rows] * np.maximum(lever, 0.0)
             found.append(_Fold(rows, inverse, theta, force - design @ theta, variance, sure))
@@ -199,7 +194,7 @@ def _noise(campaign: Campaign, segments: Segments, fit: Fit) -> tuple[Array, Arr
     more = moving - still
     if not more.any():
         return still, after
-    free = np.maximum(0.0, 1.0 - np.sum(fit.design @ fit.inverse * fit.design, axis=1))
+    free = np.maximum(0.0, 1.0 - levers(fit.design, fit.inverse))
     weights = more / moving**2
     share = float(weights @ (fit.residual**2 - free * still)) / float(weights @ (free * more))
     share = min(max(share, 0.0), 1.0)

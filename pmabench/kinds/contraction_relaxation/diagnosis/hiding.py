@@ -21,15 +21,16 @@ from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import RADII, TIMES, Followed
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import shown
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import SURE, Test
-from pmabench.kinds.contraction_relaxation.intervals import Hiding, Trust
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, force_by_pressure
+from pmabench.kinds.contraction_relaxation.intervals import Cause, Trust
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, force_by_pressure
 from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.values import WIDE, name_of
 from pmabench.store.records import Array
 
 FALSE_ALARMS = 0.01
 """Share of campaigns without any departure of which one or more is called significant (Bonferroni)."""
 HIDES = 2.0
-"""What hides is as large as it was found, and so many standard deviations more."""
+"""A departure may be as large as it was found, and so many standard deviations more."""
 EVEN = 2.0
 """A departure of so many standard deviations is as likely to be there as not: the fit is better for it by as much as
 two more coefficients cost by Akaike's criterion."""
@@ -69,7 +70,7 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
-class Cause:
+class Departure:
     """Ways of one kind, of which at most one is expected at a time."""
 
     name: str
@@ -85,7 +86,7 @@ class Cause:
 class Size:
     """How large a departure is by least squares, fitted together with the coefficients."""
 
-    cause: Cause
+    cause: Departure
     way: Way
     size: float
     """[SI of the way]."""
@@ -115,35 +116,35 @@ class Size:
         )
 
 
-def causes(test: Test, followed: Followed) -> tuple[Cause, ...]:
+def causes(test: Test, followed: Followed) -> tuple[Departure, ...]:
     """All causes that the channels of the campaign allow."""
     makes = (_drift, _scales, _slip, _late, _bend, _hysteresis, _creep, _crooked, _play)
     return tuple(cause for make in makes if (cause := make(test, followed)).ways)
 
 
-def _drift(test: Test, followed: Followed) -> Cause:
+def _drift(test: Test, followed: Followed) -> Departure:
     text, name = "the zero of the force cell drifted by {size} over the campaign", "drift of the force cell"
     column = columns.drift(test.campaign, test.segments) - 0.5  # its mean is a zero, which `of_the_cell` has
     own = (Way(text, "force", column, columns.zero_known(test.campaign)),) if test.campaign.cell else ()
-    return Cause(f"{name} that weights and fit do not exclude", "drift", own)
+    return Departure(f"{name} that weights and fit do not exclude", "drift", own)
 
 
-def _scales(test: Test, followed: Followed) -> Cause:
+def _scales(test: Test, followed: Followed) -> Departure:
     """Scale of a channel that drifts evenly, from the begin of the campaign on: the muscle changing looks the same."""
     segments, P = test.segments, test.segments.pressure
     course = columns.drift(test.campaign, segments) - 0.5
     push = force_by_pressure(segments, test.fit) * P
-    pull = test.fit.values("K", P) * (segments.x @ segments.weights)
+    pull = test.fit.values("K", P) * segments.contraction
     ways = (
         Way("the scale of the pressure, or the force of the muscle, drifted by {size} over the campaign", "ratio",
             -push * course),
         Way("the scale of the displacement, or the stiffness of the muscle, drifted by {size} over the campaign",
             "ratio", -pull * course),
     )  # fmt: skip
-    return Cause("drift of a scale, or of the muscle, that the fit does not exclude", "drift", ways, RARELY)
+    return Departure("drift of a scale, or of the muscle, that the fit does not exclude", "drift", ways, RARELY)
 
 
-def _slip(test: Test, followed: Followed) -> Cause:
+def _slip(test: Test, followed: Followed) -> Departure:
     """The end of the muscle, or its sensor, slipped between two trials: all later contractions are off by as much."""
     text = "the mount or the displacement sensor slipped by {{size}} before trial {}"
     ways = tuple(
@@ -151,10 +152,10 @@ def _slip(test: Test, followed: Followed) -> Cause:
             columns.slip(test.campaign, test.segments, test.fit, place))
         for place in columns.slip_places(test.campaign, test.segments)
     )  # fmt: skip
-    return Cause("slip of the mount that the fit does not exclude", "drift", ways)
+    return Departure("slip of the mount that the fit does not exclude", "drift", ways)
 
 
-def _late(test: Test, followed: Followed) -> Cause:
+def _late(test: Test, followed: Followed) -> Departure:
     """A channel shifted in time, or behind a first-order filter: the same at first order."""
     bounds = columns.clock_bounds(test.campaign)
     text = "{} is late by {{size}} against the other channels, or filtered with that time constant"
@@ -162,29 +163,29 @@ def _late(test: Test, followed: Followed) -> Cause:
         Way(text.format(name), "time", column, bounds.get(name, 0.0))
         for name, (column, _) in columns.late(test.segments, test.fit, test.campaign.cell).items()
     )
-    return Cause("delay or filter of a channel that the fit does not exclude", "method", ways)
+    return Departure("delay or filter of a channel that the fit does not exclude", "method", ways)
 
 
-def _bend(test: Test, followed: Followed) -> Cause:
+def _bend(test: Test, followed: Followed) -> Departure:
     """K changes with x. A straight line's K is the slope at the middle of those tested."""
     text = "the force over contraction is bent: K changes by {size} over the contractions tested"
     both = columns.bend("line", followed, test.segments, test.fit).T
     kinds = zip(both, ("", ", in proportion to pressure"), strict=True)
     ways = tuple(Way(text + more, "stiffness", column) for column, more in kinds)
-    return Cause("bend of the force over contraction that the fit does not exclude", "method", ways)
+    return Departure("bend of the force over contraction that the fit does not exclude", "method", ways)
 
 
-def _hysteresis(test: Test, followed: Followed) -> Cause:
+def _hysteresis(test: Test, followed: Followed) -> Departure:
     """A friction that needs some contraction after each turn to reach its size; what F_c holds of it is taken off."""
     ways = []
     for number, column in enumerate(columns.hysteresis(followed, test.segments, test.fit).T):
         more = ", in proportion to pressure" if number % 2 else ""
         radius = f"{1e3 * RADII[number // 2]:g} mm of contraction"
         ways.append(Way(f"there is hysteresis of {{size}} that turns over {radius}{more}", "force", column))
-    return Cause("hysteresis that the fit does not exclude", "method", tuple(ways))
+    return Departure("hysteresis that the fit does not exclude", "method", tuple(ways))
 
 
-def _creep(test: Test, followed: Followed) -> Cause:
+def _creep(test: Test, followed: Followed) -> Departure:
     """The muscle goes on contracting: a share of x per decade of time (two time constants)."""
     parts = columns.creep_decades(followed, test.segments, test.fit).T
     every = Way("the muscle creeps by {size} of its contraction in a decade of time", "ratio", np.sum(parts, axis=0))
@@ -192,10 +193,10 @@ def _creep(test: Test, followed: Followed) -> Cause:
         Way(f"the muscle creeps by {{size}} of its contraction within about {time:g} s", "ratio", column)
         for time, column in zip(TIMES[1::2], parts, strict=True)
     )
-    return Cause("creep that the fit does not exclude", "method", (every, *some))
+    return Departure("creep that the fit does not exclude", "method", (every, *some))
 
 
-def _crooked(test: Test, followed: Followed) -> Cause:
+def _crooked(test: Test, followed: Followed) -> Departure:
     """The displacement sensor is not straight: then its slope over the stroke is not known either."""
     known = columns.sensor_known(test.campaign)
     text = "the displacement sensor is off its straight line by {{size}}, as on a wheel of {:g} mm off its middle"
@@ -205,16 +206,16 @@ def _crooked(test: Test, followed: Followed) -> Cause:
         for radius in columns.WHEELS
         for phase in columns.PHASES
     )  # fmt: skip
-    return Cause("error of the displacement sensor that the fit does not exclude", "method", ways)
+    return Departure("error of the displacement sensor that the fit does not exclude", "method", ways)
 
 
-def _play(test: Test, followed: Followed) -> Cause:
+def _play(test: Test, followed: Followed) -> Departure:
     """The displacement sensor follows late after each turn, by a length: nearly a friction that grows with K."""
     text = "the displacement sensor lags by {size} behind the motion, either way (backlash)"
     known = columns.sensor_known(test.campaign)
     column = columns.play(test.segments, test.fit)
     way = Way(text, "length", column, known or columns.UNDECLARED, known or inf)
-    return Cause("backlash of the displacement sensor that the fit does not exclude", "method", (way,))
+    return Departure("backlash of the displacement sensor that the fit does not exclude", "method", (way,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,9 +228,9 @@ class Hidden:
     moved: str
     """The coefficient that the clearest of `found` moves most, and by how much; empty without."""
 
-    def lines(self, fit: Solved, rows: NDArray[np.bool_]) -> list[Hiding]:
+    def lines(self, fit: Fit, rows: NDArray[np.bool_]) -> list[Cause]:
         """Lines of the budget of a fit to some `rows` of the segments."""
-        found: list[Hiding] = []
+        found: list[Cause] = []
         clear = {one.cause.name for one in self.found}
         for cause in {id(size.cause): size.cause for size in self.sizes}.values():
             mine = [size for size in self.sizes if size.cause is cause]
@@ -237,8 +238,9 @@ class Hidden:
             likely = np.exp(strength - max(0.0, strength.max())) / len(mine)
             none = np.exp(-max(0.0, strength.max()))
             change = fit.change(np.column_stack([size.way.column[rows] for size in mine]))
-            most = change * [size.hidden for size in mine]
-            found.append(Hiding(cause.name, cause.part, most, likely / (none + likely.sum()), cause.name in clear))
+            most = (change * [size.hidden for size in mine]).T
+            likely = likely / (none + likely.sum())
+            found.append(Cause(cause.name, cause.part, most, likely=likely, seen=cause.name in clear))
         return found
 
 
@@ -257,7 +259,7 @@ def hidden(
     return Hidden(tuple(sizes), tuple(found), moved)
 
 
-def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solved) -> list[Hiding]:
+def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Fit) -> list[Cause]:
     """The cell against the weights, as far as its calibration does not hold the difference: either may be right."""
     cell = np.where(segments.mass > 0, 0.0, 1.0)
     kinds = ((GAIN, weights.gain, scales.gains, segments.force * cell), (ZERO, weights.offset, scales.offsets, cell))
@@ -266,22 +268,21 @@ def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solve
         if found is not None:
             size = max(0.0, abs(found[0]) + HIDES * found[1] - known.get("force", 0.0))
             seen = abs(found[0]) > known.get("force", 0.0) + SURE * found[1]
-            lines.append(Hiding(name, "calibration", size * fit.change(column[:, None]), np.ones(1), seen))
+            lines.append(Cause(name, "calibration", size * fit.change(column[:, None]).T, seen=seen))
     return lines
 
 
-def of_the_sensor(known: float, segments: Segments, fit: Solved) -> Hiding:
+def of_the_sensor(known: float, segments: Segments, fit: Fit) -> Cause:
     """Backlash of the displacement sensor: what its calibration allows, `known` [m], else an assumed one.
 
-    It looks like Coulomb friction of K times its size: where K is the same at all pressures, no data tell them apart.
+    It looks like Coulomb friction of K times its size: where K is the same at all pressures, no data can separate them.
     """
     size = known or columns.UNDECLARED
     name = REVERSAL if known else f"{REVERSAL}, assumed {show(size, 'length', 2)}: the record gives no uncertainty"
-    change = size * fit.change(columns.play(segments, fit)[:, None])
-    return Hiding(name, "method", change, np.ones(1), False)
+    return Cause(name, "method", size * fit.change(columns.play(segments, fit)[:, None]).T)
 
 
-def _sizes(test: Test, known: Sequence[Cause]) -> list[Size]:
+def _sizes(test: Test, known: Sequence[Departure]) -> list[Size]:
     """Size of each column, fitted together with the coefficients and with what departures of known size may do.
 
     One at a time, by generalised least squares. See `Test.may`.
@@ -356,28 +357,22 @@ def _with_weights(size: Size, weights: Weighed) -> Size:
 
 def _matter(significant: Sequence[Size], fit: Fit, trust: Trust, tested: Sequence[float]) -> tuple[list[Size], str]:
     """Those that move a coefficient by more than its interval, the clearest of each cause; the first one's effect."""
-    places = [(symbol, P) for symbol in SYMBOLS for P in tested]
-    combinations = {f"{symbol} at {show(P, 'pressure', 4)}": fit.row(symbol, P) for symbol, P in places}
-    if fit.friction:
-        combinations["F_c"] = fit.row("F_c", 0.0)
-    halves = {name: trust.parts(row)[0] for name, row in combinations.items()}
-    found: dict[int, Size] = {}
-    moves: dict[int, tuple[float, str]] = {}
+    places: list[tuple[str, float | None]] = [(symbol, P) for symbol in SYMBOLS for P in tested]
+    places += [("F_c", None)] if fit.friction else []
+    rows = np.array([fit.row(symbol, P or 0.0) for symbol, P in places])
+    values = np.abs(rows @ fit.theta)
+    halves = np.array([trust.parts(row)[0].combined or 0.0 for row in rows])
+    known = (halves > 0) & (halves <= WIDE * values)
+    found: dict[str, Size] = {}
+    moved = ""
     for one in sorted(significant, key=lambda s: s.beyond, reverse=True):
         change = fit.change(one.way.column[:, None])[:, 0] * max(0.0, abs(one.size) - one.way.known)
-        share, text = max(
-            (_moved(name, row, change, halves[name].combined, fit) for name, row in combinations.items()),
-            default=(0.0, ""),
-        )
-        if share > 1.0 and id(one.cause) not in found:
-            found[id(one.cause)], moves[id(one.cause)] = one, (share, text)
-    return list(found.values()), next(iter(moves.values()))[1] if moves else ""
-
-
-def _moved(name: str, row: Array, change: Array, half: float | None, fit: Fit) -> tuple[float, str]:
-    """By how many half widths a coefficient is moved, and that in words."""
-    value, by = abs(float(row @ fit.theta)), abs(float(row @ change))
-    if not half or not value or half > 0.25 * value:
-        return 0.0, ""
-    moved, interval = 100 * by / value, 100 * half / value
-    return by / half, f"it would move {name} by {moved:.2g} %, where its interval without that is +-{interval:.2g} %"
+        by = np.abs(rows @ change)
+        worst = int(np.argmax(np.where(known, by / np.maximum(halves, 1e-300), 0.0)))
+        if known[worst] and by[worst] > halves[worst] and one.cause.name not in found:
+            found[one.cause.name] = one
+            size, half = (100 * each[worst] / values[worst] for each in (by, halves))
+            name = name_of(*places[worst])
+            text = f"it would move {name} by {size:.2g} %, where its interval without that is +-{half:.2g} %"
+            moved = moved or text
+    return list(found.values()), moved

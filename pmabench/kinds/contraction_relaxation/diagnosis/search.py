@@ -5,37 +5,36 @@ sized by least squares together with the coefficients; times of streams are sear
 
 In each round every explanation that is left is put in, and the one that predicts trials which were left out best is
 kept. At the end each of those kept is taken out again and the others are tried in its place: where one does nearly as
-well, nobody can tell which of both it is.
+well, the data do not decide between them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from pmabench.analysis.shared.samples import Samples
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     MOST_LATE,
     TIMES,
     Explanation,
-    columns_of,
     forces_of,
     in_samples,
+    muscle_columns,
     plausible,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
-from pmabench.kinds.contraction_relaxation.pooled import Fit, Solved, fit, rms_of, solve
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
+from pmabench.kinds.contraction_relaxation.pooled import Fit, fit, rms_of
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segments
 from pmabench.store.records import Array
 
 MOST_CUTS = 3
 """Corrected campaigns that are kept: what a round tries has most of them in common."""
 ALONE = 2.0
-"""So many times the excess is left by the best of another kind where an explanation is the only one ..."""
+"""An explanation is the only one where the best of another kind leaves more than so many times its excess ..."""
 LEAST_EXCESS = 0.15
 """... counted from this excess on."""
 PASSES = 3
@@ -45,9 +44,9 @@ PLACES = 2
 MOST_COMPARED = 3
 """Most explanations of a round that are compared with knots of their own."""
 FROM_BEGIN = (0.5, 1.0)
-"""Sizes of a clock that is right when a run begins, over the last one: the search begins with such, as most are."""
+"""Sizes of a clock that is right when a run begins, as most are, over the second size: where the search begins."""
 STEPS = (5e-3, 1.5e-3)
-"""Steps of the search for a time [s]; from a size that is known on, the last alone."""
+"""Steps of the search for a time [s]; only the last one where a size is known already."""
 WORTH = 0.9
 """An explanation that by first order leaves more than this share of the excess is not tried in whole."""
 ALL_OF_MUSCLE = (
@@ -68,7 +67,7 @@ class State:
     straight: Fit
     """The fit by whose K the properties of the muscle were made forces."""
     own_knots: bool = False
-    """Whether its knots were put where its own residual asks for them."""
+    """Whether its knots were put where its own residual needs them."""
 
     @property
     def excess(self) -> float:
@@ -86,18 +85,16 @@ class Search:
     """A campaign as it was recorded, and how segments and knots come of it."""
 
     campaign: Campaign
-    cut: Callable[[Sequence[Samples]], Segments]
+    cut: Cut
     knots: Array
     """That a fit begins with [Pa]."""
     drifts: bool = True
     """Whether the cell may have drifted: not where weights show it, and it is taken off already."""
     cuts: dict[tuple[Explanation, ...], tuple[Campaign, Segments]] = field(default_factory=dict)
     """Faults of the bench -> campaign and segments without them, of the last few."""
-    fits: list[tuple[Fit, Segments, Array, float]] = field(default_factory=list)
-    """The last fit to segments without a force taken off, with its knots and noise."""
 
     def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
-        """Explanations corrected, from the sizes of `begin` on, with knots where the rest asks for them."""
+        """Explanations corrected, from the sizes of `begin` on, with knots where the residual needs them."""
         segments = self._corrected(explanations)[1] if begin is None else begin.test.segments
         solved, noise = fit(segments, self.knots, self.campaign.noise)
         if begin is None:
@@ -131,7 +128,7 @@ class Search:
                 explanations = self._timed(explanations, i, straight, expected)
             if linear:
                 campaign, segments = self._corrected(explanations)
-                raw = self._solved(segments, solved, expected)
+                raw = solved.again(segments, expected)
                 forces = [self.columns(explanations[i], campaign, segments, straight, explanations) for i in linear]
                 explanations = _sized(explanations, linear, sizes_of(raw, np.hstack(forces)))
                 straight = self._rest(explanations, straight, solved, expected)[1]
@@ -144,16 +141,7 @@ class Search:
         """What is left when all is corrected, and the fit to it at the knots of `like`."""
         segments = self._corrected(explanations)[1]
         off = forces_of(self.followed, segments, straight, explanations)
-        return segments.pulled(-off), self._solved(segments, like, noise).pulled(-off)
-
-    def _solved(self, segments: Segments, like: Fit, noise: float) -> Fit:
-        """The fit to segments at the knots of `like`; the last one is kept."""
-        for known, of, knots, expected in self.fits:
-            if of is segments and knots is like.knots and expected == noise:
-                return known
-        found = solve(segments, like.knots, noise, like.halves, like.added)
-        self.fits[:] = [(found, segments, like.knots, noise)]
-        return found
+        return segments.pulled(-off), like.again(segments, noise).pulled(-off)
 
     def _corrected(self, explanations: Sequence[Explanation]) -> tuple[Campaign, Segments]:
         """The campaign with what is wrong with the bench corrected, and its segments; the last few are kept."""
@@ -168,10 +156,18 @@ class Search:
         return found
 
     def columns(
-        self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved, others: Sequence[Explanation] = ()
+        self, one: Explanation, campaign: Campaign, segments: Segments, fit: Fit, others: Sequence[Explanation] = ()
     ) -> Array:
-        """See `columns_of`."""
-        return columns_of(one, campaign, self.followed, segments, fit, others)
+        """Change of F_L by each size of an explanation, at first order [N per SI], shape (n, sizes)."""
+        if one.kind == "drift":
+            return columns.drift(campaign, segments)[:, None]
+        if one.kind == "slip":
+            return columns.slip(campaign, segments, fit, int(one.which))[:, None]
+        if one.kind in TIMES:
+            late = columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
+            growing = late * columns.clock(campaign)[segments.trial, None]
+            return np.hstack((late, growing)) if one.kind == "clock" else late
+        return muscle_columns(one, self.followed, segments, fit, others)
 
     def _timed(
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
@@ -211,7 +207,7 @@ class Search:
         """The same of both sizes of a clock together, from those that it has on (Gauss-Newton)."""
         for _ in range(PASSES):
             campaign, segments = self._corrected(explanations)
-            raw, one = self._solved(segments, fit, noise), explanations[place]
+            raw, one = fit.again(segments, noise), explanations[place]
             sizes = one.sizes + sizes_of(raw, self.columns(one, campaign, segments, raw))
             if not (np.abs(sizes) < 2 * MOST_LATE).all():  # no clock: another thing is wrong
                 break
@@ -221,7 +217,7 @@ class Search:
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
         """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
         campaign, segments = self._corrected(explanations)
-        raw = self._solved(segments, fit, noise)
+        raw = fit.again(segments, noise)
         mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
         if not mine:
             return segments, raw.residual
@@ -253,8 +249,8 @@ class Search:
         return sorted(best.values(), key=lambda state: state.test.ratio)
 
     def compared(self, tried: Sequence[State]) -> list[State]:
-        """The same, the best first, where several are near the best: those with knots of their own, for the residual
-        of none of them asked for the knots that they were tried with.
+        """The same, the best first; where several are near the best, these are fitted with knots for their own
+        residuals first, for those that they were tried with were put for another one.
         """
         limit = ALONE * max(tried[0].excess, LEAST_EXCESS) if tried else 0.0
         near = [state for state in tried[:MOST_COMPARED] if state.excess < limit]
@@ -369,11 +365,10 @@ STILL_APART = 1.25
 
 @dataclass(frozen=True, eq=False)
 class Rivals:
-    """An explanation that was kept, and the best of other kinds in its place."""
+    """The best of other kinds in the place of an explanation that was kept."""
 
-    kept: Explanation
     before: float
-    """Ratio without it."""
+    """Ratio without that."""
     others: tuple[State, ...]
     """With others in its place, the best first; the last explanation of each is the other one."""
     alone: bool
@@ -391,7 +386,7 @@ class Rounds:
     """For each explanation of `after` that the fit found."""
 
     def undecided(self, search: Search) -> tuple[State, ...]:
-        """States with another explanation in place of one that was kept, which nobody can tell from it.
+        """States with another explanation in place of one that was kept, between which the data do not decide.
 
         Of another cause, or a filter of the same stream in place of a delay.
         """
@@ -413,29 +408,28 @@ def explained(search: Search, before: State) -> Rounds:
             now = search.fitted(finer.explanations, finer)
             continue
         if now.excess - best.excess < EXPLAINS * now.excess:
-            together = _together(search, before, now)
-            if together.excess < 0.5 * best.excess and all(plausible(one) for one in together.explanations):
-                best = together
+            best = _together(search, before, now, 0.5 * best.excess) or best
         if best is now:
             break
         tried, now = found, best if best.own_knots else search.fitted(best.explanations, best)
     if now.test.doubted and now is not before:
-        together = _together(search, before, now)
-        if together.excess < (1 - FURTHER) * now.excess and all(plausible(one) for one in together.explanations):
-            now = search.fitted(together.explanations, together)
+        together = _together(search, before, now, (1 - FURTHER) * now.excess)
+        now = now if together is None else search.fitted(together.explanations, together)
     if len(now.explanations) == given + 1 and tried:
         return Rounds(before, now, (_rivals(before, now, now.explanations[-1], tried),))
     return _without_needless(search, before, now)
 
 
-def _together(search: Search, before: State, now: State) -> State:
-    """`now` with all properties of the muscle, in finest forms where one is found already and coarser ones fail."""
+def _together(search: Search, before: State, now: State, limit: float) -> State | None:
+    """`now` with all properties of the muscle, in finest forms where one is found already and coarser ones fail; None
+    where no muscle can be so, or the excess is not below a limit.
+    """
     together, mine = search.all_of_muscle(now), now.explanations[len(before.explanations) :]
     if mine and all(one.of_muscle for one in mine) and together.test.ratio >= STILL_APART * together.test.most_ratio:
         finest = search.finest(before, now)
-        if ALONE * finest.excess < together.excess:
-            return finest
-    return together
+        together = finest if ALONE * finest.excess < together.excess else together
+    sound = together.excess < limit and all(plausible(one) for one in together.explanations)
+    return together if sound else None
 
 
 def _worth(found: State, now: State, first: bool) -> bool:
@@ -452,7 +446,7 @@ def _rivals(without: State, now: State, kept: Explanation, tried: Sequence[State
     others = tuple(state for state in tried if state.last.cause != kept.cause)
     limit = ALONE * max(now.excess, LEAST_EXCESS)
     alone = not others or others[0].excess >= limit
-    return Rivals(kept, without.test.ratio, others, alone)
+    return Rivals(without.test.ratio, others, alone)
 
 
 def _without_needless(search: Search, before: State, now: State) -> Rounds:

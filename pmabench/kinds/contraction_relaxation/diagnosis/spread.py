@@ -15,8 +15,8 @@ from pmabench.analysis.shared import student
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import FINER
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TIMES
 from pmabench.kinds.contraction_relaxation.diagnosis.search import Search, State
-from pmabench.kinds.contraction_relaxation.intervals import Correction
-from pmabench.kinds.contraction_relaxation.pooled import Solved
+from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Correction
+from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
@@ -27,10 +27,8 @@ PART_OF_MUSCLE, PART_OF_BENCH = (0.05, 0.17), (0.002, 0.01)
 delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known faults."""
 CHANCE = 0.1
 """Excess that a right form leaves by chance."""
-NORMAL = 1.96
-"""Half width of a 95 % interval by its standard deviation."""
 UNSHOWN = 25.0
-"""A size whose variance grows by so much without a group is shown by that group alone."""
+"""A size whose variance grows by so much without a group is determined by that group alone."""
 FEWEST = 3
 """Fewest loads, or trials, of which one is left out at a time."""
 
@@ -45,24 +43,24 @@ class Spread:
     state: State
     recorded: Segments
     others: tuple[State, ...]
-    """With other explanations, which nobody can tell from the ones that were corrected."""
+    """With other explanations, between which and the corrected ones the data do not decide."""
     unsure: float
     """Share of the correction by the weights that may be wrong [1]."""
     factor: float
     """By which all widths grow, for what the form still misses."""
 
-    def of(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction:
+    def of(self, fit: Fit, rows: NDArray[np.bool_], noise: float) -> Correction:
         """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
         # loads left out show where a form is not exact; without an explanation by the fit nothing is sized anew
-        loads = np.array([round(samples.load, 2) for samples in self.state.test.campaign.samples])
-        groups = [self._trials[rows]] if self.state.explanations else []
-        groups += [loads[self.state.test.segments.trial][rows]] if self._of_muscle else []
-        spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
+        samples, trial = self.state.test.campaign.samples, self.state.test.segments.trial[rows]
+        groups = [np.arange(len(samples), dtype=np.float64)] if self.state.explanations else []
+        groups += [np.array([round(one.load, 2) for one in samples])] if self._of_muscle else []
+        spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group[trial])) >= FEWEST]
         others_of = np.array(others).reshape(-1, len(fit.theta))
         return Correction(self._unsure(fit, rows, noise), tuple(spreads), others_of, self.factor)
 
-    def _unsure(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Array:
+    def _unsure(self, fit: Fit, rows: NDArray[np.bool_], noise: float) -> Array:
         """The part of each step of the correction that may be wrong, as changes of theta, shape (2, p): by the weights,
         and by the fit.
         """
@@ -86,36 +84,36 @@ class Spread:
     def _of_muscle(self) -> bool:
         return any(one.of_muscle for one in self.state.explanations)
 
-    @property
-    def _trials(self) -> Array:
-        return self.state.test.segments.trial.astype(np.float64)
-
     def sizes(self) -> tuple[Array, ...]:
         """What the sizes of each explanation are off by without each trial, shape (trials, sizes) [SI].
 
         Not without each load: a slip is seen from one load on, and has no size without it.
         """
-        fit, segments, group = self.state.test.fit, self.state.test.segments, self._trials
+        trial, group = self.state.test.segments.trial, np.arange(len(self.state.test.campaign.trials), dtype=np.float64)
         if not self.state.explanations:
             return ()
-        if len(np.unique(group)) < FEWEST:
+        if len(np.unique(trial)) < FEWEST:
             return tuple(np.zeros((1, len(one.sizes))) for one in self.state.explanations)
-        left, begin, found = self._left_out(fit, np.ones(len(segments), bool), group)[1], 0, []
+        left, begin, found = self._left_out(self.state.test.fit, np.ones(len(trial), bool), group)[1], 0, []
         for place, one in enumerate(self.state.explanations):
-            times = [self._time(place, number, group) for number in range(len(one.sizes)) if one.kind in TIMES]
+            numbers = range(len(one.sizes)) if one.kind in TIMES else ()
+            times = [self._time(place, number, group, np.unique(trial)) for number in numbers]
             mine = np.column_stack(times) if times else left[:, begin : begin + len(one.sizes)]
             begin += 0 if times else len(one.sizes)
             mine = mine[np.isfinite(mine).all(axis=1)]
             found.append(mine - mine.mean(axis=0) if len(mine) else np.zeros((1, len(one.sizes))))
         return tuple(found)
 
-    def _spread(self, fit: Solved, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
-        """Covariance of theta by the jackknife over groups of rows, widened for few, shape (p, p)."""
+    def _spread(self, fit: Fit, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
+        """Covariance of theta by the jackknife over groups of rows, widened for few, shape (p, p); `group` (trials,)
+        has the group of each trial.
+        """
         theta, _ = self._left_out(fit, rows, group)
+        names = np.unique(group[self.state.test.segments.trial[rows]])
         times = [(place, one) for place, one in enumerate(self.state.explanations) if one.kind in TIMES]
         for place, number, size in ((place, *each) for place, one in times for each in enumerate(one.sizes)):
             later, earlier = (fit.again(self._moved(place, number, by)[0], noise).theta for by in (STEP, -STEP))
-            every = self._time(place, number, self._group_of_all(group, rows))
+            every = self._time(place, number, group, names)
             theta = theta + (every - size)[:, None] * (later - earlier) / (2 * STEP)
         theta = theta[np.isfinite(theta).all(axis=1)]
         count = len(theta)
@@ -125,17 +123,12 @@ class Spread:
         wide = float(student.ppf(0.975, count - 1)) / NORMAL
         return np.asarray(wide**2 * (count - 1) / count * off.T @ off)
 
-    def _group_of_all(self, group: Array, rows: NDArray[np.bool_]) -> Array:
-        """Groups of all segments, of which `group` has some rows."""
-        by_trial = dict(zip(self.state.test.segments.trial[rows].tolist(), group.tolist(), strict=True))
-        return np.array([by_trial.get(trial, -1.0) for trial in self.state.test.segments.trial.tolist()])
-
-    def _left_out(self, fit: Solved, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
+    def _left_out(self, fit: Fit, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
         """Theta and sizes off those of the state, without each group in turn; shapes (groups, p), (groups, sizes).
 
-        nan where a group alone shows a size: without the loads after a slip nobody knows how large it is.
+        nan where only that group determines a size: without the loads after a slip its size is unknown.
         """
-        forces = self._forces[rows]
+        forces, of_row = self._forces[rows], group[self.state.test.segments.trial[rows]]
         scale = np.maximum(np.sqrt(np.mean(forces**2, axis=0)), 1e-300)
         whole, p = np.hstack([fit.design, forces / scale]), fit.design.shape[1]
         normal = whole.T @ whole
@@ -144,8 +137,8 @@ class Spread:
         target = fit.residual + fit.design @ fit.theta
         sure = np.diag(_inverse(normal))[p:]
         found = []
-        for one in np.unique(group):
-            mine = group == one
+        for one in np.unique(of_row):
+            mine = of_row == one
             inverse = _inverse(normal - whole[mine].T @ whole[mine])
             shown = bool((np.abs(np.diag(inverse)[p:]) < UNSHOWN * sure).all())
             solved = inverse @ (right - whole[mine].T @ target[mine])
@@ -172,14 +165,14 @@ class Spread:
         test = self.state.test
         return self.search.left(tuple(explanations), test.fit, test.expected)
 
-    def _time(self, place: int, number: int, group: Array) -> Array:
-        """A time of an explanation [s] without each group: where the parabola of the squares of the rest ends."""
-        names = np.unique(group[group >= 0])
+    def _time(self, place: int, number: int, group: Array, names: Array) -> Array:
+        """A time of an explanation [s] without each of the groups `names`: where the parabola of the squares of the
+        residual has its vertex.
+        """
         squares = []
         for by in (-STEP, 0.0, STEP):
             segments, residual = self._moved(place, number, by)
-            trials = dict(zip(self.state.test.segments.trial.tolist(), group.tolist(), strict=True))
-            mine = np.array([trials.get(trial, -1.0) for trial in segments.trial.tolist()])
+            mine = group[segments.trial]
             squares.append(
                 [float(np.sum(residual[mine != name] ** 2)) / max(1, int(np.sum(mine != name))) for name in names]
             )

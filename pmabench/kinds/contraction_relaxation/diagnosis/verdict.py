@@ -6,7 +6,7 @@ what is too small to be seen (`hiding`). docs/uncertainty.md has the rules in wo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -14,31 +14,34 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import Samples
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed, readings, weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import Span, bent, zero_known
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     TITLES,
+    TO_TELL,
     Named,
     forces_of,
     in_samples,
     named,
     shown,
 )
-from pmabench.kinds.contraction_relaxation.diagnosis.hiding import HARDLY, MOST_HIDDEN, Hidden, Size
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, HARDLY, MOST_HIDDEN, ZERO, Hidden, Size
 from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     EXPLAINS,
     STILL_APART,
+    Rivals,
     Rounds,
     Search,
     State,
     explained,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.spread import Spread
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
-from pmabench.store.analyses.results import Estimate
+from pmabench.kinds.contraction_relaxation.intervals import Trust
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segments
+from pmabench.kinds.contraction_relaxation.values import QUANTITY
+from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array
 
 NEARLY = 0.9
@@ -54,13 +57,13 @@ MANY = 3
 """From so many causes on values are not accepted: several seldom act at once, and each takes up a part of another."""
 BEND_POINTS = 33
 """Contractions at which a bend is written down, from 0 to a tenth beyond those tested."""
-QUANTITIES = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"}
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What was found of a campaign."""
 
+    search: Search
     weighed: Weighed
     rounds: Rounds
     of_cell: tuple[Named, ...]
@@ -69,7 +72,14 @@ class Diagnosis:
     """What explains the misfit of the fit; corrected."""
     change: Array
     """Change of the coefficients by all corrections, as `Fit.theta`."""
+    spread: Spread | None = None
+    """What the correction does to intervals; None without one."""
     hidden: Hidden = field(default_factory=lambda: Hidden((), (), ""))
+
+    def corrected(self, segments: Segments) -> Segments:
+        """Segments of corrected samples without the forces that the muscle has beyond the straight form."""
+        state = self.reported
+        return segments.pulled(-forces_of(self.search.followed, segments, state.straight, state.explanations))
 
     @property
     def reported(self) -> State:
@@ -228,7 +238,7 @@ class Diagnosis:
         if not tested:
             return {}
         segments = self.reported.test.segments
-        x = np.linspace(0.0, 1.1 * float(np.max(segments.x @ segments.weights)), BEND_POINTS)
+        x = np.linspace(0.0, 1.1 * float(np.max(segments.contraction)), BEND_POINTS)
         more = [self.more(x, np.full(len(x), P)).tolist() for P in tested]
         return {"contraction": x.tolist(), "pressure": tested, "force": more}
 
@@ -241,13 +251,13 @@ class Diagnosis:
                 found.append(f"undecided between {TITLES[one.key]} and {_title(rival.others[0])}")
         return "; ".join(found)
 
-    def effect(self, fit: Solved, P: float) -> str:
+    def effect(self, fit: Fit, P: float) -> str:
         """Each coefficient at a pressure [Pa] before and after all corrections, for people."""
         parts = []
         for symbol in SYMBOLS:
             row = fit.row(symbol, P)
             after = float(row @ fit.theta)
-            before, now = (show(value, QUANTITIES[symbol], 4) for value in (after - float(row @ self.change), after))
+            before, now = (show(value, QUANTITY[symbol][1], 4) for value in (after - float(row @ self.change), after))
             parts.append(f"{symbol} {before} -> {now}")
         return f"at {show(P, 'pressure', 4)} {', '.join(parts)}"
 
@@ -266,6 +276,63 @@ class Diagnosis:
         most = {id(one): max(share for other, share in found.values() if other is one) for one, _ in found.values()}
         return {place: _why_hidden(one, most[id(one)]) for place, (one, _) in found.items()}
 
+    def findings(self, fit: Fit, trust: Trust) -> Iterator[Finding]:
+        """What the tests of the form and the weights say, what was found and corrected, and what to look at."""
+        if self.reason:
+            yield Finding("doubt", f"form: {self.reason}")
+        else:
+            yield from self._of_the_form(fit)
+        yield from self._of_the_weights({one.name for one in trust.causes if one.seen})
+
+    def _of_the_form(self, fit: Fit) -> Iterator[Finding]:
+        rounds, tested = self.rounds, self.reported.test.campaign.tested
+        for one in self.named:
+            of = "property of the muscle" if one.of_muscle else "fault of the bench"
+            yield Finding("doubt", f"diagnosis, {of}: {one.text}; corrected. Advice: {one.advice}")
+        if self.named:
+            ratios = (one.test.ratio for one in (rounds.before, rounds.after))
+            parts = ["missed by {:.3g} times the noise before, {:.3g} after".format(*ratios)] if rounds.rivals else []
+            for one, rival in zip(self.of_fit, rounds.rivals, strict=True):
+                for best in rival.others[:1]:
+                    ratio = f"{best.test.ratio:.3g}"
+                    parts.append(f"next best to {TITLES[one.key]} is {_title(best)}, {ratio}")
+            parts.append(f"corrected, {self.effect(fit, tested[len(tested) // 2])}")
+            which = f"; {self.between}" if self.between else ""
+            yield Finding("note", f"diagnosis: {'; '.join(parts)}{which}")
+        text = (
+            f"form: {self.missed} {self.ratio:.3g} times what the noise allows, residuals of neighbouring segments"
+            f" agree by {rounds.after.test.alike:.2g} of the noise"
+        )
+        if self.hidden.found:
+            more = f"but it fits that {self.fits}. {self.hidden.moved}; it is a line of each interval"
+            yield Finding("doubt", f"{text}; {more}")
+        else:
+            count = len(self.hidden.sizes)
+            yield Finding("note", f"{text}; no departure of {count} moves a coefficient beyond its interval")
+
+    def _of_the_weights(self, seen: Set[str]) -> Iterator[Finding]:
+        """Where the force cell and the weights that hang on it contradict each other; `seen` are significant lines."""
+        weighed = self.weighed
+        if weighed.guide:
+            size = show(weighed.guide, "force", 2)
+            text = f"a guide between cell and weights rubs by about {size}: after the way down the cell reads twice"
+            yield Finding("note", f"{text} that less than after the way up. F_c is without it")
+        for name, found, quantity in ((GAIN, weighed.gain, "ratio"), (ZERO, weighed.offset, "force")):
+            if name in seen and found is not None:
+                size, unsure = (show(abs(value), quantity, 2) for value in (found[0], 2 * found[1]))
+                way = "more" if found[0] > 0 else "less"
+                text = f"{name}: it reads {size} {way} than they weigh, +- {unsure}, which its calibration does not"
+                text += " allow: one of them is wrong, and the intervals hold both"
+                if weighed.guide is None and found[0] > 0:
+                    text += f"; or a guide between them rubs. To know, {TO_TELL}"
+                yield Finding("doubt", text)
+        if weighed.wrong is not None:
+            load, off, error = weighed.wrong
+            size, unsure = (show(value, "force", 2) for value in (abs(off), 2 * error))
+            way = "more" if off > 0 else "less"
+            text = f"the weight of {show(load, 'force', 4)} is {size} {way} by the force cell, +- {unsure}"
+            yield Finding("doubt", f"{text}; the others agree. Weigh it; no value of the fit rests on its mark")
+
     @property
     def facts(self) -> dict[str, Any]:
         """The same as plain data, sizes in SI."""
@@ -279,8 +346,8 @@ class Diagnosis:
             "explanations": [
                 {"cause": one.key, "title": TITLES[one.key], "of": "muscle" if one.of_muscle else "bench",
                  "kind": one.explanation.kind, "which": one.explanation.which, "text": one.text, "size": one.size,
-                 "error": one.error, "sizes": list(one.explanation.sizes), "advice": one.advice, **_rival(self, one)}
-                for one in self.named
+                 "error": one.error, "sizes": list(one.explanation.sizes), "advice": one.advice, **_rival(rival)}
+                for one, rival in zip(self.named, (*(None for _ in self.of_cell), *self.rounds.rivals), strict=True)
             ],
             "K_at": [
                 {"pressure": P, "contraction": x, "force": self.force_at(P, x)}
@@ -296,17 +363,16 @@ class Diagnosis:
         }  # fmt: skip
 
 
-def _rival(diagnosis: Diagnosis, one: Named) -> dict[str, Any]:
-    """The ratio without an explanation of the fit, whether it is the only one, and the next best in its place."""
-    if one not in diagnosis.of_fit:
-        return {"alone": True, "ratio_without": None, "runner_up": None, "runner_up_ratio": None}
-    rival = diagnosis.rounds.rivals[diagnosis.of_fit.index(one)]
-    best = rival.others[0] if rival.others else None
+def _rival(rival: Rivals | None) -> dict[str, Any]:
+    """The ratio without an explanation of the fit, whether it is the only one, and the next best in its place; None for
+    what the weights show.
+    """
+    best = rival.others[0] if rival and rival.others else None
     return {
-        "alone": rival.alone,
-        "ratio_without": rival.before,
-        "runner_up": None if best is None else _title(best),
-        "runner_up_ratio": None if best is None else best.test.ratio,
+        "alone": rival is None or rival.alone,
+        "ratio_without": rival and rival.before,
+        "runner_up": best and _title(best),
+        "runner_up_ratio": best and best.test.ratio,
     }
 
 
@@ -315,15 +381,6 @@ def _title(state: State) -> str:
     if last.cause == "late pressure" and last.sizes[0] < 0:
         return TITLES["tube"]
     return NOT_STRAIGHT if last.kind == "sensor" else TITLES[last.cause]
-
-
-def name(state: State, off: Sequence[Array], names: Sequence[str]) -> tuple[Named, ...]:
-    """The explanations of a state in words; `off` as in `corrections.named` of each, `names` those of the trials."""
-    highest = max(state.test.campaign.tested)
-    return tuple(
-        named(one, each, state.test.fit, highest, names[int(one.which)] if one.kind == "slip" else "")
-        for one, each in zip(state.explanations, off, strict=True)
-    )
 
 
 def _why_hidden(one: Size, share: float) -> str:
@@ -339,38 +396,26 @@ def _why_hidden(one: Size, share: float) -> str:
     return f"it fits that {one.text}, which {effect} ({limit}). {REMEDY}"
 
 
-@dataclass(frozen=True, eq=False)
-class Examined:
-    """A campaign with what was found in it."""
-
-    search: Search
-    diagnosis: Diagnosis
-    spread: Spread | None
-    """What the correction does to intervals; None without one."""
-
-    def corrected(self, segments: Segments) -> Segments:
-        """Segments of corrected samples without the forces that the muscle has beyond the straight form."""
-        state = self.diagnosis.reported
-        return segments.pulled(-forces_of(self.search.followed, segments, state.straight, state.explanations))
-
-
-def examined(
-    recorded: Campaign, knots: Array, segments_of: Callable[[Sequence[Samples]], Segments], segments: Segments
-) -> Examined:
+def examined(recorded: Campaign, knots: Array, segments_of: Cut, segments: Segments) -> Diagnosis:
     """The diagnosis of a campaign with these first knots [Pa]; `segments` are those of its samples as recorded."""
     gain = Scales.of(recorded.runs).gains.get("force", 0.0)
     weights = weighed(readings(recorded), {"drift": zero_known(recorded), "gain": gain})
     search = Search(in_samples(recorded, weights.found), segments_of, knots, weights.drift is None)
     rounds = explained(search, search.fitted(()))
-    after, names = rounds.after, [recorded.name(i) for i in range(len(recorded.trials))]
+    after = rounds.after
     known = weighed(readings(search.campaign)) if weights.found else weights
     of_cell = tuple(
         named(one, np.array([errors, -errors]), after.test.fit, 0.0)
         for one, errors in zip(weights.found, weights.errors, strict=True)
     )
     spread = Spread(search, rounds.before, after, segments, rounds.undecided(search), weights.unsure, 1.0)
+    highest = max(recorded.tested)
+    of_fit = tuple(
+        named(one, off, after.test.fit, highest, recorded.name(int(one.which)) if one.kind == "slip" else "")
+        for one, off in zip(after.explanations, spread.sizes(), strict=True)
+    )
     change = after.test.fit.theta - after.test.fit.again(segments, after.test.expected).theta
-    diagnosis = Diagnosis(known, rounds, of_cell, name(after, spread.sizes(), names), change)
-    if not of_cell and not diagnosis.reported.explanations:
-        return Examined(search, diagnosis, None)
-    return Examined(search, diagnosis, replace(spread, state=diagnosis.reported, factor=diagnosis.factor))
+    found = Diagnosis(search, known, rounds, of_cell, of_fit, change)
+    if not of_cell and not found.reported.explanations:
+        return found
+    return replace(found, spread=replace(spread, state=found.reported, factor=found.factor))
