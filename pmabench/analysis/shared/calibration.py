@@ -14,6 +14,8 @@ from pmabench.store.records import RunData
 
 Sensitivities = Mapping[str, float]
 """Channel -> change of a result."""
+NOT_DECLARED = "calibration part: the record gives no"
+"""Words of a note about a channel whose uncertainty is not in the calibration part."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Scales:
             return ""
         kind = "uncertainty" if set(missing) <= set(offsets) else "gain uncertainty"
         whole = len(missing) == len({*gains, *offsets})
-        return f"{'no' if whole else 'incomplete'} calibration part: the record gives no {kind} of {listed(missing)}"
+        return f"{'no' if whole else 'incomplete'} {NOT_DECLARED} {kind} of {listed(missing)}"
 
     def _missing(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
         """Channels without a known uncertainty."""
