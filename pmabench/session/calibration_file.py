@@ -156,7 +156,10 @@ def _lines(channel: str, quantity: str, raw_unit: str, found: Fit, reference: st
     if found.residual is None:
         yield f"expanded_uncertainty: ??  # {known}, and what the data sheet says of linearity: two points show no bend"
     else:
+        # a line whose ends are off by U, each by itself, is off by sqrt(2) U over its span
+        span = max(value for _, value in found.points) - min(value for _, value in found.points)
         yield f"expanded_uncertainty: {known}"
+        yield f"gain_uncertainty: {_up(100 * sqrt(2) * found.expanded / span)} %"
     yield f"# of {channel}, by the run {run}"
     parts = {"reference": found.reference, "hysteresis": found.hysteresis, "repeatability (1 s)": found.repeatability}
     parts |= {"drift": found.drift} | ({} if found.residual is None else {"largest residual": found.residual})

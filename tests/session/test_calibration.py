@@ -121,6 +121,24 @@ def test_two_points_do_not_say_that_a_sensor_is_straight(tmp_path):
     assert max(off) < three.expanded < 1.3 * max(off)
 
 
+@pytest.mark.parametrize("error", ["of each weight", "of one share"])
+def test_the_gain_is_known_as_well_as_the_weights_tell_it(tmp_path, error):
+    """Weights known to 0.5 N (k = 2): the slope errs within gain_uncertainty; none was written, and K had no force part."""
+    places, slopes = np.array([0.0, 100.0, 250.0, 500.0]), []
+    for seed in range(300):
+        random = np.random.default_rng(seed)
+        off = random.normal(0.0, 0.25, 4) if error == "of each weight" else random.normal(0.0, 0.25) * places / 500.0
+        points = [
+            Point(v, v, v + e, way, c) for v, e in zip(places, off, strict=True) for way in (UP, DOWN) for c in (0, 1)
+        ]
+        slopes.append(abs(fit(points, 0.5).scale.slope - 1.0))
+    exact = fit([Point(v, v, v, way, c) for v in places for way in (UP, DOWN) for c in (0, 1)], 0.5)
+    path = write_calibration(tmp_path, "force", "force", "count", exact, reference="w", run="r", today=date(2026, 1, 2))
+    gain = read_calibration(path, "force").record.gain_uncertainty
+    assert gain == pytest.approx(2**0.5 * 0.5 / 500.0, rel=0.01)
+    assert np.mean(np.array(slopes) <= gain) >= 0.93
+
+
 def test_one_cycle_does_not_say_that_readings_repeat():
     """Scatter of 1 N at 0 and 500 N: the line is off by more than U in 1 of 4 single cycles, where 0 N counted."""
     beyond, repeats = [], []
