@@ -65,7 +65,7 @@ def command(
 ) -> int:
     """Calibrate CHANNEL (force, pressure, displacement, angle; pressure_command: the regulator) by points."""
     from pmabench.cli.prepare import mounted_of
-    from pmabench.session.calibration import Request, check, uncovered
+    from pmabench.session.calibration import Request, check, not_shown, uncovered
 
     quantity = CHANNEL_QUANTITY.get(channel, "force")
     request = Request(
@@ -81,8 +81,8 @@ def command(
         raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
     mounted = mounted_of(bench, specimen)
     check(mounted, request)
-    for trip in uncovered(mounted, request):
-        ui.note(f"warning: {trip}")
+    for warning in (*uncovered(mounted, request), *not_shown(request)):
+        ui.note(f"warning: {warning}")
     done = _run(ui, mounted, request, out, operator, yes=yes)
     path = None
     if done.fit is not None and done.outcome.exit_code == 0 and done.outcome.folder is not None:
@@ -166,5 +166,7 @@ def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, 
             click.echo(f"in the bench file, for the output pressure: scale: [{', '.join(pairs)}]")
         else:
             click.echo(f'in the bench file, for the channel {request.channel}: "calibration: {path.stem}"')
+        if done.fit is not None and done.fit.residual is None:
+            click.echo("first put its expanded_uncertainty into the file, in place of ??: two points do not show it")
 
     ui.result(data, human, [str(path)] if path is not None else [])

@@ -176,12 +176,14 @@ def _bench_and_day(manifest: Mapping[str, Any]) -> str:
 
 def _calibrations(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Calibration files by name and hash, and the session, in which zeros were taken."""
+    from pmabench.analysis.verdict.comparison import SESSION
+
     snapshots = manifest.get("snapshots")
     for name, digest in snapshots.items() if isinstance(snapshots, dict) else ():
         if str(name).startswith("calibrations/"):
             yield str(name), str(digest)
     if manifest.get("session") is not None:
-        yield "session", json.dumps(manifest["session"], sort_keys=True, default=str)
+        yield SESSION, json.dumps(manifest["session"], sort_keys=True, default=str)
 
 
 def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) -> tuple[Side, list[Published]]:
@@ -212,7 +214,7 @@ def _json(
 
     def difference(d: Difference) -> dict[str, Any]:
         about = fields(d.a, "symbol", "coordinate", "at", "unit", "quantity")
-        about |= fields(d, "kind", "relative", "agrees", "term")
+        about |= fields(d, "kind", "relative", "agrees", "term", "lacks")
         about |= {"a": value(d.a), "b": value(d.b), "between_points": d.between}
         return about | {"difference": d.value, "half_width": d.half, "E_n": d.score}
 

@@ -200,6 +200,7 @@ def _json(
                     {"date": date, "cycles": cycles, "trial": trial, "stroke": stroke}
                     for date, cycles, stroke, trial in one.moments
                 ],
+                "days": [{"date": date, "stroke": stroke} for date, _, stroke, _ in one.days],
                 "limits": None if one.chart is None else fields(one.chart, "centre", "low", "high"),
                 "beyond": [] if one.chart is None else list(one.chart.beyond),
                 "shifted": None if one.chart is None else one.chart.shifted,

@@ -11,7 +11,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import UsageError
+import numpy as np
+
+from pmabench.base.errors import UsageError, VerdictFailed
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import ChannelRecord, OutputRecord
@@ -75,6 +77,9 @@ def calibrate(
 ) -> Calibrated:
     """Calibrate; raises UsageError where the bench cannot, before anything is opened."""
     channel, output = check(mounted, request)
+    # of the regulator the unit of its command, as in its scale
+    raw_unit = channel.raw_unit if channel else str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
+    quantity = channel.quantity if channel else "pressure"
     points: list[Point] = []
     fits: list[Fit] = []
 
@@ -92,6 +97,8 @@ def calibrate(
             executor.recorder.event("calibration-point", executor.clock.now(), **asdict(point))
         executor.acquisition.record(on=False)
         found = fit(points, work.reference_uncertainty)
+        if said := not_followed(found, points, quantity, raw_unit):
+            raise VerdictFailed(said)
         fits.append(found)
         executor.recorder.event("calibrated", executor.clock.now(), channel=request.channel, **asdict(found))
 
@@ -99,9 +106,25 @@ def calibrate(
     more = {"out": out, "operator_name": operator_name, "progress": progress}
     name = f"calibration of {request.channel}"
     outcome = guided_run(mounted, operator, "calibration", name, procedure, points_of, **more)
-    # of the regulator the unit of its command, as in its scale
-    raw_unit = channel.raw_unit if channel else str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
     return Calibrated(outcome, fits[0] if fits else None, raw_unit)
+
+
+def not_followed(found: Fit, points: Sequence[Point], quantity: str, raw_unit: str) -> str:
+    """Why these readings do not follow the reference, and what to do; empty where they do.
+
+    A value known to half the span or worse says less than the reference did, and readings that move by less than their
+    noise have moved by chance.
+    """
+    raw, value = (np.ptp(np.array(found.points), axis=0)).tolist()
+    noise = max(point.noise for point in points)
+    if found.expanded <= value / 2 and raw > noise:
+        return ""
+    return (
+        f"no calibration: the reference changes by {show(value, quantity, 3)} and the reading by {raw:.3g} {raw_unit}, "
+        f"with a noise of {noise:.3g} {raw_unit}; by this line a value would be known to +- "
+        f"{show(found.expanded, quantity, 3)}. The channel does not follow the reference: do loads pull at the cell or "
+        "rest on their support (--hold lifts them)? Is this the channel's plug, and is what it measures connected?"
+    )
 
 
 def order(points: Sequence[float], cycles: int) -> list[tuple[float, str, int]]:
@@ -155,6 +178,24 @@ def check(mounted: Mounted, request: Request) -> tuple[ChannelRecord | None, Out
                 near = " or ".join(f"{load * weights.g:.6g} N ({load:g} kg)" for load in stack.around(mass))
                 raise UsageError(f"{value:g} N ({mass:g} kg) cannot be made of {stack}; nearest: {near}")
     return (None if name == REGULATOR else channel), output
+
+
+def not_shown(request: Request) -> list[str]:
+    """What these points and cycles cannot show of the channel, each in a sentence."""
+    found, count = [], len(set(request.points))
+    if count == 2:
+        found.append(
+            "two points do not show how far the channel bends between them: the file leaves its expanded_uncertainty "
+            "open (??), and a bench asks for it; take four or more"
+        )
+    if count == 3:
+        found.append("three points do not show a line that bends one way and then the other; take four or more")
+    if request.cycles == 1:
+        found.append(
+            "one cycle has no repeats: what up and down differ counts as scatter as well as hysteresis, and drift is "
+            "that of its first point alone; take two or more"
+        )
+    return found
 
 
 def uncovered(mounted: Mounted, request: Request) -> list[str]:
@@ -219,10 +260,11 @@ class _Work:
             assert self.output is not None  # noqa: S101  (the regulator has one)
             return Point(target, reading.mean, float(self.output.scale.to_raw(nominal)), way, cycle)
         raw = float(self.channel.scale.to_raw(reading.mean))
+        noise = abs(float(self.channel.scale.to_raw(reading.mean + reading.noise)) - raw)
         quantity = self.channel.quantity
         text = f"{self.request.reference}: what does it read at {show(nominal, quantity)}?"
         reference = self.read(text, nominal, self._wait)
-        return Point(target, reference, raw, way, cycle)
+        return Point(target, reference, raw, way, cycle, noise)
 
     def _wait(self) -> None:
         self.executor.acquisition.pass_time(0.1)
@@ -261,7 +303,7 @@ def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:
     return [
         ("slope", f"{found.scale.slope:.8g} {QUANTITIES[quantity].unit}/{raw_unit}"),
         ("offset", show(found.scale.offset, quantity)),
-        ("largest residual", show(found.residual, quantity, 3)),
+        ("largest residual", "not known: two points" if found.residual is None else show(found.residual, quantity, 3)),
         ("hysteresis", show(found.hysteresis, quantity, 3)),
         ("repeatability (1 s)", show(found.repeatability, quantity, 3)),
         ("drift", show(found.drift, quantity, 3)),

@@ -16,12 +16,14 @@ from pmabench.cli.report_overlays import read_overlays
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.contraction_relaxation.segments import gather
 from pmabench.report.figures.overlays import with_published
+from pmabench.report.pages.comparison_page import rows_of
 from pmabench.store.analyses.results import PUBLISHED, Analysis, Curve, Estimate, Parts, Source
 from tests.analysis.coverage_study import CHANNELS, campaign
 from tests.analysis.simulate import contraction_run, rig
 
 ROOT = Path(__file__).resolve().parents[2]
-SAME = frozenset({("calibrations/F.yaml", "00")})
+FILES = frozenset({("calibrations/F.yaml", "00")})
+SAME = FILES | {("session", "1")}
 
 
 def K(value, half, P=3e5, method="m", **parts):
@@ -51,12 +53,61 @@ def test_the_same_calibration_drops_out_and_another_does_not():
     assert one(*same).half == pytest.approx(5.0)
     larger = side(replace(b, parts=Parts(4.0, calibration=24.0)), name="B", run="r2", calibrations=SAME)
     assert one(same[0], larger).half == pytest.approx(13.0)  # 3, 4 and 24 - 12
-    other = replace(same[1], calibrations=frozenset({("calibrations/F.yaml", "11")}))
+    other = replace(same[1], calibrations=frozenset({("calibrations/F.yaml", "11"), ("session", "1")}))
     assert one(same[0], other).half == pytest.approx((25.0 + 288.0) ** 0.5)
     unknown = replace(same[0], calibrations=frozenset()), replace(same[1], calibrations=frozenset())
     assert one(*unknown).half == pytest.approx((25.0 + 288.0) ** 0.5)
     by_another_way = side(replace(b, method="n"), name="B", run="r2", calibrations=SAME)
     assert one(same[0], by_another_way).half == pytest.approx((25.0 + 288.0) ** 0.5)
+
+
+def test_without_a_session_the_zeros_of_one_calibration_do_not_drop_out():
+    """Zeros of two days, each right within U: 95 % within; they were beyond in 4 of 5 where only repeats were left."""
+    zeros = np.random.default_rng(11).normal(0.0, 8.0 / 1.959964, (400, 2))
+    lines = tuple(
+        Source(f"calibration of force, {of}", "calibration", "B", h) for of, h in (("gain", 6.0), ("offset", 8.0))
+    )
+    parts = Parts(1.0, calibration=10.0)
+    split = [
+        [replace(K(50.0 + z, None, 1e5 + i), parts=parts, budget=lines) for i, z in enumerate(zs)] for zs in zeros.T
+    ]
+    a, b = (side(*one_day, name=n, run=n, calibrations=FILES) for one_day, n in zip(split, "AB", strict=True))
+    found = compare(a, b)
+    assert found.differences[0].half == pytest.approx((1 + 1 + 2 * 64) ** 0.5)  # the gain is the same on both days
+    assert 0.92 < np.mean([d.agrees for d in found.differences]) < 0.98
+    assert any("but for the zeros, which no session took" in f.text for f in found.findings)
+    whole = [
+        side(replace(one[0], budget=()), name=n, run=n, calibrations=FILES) for one, n in zip(split, "AB", strict=True)
+    ]
+    assert compare(*whole).differences[0].half == pytest.approx((1 + 1 + 2 * 100) ** 0.5)  # nobody says what is gain
+    taken = [replace(one, calibrations=SAME) for one in (a, b)]
+    assert compare(*taken).differences[0].half == pytest.approx(2**0.5)
+
+
+@pytest.mark.parametrize(
+    ("parts", "note", "lacking"),
+    [
+        ((None, None), "", "A and B"),
+        ((0.5, None), "", "B"),
+        ((0.5, 0.5), "incomplete calibration part: the record gives no gain uncertainty of force", "A and B"),
+        ((0.5, 0.5), "", ""),
+    ],
+)
+def test_a_cell_that_reads_2_percent_more_is_not_another_muscle_where_nobody_declared_its_scale(parts, note, lacking):
+    a, b = (
+        side(replace(K(value, 0.1, calibration=part), note=note), name=name, run=name, calibrations=frozenset())
+        for name, value, part in (("A", 100.0, parts[0]), ("B", 102.0, parts[1]))
+    )
+    found = compare(a, b)
+    (d,) = found.differences
+    assert (d.agrees, " and ".join(d.lacks)) == (False, lacking)
+    assert rows_of(a, b, [d])[1][0][-1] == ("differs, or its scale" if lacking else "differs")
+    line = next(f.text for f in found.findings if f.text.startswith("K: differ by more than their interval"))
+    assert line.endswith(f"; the interval is without the scales of {lacking}") is bool(lacking)
+    warned = [f.text for f in found.findings if "a force cell or gauge that reads otherwise" in f.text]
+    assert [f"in full, in {lacking}: " in text for text in warned] == [True] * bool(lacking)
+    one_bench = compare(replace(a, calibrations=SAME), replace(b, calibrations=SAME))
+    assert one_bench.differences[0].lacks == ()  # the same scale on both sides
 
 
 def test_what_the_method_adds_to_both_drops_out_where_both_were_tested_alike():

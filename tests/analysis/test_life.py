@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
+
+import numpy as np
 import pytest
 
 from pmabench.analysis.verdict.life import (
@@ -77,6 +80,87 @@ def test_limits_are_the_mean_and_the_moving_range():
     drifted = chart([*base, *[10.9] * 7])
     assert (drifted.beyond, drifted.shifted) == ((), 18)  # the last of the base lies above the centre, too
     assert chart([1.0] * 6).first_alarm is None
+
+
+DAY = timedelta(days=1)
+
+
+def reference(strokes, a_day=1, step=0.0):
+    """Reference trials in order of time, so many a day."""
+    start = datetime(2026, 1, 1, 8)
+    date = [(start + i // a_day * DAY + i % a_day * DAY / 24).isoformat() for i in range(len(strokes))]
+    moments = tuple(
+        (one, 10 * i, float(stroke), f"r/{i}") for i, (one, stroke) in enumerate(zip(date, strokes, strict=True))
+    )
+    return References((("pressure", 3e5),), moments, step)
+
+
+def doubted(one):
+    *_, reported = findings([Past("r", "2026-01-01", "k", "b", "finished", False, Use(), 0)], [], [one])
+    return reported.level == "doubt"
+
+
+@pytest.mark.parametrize(("days", "a_day"), [(12, 1), (30, 1), (60, 1), (12, 3), (30, 3), (100, 3)])
+def test_of_an_unchanged_muscle_one_chart_in_twenty_is_doubted(days, a_day):
+    """Days differ by 20 um and trials of a day by 5 um: 89 to 95 of 100 such charts said that the muscle had changed."""
+    random, count = np.random.default_rng(5), 300
+    charts = (
+        20e-3 + np.repeat(20e-6 * random.standard_normal(days), a_day) + 5e-6 * random.standard_normal(days * a_day)
+        for _ in range(count)
+    )
+    share = np.mean([doubted(reference(strokes, a_day)) for strokes in charts])
+    assert share <= 0.05 + 3 * (0.05 * 0.95 / count) ** 0.5  # three standard deviations
+
+
+def test_of_a_muscle_that_changed_most_charts_are_doubted():
+    random = np.random.default_rng(6)
+    moved = [random.standard_normal(30) + 2.0 * (np.arange(30) >= 12) for _ in range(200)]
+    worn = [random.standard_normal(30) + 0.1 * np.arange(30) for _ in range(200)]
+    for charts, least in ((moved, 0.8), (worn, 0.9)):
+        assert np.mean([doubted(reference(20e-3 + 10e-6 * one)) for one in charts]) > least
+
+
+def test_limits_are_not_narrower_than_a_stroke_is_known():
+    """12 equal strokes had limits of 1e-18 m and 12 alarms."""
+    assert not doubted(reference([20.3e-3] * 12))
+    assert not doubted(reference([20e-3] * 12 + [20.0001e-3]))
+    assert not doubted(reference([20e-3] * 12 + [20.01e-3] * 9, step=10e-6))  # one step of the sensor
+    assert doubted(reference([20e-3] * 12 + [20.02e-3], step=10e-6))
+    assert doubted(reference([20e-3] * 12 + [19.9e-3]))
+
+
+def campaigns(values, half=70.0):
+    life = pasts([row(f"{i:02}", f"2026-01-{i + 1:02}") for i in range(len(values))])
+    (K,) = chosen(
+        [
+            s
+            for s in series_of([analysis(f"{i:02}", K, half) for i, K in enumerate(values)], life)
+            if s.first.symbol == "K"
+        ]
+    )
+    *_, reported = findings(life, [K], [])
+    return reported
+
+
+def test_a_series_is_more_than_its_ends():
+    """20 campaigns with one calibration known to 1 %: between equal ends, or steadily, K changed and nothing was said."""
+    scatter = 0.001 * np.random.default_rng(0).standard_normal(20)
+    falls = campaigns(7000.0 * (1 - 0.015 * np.arange(20) / 19 + scatter))
+    assert (falls.level, "it falls steadily, by 0.1" in falls.text) == ("doubt", True)
+    sags = campaigns(7000.0 * (1 - 0.08 * np.sin(np.pi * np.arange(20) / 19)))
+    assert (sags.level, "from 2026-01-01 to 2026-01-10 -8 %, more than the intervals of 20 values" in sags.text) == (
+        "doubt",
+        True,
+    )
+    assert campaigns(7000.0 * (1 + scatter)).level == "note"
+    assert campaigns([7000.0] * 20).level == "note"
+
+
+def test_unchanged_coefficients_are_doubted_by_chance_only():
+    """Last against first and largest against smallest: each in one of twenty series; a trend in one of a hundred."""
+    random = np.random.default_rng(8)
+    levels = [campaigns(random.normal(7000.0, 70.0 / 1.959964, 12)).level for _ in range(150)]
+    assert 0.02 < np.mean([level == "doubt" for level in levels]) < 0.15
 
 
 def analysis(run, K, half=20.0, kind="contraction-relaxation"):

@@ -1,15 +1,16 @@
 """Calibration: errors of the simulated sensors are found within the stated uncertainty; files are new, never changed."""
 
+from dataclasses import replace
 from datetime import date
 
 import numpy as np
 import pytest
 
-from pmabench.base.errors import RecordError, UsageError, VerdictFailed
+from pmabench.base.errors import InvalidFile, RecordError, UsageError, VerdictFailed
 from pmabench.bench.channels import read_calibration
 from pmabench.bench.interface import Scale
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
-from pmabench.session.calibration import Request, calibrate, uncovered
+from pmabench.session.calibration import Request, calibrate, not_followed, not_shown, uncovered
 from pmabench.session.calibration_file import DOWN, UP, Point, fit, write_calibration
 from pmabench.store.reader import open_run
 from tests.engine.benches import mounted
@@ -91,6 +92,84 @@ def test_each_part_of_the_uncertainty_alone():
 def test_repeatability_is_the_scatter_between_cycles():
     found = fit(points((UP, DOWN), lambda x, way, cycle: 2 * x, cycles=200, noise=0.04), 0.0)
     assert found.repeatability == pytest.approx(0.02, rel=0.05)
+
+
+def sensor(places, cycles, noise, seed, off=lambda v: 0.0):
+    """Readings [count] of a sensor of 500 N full scale that is `off` by so much, with scatter between readings [N]."""
+    random = np.random.default_rng(seed)
+    ways = ((UP, places), (DOWN, places[::-1]))
+    return [
+        Point(v, v, v + off(v) + noise * random.standard_normal(), way, cycle)
+        for cycle in range(cycles)
+        for way, series in ways
+        for v in series
+    ]
+
+
+def test_two_points_do_not_say_that_a_sensor_is_straight(tmp_path):
+    """4 bow v/w (1 - v/w) is off by 2 N in the middle; +- 0.1 N was written, a twentieth of it."""
+    bow = lambda v: 8.0 * v / 500 * (1 - v / 500)  # noqa: E731
+    found = fit(sensor((0.0, 500.0), 2, 0.05, 0, bow), 0.1)
+    assert found.residual is None
+    path = write_calibration(tmp_path, "force", "force", "count", found, reference="w", run="r", today=date(2026, 1, 2))
+    with pytest.raises(InvalidFile, match=r"FORCE-20260102\.yaml:8.*no reading with a unit"):
+        read_calibration(path, "force")  # nobody has said it yet
+    path.write_text(path.read_text().replace("??", "2.5 N"))
+    assert read_calibration(path, "force").record.offset_uncertainty == 2.5
+    three = fit(sensor((0.0, 250.0, 500.0), 2, 0.05, 0, bow), 0.1)
+    off = [abs(three.scale.to_si(v + bow(v)) - v) for v in np.linspace(0, 500, 101)]
+    assert max(off) < three.expanded < 1.3 * max(off)
+
+
+@pytest.mark.parametrize("error", ["of each weight", "of one share"])
+def test_the_gain_is_known_as_well_as_the_weights_tell_it(tmp_path, error):
+    """Weights known to 0.5 N (k = 2): the slope errs within gain_uncertainty; none was written, and K had no force part."""
+    places, slopes = np.array([0.0, 100.0, 250.0, 500.0]), []
+    for seed in range(300):
+        random = np.random.default_rng(seed)
+        off = random.normal(0.0, 0.25, 4) if error == "of each weight" else random.normal(0.0, 0.25) * places / 500.0
+        points = [
+            Point(v, v, v + e, way, c) for v, e in zip(places, off, strict=True) for way in (UP, DOWN) for c in (0, 1)
+        ]
+        slopes.append(abs(fit(points, 0.5).scale.slope - 1.0))
+    exact = fit([Point(v, v, v, way, c) for v in places for way in (UP, DOWN) for c in (0, 1)], 0.5)
+    path = write_calibration(tmp_path, "force", "force", "count", exact, reference="w", run="r", today=date(2026, 1, 2))
+    gain = read_calibration(path, "force").record.gain_uncertainty
+    assert gain == pytest.approx(2**0.5 * 0.5 / 500.0, rel=0.01)
+    assert np.mean(np.array(slopes) <= gain) >= 0.93
+
+
+def test_one_cycle_does_not_say_that_readings_repeat():
+    """Scatter of 1 N at 0 and 500 N: the line is off by more than U in 1 of 4 single cycles, where 0 N counted."""
+    beyond, repeats = [], []
+    for seed in range(400):
+        found = fit(sensor((0.0, 500.0), 1, 1.0, seed), 0.1)
+        beyond.append(abs(found.scale.to_si(500.0) - 500.0) > found.expanded)
+        repeats.append(found.repeatability**2)
+    assert np.mean(repeats) ** 0.5 == pytest.approx(1.0, rel=0.1)
+    assert np.mean(beyond) < 0.08
+    loop = fit([Point(v, v, v + d, w, 0) for v, d, w in ((0, 0, UP), (9, 0, UP), (9, 0, DOWN), (0, 0.3, DOWN))], 0.0)
+    assert loop.drift == pytest.approx(0.3, rel=0.1)  # of the first point, from its first reading to its last
+
+
+def test_what_few_points_and_cycles_do_not_show_is_said_before():
+    first_words = {(2, 1): ["two points", "one cycle"], (3, 2): ["three points"], (4, 2): []}
+    for (count, cycles), words in first_words.items():
+        request = Request("force", tuple(map(float, range(count))), "w", 0.1, cycles)
+        assert [" ".join(line.split()[:2]) for line in not_shown(request)] == words
+
+
+def test_a_cell_that_sees_no_load_is_no_calibration(tmp_path):
+    """496 N on a support: the reading moved by 0.1 count of 65535, and a file with 3483 N/count was written."""
+    request = Request("force", (0.0, 496.386), "weights", 0.1, cycles=1)
+    done = calibrate(mounted("mock"), request, ConfirmedBeforehand(), truth, tmp_path)
+    assert (done.outcome.exit_code, done.fit) == (6, None)
+    assert "no calibration: the reference changes by 496" in done.outcome.why
+    assert "rest on their support (--hold lifts them)" in done.outcome.why
+    by_chance = [replace(p, noise=10.0) for p in sensor((0.0, 496.0), 2, 0.0, 0, lambda v: 0.14 * v / 496 - v)]
+    assert "does not follow" in not_followed(fit(by_chance, 0.1), by_chance, "force", "count")
+    good = [replace(p, noise=10.0) for p in sensor((0.0, 496.0), 2, 0.1, 0)]
+    assert not_followed(fit(good, 0.1), good, "force", "count") == ""
 
 
 def test_readings_that_do_not_change_are_no_calibration():

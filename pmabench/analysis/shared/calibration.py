@@ -17,6 +17,8 @@ Sensitivities = Mapping[str, float]
 """Channel -> change of a result."""
 Values = Mapping[str, float | None]
 """Symbol -> value; None where there is none."""
+NOT_DECLARED = "calibration part: the record gives no"
+"""Words of a note about a channel whose uncertainty is not in the calibration part."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class Scales:
             return ""
         kind = "uncertainty" if set(missing) <= set(offsets) else "gain uncertainty"
         whole = len(missing) == len({*gains, *offsets})
-        return f"{'no' if whole else 'incomplete'} calibration part: the record gives no {kind} of {listed(missing)}"
+        return f"{'no' if whole else 'incomplete'} {NOT_DECLARED} {kind} of {listed(missing)}"
 
     def _missing(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
         """Channels without a known uncertainty."""

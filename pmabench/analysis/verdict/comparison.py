@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
+from pmabench.analysis.shared.calibration import NOT_DECLARED
 from pmabench.analysis.shared.trials import Point, grouped, six_digits
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES, show
@@ -113,6 +114,12 @@ TERM = "as "
 """What the coordinates of a curve's terms begin with."""
 CHANCE = 0.05
 """Share of right values that lie outside their intervals."""
+SESSION = "session"
+"""Name of the session among the calibrations of a side: zeros were taken in it."""
+GAIN = ", gain"
+"""How the budget line of a channel's gain ends."""
+NO_SCALE = ("time", "frequency")
+"""Quantities that no scale of a channel changes."""
 
 Series = tuple[str, str, str, tuple[str, ...]]
 """Kind of test, symbol, coordinate, and over what it is given."""
@@ -154,6 +161,8 @@ class Difference:
     """95 % half width of the difference; None unless both sides have an interval."""
     between: str = ""
     """Which sides were read between two of their points: `a`, `b`, `ab` or none."""
+    lacks: tuple[str, ...] = ()
+    """Names of the sides whose interval does not hold how far the scales of their channels may be off."""
     term: bool = False
     """A term of a curve: reported and not counted, because the values that the curve goes through are counted."""
 
@@ -312,8 +321,8 @@ def _compared(
         places = dict.fromkeys(theirs)
     elif common:
         places = dict.fromkeys(common)
-    shared = a.calibrations is not None and bool(a.calibrations) and a.calibrations == b.calibrations
-    alike = set(ours) == set(theirs)
+    shared, alike = _shared(a, b), set(ours) == set(theirs)
+    one_scale = bool(shared) or bool(a.runs & b.runs)
     found, lacks = [], dict[str, list[str]]()
     for place in sorted(places):
         one, other = ours.get(place), theirs.get(place)
@@ -329,8 +338,25 @@ def _compared(
             lacks.setdefault(f"is given in {one.unit} and in {other.unit}", []).append("")
         else:
             term = series[2].startswith(TERM)
-            found.append(Difference(series[0], one, other, _half(one, other, shared, alike), between, term))
+            sides = () if one_scale else ((a, one), (b, other))
+            lacking = tuple(side.name for side, e in sides if _without_scale(e) and not side.published)
+            found.append(Difference(series[0], one, other, _half(one, other, shared, alike), between, lacking, term))
     return found, [_at_places(lack, where) for lack, where in lacks.items()]
+
+
+def _shared(a: Side, b: Side) -> str:
+    """What both used of their calibrations: `all`, only the `gain` where no session took zeros, or nothing."""
+    if not a.calibrations or a.calibrations != b.calibrations:
+        return ""
+    return "all" if a.runs == b.runs or any(name == SESSION for name, _ in a.calibrations) else "gain"
+
+
+def _without_scale(e: Estimate) -> bool:
+    """Whether the interval has no calibration part, or one without the uncertainty of a channel that matters."""
+    if e.quantity in NO_SCALE:
+        return False
+    lines = [s.half for s in e.budget if s.part == "calibration"]
+    return e.parts.calibration is None or None in lines or NOT_DECLARED in e.note
 
 
 def _lack(e: Estimate | None, name: str) -> str:
@@ -368,11 +394,12 @@ def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
     return replace(one, value=value, parts=Parts(**mean), at=at, trials=trials, n=max(one.n, other.n), budget=())
 
 
-def _half(one: Estimate, other: Estimate, shared: bool, alike: bool) -> float | None:
+def _half(one: Estimate, other: Estimate, shared: str, alike: bool) -> float | None:
     """Half width of the difference: squares added, but for what is off by the same in both by one method.
 
-    That is a calibration that both used (`shared`), and what the method itself adds where both were tested at the same
-    points (`alike`): each by its difference.
+    That is what both used of a calibration (`shared`), and what the method itself adds where both were tested at the
+    same points (`alike`): each by its difference. Without a session no zero was taken, and that of either day may be
+    off by what the calibration allows; where no budget parts gain and zero, the whole part counts in both.
     """
     widths = [half for half in (one.parts.combined, other.parts.combined) if half is not None]
     if len(widths) < 2:
@@ -380,9 +407,17 @@ def _half(one: Estimate, other: Estimate, shared: bool, alike: bool) -> float | 
     if one.method != other.method:
         return hypot(*widths)
     alone, common = [one.parts, other.parts], list[float]()
-    if shared and one.parts.calibration is not None and other.parts.calibration is not None:
-        common.append(one.parts.calibration - other.parts.calibration)
+    scales = [e.parts.calibration for e in (one, other)]
+    if shared == "all" and None not in scales:
+        common.append((scales[0] or 0.0) - (scales[1] or 0.0))
         alone = [replace(parts, calibration=None) for parts in alone]
+    gains = [{s.name: s.half or 0.0 for s in e.budget if s.name.endswith(GAIN)} for e in (one, other)]
+    if shared == "gain" and gains[0] and gains[0].keys() == gains[1].keys():
+        common += [gains[0][name] - gains[1][name] for name in gains[0]]
+        rest = [
+            (scale or 0.0) ** 2 - sum(g * g for g in gain.values()) for scale, gain in zip(scales, gains, strict=True)
+        ]
+        alone = [replace(parts, calibration=max(0.0, r) ** 0.5) for parts, r in zip(alone, rest, strict=True)]
     ours, theirs = _systematic(one), _systematic(other)
     if alike and ours and ours.keys() == theirs.keys():
         common += [ours[name] - theirs[name] for name in ours]
@@ -424,13 +459,24 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
     elif bare:
         more = f" (and {len(bare) - 1} more)" if len(bare) > 1 else ""
         yield Finding("doubt", f"{named(bare[0])}{more} has no interval on one side: no E_n, which needs both")
+    apart = [d for d in differences if d.agrees is False and d.lacks and not d.term]
+    if apart:
+        names = " and ".join(dict.fromkeys(name for d in apart for name in d.lacks))
+        yield Finding(
+            "doubt",
+            f"{len(apart)} of these differences are more than scatter, but how far the channels' scales are off is not "
+            f"declared, or not in full, in {names}: a force cell or gauge that reads otherwise makes them as well as "
+            "another muscle. Calibrate, and state expanded_uncertainty and gain_uncertainty, to tell the two apart",
+        )
     if any(d.between for d in differences):
         yield Finding("note", "values marked ~ are read on straight lines between neighbouring points")
     shared = ""
     if a.runs & b.runs:
         shared = "both come from the same runs and share their scatter and calibration: E_n shows less than there is"
-    elif a.calibrations and a.calibrations == b.calibrations:
+    elif used := _shared(a, b):
         shared = "both used the same calibrations: their uncertainty drops out of a difference of one method"
+        if used == "gain":
+            shared += ", but for the zeros, which no session took: each may be off by what the calibration allows"
     elif not b.published and (a.calibrations is None or b.calibrations is None):
         shared = "the runs are not at hand: calibrations that both may have used count in both, and E_n shows less"
     if shared:
@@ -462,4 +508,6 @@ def _sentence(group: Sequence[Difference]) -> Finding:
         agree = "agree within their interval" if len(group) == 1 else f"agree at {points}"
         return Finding("note", f"{symbol}: {agree}; {furthest}")
     where = "" if len(group) == 1 else f" at {beyond} of {len(judged)} points"
-    return Finding("doubt", f"{symbol}: differ by more than their interval{where}; {furthest}")
+    sides = " and ".join(dict.fromkeys(name for d in judged if not d.agrees for name in d.lacks))
+    scales = f"; the interval is without the scales of {sides}" if sides else ""
+    return Finding("doubt", f"{symbol}: differ by more than their interval{where}; {furthest}{scales}")

@@ -1,7 +1,10 @@
 """One specimen over its life: cycles, time at pressure, coefficients, a control chart of them; fits nothing.
 
-Individuals chart (Shewhart; ISO 7870-2): limits are 2.66 times the mean moving range from the mean of the first values,
-2.66 = 3 / d2 with d2 = 1.128 for ranges of two. Eight values in a row on one side of the centre are a shift, too.
+Individuals chart (Shewhart; ISO 7870-2) of daily means: trials of a day share mounting, zeros and temperature. Limits
+are from the mean of the first values, 2.66 = 3 / d2 times their mean moving range away (d2 = 1.128 for ranges of two),
+or more: the first values know their mean and scatter with a few degrees of freedom only, and each later value is
+another chance (Student's t of a prediction, Bonferroni). Eight values or more in a row on one side of the centre,
+further than it is known, are a shift. Of charts of an unchanged muscle at most about one in twenty has an alarm.
 
 A pressure cycle is one rise of the commanded pressure from 50 kPa or less to 100 kPa or more. What a closed loop does
 between two commands (ultimate gain, positioning) is not commanded and not counted.
@@ -10,11 +13,14 @@ between two commands (ultimate gain, positioning) is not commanded and not count
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from math import hypot, isfinite
+from dataclasses import dataclass, replace
+from math import hypot, inf, isfinite, sqrt
 
 import numpy as np
+from scipy.stats import linregress, studentized_range
+from scipy.stats import t as student
 
+from pmabench.analysis.shared.samples import step_of
 from pmabench.analysis.shared.trials import Point, grouped, six_digits, stroke_of
 from pmabench.analysis.verdict.comparison import Difference, named, percent
 from pmabench.base.kind import Result
@@ -23,12 +29,24 @@ from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.store.records import Event, RunData, is_number
 
 FACTOR = 2.66
+CHANCE = 0.05
+"""Share of charts of an unchanged specimen with a value beyond the limits, at most."""
+TREND = 0.01
+"""The same of series in which a straight line over their order is more than chance."""
+LEAST = 1e-4
+"""Changes below this share of the centre are none: no bench repeats a stroke better over days."""
+KNOWN = 1.5
+"""Standard deviations of the centre within which a value is on no side of it."""
 FEWEST = 5
 """Fewest values for limits."""
 FIRST = 12
 """Most values from the beginning that make the limits; those that come later are judged by them."""
+NORMAL = 1.959964
+"""95 % of a normal distribution lie within so many standard deviations."""
 ROW = 8
-"""So many in a row on one side of the centre are a shift."""
+"""So many in a row on one side of the centre are a shift, and one more ..."""
+LONGER = 40
+"""... for each so many values: chance makes longer rows in them."""
 
 
 @dataclass(frozen=True)
@@ -51,22 +69,45 @@ class Chart:
         return min([*self.beyond[:1], *([] if self.shifted is None else [self.shifted])], default=None)
 
 
-def chart(values: Sequence[float]) -> Chart | None:
-    """The chart of values in order of time, shape (n,); None with fewer than `FEWEST`."""
+def chart(values: Sequence[float], floor: float = 0.0) -> Chart | None:
+    """The chart of values in order of time, shape (n,); None with fewer than `FEWEST`.
+
+    `floor`: what a value may be off by the steps in which it is read.
+    """
     if len(values) < FEWEST:
         return None
     v = np.asarray(values, dtype=np.float64)
     first = v[:FIRST]
-    centre = float(first.mean())
-    reach = FACTOR * float(np.abs(np.diff(first)).mean())
+    base, centre = len(first), float(first.mean())
+    floor = max(floor, LEAST * abs(centre))
+    sigma = max(FACTOR / 3.0 * float(np.abs(np.diff(first)).mean()), float(first.std(ddof=1)))
+    each = CHANCE / max(1, len(v) - base)
+    predicted = float(student.ppf(1.0 - each / 2.0, base - 1)) * sqrt(1.0 + 1.0 / base)
+    reach = max(floor, max(3.0, predicted) * sigma)
     beyond = tuple(int(i) for i in np.flatnonzero(np.abs(v - centre) > reach))
+    sides = np.where(np.abs(v - centre) > max(floor, KNOWN * sigma / sqrt(base)), np.sign(v - centre), 0.0)
     side, row, shifted = 0.0, 0, None
-    for place, way in enumerate(np.sign(v - centre)):
+    for place, way in enumerate(sides):
         row = row + 1 if way == side and way != 0 else 1
         side = float(way)
-        if row >= ROW and shifted is None and way != 0:
+        if row >= ROW + len(v) // LONGER and shifted is None and way != 0:
             shifted = place
-    return Chart(tuple(float(x) for x in v), centre, centre - reach, centre + reach, len(first), beyond, shifted)
+    return Chart(tuple(float(x) for x in v), centre, centre - reach, centre + reach, base, beyond, shifted)
+
+
+def trend(values: Sequence[float], floor: float = 0.0) -> tuple[float, float] | None:
+    """Change of a straight line from the first value to the last and its 95 % half width; None where it may be chance.
+
+    A change within `floor` is none. The scatter about the line judges it, so a calibration that is off by the same in
+    all takes no part.
+    """
+    v = np.asarray(values, dtype=np.float64)
+    if len(v) < FEWEST or not np.ptp(v):
+        return None
+    line, far = linregress(np.arange(len(v)), v), len(v) - 1
+    if line.pvalue > TREND or abs(line.slope) * far <= max(floor, LEAST * abs(float(v.mean()))):
+        return None
+    return far * float(line.slope), far * float(line.stderr * student.ppf(0.975, len(v) - 2))
 
 
 LOW, HIGH = 50e3, 100e3
@@ -260,6 +301,8 @@ class References:
     point: Point
     moments: tuple[tuple[str, int, float, str], ...]
     """Date, cycles before the run, stroke [m], trial."""
+    step: float = 0.0
+    """Step in which the displacement is read [m]; 0 where it is not seen."""
 
     @property
     def title(self) -> str:
@@ -268,9 +311,15 @@ class References:
         return f"reference trial at {', '.join(places)}"
 
     @property
+    def days(self) -> list[tuple[str, int, float, str]]:
+        """A moment for each day: the first one with the mean stroke of all."""
+        days = grouped(self.moments, lambda moment: moment[0][:10]).values()
+        return [(*day[0][:2], float(np.mean([stroke for _, _, stroke, _ in day])), day[0][3]) for day in days]
+
+    @property
     def chart(self) -> Chart | None:
-        """Its control chart; None with too few."""
-        return chart([stroke for _, _, stroke, _ in self.moments])
+        """The control chart of its days; None with too few."""
+        return chart([stroke for _, _, stroke, _ in self.days], 1.01 * self.step)
 
 
 def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[References]:
@@ -280,15 +329,19 @@ def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[Referen
     """
     place = {past.run: past for past in life}
     found: dict[Point, list[tuple[str, int, float, str]]] = {}
+    steps: dict[Point, float] = {}
     for run in runs:
         past = place[run.id]
         for trial in run.trials:
             used = trial.reference and trial.status == "finished"
             if used and (stroke := stroke_of(run, trial)) is not None:
-                found.setdefault(six_digits(trial.point, "mass"), []).append(
-                    (past.date, past.before, stroke, trial.name)
-                )
-    return [References(point, tuple(sorted(moments, key=lambda m: m[0]))) for point, moments in found.items()]
+                point = six_digits(trial.point, "mass")
+                found.setdefault(point, []).append((past.date, past.before, stroke, trial.name))
+                step = step_of(trial.channels["displacement"][trial.usable])
+                steps[point] = max(steps.get(point, 0.0), step if isfinite(step) else 0.0)
+    return [
+        References(point, tuple(sorted(moments, key=lambda m: m[0])), steps[point]) for point, moments in found.items()
+    ]
 
 
 def findings(life: Sequence[Past], series: Sequence[Series], references: Sequence[References]) -> Iterator[Finding]:
@@ -310,24 +363,66 @@ def findings(life: Sequence[Past], series: Sequence[Series], references: Sequenc
 def _change(one: Series) -> Finding:
     change = one.change
     cycles = one.moments[-1].cycles - one.moments[0].cycles
-    size = f"{percent(change.relative)} %" if change.relative is not None else show(change.value, one.first.quantity, 3)
-    over = f"over {cycles:,} cycles, {len(one.moments)} values"
+    over = f"{_size(change)} over {cycles:,} cycles, {len(one.moments)} values"
+    between = "; ".join(filter(None, (_furthest(one), _steadily(one.values, one.first.quantity))))
+    level = "doubt" if between or change.agrees is False else "note"
+    between = between and f"; {between}"
     if change.score is None:
-        return Finding("note", f"{one.title}: {size} {over}; it has no interval, so this may be chance")
+        return Finding(level, f"{one.title}: {over}; it has no interval, so this may be chance{between}")
     relation = "within their interval" if change.agrees else "more than their interval"
-    level = "note" if change.agrees else "doubt"
-    return Finding(level, f"{one.title}: {size} {over}, last against first {relation} (E_n {change.score:+.2f})")
+    text = f"{one.title}: {over}, last against first {relation} (E_n {change.score:+.2f})"
+    return Finding(level, f"{text}{between}")
+
+
+def _size(change: Difference) -> str:
+    if change.relative is not None:
+        return f"{percent(change.relative)} %"
+    return show(change.value, change.a.quantity, 3)
+
+
+def _furthest(one: Series) -> str:
+    """The largest value against the smallest where more than the intervals of so many values allow; else empty.
+
+    By chance the range of n values is 95 % of the time within the studentized range, of two within that of E_n = 1.
+    """
+    known = [m for m in one.moments if m.estimate.value is not None and m.estimate.parts.combined]
+    if len(known) < 3:
+        return ""
+    ends = [min(known, key=lambda m: m.estimate.value or 0.0), max(known, key=lambda m: m.estimate.value or 0.0)]
+    before, after = sorted(ends, key=lambda m: (m.date, m.run))
+    apart = replace(one, moments=(before, after)).change
+    allowed = float(studentized_range.ppf(1.0 - CHANCE, len(known), inf)) / (NORMAL * sqrt(2.0))
+    if apart.score is None or abs(apart.score) <= allowed:
+        return ""
+    dates = f"{before.date[:10]} to {after.date[:10]}"
+    return f"from {dates} {_size(apart)}, more than the intervals of {len(known)} values (E_n {apart.score:+.2f})"
+
+
+def _steadily(values: Sequence[float], quantity: str, floor: float = 0.0) -> str:
+    """A trend in words; empty without one."""
+    if (found := trend(values, floor)) is None:
+        return ""
+    change, half = found
+    way = "rises" if change > 0 else "falls"
+    size, known = show(abs(change), quantity, 3), show(half, quantity, 2)
+    share = f" ({percent(change / abs(values[0]))} %)" if values[0] else ""
+    return f"it {way} steadily, by {size}{share} +- {known} over these values, which is more than their scatter"
 
 
 def _reference(one: References) -> Finding:
     limits, values = one.chart, [stroke for _, _, stroke, _ in one.moments]
     ends = f"{show(values[0], 'length', 4)} at first, {show(values[-1], 'length', 4)} at last"
     text = f"{one.title}: {len(values)} times, {ends}"
-    alarm = None if limits is None else limits.first_alarm
-    if limits is None or alarm is None:
-        known = "too few for control limits" if limits is None else "all within the control limits"
-        return Finding("note", f"{text}; {known}")
-    date, cycles, _, trial = one.moments[alarm]
+    if limits is None:
+        return Finding("note", f"{text}; {len(one.days)} days, too few for control limits")
+    changed = "the muscle changed, or the sensor or its mounting"
+    if (alarm := limits.first_alarm) is None:
+        steadily = _steadily(limits.values, "length", 1.5 * one.step)  # a line through a step of 1 changes by 1.5
+        if steadily:
+            return Finding("doubt", f"{text}; all within the control limits, but {steadily}: {changed}")
+        return Finding("note", f"{text}; all within the control limits")
+    date, cycles, _, trial = one.days[alarm]
     what = f"{len(limits.beyond)} beyond the control limits" if limits.beyond else "a row on one side of the centre"
     when = f"first on {date[:10]} after {cycles:,} cycles ({trial})"
-    return Finding("doubt", f"{text}; {what}, {when}: the specimen is not what it was")
+    by_chance = "of charts of an unchanged muscle about 1 in 20 says so"
+    return Finding("doubt", f"{text}; {what}, {when}: {changed}; {by_chance}")

@@ -142,7 +142,7 @@ def rows_of(a: Side, b: Side, differences: Sequence[Difference]) -> Rows:
                 unit.rounded(d.value, d.half, 3),
                 "" if d.relative is None else percent(d.relative).replace("-", "−"),
                 "" if d.score is None else f"{d.score:+.2f}".replace("-", "−"),
-                {True: "", False: "differs", None: "no interval"}[d.agrees],
+                {True: "", False: "differs, or its scale" if d.lacks else "differs", None: "no interval"}[d.agrees],
             ]
         )
     return heads, rows
