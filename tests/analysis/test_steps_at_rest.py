@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from pmabench.analysis.shared.samples import unresolved
 from pmabench.kinds.step_displacement.reduction import reduce
 from pmabench.store.records import Command, TrialData
 from tests.analysis.judged_forms import as_run
@@ -161,3 +162,15 @@ def test_a_way_back_that_the_pressure_shows_is_given_however_fast():
     for symbol in ("tau_F", "tau_p"):
         for e in (one for one in found.estimates if one.symbol == symbol):
             assert holds(e, TAU)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.1, 0.2, 0.3, 0.36, 0.45, 0.6])
+def test_steps_leave_of_a_mean_what_they_do_to_the_mean_of_rounded_noise(noise):
+    """By drawing: 400 places between two steps, each read 2,000 times with Gaussian noise [steps]."""
+    chance = np.random.default_rng(3)
+    places = (np.arange(400) + 0.5) / 400
+    read = np.round(places[:, None] + noise * chance.standard_normal((400, 2000)))
+    bound = np.array([unresolved(y, 1.0) for y in read])
+    by_chance = 4 * max(0.5, noise) / 2000**0.5  # of a mean that is now one step, now the next
+    assert (np.abs(read.mean(axis=1) - places) <= bound + by_chance).all()
+    assert bound.max() <= 0.5

@@ -153,15 +153,16 @@ def step_of(y: Array) -> float:
 
 
 def unresolved(y: Array, step: float) -> float:
-    """By how much the mean of samples at rest `y` (n,), which are read in steps, may be off [as y].
+    """By how much the mean of samples at rest `y` (n,), which are read in steps, may be off [as y], at the most.
 
-    Half a step where there is no noise. That of standard deviation s before rounding leaves exp(-2 (pi s/step)^2) of it
-    (the characteristic function of Gaussian noise at one turn per step: Widrow).
+    Noise that is small next to a step is read as now and then the next one: with a variance v [steps^2] that is read, the
+    mean is off by sqrt(1/4 - v). Larger noise leaves exp(-2 pi^2 (v - 1/12)) / pi (the characteristic function of
+    Gaussian noise at one turn per step: Widrow), up to 1.31 times that where v depends on the place between two steps.
     """
     if not 0 < step < np.inf or len(y) < FEWEST:
         return 0.0
-    noise = sqrt(0.5 * float(np.mean(np.diff(y) ** 2)))
-    return 0.5 * step * float(np.exp(-2 * (pi * noise / step) ** 2))
+    v = 0.5 * float(np.mean(np.diff(y) ** 2)) / step**2
+    return step * max(sqrt(max(0.0, 0.25 - v)), 1.31 / pi * float(np.exp(-2 * pi**2 * max(0.0, v - 1 / 12))))
 
 
 def rounded(y: Array, step: float, channel: int = 0) -> Array:
