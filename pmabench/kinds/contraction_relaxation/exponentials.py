@@ -17,6 +17,7 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, calibrated, sentences
 from pmabench.analysis.shared.samples import KINDS, Samples, dead_times
 from pmabench.analysis.shared.student import half_width, mean_over
+from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import bandwidth
 from pmabench.kinds.contraction_relaxation.bandwidth import responses
@@ -344,27 +345,21 @@ def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
     The motion waits for the pressure to exceed what the load asks for: loads are unlike conditions for it, pressures
     are for all of them. The method part reaches to the farthest condition: a mean over them is not that of one.
     """
-    found: dict[str, list[tuple[int, float]]] = {}
-    for number, trial in enumerate(campaign.trials):
+    found: list[tuple[str, int, float]] = []
+    for number, (trial, samples) in enumerate(zip(campaign.trials, campaign.samples, strict=True)):
         command = next((c for c in trial.commands if c.output == "pressure" and c.phase == "contract"), None)
         if command is None:
             continue
-        samples = campaign.samples[number]
-        channels = {"pressure": samples.P, "displacement": samples.x}
-        for kind, value in dead_times(samples.t, channels, samples.ok, command.t).items():
+        for kind, value in dead_times(samples.t, samples.channels, samples.ok, command.t).items():
             timed = command.recorded or not kind.startswith("command")
             if timed and (number in moved or not kind.endswith("motion")):
-                found.setdefault(kind, []).append((number, value))
+                found.append((kind, number, value))
     estimates = []
     for kind in KINDS:
-        members = found.get(kind, [])
-        tested = sorted({campaign.trials[number].point["pressure"] for number, _ in members})
-        groups: list[tuple[dict[str, float], list[tuple[int, float]]]] = [
-            ({"pressure": P}, [m for m in members if campaign.trials[m[0]].point["pressure"] == P]) for P in tested
-        ]
-        if len(tested) > 1:
-            groups.append(({}, members))
-        estimates += [_dead_time(campaign, kind, at, group) for at, group in groups]
+        members = [(number, value) for of, number, value in found if of == kind]
+        tested = sorted(grouped(members, lambda one: campaign.trials[one[0]].point["pressure"]).items())
+        estimates += [_dead_time(campaign, kind, {"pressure": P}, group) for P, group in tested]
+        estimates += [_dead_time(campaign, kind, {}, members)] if len(tested) > 1 else []
     return estimates
 
 
