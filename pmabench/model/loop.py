@@ -217,7 +217,7 @@ class Margins:
     """How far a loop is from instability."""
 
     gain_margin: float
-    """Factor on K_p [1] at which it becomes unstable; below 1 it is unstable already."""
+    """Factor on K_p [1] above 1 at which it becomes unstable; below 1 it is unstable already."""
     phase_margin: float
     """Phase [rad] that may be lost at gain crossover; infinite where the loop gain stays below 1."""
     M_s: float
@@ -241,13 +241,17 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     at_pi = np.flatnonzero((phase[:-1] > -pi) & (phase[1:] <= -pi))
     share = (phase[at_pi] + pi) / (phase[at_pi] - phase[at_pi + 1])
     crossing = level[at_pi] + share * (level[at_pi + 1] - level[at_pi])
-    gain_margin = float(np.exp(-crossing.max())) if crossing.size else inf
+    returned = 1 + np.exp(level + 1j * phase)
+    # Nyquist: nothing is encircled where the angle of 1 + C G ends about 0, from 0 or, with an integral, a turn below
+    stable = bool(abs(np.unwrap(np.angle(returned))[-1]) < pi)
+    # a loop that less gain makes unstable, too, has crossings above 1
+    limits = crossing[crossing < 0] if stable else crossing
+    gain_margin = float(np.exp(-limits.max())) if limits.size else inf
     at_one = np.flatnonzero((level[:-1] > 0) != (level[1:] > 0))
     share = level[at_one] / (level[at_one] - level[at_one + 1])
     left = pi + phase[at_one] + share * (phase[at_one + 1] - phase[at_one])
     phase_margin = float(left.min()) if left.size else inf
-    stable = gain_margin > 1 and phase_margin > 0
-    peak = float((1 / np.abs(1 + np.exp(level + 1j * phase))).max()) if stable else inf
+    peak = float((1 / np.abs(returned)).max()) if stable else inf
     return Margins(gain_margin, phase_margin, peak, stable)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from math import atan, inf, pi, sqrt
 
 import numpy as np
@@ -173,7 +174,14 @@ def inverted(loop: Loop, controller: Controller, length: float) -> tuple[np.ndar
 
 @pytest.mark.parametrize(
     ("L", "lags"),
-    [(0.04, (0.0955, 0.2)), (0.04, (0.22, 0.25)), (0.01, (0.1, 0.05, 0.02)), (0.0, (0.1, 0.05, 0.02)), (0.2, (0.05,))],
+    [
+        (0.04, (0.0955, 0.2)),
+        (0.04, (0.22, 0.25)),
+        (0.005, (0.22, 0.25)),
+        (0.01, (0.1, 0.05, 0.02)),
+        (0.0, (0.1, 0.05, 0.02)),
+        (0.2, (0.05,)),
+    ],
 )
 @pytest.mark.parametrize(
     ("gain", "T_i", "T_d"), [(0.6, 0.5, 0.125), (0.2, 0.5, 1 / 3), (0.3, 2.0, 0.02), (0.5, inf, 0)]
@@ -195,3 +203,22 @@ def test_the_kick_of_the_derivative_is_whole(
     outside = np.flatnonzero(np.abs(x - final) > 0.02 * final)
     settling = float(t[outside[-1]]) if outside[-1] < len(t) - 1 else inf
     assert answer.settling == pytest.approx(settling, abs=found.period / 150)
+
+
+def test_a_loop_that_less_gain_makes_unstable_is_stable() -> None:
+    """Its integral and two long lags take more than half a turn below crossover, and the derivative gives it back.
+
+    It answers nothing before the command comes through, as no unstable loop does in this integral.
+    """
+    loop = Loop(1.0, 0.005, (0.22, 0.25))
+    found = ultimate(loop)
+    controller = Controller(0.6 * found.gain, 0.5 * found.period, 0.125 * found.period)
+    t, x = inverted(loop, controller, 16 * found.period)
+    assert np.abs(x[t < 0.004]).max() < 1e-3
+    seen = margins(loop, controller)
+    assert seen.stable
+    s = 2j * pi / found.period * np.linspace(0.05, 5.0, 200_000)
+    assert seen.M_s == pytest.approx(1 / np.abs(1 + loop.response(s) * controller.response(s)).min(), rel=1e-3)
+    for more, stable in ((0.99, True), (1.01, False)):
+        t, x = inverted(loop, replace(controller, K_p=more * seen.gain_margin * controller.K_p), 16 * found.period)
+        assert (np.abs(x[t < 0.004]).max() < 0.1) == stable
