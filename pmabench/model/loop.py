@@ -217,7 +217,7 @@ class Margins:
     """How far a loop is from instability."""
 
     gain_margin: float
-    """Factor on K_p [1] at which it becomes unstable; below 1 it is unstable already."""
+    """Factor on K_p [1] above 1 at which it becomes unstable; below 1 it is unstable already."""
     phase_margin: float
     """Phase [rad] that may be lost at gain crossover; infinite where the loop gain stays below 1."""
     M_s: float
@@ -241,13 +241,17 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     at_pi = np.flatnonzero((phase[:-1] > -pi) & (phase[1:] <= -pi))
     share = (phase[at_pi] + pi) / (phase[at_pi] - phase[at_pi + 1])
     crossing = level[at_pi] + share * (level[at_pi + 1] - level[at_pi])
-    gain_margin = float(np.exp(-crossing.max())) if crossing.size else inf
+    returned = 1 + np.exp(level + 1j * phase)
+    # Nyquist: nothing is encircled where the angle of 1 + C G ends about 0, from 0 or, with an integral, a turn below
+    stable = bool(abs(np.unwrap(np.angle(returned))[-1]) < pi)
+    # a loop that less gain makes unstable, too, has crossings above 1
+    limits = crossing[crossing < 0] if stable else crossing
+    gain_margin = float(np.exp(-limits.max())) if limits.size else inf
     at_one = np.flatnonzero((level[:-1] > 0) != (level[1:] > 0))
     share = level[at_one] / (level[at_one] - level[at_one + 1])
     left = pi + phase[at_one] + share * (phase[at_one + 1] - phase[at_one])
     phase_margin = float(left.min()) if left.size else inf
-    stable = gain_margin > 1 and phase_margin > 0
-    peak = float((1 / np.abs(1 + np.exp(level + 1j * phase))).max()) if stable else inf
+    peak = float((1 / np.abs(returned)).max()) if stable else inf
     return Margins(gain_margin, phase_margin, peak, stable)
 
 
@@ -268,40 +272,46 @@ SETTLED = 0.02
 def set_point_step(loop: Loop, controller: Controller) -> Answer:
     """Overshoot and settling time of the displacement after a set-point step.
 
-    Simulated for 16 T_u at T_u/400: the plant's lags by their exact discrete equivalent, the error in all three terms
-    of the controller. The final value is the set-point, without integral action K/(1 + K) of it, K = K_p k_g.
+    Simulated for 16 T_u at T_u/400: controller and lags are one linear system whose input, the error one dead time
+    ago, is a line between two samples; exact for that, whatever the kick of the derivative. The final value is the
+    set-point, without integral action K/(1 + K) of it, K = K_p k_g.
     """
     if not margins(loop, controller).stable:
         return Answer(inf, inf)
     period = ultimate(loop).period
     h = period / 400
-    waiting = max(1, round(loop.dead_time / h))
-    h = loop.dead_time / waiting if loop.dead_time > 0 else h
-    den = np.array([1.0 + 0j])
+    waiting = max(1, round(loop.dead_time / h)) if loop.dead_time > 0 else 0
+    h = loop.dead_time / waiting if waiting else h
+    integral, slow = controller.T_i / h, controller.T_d / controller.filter / h  # all times in samples
+    by_i = np.array([integral, 0.0]) if integral < inf else np.ones(1)
+    num = np.polymul(by_i, [controller.T_d / h, 0.0])
+    num = np.polyadd(num, np.polymul([slow, 1.0], np.polyadd(by_i, [float(integral < inf)])))
+    den = np.polymul(by_i, [slow, 1.0])
     for lag in loop.lags:
-        den = np.convolve(den, np.array([lag, 1.0]))
-    den = den.real
+        den = np.polymul(den, [lag / h, 1.0])
+    den = np.trim_zeros(den.real, "f")
     order = len(den) - 1
-    block = np.zeros((order + 1, order + 1))
+    block = np.zeros((order + 2, order + 2))
     block[0, :order] = -den[1:] / den[0]
     block[0, order] = 1.0 / den[0]
     block[np.arange(1, order), np.arange(order - 1)] = 1.0
-    exact = expm(block * h)
-    A, b = exact[:order, :order], exact[:order, order]
-    state, queue = np.zeros(order), [0.0] * waiting
+    block[order, order + 1] = 1.0
+    exact = expm(block)
+    A, early, late = exact[:order, :order], exact[:order, order], exact[:order, order + 1]
     gain = controller.K_p * loop.gain
-    decay = np.exp(-h * controller.filter / controller.T_d) if controller.T_d > 0 else 0.0
-    integral, slow = 0.0, 0.0
+    read = gain * np.pad(np.trim_zeros(num, "f"), (order, 0))[-order:]
     final = 1.0 if controller.T_i < inf else gain / (1 + gain)
     count = int(16 * period / h)
-    peak, left = 0.0, 0
-    for k in range(count):
-        error = 1.0 - float(state[-1])
-        integral += 0.0 if controller.T_i == inf else error * h / controller.T_i
-        slow = decay * slow + (1 - decay) * error
-        queue.append(gain * (error + integral + (controller.filter * (error - slow) if controller.T_d > 0 else 0.0)))
-        state = A @ state + b * queue[k]
-        x = float(state[-1])
-        peak = max(peak, x)
-        left = k + 1 if abs(x - final) > SETTLED * final else left
-    return Answer(max(0.0, peak / final - 1.0), left * h if left < count else inf)
+    state, errors = np.zeros(order), np.ones(count + 1)
+    for k in range(waiting, count):
+        before = errors[k - waiting]
+        state = A @ state + (early - late) * before
+        if waiting:
+            state += late * errors[k + 1 - waiting]
+        else:  # the error at the end of the line depends on itself
+            state += late * (1.0 - read @ state) / (1.0 + read @ late)
+        errors[k + 1] = 1.0 - read @ state
+    x = 1.0 - errors
+    outside = np.flatnonzero(np.abs(x - final) > SETTLED * final)
+    left = int(outside[-1]) + 1
+    return Answer(max(0.0, float(x.max()) / final - 1.0), left * h if left <= count else inf)

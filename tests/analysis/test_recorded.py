@@ -119,7 +119,10 @@ def test_a_step_without_onset_is_dropped(steps):
 
 
 def test_amplitudes_and_phases_of_sines(sines):
-    analysis = recorded_sines.reduce(sines)
+    def prompt(run):  # its sensors are known to have no filter
+        return replace(run, channels={name: replace(info, sensor_lag=1e-5) for name, info in run.channels.items()})
+
+    analysis = recorded_sines.reduce([prompt(run) for run in sines])
     for omega in (6.28, 12.56):
         at = {"frequency": omega / (2 * np.pi)}
         assert only(analysis, "x", **at).value == pytest.approx(0.020, rel=0.005)

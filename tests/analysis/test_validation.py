@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from pmabench.kinds.validation.reduction import COMMANDED, MEASURED, reduce
 from pmabench.model.curve import Curve
@@ -157,3 +160,90 @@ def test_what_is_not_known_of_the_measured_pressure_is_in_the_interval(trials: t
         x = [(1.08 * p - 49.0) / (5.6 + 1e-3 * p + 9.7e-6 * p * p) for p in (P / 1e3, P / 1e3 + 2.0)]
         assert value(analysis, "e_ss", P).parts.calibration == pytest.approx(abs(x[1] / x[0] - 1), rel=1e-2)
         assert value(analysis, "e_ss", P, COMMANDED).parts.calibration == pytest.approx(0.0, abs=1e-8)
+
+
+@pytest.fixture(scope="module")
+def motion() -> tuple[np.ndarray, np.ndarray]:
+    """Pressure [Pa] and contraction [m] of the muscle that the model knows, by LSODA: a step to 5 bar through a lag."""
+
+    def pressure(t: Any) -> Any:
+        return 5e5 * -np.expm1(-np.maximum(t - 0.24, 0) / 0.0955)
+
+    def speed(t: float, x: np.ndarray) -> np.ndarray:
+        P = float(pressure(t))
+        drive = max(0.0, 1.08e-3 * P - 49.0) - (5600 + 1e-3 * P + 9.7e-9 * P * P) * x
+        return drive / (1200 + 1.6e-3 * P) if x[0] > 0 or drive[0] > 0 else 0 * x
+
+    solved = solve_ivp(speed, (0, T[-1]), [0.0], t_eval=T, method="LSODA", rtol=1e-8, atol=1e-11, max_step=0.02)
+    return np.asarray(pressure(T)), np.asarray(solved.y[0])
+
+
+EXACT = {"displacement": {"sensor_lag": 1e-5}, "pressure": {"sensor_lag": 1e-5}}
+"""Both sensors are known to have no filter."""
+WIDE = {"offset_uncertainty": 1e-4, "gain_uncertainty": 2e-3}, {"offset_uncertainty": 1.5e3, "gain_uncertainty": 5e-3}
+
+
+def filtered(y: np.ndarray, lag: float) -> np.ndarray:
+    keep = np.exp(-0.002 / lag) if lag else 0.0
+    return np.asarray(lfilter([1 - keep], [1, -keep], y))
+
+
+def e_sim(motion: tuple[np.ndarray, np.ndarray], method: str, *, x: Any, P: Any, **declared: Any) -> Estimate:
+    """Of two tests, with what a sensor makes of `x` and `P`; noise of 2 um and 500 Pa is on both."""
+    shake = np.random.default_rng(3).standard_normal((2, 2, len(T)))
+    measured = [
+        {"pressure": P(motion[0]) + 500 * one, "displacement": x(motion[1]) + 2e-6 * other} for one, other in shake
+    ]
+    plain = run(*(replace(trial_at(n), channels=c) for n, c in enumerate(measured)), model=model())
+    channels = {name: replace(info, **declared.get(name, {})) for name, info in plain.channels.items()}
+    return value(reduce([replace(plain, channels=channels)]), "e_sim", 5e5, method)
+
+
+def trial_at(index: int) -> TrialData:
+    return TrialData(
+        run="r1", index=index, point={"load": 0.0, "mass": 0.5, "pressure": 5e5}, repeat=index, reference=False,
+        status="finished", t=5.0 + T, channels={}, flags=np.zeros(len(T), dtype=np.uint16),
+        commands=(Command(5.2, "pressure", "set", 5e5, 0.0, "step"),), found={},
+    )  # fmt: skip
+
+
+def as_it_is(y: np.ndarray) -> np.ndarray:
+    return y
+
+
+def test_the_difference_of_a_true_model_is_the_noise_and_known_to_it(motion: tuple[np.ndarray, np.ndarray]) -> None:
+    """Both filters are known to be none, so that the interval is no wider than the scatter of repeats."""
+    found = e_sim(motion, MEASURED, x=as_it_is, P=as_it_is, **EXACT)
+    assert number(found) < 10e-6
+    assert (found.parts.combined or 1.0) < 10e-6
+
+
+@pytest.mark.parametrize(("channel", "lags"), [("displacement", (0.02, 0.0)), ("pressure", (0.0, 0.02))])
+def test_a_declared_filter_is_no_error_of_the_model(
+    motion: tuple[np.ndarray, np.ndarray], channel: str, lags: tuple[float, float]
+) -> None:
+    """A true model was 430 and 450 um off by a filter of 20 ms that the channel declares, with +- 3 um."""
+    x, P = (partial(filtered, lag=lag) for lag in lags)
+    found = e_sim(motion, MEASURED, x=x, P=P, **{**EXACT, channel: {"sensor_lag": 0.02}})
+    assert number(found) < 40e-6
+    assert number(found) < (found.parts.combined or 0.0) < 120e-6  # by a fifth of the 20 ms, of which each ms is 20 um
+
+
+@pytest.mark.parametrize("method", [COMMANDED, MEASURED])
+def test_a_filter_of_the_gauge_that_nobody_declared_is_open(motion: tuple[np.ndarray, np.ndarray], method: str) -> None:
+    """5 ms make 90 um of the speed of the rise: they were an error of the model, with +- 3 um."""
+    found = e_sim(motion, method, x=lambda y: filtered(y, 0.005), P=as_it_is, pressure=EXACT["pressure"])
+    sound = e_sim(motion, method, x=as_it_is, P=as_it_is, **EXACT)
+    assert number(found) - number(sound) > 50e-6
+    assert number(found) - number(sound) < (found.parts.combined or 0.0) < 150e-6
+
+
+@pytest.mark.parametrize(("off_x", "off_P"), [(1e-4, 0.0), (-1e-4, 0.0), (0.0, 1.5e3), (0.0, -1.5e3)])
+def test_zeros_within_their_calibration_are_open(
+    motion: tuple[np.ndarray, np.ndarray], off_x: float, off_P: float
+) -> None:
+    """A zero of the gauge or of the pressure at the end of what is declared: 97 and 84 um, with +- 3 um."""
+    declared = {name: {**EXACT[name], **more} for name, more in zip(EXACT, WIDE, strict=True)}
+    found = e_sim(motion, MEASURED, x=lambda y: y + off_x, P=lambda y: y + off_P, **declared)
+    assert 50e-6 < number(found) < (found.parts.combined or 0.0) < 350e-6
+    assert "calibration" not in found.note

@@ -92,12 +92,13 @@ def _amplitude(angle: Array, values: Array) -> float:
 
 def slower(sine: Sine, name: str) -> complex:
     """Relative change of a complex amplitude where the sensor's time constant is larger by what it is known to [1]:
-    that of ln(1 + j omega tau). Where none is declared, what `UNDECLARED` takes off the amplitude; the phase has its
-    lateness.
+    that of ln(1 + j omega tau). Where none is declared, what `UNDECLARED` takes off the amplitude, and its phase: how
+    late the stamps are says nothing of a filter.
     """
     turn = 1j * sine.omega * sine.lags[name]
     if not turn and name != "pressure_command":
-        return complex(abs(1 + 1j * sine.omega * UNDECLARED) - 1)
+        whole = 1 + 1j * sine.omega * UNDECLARED
+        return complex(abs(whole) - 1, np.angle(whole))
     return LAG_KNOWN * turn / (1 + turn)
 
 

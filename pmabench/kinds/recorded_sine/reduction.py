@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.imported import flagged_counts, import_findings, late_by, measured, unusable_because
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.calibration import Scales, listed, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import lags_of, three_parameter
+from pmabench.analysis.shared.samples import UNDECLARED, lags_of, three_parameter
 from pmabench.analysis.shared.sine_loop import without_lag
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_sine import RESULTS
@@ -37,6 +37,10 @@ UNUSABLE_SHARE = 0.1
 UNTOLD = 0.005
 """What pressure and position may be apart [s] where the map gives no `late_by`."""
 UNTOLD_TIME = "nothing is known of the time between the channels"
+UNFILTERED = (
+    "no `sensor_lag` is declared of {}: a filter of up to {} of each is in the intervals, most of all of phases and H. "
+    "Declare its time constant with the channel in the map; 0.01 ms says that there is no filter"
+)
 OFF = 0.005
 """Relative difference between the named and the commanded frequency that is doubted."""
 CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
@@ -109,8 +113,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the pressure against its command, both negative for a lag. H = 2 |x| |sin phi_x| is the width of the ellipse at mean
     pressure. The pressure may be older than its stamps (`late_by` of the map, or option [[least, most] in s]): phases
     are turned by the middle of that, and half its range is the `method` part. Lags of sensors (`sensor_lag`, first
-    order) are taken off: amplitudes are multiplied by 1 + j omega tau, and a fifth of tau is left open. The bandwidth
-    is that of `bandwidth`. K and B do not follow from x and P alone: F_ce(P) comes in between.
+    order) are taken off: amplitudes are multiplied by 1 + j omega tau, and a fifth of tau is left open, or `UNDECLARED`
+    where none is declared. The bandwidth is that of `bandwidth`. K and B do not follow from x and P alone: F_ce(P)
+    comes in between.
     """
     options = options or {}
     sines, dropped, read_off = measured(runs, options, measure)
@@ -138,6 +143,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     if sines and not read_off:
         findings.append(Finding("doubt", f"{UNTOLD_TIME}: phases assume at most {show(UNTOLD, 'time')}"))
+    silent = [n for n in ("pressure", "displacement") if any(not sine.lags[n] for _, sine in sines)]
+    if silent:
+        findings.append(Finding("note", UNFILTERED.format(listed(silent), show(UNDECLARED, "time"))))
     first = [group[0][1] for _, group in sorted(swept.items())]
     if any(len(alike) > 1 for alike in groups.values()):
         text = "sines of one frequency whose amplitudes differ by more than a twentieth are reported apart"
@@ -319,16 +327,15 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     width_by = [2 * np.abs(s.cycles["displacement"]) * np.abs(np.sin(p)) for s, p in zip(sines, phase_by, strict=True)]
     both = ("pressure", "displacement")
     late = "lateness taken as the middle of its range" if read_off else UNTOLD_TIME
-    by_phase = 2 * abs(first.amplitudes["displacement"]) * abs(float(np.cos(phase[0])))
     slow = sensors(first, both, phase=True)
-    shape = [*other_shape(sines), *(replace(one, half=one.half * by_phase) for one in slow)]
+    shape = [*other_shape(sines), *(replace(one, half=_width_by(first, phase[0], one.half)) for one in slow)]
     found = [
         estimate("P", ("Pa", "pressure"), *size("pressure"), ("pressure",), of=("pressure",)),
         estimate("x", ("m", "length"), *size("displacement"), ("displacement",), of=("displacement",)),
         estimate("P/x", ("Pa/m", "gain"), *ratio("pressure", "displacement"), both, of=both),
         estimate("phi_x", ("rad", "angle"), phase, phase_by, method=doubt or None, note=late, doubts=slow),
-        estimate("H", ("m", "length"), width, width_by, ("displacement",), by_phase * doubt or None, late,
-                 ("displacement",), shape),
+        estimate("H", ("m", "length"), width, width_by, ("displacement",), _width_by(first, phase[0], doubt) or None,
+                 late, ("displacement",), shape),
     ]  # fmt: skip
     if all("pressure_command" in s.amplitudes for s in sines):
         back = _phases(sines, "pressure", "pressure_command")
@@ -339,6 +346,12 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
                      doubts=sensors(first, ("pressure", "pressure_command"), phase=True)),
         ]  # fmt: skip
     return found
+
+
+def _width_by(sine: Sine, phase: float, half: float) -> float:
+    """What a `phase` that is off by `half` [rad] makes of the width of the loop [m]: near a quarter turn its square."""
+    ends = np.abs(np.sin(phase + half * np.array([-1, 0, 1])))
+    return 2 * abs(sine.amplitudes["displacement"]) * float(np.abs(ends - ends[1]).max())
 
 
 def _phases(sines: Sequence[Sine], upper: str, lower: str) -> tuple[list[float], list[Array]]:

@@ -14,8 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.analysis.shared.samples import lag_open, lags_of
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
+from pmabench.analysis.shared.smoothing import smooth
 from pmabench.analysis.shared.trials import grouped, point_of
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
@@ -35,6 +38,7 @@ STRAIGHT = "measured pressure, straight lines"
 METHODS = (COMMANDED, MEASURED, STRAIGHT)
 ALONE = "one run: no repeats part"
 NO_MODEL = "the plan holds no model to compare with"
+LAGS = "time constants of the sensors"
 FEWEST = 8
 """Fewest samples of the window."""
 LONGEST_TRACE = 1500
@@ -53,8 +57,13 @@ class _Step:
     """Mean in the window [m]."""
     window: Mapping[str, float]
     """Mean of each simulation in the window [m]."""
-    by_pressure: tuple[float, float]
-    """What the simulation by the measured pressure moves there for the gain and the offset of that channel [m]."""
+    open: Mapping[str, Array]
+    """Channel and `gain`, `offset` or `lag` of it -> what that may move simulated less measured contraction by [m]."""
+
+    def moved(self, name: str) -> float:
+        """The same, one cause, as a mean in the window [m]."""
+        low, high = _window(self.run)
+        return float(self.open[name][(self.t >= low) & (self.t <= high)].mean())
 
     def error(self, method: str) -> float:
         """Simulated minus measured contraction in the window [m]."""
@@ -65,7 +74,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """Error of the model's contraction at each pressure (paper 0, validation): mean in the window, by two inputs.
 
     e_ss = (simulated - measured) / measured; e_fs is the same difference over the largest measured contraction of the
-    runs; e_sim is the rms difference over the whole hold [m], rise included. Windows come from the plan.
+    runs; e_sim is the rms difference over the whole hold [m], rise included. Windows come from the plan. Lags of
+    sensors (`sensor_lag`, first order) are undone; a fifth of them, or a filter of `UNDECLARED`, is left open.
     """
     dropped: list[Dropped] = []
     found: list[_Step] = []
@@ -146,9 +156,21 @@ def _rest(trial: TrialData) -> float:
     return float(trial.channels["displacement"][before].mean()) if before.any() else 0.0
 
 
-def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[_Step]:
+def _undone(run: RunData, trial: TrialData) -> TrialData:
+    """The trial with the filters undone that its channels declare: where one reads y, y + lag y' was there."""
+    ok, channels = _usable(trial), dict(trial.channels)
+    for name, lag in lags_of(run, trial).items():
+        if lag > 0 and name in ("displacement", "pressure"):
+            t, y = trial.t[ok], trial.channels[name][ok]
+            channels[name] = trial.channels[name].copy()
+            channels[name][ok] = y + smooth(t, y, lag).y - smooth(t, y).y
+    return replace(trial, channels=channels)
+
+
+def _steps(run: RunData, recorded: Sequence[TrialData], model: Described) -> list[_Step]:
     """Usable trials with their simulations."""
     found = []
+    trials = [_undone(run, trial) for trial in recorded]
     origins = [_rest(trial) for trial in trials]
     driven = from_measured_pressure(model, trials, 1.0 / run.rate, origins)
     scaled = _by_pressure(run, trials, model, origins)
@@ -163,53 +185,94 @@ def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[
         x = trial.channels["displacement"]
         t = trial.t - (_begin(trial) or 0.0)
         models = {method: values[ok] for method, values in simulated.items()}
-        moves = [abs(float((values[place] - by_measured)[inside].mean())) if values else 0.0 for values in scaled]
-        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means, (moves[0], moves[1])))
+        open_ = {name: (values[place] - by_measured)[ok] for name, values in scaled.items()}
+        open_ |= _open(run, t[ok], x[ok], by_measured[ok])
+        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means, open_))
+    return found
+
+
+def _open(run: RunData, t: Array, x: Array, simulated: Array) -> dict[str, Array]:
+    """What of the simulated less the measured contraction is open by the displacement, and by the lag of the pressure.
+
+    A model whose pressure comes earlier contracts as much earlier. Arrays of shape (n,), as in `_Step.open`.
+    """
+    scales = Scales.of([run])
+    found = {"displacement gain": scales.gains.get("displacement", 0.0) * x}
+    found["displacement offset"] = np.full(len(x), scales.offsets.get("displacement", 0.0))
+    for channel, y in (("displacement", smooth(t, x).y), ("pressure", simulated)):
+        found[f"{channel} lag"] = np.interp(t + lag_open(run, channel), t, y) - y
     return found
 
 
 def _by_pressure(
     run: RunData, trials: Sequence[TrialData], model: Described, origins: Sequence[float]
-) -> list[Sequence[Array]]:
-    """Simulations by the measured pressure with its gain, and with its offset, at the end of what is known of them."""
+) -> dict[str, list[Array]]:
+    """Simulations by the measured pressure with its gain, and with its offset, at the end of what is known of them.
+
+    By the names of `_Step.open`, where that is anything.
+    """
     scales = Scales.of([run])
     gain, offset = scales.gains.get("pressure", 0.0), scales.offsets.get("pressure", 0.0)
-    found: list[Sequence[Array]] = []
-    for share, more in ((gain, 0.0), (0.0, offset)):
-        moved = [
-            replace(one, channels={**one.channels, "pressure": one.channels["pressure"] * (1 + share) + more})
-            for one in trials
-        ]
-        found.append(from_measured_pressure(model, moved, 1.0 / run.rate, origins) if share or more else [])
+    found: dict[str, list[Array]] = {}
+    for name, share, more in (("pressure gain", gain, 0.0), ("pressure offset", 0.0, offset)):
+        if share or more:
+            moved = [
+                replace(one, channels={**one.channels, "pressure": one.channels["pressure"] * (1 + share) + more})
+                for one in trials
+            ]
+            found[name] = from_measured_pressure(model, moved, 1.0 / run.rate, origins)
     return found
 
 
 def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full: float) -> list[Estimate]:
     scales = Scales.of([step.run for step in members])
     names = tuple(step.trial.name for step in members)
+    channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
+    causes = [n for n in members[0].open if n.startswith(channels) and all(n in step.open for step in members)]
 
-    def estimate(symbol: str, values: list[float], unit: str, quantity: str, by: float) -> Estimate:
-        """`by`: change of the value per offset of the displacement [SI]."""
-        channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
-        part = scales.part({"displacement": 1.0}, {"displacement": by}) if symbol != "e_sim" else None
-        if part is not None and method != COMMANDED:
-            part = hypot(part, *(by * max(step.by_pressure[n] for step in members) for n in (0, 1)))
+    def estimate(symbol: str, values: list[float], unit: str, quantity: str, part: float | None) -> Estimate:
         parts = Parts(repeats=spread(values), calibration=part)
         note = sentences("" if len(values) > 1 else ALONE, scales.lack(channels, channels))
         mean = float(np.mean(values))
         return Estimate(symbol, mean, unit, quantity, method, at, parts, len(values), note=note, trials=names)
 
+    def of_mean(by: float) -> float | None:
+        """Calibration part of an error in the window; `by`: its change per offset of the displacement [1/m]."""
+        part = scales.part({"displacement": 1.0}, {"displacement": by})
+        scaled = [name for name in ("pressure gain", "pressure offset") if name in causes]
+        others = [by * max(abs(step.moved(name)) for step in members) for name in scaled]
+        return part if part is None else hypot(part, *others)
+
+    def grows(end: str) -> float:
+        """What e_sim is open by the causes of that name [m]; each at the end that makes it larger.
+
+        An rms is convex: by no more is it smaller where the cause is the other way, or less.
+        """
+        usual = _mean_rms(members, method)
+        found = [name for name in causes if name.endswith(end)]
+        return hypot(*(max(_mean_rms(members, method, name, way) for way in (-1, 1)) - usual for name in found))
+
     x = float(np.mean([step.measured for step in members]))
+    known = any(name in scales.gains or name in scales.offsets for name in channels)
+    scaled = hypot(grows("gain"), grows("offset")) if known else None
+    e_sim = estimate("e_sim", [_rms(step, method) for step in members], "m", "length", scaled)
     return [
-        estimate("e_ss", [step.error(method) / step.measured for step in members], "1", "ratio", 1.0 / x),
-        estimate("e_fs", [step.error(method) / full for step in members], "1", "ratio", 1.0 / full),
-        estimate("e_sim", [_rms(step, method) for step in members], "m", "length", 1.0),
+        estimate("e_ss", [step.error(method) / step.measured for step in members], "1", "ratio", of_mean(1.0 / x)),
+        estimate("e_fs", [step.error(method) / full for step in members], "1", "ratio", of_mean(1.0 / full)),
+        weighed(e_sim, [Doubt(LAGS, "method", grows("lag"), seen=False)]),
     ]
 
 
-def _rms(step: _Step, method: str) -> float:
-    after = step.t >= 0
-    return float(np.sqrt(np.mean((step.x[after] - step.simulated[method][after]) ** 2)))
+def _rms(step: _Step, method: str, cause: str = "", way: int = 0) -> float:
+    """Of the difference after the step [m], with all that a cause leaves open added or taken off: `way` 1 or -1."""
+    after, off = step.t >= 0, step.simulated[method] - step.x
+    off = off + way * step.open[cause] if cause else off
+    return float(np.sqrt(np.mean(off[after] ** 2)))
+
+
+def _mean_rms(members: Sequence[_Step], method: str, cause: str = "", way: int = 0) -> float:
+    """The mean of that over the tests of one pressure [m]."""
+    return float(np.mean([_rms(step, method, cause, way) for step in members]))
 
 
 def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> list[Finding]:
