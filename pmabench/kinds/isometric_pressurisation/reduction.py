@@ -29,7 +29,7 @@ from pmabench.analysis.shared.isometric_lines import (
     spread,
     tests_of,
 )
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import noise_of, on_time_run
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
@@ -87,7 +87,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; else those of the specimen.
     """
-    options = options or {}
+    options, runs = options or {}, [on_time_run(run, *CHANNELS) for run in runs]
     groups, dropped = tests_of(runs, PHASES, lack)
     scales = Scales.of(runs)
     given = {**given_of(runs[0].manifest.get("specimen") if runs else None), **options}
@@ -253,7 +253,7 @@ def _late(H: Estimate, cell: Cell, delay: float, error: float) -> Doubt:
     worth = show(per_second * abs(delay), "force", 2)
     reason = (
         f"as the ramps end the force comes {show(delay, 'time', 2)} after the pressure, which is worth {worth} of the "
-        "loop: a filter of the cell, or creep. Ramp more slowly"
+        "loop: a filter of the cell or of the gauge, or creep. Ramp more slowly, or declare the `sensor_lag`"
     )
     half = per_second * (BEYOND * abs(delay) + 2 * error)
     return Doubt("delay of the force", "method", half, abs(delay) > SEEN * error, reason, LATE)
