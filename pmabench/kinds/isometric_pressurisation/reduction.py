@@ -36,7 +36,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures
 from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
 from pmabench.kinds.isometric_pressurisation.flow import by_flow
-from pmabench.kinds.isometric_pressurisation.form import DRIFT, departures, gone_since, late, scatter_of
+from pmabench.kinds.isometric_pressurisation.form import DRIFT, Departure, departures, gone_since, late, scatter_of
 from pmabench.kinds.isometric_pressurisation.sections import (
     APART,
     BEYOND,
@@ -50,6 +50,7 @@ from pmabench.kinds.isometric_pressurisation.sections import (
     corrected,
     given_of,
 )
+from pmabench.kinds.isometric_pressurisation.zeros import zeroed
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.store.records import RunData, TrialData
 
@@ -90,9 +91,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     options, runs = options or {}, [on_time_run(run, *CHANNELS) for run in runs]
     groups, dropped = tests_of(runs, PHASES, lack)
     scales = Scales.of(runs)
+    groups, opened, zeros = zeroed(groups, scales)
     given = {**given_of(runs[0].manifest.get("specimen") if runs else None), **options}
     found = _found(groups, given, scales)
-    estimates, cells = _weighed(found, groups, given, scales), found.cells
+    estimates, cells = _weighed(found, groups, given, scales, opened), found.cells
     volumes, words, volume_traces, without = by_flow(runs, scales)
     estimates += volumes
     findings = [
@@ -102,6 +104,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *figures.of_corrected(found.corrected, given),
         *figures.of_cells(cells),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
+        *zeros,
         *words,
     ]
     if estimates and (missing := scales.lack(CHANNELS)):
@@ -191,11 +194,13 @@ def _curves(cells: Sequence[Cell], estimates: Sequence[Estimate]) -> list[Curve]
     ]  # fmt: skip
 
 
-def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Scales) -> list[Estimate]:
+def _weighed(
+    found: _Found, groups: Groups, given: Mapping[str, Any], scales: Scales, opened: Sequence[Departure]
+) -> list[Estimate]:
     """The values with what departures from the form of the tests may do to them, or withheld."""
     doubts: dict[Key, list[Doubt]] = {_key(e): [] for e in found.estimates}
     values = {_key(e): e.value for e in found.estimates}
-    for one in departures(found.cells):
+    for one in [*departures(found.cells), *opened]:
         without = {x: [replace(test, F=test.F - one.force(test)) for test in tests] for x, tests in groups.items()}
         changed = {_key(e): e.value for e in _found(without, given, scales).estimates}
         for e in found.estimates:
