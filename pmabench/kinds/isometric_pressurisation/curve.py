@@ -1,4 +1,4 @@
-"""Force over pressure of isometric tests in bins: both branches, the straight part, and where the force begins.
+"""Force over pressure of isometric tests in bins: both branches and the straight part.
 
 And S(eps) of the modified Daerden model from slopes of force over pressure: D0, theta0 and alpha, and what is open.
 
@@ -18,7 +18,6 @@ from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, stairs
-from pmabench.analysis.shared.samples import SEEN, ends, noise_of, onset
 from pmabench.model.library.daerden import section_factor
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -31,12 +30,8 @@ WITHIN = 0.02
 SHORTEST = 0.5
 """Least share of the bins with force that a straight part has."""
 FEWEST_BINS, FEWEST_HOLDS = 5, 3
-LEAST = 0.2
-"""Change of the force that counts as one, where there is less noise [N]."""
 REST = 1.0
 """How long before and after the ramps the force is at rest [s]."""
-AROUND = 0.25
-"""The pressure at a moment is that of a line through the samples so far to both sides [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,39 +159,6 @@ def straight_from(mean: Mean) -> tuple[float | None, float]:
             edge = P[start] - 0.5 * float(mean.P[1] - mean.P[0])
             return float(edge), off
     return None, off
-
-
-def begins(trial: TrialData, times: float = 1.0) -> tuple[float | None, float | None]:
-    """Pressure at which the force leaves its level of rest while filling, and reaches it while emptying [Pa].
-
-    The rule is that of `onset`: the first sample that leaves the level of the rest before the ramp by six times its
-    noise, at least 0.2 N or a thousandth of the largest force, followed back along the line through the next samples.
-    While emptying the same backwards in time, from the rest after the ramp. `times` as large a threshold is another
-    choice that an analyst could have made.
-    """
-    ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.phase in PHASES and c.data.get("rate")}
-    use = trial.usable & np.isfinite(trial.channels["force"]) & np.isfinite(trial.channels["pressure"])
-    t, P, F = trial.t[use], trial.channels["pressure"][use], trial.channels["force"][use]
-    if len(ramps) < 2 or len(t) < 2:
-        return None, None
-    rest = F[t < ramps["fill"].t - 1e-9] if times > 1 else F[:0]
-    least = times * max(LEAST, 1e-3 * float(np.max(np.abs(F))), SEEN * noise_of(rest))
-    turn, over = ramps["empty"].t, ends(ramps["empty"])
-    up = (t >= ramps["fill"].t - REST) & (t < turn)
-    down = (t >= turn) & (t <= over + REST)
-    rise = onset(t[up], F[up], ramps["fill"].t, least)
-    fall = onset(-t[down][::-1], F[down][::-1], -over, least)
-    return _at(t[up], P[up], rise), _at(t[down], P[down], None if fall is None else -fall)
-
-
-def _at(t: Array, P: Array, moment: float | None) -> float | None:
-    """Pressure at a moment [Pa]."""
-    if moment is None:
-        return None
-    near = np.abs(t - moment) <= AROUND
-    if np.count_nonzero(near) < 3:
-        return float(np.interp(moment, t, P))
-    return float(np.polyfit(t[near] - moment, P[near], 1)[1])
 
 
 def largest_force(run: RunData, trial: TrialData) -> float | None:

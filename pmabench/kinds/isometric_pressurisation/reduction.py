@@ -34,7 +34,8 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures
-from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
+from pmabench.kinds.isometric_pressurisation.begins import LEAST, ONE_TEST, THRESHOLD, begin_estimates, begins
+from pmabench.kinds.isometric_pressurisation.curve import PHASES, mean_of, straight_from
 from pmabench.kinds.isometric_pressurisation.flow import by_flow
 from pmabench.kinds.isometric_pressurisation.form import DRIFT, Departure, departures, gone_since, late, scatter_of
 from pmabench.kinds.isometric_pressurisation.sections import (
@@ -55,12 +56,10 @@ from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, 
 from pmabench.store.records import RunData, TrialData
 
 KIND = "isometric-pressurisation"
-THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
+SECTIONS, SIDES, CORRECTED = "isometric-sections", "isometric-sides", "corrected-force"
 SECTION, TURN = "daerden-section", "turn of the loop"
-TIMES = 3.0
-"""Another threshold of the force, as a multiple: noise hides how it begins, and that it begins late grows with it."""
 CHANNELS = ("pressure", "force")
-ONE_TEST, ONE_REPEAT = "no repeats part: one test only", "no repeats part: one repeat only"
+ONE_REPEAT = "no repeats part: one repeat only"
 PULLED = 5 * LEAST
 """A muscle whose force changes less is slack [N]."""
 LATE = 0.25
@@ -69,10 +68,6 @@ MOST_DRIFT = 0.5
 """A drift of the cell that makes more than this share of the loop is not left to an interval."""
 SEEN = 4.0
 """Standard errors from which on a delay is seen."""
-OF_ONSET = (
-    "method: half the difference of filling and emptying, with half a sample, or of the two sides; and what a "
-    "threshold three times as large makes of it"
-)
 SENSELESS = 1e9
 """Pressures [Pa] and forces [N] beyond this are none."""
 QUANTITY = {"D_0": ("length", "m"), "theta_0": ("angle", "rad"), "alpha": ("count", "1")}
@@ -147,7 +142,7 @@ def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
     estimates: list[Estimate] = []
     begun: list[Estimate] = []
     for cell in cells:
-        begun += _begins(cell, scales)
+        begun += begin_estimates(cell, scales)
         if cell.pooled is None:
             continue
         others = [cell.pooled.mean] if cell.upper is None else [cell.pooled.mean, (cell.upper.m, cell.upper.c)]
@@ -231,17 +226,25 @@ def _weighed(
         if e.symbol in ("F_b", "F_ce") and turned:
             lacks = max(abs(float(np.interp(e.at["pressure"], *one))) for one in turned)
             mine.append(Doubt(TURN, "method", BEYOND * lacks, seen=True))
-        if e.method == METHOD and e.coordinate and cell is not None:
-            P, off = cell.mean.turned
-            rows = P >= (cell.low or 0.0)
-            terms = np.polyfit(P[rows], off[rows], 1) if rows.sum() > 1 else np.zeros(2)
-            mine.append(Doubt(TURN, "method", abs(float(terms[0 if e.coordinate == "slope" else 1])), seen=True))
+        if e.method == METHOD and e.symbol in ("m", "c", "p_0") and cell is not None:
+            mine.append(_turned(e, cell))
         if e.symbol == "F_b" and scatter is not None:
             more = max(0.0, (scatter * (e.value or 0.0)) ** 2 / e.n - (e.parts.repeats or 0.0) ** 2)
             mine.append(Doubt("scatter at the other contractions", "repeats", sqrt(more), seen=False))
         scale = float(np.nanmax(np.abs(cell.mean.force))) if e.symbol == "c" and cell is not None else None
         judged.append(weighed(e, mine, scale))
     return judged
+
+
+def _turned(e: Estimate, cell: Cell) -> Doubt:
+    """What the turns of the loop make of the line, or of where it has no force as far as a parabola does not tell."""
+    P, off = cell.mean.turned
+    rows = P >= (cell.low or 0.0)
+    m, c = (np.polyfit(P[rows], off[rows], 1) if rows.sum() > 1 else np.zeros(2)).tolist()
+    if e.symbol != "p_0" or cell.pooled is None or e.value is None:
+        return Doubt(TURN, "method", abs(m if e.symbol == "m" else c), seen=True)
+    half = abs(c + m * e.value) / cell.pooled.line.m
+    return Doubt(TURN, "method", max(0.0, half - (e.parts.method or 0.0)), seen=True)
 
 
 Key = tuple[str, str, str, float | None]
@@ -254,7 +257,7 @@ def _key(e: Estimate) -> Key:
 
 def _late(H: Estimate, cell: Cell, delay: float, error: float) -> Doubt:
     """What a force that comes after the pressure is worth of the loop width [N]: it opens the loop by itself."""
-    per_second = 2 * _rate(cell) * abs(cell.pooled.line.m if cell.pooled is not None else 0.0)
+    per_second = 2 * cell.rate * abs(cell.pooled.line.m if cell.pooled is not None else 0.0)
     worth = show(per_second * abs(delay), "force", 2)
     reason = (
         f"as the ramps end the force comes {show(delay, 'time', 2)} after the pressure, which is worth {worth} of the "
@@ -307,11 +310,6 @@ def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
     return Cell(contraction, tests, mean, low, off, pooled, None if upper is None else upper.line)
 
 
-def _rate(cell: Cell) -> float:
-    """Fastest ramp [Pa/s]."""
-    return max((c.data.get("rate", 0.0) for test in cell.tests for c in test.trial.commands), default=0.0)
-
-
 def _width(cell: Cell, scales: Scales) -> Estimate:
     """Force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
     gaps = by_repeat(cell.tests, cell.gaps)
@@ -320,56 +318,12 @@ def _width(cell: Cell, scales: Scales) -> Estimate:
     if not cell.mean.held and any(not c.data.get("rate") for c in commands):  # it goes up or down in a step
         why = "a loop on the way from one pressure to the next is as wide as the force is late: ramp, or hold at five"
         return Estimate("H", None, "N", "force", METHOD, at, n=len(gaps), note=why, trials=names)
-    apart = 2 * _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
+    apart = 2 * cell.rate * skew.apart([test.run for test in cell.tests], CHANNELS)
     slope = cell.pooled.line.m if cell.pooled else 0.0
     value = float(gaps.mean())
     parts = Parts(repeats=spread(gaps), calibration=scales.part({"force": value}), skew=abs(slope) * apart)
     note = sentences("" if len(gaps) > 1 else ONE_TEST, "emptying minus filling")
     return Estimate("H", value, "N", "force", METHOD, at, parts, len(gaps), note=note, trials=names)
-
-
-def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
-    """The pressure at which the force begins, by its onset and by the line at force 0 [Pa]."""
-    at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
-    late = _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
-    pairs = {test: pair for test in cell.tests if None not in (pair := begins(test.trial))}
-    found = []
-    if pairs:
-        both = np.array(list(pairs.values()), dtype=np.float64)
-        values, value = by_repeat(list(pairs), both.mean(axis=1)), float(both.mean())
-        step = max(1.0 / test.run.rate if test.run.rate else 0.0 for test in cell.tests)
-        half = 0.5 * (abs(float((both[:, 0] - both[:, 1]).mean())) + _rate(cell) * step)
-        side = np.array([test.trial.point.get("side", 0.0) for test in pairs])
-        half = max(half, 0.5 * float(np.ptp([both[side == one].mean() for one in np.unique(side)])))
-        later = [begins(test.trial, TIMES) for test in pairs]
-        known = [0.5 * (one[0] + one[1]) - mean for one, mean in zip(later, both.mean(axis=1), strict=True)
-                 if one[0] is not None and one[1] is not None]  # fmt: skip
-        half = sqrt(half**2 + (float(np.mean(known)) if known else 0.0) ** 2)
-        parts = Parts(spread(values), half, scales.part({"pressure": value}, {"pressure": 1.0}), late)
-        note = sentences("" if len(values) > 1 else ONE_TEST, OF_ONSET)
-        n = len(values)
-        found.append(Estimate("p_0", value, "Pa", "pressure", THRESHOLD, at, parts, n, note=note, trials=names))
-    if cell.pooled is None or cell.pooled.line.m <= 0 or cell.low is None:
-        return found
-    line = cell.pooled.line
-    value = -line.c / line.m
-    if not float(cell.mean.P[0]) < value <= cell.low:
-        return found
-    each = [-c / m for m, c in cell.pooled.repeats if m > 0]
-    scale = scales.part({"pressure": value}, {"pressure": 1.0, "force": 1 / line.m})
-    parts = Parts(spread(each), BEYOND * abs(value - _bent_zero(cell, value)), scale, late)
-    note = sentences("" if len(each) > 1 else ONE_TEST, "the line at force 0")
-    return [*found, Estimate("p_0", value, "Pa", "pressure", METHOD, at, parts, len(each), note=note, trials=names)]
-
-
-def _bent_zero(cell: Cell, value: float) -> float:
-    """Where a parabola through the straight part is 0 [Pa], from where the line is: as good a choice as the line."""
-    known = np.isfinite(cell.mean.force) & (cell.mean.P >= (cell.low or 0.0))
-    P, F = cell.mean.P[known] - value, cell.mean.force[known]
-    bend, slope, start = np.polyfit(P, F, 2)
-    inner = slope * slope - 4 * bend * start
-    off = 2 * start / (slope + np.sqrt(inner)) if inner > 0 and slope > 0 else start / slope
-    return value - float(off)
 
 
 def _sides(cells: Sequence[Cell]) -> Iterator[Estimate]:
@@ -505,7 +459,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     if test is None or reason:
         return [Measured("m", "force per pressure", None), Measured("p_0", "pressure", None)], [reason]
     cell = cell_of(trial.point["contraction"], [test])
-    found = [value for value in begins(trial) if value is not None]
+    found = [one.pressure for one in begins(trial) if one is not None]
     top = float(test.P.max())
     F_e, K_e = (expected.at(name, top) if expected else None for name in ("F_ce", "K"))
     pull = F_e - K_e * cell.contraction if F_e is not None and K_e is not None else None
