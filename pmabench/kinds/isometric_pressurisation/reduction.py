@@ -1,7 +1,7 @@
 """Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
 
-Lines at one contraction and S(eps) come from `isometric_lines` and `curve`, what several
-contractions say at one pressure from `sections`; words and figures in `figures`.
+Lines at one contraction come from `isometric_lines` and `curve`, S(eps) from `braid`, where the force begins from
+`begins`, what several contractions say at one pressure from `sections`; words and figures in `figures`.
 
 What one trial says by itself, for the display.
 """
@@ -33,8 +33,9 @@ from pmabench.analysis.shared.samples import noise_of, on_time_run
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures
+from pmabench.kinds.isometric_pressurisation import RESULTS, figures
 from pmabench.kinds.isometric_pressurisation.begins import LEAST, ONE_TEST, THRESHOLD, begin_estimates, begins
+from pmabench.kinds.isometric_pressurisation.braid import Section, section_estimates, sections_of
 from pmabench.kinds.isometric_pressurisation.curve import PHASES, mean_of, straight_from
 from pmabench.kinds.isometric_pressurisation.flow import by_flow
 from pmabench.kinds.isometric_pressurisation.form import DRIFT, Departure, departures, gone_since, late, scatter_of
@@ -57,7 +58,7 @@ from pmabench.store.records import RunData, TrialData
 
 KIND = "isometric-pressurisation"
 SECTIONS, SIDES, CORRECTED = "isometric-sections", "isometric-sides", "corrected-force"
-SECTION, TURN = "daerden-section", "turn of the loop"
+TURN = "turn of the loop"
 CHANNELS = ("pressure", "force")
 ONE_REPEAT = "no repeats part: one repeat only"
 PULLED = 5 * LEAST
@@ -70,7 +71,6 @@ SEEN = 4.0
 """Standard errors from which on a delay is seen."""
 SENSELESS = 1e9
 """Pressures [Pa] and forces [N] beyond this are none."""
-QUANTITY = {"D_0": ("length", "m"), "theta_0": ("angle", "rad"), "alpha": ("count", "1")}
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -131,7 +131,7 @@ class _Found:
 
     cells: Sequence[Cell]
     across: Sequence[Across]
-    sections: Mapping[str, curve.Section]
+    sections: Mapping[str, Section]
     corrected: Corrected | None
     estimates: Sequence[Estimate]
 
@@ -151,10 +151,10 @@ def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
     estimates = _placed(estimates, cells, scales)
     over = across(cells)
     lengths: list[Any] = [given.get(name) for name in ("nominal_length", "inner_diameter", "braid_angle")]
-    sections = _sections(cells, given)
+    sections = sections_of(cells, given)
     force = None if None in lengths else corrected(cells, *lengths)
     estimates += [*begun, *_sides(cells), *blocked_estimates(cells, given, scales), *_three_elements(over, scales)]
-    estimates += _section_estimates(sections, scales, given) + _corrected_estimate(force, scales)
+    estimates += section_estimates(sections, scales, given) + _corrected_estimate(force, scales)
     return _Found(cells, over, sections, force, estimates)
 
 
@@ -361,65 +361,6 @@ def _three_elements(found: Sequence[Across], scales: Scales) -> list[Estimate]:
         estimates.append(Estimate("F_ce", F_ce, "N", "force", SECTIONS, at, of_F, **how))
         estimates.append(Estimate("K", K, "N/m", "stiffness", SECTIONS, at, of_K, **how))
     return estimates
-
-
-def _sections(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, curve.Section]:
-    """S(eps) by method: all three free, and with what the specimen tells; empty where the length is not known."""
-    usable = [(cell, cell.pooled) for cell in cells if cell.pooled is not None]
-    if "nominal_length" not in given or not usable:
-        return {}
-    halves = [pooled.half("m") or 0.0 for _, pooled in usable]
-    slopes = curve.Slopes(
-        np.array([float(cell.place.mean()) for cell, _ in usable]) / given["nominal_length"],
-        np.array([pooled.line.m for _, pooled in usable]),
-        np.array(halves) / 1.96,
-    )
-    ways = {SECTION: {}, f"{SECTION}, alpha = 2": {"alpha": 2.0}}
-    if "inner_diameter" in given:
-        ways[f"{SECTION}, D_0 of the specimen"] = {"D_0": given["inner_diameter"]}
-    if "braid_angle" in given:
-        ways[f"{SECTION}, theta_0 of the specimen"] = {"theta_0": given["braid_angle"]}
-    fits = {name: curve.fit(slopes, **known) for name, known in ways.items()}
-    return {name: one for name, one in fits.items() if one is not None}
-
-
-def _section_estimates(
-    sections: Mapping[str, curve.Section], scales: Scales, given: Mapping[str, float]
-) -> list[Estimate]:
-    """The free parameters of each way; no value where the slopes do not determine it.
-
-    Calibration: the section is fitted again to what it is where the gains of force or pressure, the zero or the gain of
-    the displacement are off by their uncertainty.
-    """
-    found = []
-    for method, one in sections.items():
-        again = _sections_again(one, scales, given["nominal_length"])
-        for name in one.free:
-            half, is_open = one.half(name), one.other_form or name in one.open
-            quantity, unit = QUANTITY[name]
-            value = float(getattr(one, name))
-            changes = [float(getattr(other, name)) - value for other in again]
-            text = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
-            why = "S(eps) has another form" if one.other_form else "not determined separately from the others"
-            note = f"{why}: {text}" if is_open else ""
-            parts = Parts() if is_open else Parts(repeats=half, calibration=hypot(*changes) if changes else None)
-            n = len(one.slopes.S)
-            found.append(Estimate(name, None if is_open else value, unit, quantity, method, {}, parts, n, note=note))
-    return found
-
-
-def _sections_again(one: curve.Section, scales: Scales, length: float) -> list[curve.Section]:
-    """A section fitted to its slopes with each scale off by its uncertainty; none where the record gives none."""
-    slopes = one.slopes
-    known = {name: getattr(one, name) for name in curve.NAMES if name not in one.free}
-    gain = hypot(scales.gains.get("force", 0.0), scales.gains.get("pressure", 0.0))
-    ways = [replace(slopes, S=slopes.S * (1 + gain))] if gain else []
-    if zero := scales.offsets.get("displacement", 0.0):
-        ways.append(replace(slopes, eps=slopes.eps + zero / length))
-    if share := scales.gains.get("displacement", 0.0):
-        ways.append(replace(slopes, eps=slopes.eps * (1 + share)))
-    fits = [curve.fit(way, **known) for way in ways]
-    return [other for other in fits if other is not None]
 
 
 def _corrected_estimate(force: Corrected | None, scales: Scales) -> list[Estimate]:
