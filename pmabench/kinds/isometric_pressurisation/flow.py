@@ -260,8 +260,9 @@ def _doubts(group: Sequence[Filling]) -> list[Doubt]:
     if all(one.both_ways for one in group):
         back = float(np.mean([one.volume - one.emptied for one in group]))
         less = (
-            f"emptying gives {show(back, 'volume', 3)} less than filling: air leaks between meter and muscle, or the "
-            "meter is not alike in both directions. Look for the leak, and try a known vessel"
+            f"emptying gives {show(back, 'volume', 3)} less than filling: air leaks between meter and muscle, it has "
+            "not the room's temperature, or the meter is not alike in both directions. Look for the leak, fill more "
+            "slowly, and try a known vessel"
         )
         found.append(Doubt("filling and emptying", "method", abs(back) / 2, abs(back) > 2 * SEEN * noise, less))
     return found
