@@ -110,6 +110,40 @@ def test_a_zero_that_drifts_is_in_the_interval(run, found):
     assert after.ci95[0] <= volume(0.02) <= after.ci95[1]
 
 
+def test_air_below_a_low_flow_cut_off_is_not_counted_and_said(run):
+    """A meter that shows 0 below 0.454 l/min: of the 0.454 l/min at no contraction it shows about half."""
+    zero = 0.025 * ANR
+    cut = reduce([changed(run, lambda t, q, P: np.where(np.abs(q - zero) < 0.454 * ANR, 0.0, q - zero))])
+    assert not [e for e in cut.estimates if e.symbol == "V" and e.at["contraction"] == 0]
+    (reason,) = (d.reason for d in cut.dropped)
+    assert "shows no flow" in reason
+    assert "cut-off" in reason
+    V = of(cut, "V", 0.02)
+    assert V.value == pytest.approx(volume(0.02), rel=0.01), "0.79 l/min is shown"
+    assert V.ci95[0] <= volume(0.02) <= V.ci95[1]
+
+
+def test_a_quiet_meter_in_coarse_steps_is_no_meter_at_its_end(run):
+    """The flow of a rigid vessel, lagged by 0.1 s, in steps of 5/128 l/min: half a step is 2.5 % of it."""
+    trial, T = run.trials[1], 50.0
+    begin, back = (next(c.t for c in trial.commands if c.phase == way) for way in ("fill", "empty"))
+    full = (volume(0.02) + HOSE) * 1e4 / (287 * 293)
+
+    def lagged(t):
+        rise = np.where(t > 0, -np.expm1(-np.clip(t, 0, T) / 0.1), 0.0)
+        return np.where(t > T, np.exp(-np.maximum(t - T, 0) / 0.1), rise)
+
+    step = 5 * ANR / 128
+    flow = np.round(full * (lagged(trial.t - begin) - lagged(trial.t - back)) / step) * step
+    quiet = replace(run, trials=(replace(trial, channels={**trial.channels, "flow": flow}),))
+    V = of(reduce([quiet]), "V", 0.02)
+    assert V.ci95[0] <= volume(0.02) <= V.ci95[1]
+    assert V.ci95[1] - V.ci95[0] < 0.1 * volume(0.02)
+    open_end = replace(run.channels["flow"], high=np.inf)
+    unknown = reduce([replace(quiet, channels={**run.channels, "flow": open_end})])
+    assert "declare the range" in unknown.dropped[0].reason
+
+
 def test_what_has_no_flow_says_so(run):
     trial = run.trials[0]
     bare = {name: values for name, values in trial.channels.items() if name != "flow"}

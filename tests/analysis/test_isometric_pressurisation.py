@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.kinds.isometric_pressurisation import curve as section
+from pmabench.kinds.isometric_pressurisation import braid as section
+from pmabench.kinds.isometric_pressurisation.braid import SECTION
 from pmabench.kinds.isometric_pressurisation.reduction import (
     CORRECTED,
     METHOD,
-    SECTION,
     SECTIONS,
     SIDES,
     THRESHOLD,

@@ -196,6 +196,16 @@ def least_squares(design: Array, values: Array) -> Array:
         return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0])
 
 
+def on_time_run(run: RunData, *names: str) -> RunData:
+    """The run with channels of these names without the declared lags of their sensors."""
+    late = [name for name in names if name in run.channels and run.channels[name].sensor_lag > 0]
+
+    def moved(trial: TrialData) -> TrialData:
+        return replace(trial, channels={**trial.channels, **{name: on_time(run, trial, name) for name in late}})
+
+    return replace(run, trials=tuple(moved(one) if len(one.t) else one for one in run.trials)) if late else run
+
+
 def three_parameter(t: Array, signals: Array, frequency: float) -> tuple[Array, NDArray[np.complex128]]:
     """Means, shape (m,), and complex amplitudes A with Re(A exp(j 2 pi f t)), shape (m,), of `signals`, shape (n, m).
 

@@ -6,7 +6,7 @@ Each is sized by what does not depend on the line, as a force that it adds to th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from math import copysign, sqrt
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.isometric_lines import Mask, Test, Used, line_of
-from pmabench.analysis.shared.samples import lag_open, noise_of, on_time
+from pmabench.analysis.shared.samples import lag_open, noise_of
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array, RunData
@@ -44,18 +44,6 @@ LATE, DRIFT = "time between force and pressure", "drift of the force cell"
 BRANCHES = "rising and falling pressure sampled unlike each other"
 Terms = tuple[float, float]
 """Slope m [N/Pa] and intercept c [N]."""
-
-
-def on_time_run(run: RunData) -> RunData:
-    """The run without the declared lags of its gauge and its cell."""
-    names = [name for name in ("pressure", "force") if name in run.channels and run.channels[name].sensor_lag > 0]
-    trials = tuple(
-        replace(trial, channels={**trial.channels, **{name: on_time(run, trial, name) for name in names}})
-        if len(trial.t)
-        else trial
-        for trial in run.trials
-    )
-    return replace(run, trials=trials) if names else run
 
 
 @dataclass(frozen=True)

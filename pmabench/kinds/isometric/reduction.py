@@ -27,12 +27,12 @@ from pmabench.analysis.shared.isometric_lines import (
     pool,
     tests_of,
 )
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import noise_of, on_time_run
 from pmabench.analysis.shared.trials import ONE_SESSION, session_of
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric import RESULTS
-from pmabench.kinds.isometric.form import departures, on_time_run
+from pmabench.kinds.isometric.form import departures
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
 
@@ -62,7 +62,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `options` (else the rule of the import map, else the values given here): `force_above` (what a slack muscle reads),
     `also_at` (`RANGE` of the largest force above `force_above`), `phases` [] (all).
     """
-    runs = [on_time_run(run) for run in runs]
+    runs = [on_time_run(run, "pressure", "force") for run in runs]
     rule, findings = rule_of(runs, options or {})
     phases = [str(name) for name in rule.get("phases") or ()]
     above = float(rule.get("force_above") or 0.0) or _above_slack(runs, phases)

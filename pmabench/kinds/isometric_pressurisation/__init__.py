@@ -1,7 +1,8 @@
 """Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
 
-- `reduction`, made of `curve` (with S over contraction), `sections` (all contractions at one pressure), `flow`
-  (volume by a mass flow meter); whether the tests have the form that is assumed: `form`
+- `reduction`, made of `curve` (force over pressure at one contraction), `begins` (where the force begins), `sections`
+  (all contractions at one pressure), `braid` (S over contraction), `flow` (volume by a mass flow meter); whether the
+  tests have the form that is assumed: `form`; zeros that show at rest: `zeros`
 - protocol files: `protocol`; words and figures: `figures`; one trial on the display: `reduction`
 """
 

@@ -1,25 +1,13 @@
-"""Force over pressure of isometric tests in bins: both branches, the straight part, and where the force begins.
-
-And S(eps) of the modified Daerden model from slopes of force over pressure: D0, theta0 and alpha, and what is open.
-
-S = (pi/4) D0^2 [3 (1 - eps)^alpha / tan^2 theta0 - 1 / sin^2 theta0] (paper 3 eq. 9). For a given alpha it is a line in
-(1 - eps)^alpha, so only alpha is searched; no start values. Knows no line over contractions.
-"""
+"""Force over pressure of isometric tests in bins: both branches and the straight part; no line over contractions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from math import asin, atan, pi, sqrt
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, stairs
-from pmabench.analysis.shared.samples import SEEN, ends, noise_of, onset
-from pmabench.model.library.daerden import section_factor
 from pmabench.store.records import Array, RunData, TrialData
 
 PHASES = ("fill", "empty")
@@ -31,12 +19,8 @@ WITHIN = 0.02
 SHORTEST = 0.5
 """Least share of the bins with force that a straight part has."""
 FEWEST_BINS, FEWEST_HOLDS = 5, 3
-LEAST = 0.2
-"""Change of the force that counts as one, where there is less noise [N]."""
 REST = 1.0
 """How long before and after the ramps the force is at rest [s]."""
-AROUND = 0.25
-"""The pressure at a moment is that of a line through the samples so far to both sides [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,229 +150,7 @@ def straight_from(mean: Mean) -> tuple[float | None, float]:
     return None, off
 
 
-def begins(trial: TrialData, times: float = 1.0) -> tuple[float | None, float | None]:
-    """Pressure at which the force leaves its level of rest while filling, and reaches it while emptying [Pa].
-
-    The rule is that of `onset`: the first sample that leaves the level of the rest before the ramp by six times its
-    noise, at least 0.2 N or a thousandth of the largest force, followed back along the line through the next samples.
-    While emptying the same backwards in time, from the rest after the ramp. `times` as large a threshold is another
-    choice that an analyst could have made.
-    """
-    ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.phase in PHASES and c.data.get("rate")}
-    use = trial.usable & np.isfinite(trial.channels["force"]) & np.isfinite(trial.channels["pressure"])
-    t, P, F = trial.t[use], trial.channels["pressure"][use], trial.channels["force"][use]
-    if len(ramps) < 2 or len(t) < 2:
-        return None, None
-    rest = F[t < ramps["fill"].t - 1e-9] if times > 1 else F[:0]
-    least = times * max(LEAST, 1e-3 * float(np.max(np.abs(F))), SEEN * noise_of(rest))
-    turn, over = ramps["empty"].t, ends(ramps["empty"])
-    up = (t >= ramps["fill"].t - REST) & (t < turn)
-    down = (t >= turn) & (t <= over + REST)
-    rise = onset(t[up], F[up], ramps["fill"].t, least)
-    fall = onset(-t[down][::-1], F[down][::-1], -over, least)
-    return _at(t[up], P[up], rise), _at(t[down], P[down], None if fall is None else -fall)
-
-
-def _at(t: Array, P: Array, moment: float | None) -> float | None:
-    """Pressure at a moment [Pa]."""
-    if moment is None:
-        return None
-    near = np.abs(t - moment) <= AROUND
-    if np.count_nonzero(near) < 3:
-        return float(np.interp(moment, t, P))
-    return float(np.polyfit(t[near] - moment, P[near], 1)[1])
-
-
 def largest_force(run: RunData, trial: TrialData) -> float | None:
     """Largest force of a muscle held at one length [N]; None where nothing is usable."""
     test, _ = as_test(run, trial, PHASES)
     return float(test.F.max()) if test is not None and len(test.F) else None
-
-
-ALPHAS = (1.0, 5.0)
-"""Where alpha is looked for: the domain of the model."""
-FLOOR = 2e-3
-"""Floor of the error of a slope, as a share of the largest: nothing on a bench is known better."""
-NAMES = ("D_0", "theta_0", "alpha")
-OPEN = 0.25
-"""A parameter whose 95 % interval is wider than this share of its value is not separable from the others."""
-FURTHEST = 3.0
-"""Errors by which a slope may be off the curve."""
-STEP = 1e-6
-NONE = 1e30
-"""Sum of squares that counts where no braid has an alpha: the search cannot do with infinity."""
-
-
-@dataclass(frozen=True)
-class Slopes:
-    """Slopes S [N/Pa] over contraction eps [1], and the standard error of each; shape (n,)."""
-
-    eps: Array
-    S: Array
-    error: Array
-
-    @property
-    def weight(self) -> Array:
-        """One over the error, at least `FLOOR` of the largest slope."""
-        return np.asarray(1.0 / np.hypot(self.error, FLOOR * np.abs(self.S).max()))
-
-
-@dataclass(frozen=True)
-class Section:
-    """S(eps) through slopes: D0 [m], theta0 [rad], alpha [1], of which `free` were fitted."""
-
-    slopes: Slopes
-    D_0: float
-    theta_0: float
-    alpha: float
-    free: tuple[str, ...]
-    power: float
-    """Weighted sum of squares."""
-
-    @property
-    def values(self) -> Array:
-        """D0, theta0, alpha."""
-        return np.array([self.D_0, self.theta_0, self.alpha])
-
-    def at(self, eps: Array) -> Array:
-        """S [N/Pa] at eps [1]."""
-        return section_factor(eps, *self.values)
-
-    @property
-    def freedom(self) -> int:
-        """Slopes less free parameters."""
-        return len(self.slopes.S) - len(self.free)
-
-    @property
-    def rms(self) -> float:
-        """Residual [N/Pa]."""
-        return float(np.sqrt(np.mean((self.slopes.S - self.at(self.slopes.eps)) ** 2)))
-
-    @property
-    def other_form(self) -> bool:
-        """Whether a slope is further from the curve than three times its error: S(eps) is not of this form."""
-        off = self.slopes.S - self.at(self.slopes.eps)
-        return self.freedom > 0 and bool(np.max(np.abs(off) * self.slopes.weight) > FURTHEST)
-
-    def _jacobian(self, eps: Array) -> Array:
-        """Change of S by the free parameters, shape (n, free)."""
-        columns = []
-        for name in self.free:
-            step = np.where(np.array(NAMES) == name, STEP * np.abs(self.values), 0.0)
-            up, down = (section_factor(eps, *(self.values + way * step)) for way in (1, -1))
-            columns.append((up - down) / (2 * float(step.sum())))
-        return np.column_stack(columns)
-
-    @cached_property
-    def condition(self) -> float:
-        """Condition number of the weighted Jacobian by relative parameters with columns of length one."""
-        scaled = self._jacobian(self.slopes.eps) * self.slopes.weight[:, None]
-        scaled = scaled / np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
-        return float(np.linalg.cond(scaled))
-
-    @property
-    def _variance(self) -> float:
-        """Of weighted slopes: what the residuals show, at least what the slopes' own errors are."""
-        return max(self.power / self.freedom, float(np.mean((self.slopes.error * self.slopes.weight) ** 2)))
-
-    @cached_property
-    def _spread(self) -> tuple[Array, float]:
-        """Covariance of the free parameters and Student's t for 95 %."""
-        weighted = self._jacobian(self.slopes.eps) * self.slopes.weight[:, None]
-        covariance = np.asarray(np.linalg.pinv(weighted.T @ weighted) * self._variance)
-        return covariance, float(student.ppf(0.975, self.freedom))
-
-    def half(self, name: str) -> float | None:
-        """Half width of the 95 % interval of a parameter, the wider of linear and profile; None without freedom."""
-        if name not in self.free or self.freedom < 1:
-            return None
-        covariance, t = self._spread
-        at = self.free.index(name)
-        linear = t * sqrt(max(0.0, float(covariance[at, at])))
-        ends = [abs(values[NAMES.index(name)] - getattr(self, name)) for values in self.as_good]
-        return max(linear, *ends) if ends else linear
-
-    def band(self, eps: Array) -> Array:
-        """Half width of the 95 % band of S at eps [N/Pa]; NaN without freedom."""
-        if self.freedom < 1:
-            return np.full(len(eps), np.nan)
-        covariance, t = self._spread
-        rows = self._jacobian(eps)
-        return np.asarray(t * np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0)))
-
-    @cached_property
-    def as_good(self) -> list[Array]:
-        """The sets of parameters at the ends of the range of alpha that fits as well (profile, 95 %)."""
-        if "alpha" not in self.free or self.freedom < 1:
-            return []
-        most = self.power + float(student.ppf(0.975, self.freedom)) ** 2 * self._variance
-        given = {name: float(getattr(self, name)) for name in NAMES[:2] if name not in self.free}
-        ends = []
-        for bound in ALPHAS:
-            good = self
-            for alpha in np.linspace(self.alpha, bound, 200)[1:]:
-                one = _at_alpha(self.slopes, float(alpha), given, self.free)
-                if one is None or one.power > most:
-                    break
-                good = one
-            if good is not self:
-                ends.append(good.values)
-        return ends
-
-    @property
-    def open(self) -> tuple[str, ...]:
-        """Free parameters that the slopes do not determine: their interval is too wide, or there is none."""
-        halves = {name: self.half(name) for name in self.free}
-        return tuple(n for n, half in halves.items() if half is None or half > OPEN * abs(getattr(self, n)))
-
-
-def fit(
-    slopes: Slopes, *, D_0: float | None = None, theta_0: float | None = None, alpha: float | None = None
-) -> Section | None:
-    """The section through slopes with the parameters that are not given free; None where none can be found."""
-    given = {name: value for name, value in zip(NAMES, (D_0, theta_0, alpha), strict=True) if value is not None}
-    free = tuple(name for name in NAMES if name not in given)
-    if len(slopes.S) < max(1, len(free)) or len(np.unique(np.round(slopes.eps, 6))) < len(free):
-        return None
-    if alpha is not None:
-        return _at_alpha(slopes, alpha, given, free)
-
-    def power(value: float) -> float:
-        one = _at_alpha(slopes, value, given, free)
-        return NONE if one is None else one.power
-
-    grid = np.linspace(*ALPHAS, 81)
-    powers = np.array([power(float(value)) for value in grid])
-    if not (powers < NONE).any():
-        return None
-    best = int(np.argmin(powers))
-    bounds = float(grid[max(0, best - 1)]), float(grid[min(len(grid) - 1, best + 1)])
-    found = float(minimize_scalar(power, bounds=bounds, method="bounded", options={"xatol": 1e-9}).x)
-    return _at_alpha(slopes, found if power(found) <= powers[best] else float(grid[best]), given, free)
-
-
-def _at_alpha(slopes: Slopes, alpha: float, given: dict[str, float], free: tuple[str, ...]) -> Section | None:
-    """Least squares of D0 and theta0 at an alpha; None where no braid has them."""
-    w, g = slopes.weight, (1 - slopes.eps) ** alpha
-    D_0, theta_0 = given.get("D_0", 0.0), given.get("theta_0", 0.0)
-    if "D_0" in free and "theta_0" in free:  # S = C1 g - C2, C1 = 3 C2 cos^2 theta0
-        C1, C2 = np.linalg.lstsq(np.column_stack([g, -np.ones_like(g)]) * w[:, None], slopes.S * w, rcond=None)[0]
-        if not 0 < C1 < 3 * C2:
-            return None
-        sine = 1 - C1 / (3 * C2)
-        D_0, theta_0 = sqrt(4 * C2 * sine / pi), asin(sqrt(sine))
-    elif "D_0" in free:
-        shape = section_factor(slopes.eps, *np.array([1.0, theta_0, alpha]))
-        square = float(np.sum(w**2 * shape * slopes.S) / np.sum(w**2 * shape**2))
-        if square <= 0:
-            return None
-        D_0 = sqrt(square)
-    elif "theta_0" in free:  # S / A0 + 1 = (3 g - 1) / tan^2 theta0
-        area = pi / 4 * D_0**2
-        row, left = (3 * g - 1) * w, (slopes.S / area + 1) * w
-        cotangent = float(np.sum(row * left) / np.sum(row * row))
-        if cotangent <= 0:
-            return None
-        theta_0 = atan(1 / sqrt(cotangent))
-    off = (slopes.S - section_factor(slopes.eps, *np.array([D_0, theta_0, alpha]))) * w
-    return Section(slopes, D_0, theta_0, alpha, free, float(np.sum(off * off)))

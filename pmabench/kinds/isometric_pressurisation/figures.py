@@ -10,7 +10,8 @@ import numpy as np
 
 from pmabench.analysis.shared.isometric_lines import branches
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.curve import ALPHAS, NAMES, PHASES, REST, WITHIN, Section, pulling
+from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
+from pmabench.kinds.isometric_pressurisation.curve import PHASES, REST, WITHIN, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across, Cell, Corrected
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,14 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import SAME, spread
 from pmabench.analysis.shared.samples import (
+    STEPS,
     UNUSABLE_SHARE,
     NotUsable,
     ends,
     noise_of,
     refuse_incomplete,
     settings_of,
+    unresolved,
 )
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
@@ -44,11 +46,17 @@ PARTS = (0.15, 0.55, 0.95)
 FEWEST = 20
 SEEN = 5.0
 """Standard errors from which on a difference is seen."""
+SAME_FLOW = 1e-9
+"""Flows nearer to each other than this share of all flows are one."""
 PILED = 0.25
 """Share of samples at exactly one end of all values from which on the meter shows nothing beyond that end."""
 ONE_WAY = (
     "at rest the meter shows the least value that it can show: its zero is not seen, and it is in the volume over the "
     "whole ramp. Give the uncertainty of its zero in the calibration of the channel, or use a meter for both directions"
+)
+CUT = (
+    "the flow stays at one value: it is cut off at the end of the meter's range, or the meter is quiet and has coarse "
+    "steps. Fill more slowly, or declare the range of the channel"
 )
 ONE = "one ramp: the repeats part is the noise of the meter, and repeated tests may scatter more"
 
@@ -76,6 +84,10 @@ class Filling:
     """What the change of the zero from before to after makes of `volume`, at most [m3]."""
     unseen: float
     """What a zero that is 1 kg/s off makes of `volume` [m3 s/kg] where the meter shows nothing below zero, else 0."""
+    dark: float
+    """Share of the ramp in which the meter shows no more than at rest [1]."""
+    coarse: float
+    """What the steps in which the flow is read may make of `volume` [m3]."""
 
     @property
     def both_ways(self) -> bool:
@@ -83,8 +95,11 @@ class Filling:
         return self.emptied > 0.5 * self.volume
 
 
-def measured(trial: TrialData, rT: float) -> Filling:
-    """One trial; `NotUsable` where it has no flow, no whole ramps or no rests, with r T [J/kg]."""
+def measured(trial: TrialData, rT: float, most: float = inf) -> Filling:
+    """One trial; `NotUsable` where it has no flow, no whole ramps or no rests, with r T [J/kg].
+
+    `most` is the end of the meter's range [kg/s]: a quiet meter with coarse steps stays at one value as a cut one does.
+    """
     refuse_incomplete(trial, FLOW, "pressure")
     commands = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
     ramps = {c.phase: c for c in commands if c.phase in ("fill", "empty")}
@@ -108,11 +123,14 @@ def measured(trial: TrialData, rT: float) -> Filling:
     top, after = rest(ends(fill), empty.t), rest(ends(empty), min(later, default=float(trial.t[-1])))
     zeros = float(q[before].mean()), float(q[after].mean())
     up = (t >= fill.t) & (t <= ends(fill))
-    if _piled(-q[up], -float(q.max())):
-        raise NotUsable("the flow is cut off at the end of the meter's range: fill more slowly")
+    apart = np.diff(np.unique(q))
+    step = float(apart.min(where=apart > SAME_FLOW * np.ptp(q), initial=inf))
+    within = float(q.max()) + step < most < inf and step > noise_of(q[up])
+    if _piled(-q[up], -float(q.max())) and not within:
+        raise NotUsable(CUT)
     one_way = _piled(q[before], float(q.min())) or _piled(q[after], float(q.min()))
     middle = float(t[before].mean()), float(t[after].mean())
-    q = q - np.interp(t, middle, zeros)
+    shown, q = q, q - np.interp(t, middle, zeros)
     levels = [float(P[rows].mean()) for rows in (before, top, after)]
     if levels[1] - max(levels[0], levels[2]) <= 20 * noise_of(P[top]):
         raise NotUsable("the pressure does not rise along the ramp")
@@ -120,19 +138,33 @@ def measured(trial: TrialData, rT: float) -> Filling:
     at = [float(mass[rows].mean()) for rows in (before, top, after)]
     per = rT / (levels[1] - levels[0])
     low, high = _halves(P[up], mass[up], levels[0], levels[1])
+    dark = _dark(shown[up][_middle(P[up])], shown[before | after])
     duration, n = float(t[top].mean() - t[before].mean()), float(min(before.sum(), after.sum()))
     scatter = noise_of(q[up])
     noise = per * scatter * hypot(duration / sqrt(2 * n), sqrt(duration * float(np.median(np.diff(t)))))
     drift = per * 0.5 * abs(zeros[1] - zeros[0]) * duration
+    coarse = per * duration * hypot(unresolved(shown[up], step), unresolved(shown[before], step))
     return Filling(
         trial, P[up], q[up], per * (at[1] - at[0]), rT * (at[1] - at[2]) / (levels[1] - levels[2]), rT * low, rT * high,
-        zeros, noise, drift, per * duration if one_way else 0.0,
+        zeros, noise, drift, per * duration if one_way else 0.0, dark, coarse,
     )  # fmt: skip
 
 
 def _piled(q: Array, end: float) -> bool:
     """Whether many samples are exactly at the end of all values."""
     return float(np.mean(q == end)) > PILED
+
+
+def _dark(q: Array, rest: Array) -> float:
+    """Share of the flows `q` along the ramp that are exactly what the meter keeps to at rest."""
+    still = float(np.median(rest))
+    share = float(np.mean(q == still)) if float(np.mean(rest == still)) > PILED else 0.0
+    if share > UNUSABLE_SHARE:
+        raise NotUsable(
+            f"in {share:.0%} of the samples along the ramp the meter shows no flow, exactly as at rest, and air that "
+            "flowed meanwhile is not counted. Fill faster, or switch off its low-flow cut-off"
+        )
+    return share
 
 
 def _halves(P: Array, mass: Array, bottom: float, top: float) -> list[float]:
@@ -157,7 +189,8 @@ def by_flow(
             continue
         given = settings
         rT = R_AIR * float(settings["temperature"])
-        some, lacking = measured_trials([run], lambda _, trial, rT=rT: measured(trial, rT))  # type: ignore[misc]
+        most = run.channels[FLOW].high if FLOW in run.channels else inf
+        some, lacking = measured_trials([run], lambda _, trial, at=(rT, most): measured(trial, *at))  # type: ignore[misc]
         found += some
         dropped += [replace(one, reason=f"no volume by mass flow: {one.reason}") for one in lacking]
     cells = grouped(found, lambda filling: round(filling.trial.point["contraction"], SAME))
@@ -190,7 +223,7 @@ def _estimates(x: float, group: Sequence[Filling], given: Mapping[str, Any], sca
     how["note"] = ONE if len(group) == 1 else ""
     parts = Parts(max(noise, scatter), method, calibration)
     V = Estimate("V", whole - float(given["dead"]), "m3", "volume", METHOD, parts=parts, **how)
-    flows = [float(one.q[_middle(one)].mean()) * gain for one in group]
+    flows = [float(one.q[_middle(one.P)].mean()) * gain for one in group]
     flow, flow_noise = float(np.mean(flows)), 2.0 * abs(flows[0]) * noise / whole if whole > 0 else 0.0
     parts = Parts(max(flow_noise, spread(flows) or 0.0), calibration=scales.part({FLOW: flow}))
     q = Estimate("q", flow, "kg/s", "mass flow", MEAN, parts=parts, **how)
@@ -203,9 +236,9 @@ def _estimates(x: float, group: Sequence[Filling], given: Mapping[str, Any], sca
     return [weighed(V, doubts), weighed(q, of_flow)]
 
 
-def _middle(one: Filling) -> Array:
-    """The rows of the ramp between the shares of pressure that count."""
-    share = (one.P - one.P.min()) / np.ptp(one.P)
+def _middle(P: Array) -> Array:
+    """The rows of a ramp between the shares of pressure that count."""
+    share = (P - P.min()) / np.ptp(P)
     return np.asarray((share >= PARTS[0]) & (share <= PARTS[-1]))
 
 
@@ -221,12 +254,15 @@ def _doubts(group: Sequence[Filling]) -> list[Doubt]:
     found = [
         Doubt("dependence on pressure", "method", abs(apart) / 2, abs(apart) > 3 * SEEN * noise, more),
         Doubt("zero of the meter", "drift", max(one.drift for one in group), seen=False),
+        Doubt("flow that the meter does not show", "method", max(one.dark * one.volume for one in group), seen=True),
+        Doubt(STEPS, "method", max(one.coarse for one in group), seen=False),
     ]
     if all(one.both_ways for one in group):
         back = float(np.mean([one.volume - one.emptied for one in group]))
         less = (
-            f"emptying gives {show(back, 'volume', 3)} less than filling: air leaks between meter and muscle, or the "
-            "meter is not alike in both directions. Look for the leak, and try a known vessel"
+            f"emptying gives {show(back, 'volume', 3)} less than filling: air leaks between meter and muscle, it has "
+            "not the room's temperature, or the meter is not alike in both directions. Look for the leak, fill more "
+            "slowly, and try a known vessel"
         )
         found.append(Doubt("filling and emptying", "method", abs(back) / 2, abs(back) > 2 * SEEN * noise, less))
     return found
@@ -234,7 +270,7 @@ def _doubts(group: Sequence[Filling]) -> list[Doubt]:
 
 def _words(x: float, group: Sequence[Filling]) -> Finding:
     """Flow in litres, the zero, and the three volumes of one contraction."""
-    flow = float(np.mean([one.q[_middle(one)].mean() for one in group])) / ANR
+    flow = float(np.mean([one.q[_middle(one.P)].mean() for one in group])) / ANR
     before, after = (float(np.mean([one.zero[i] for one in group])) / ANR for i in (0, 1))
     low, high, back = (float(np.mean([getattr(one, name) for one in group])) for name in ("low", "high", "emptied"))
     other = f", while emptying {show(back, 'volume', 4)}" if all(one.both_ways for one in group) else ""

@@ -141,24 +141,24 @@ def scatter_of(cells: Sequence[Cell]) -> float | None:
     return float(student.ppf(0.975, freedom)) * sqrt(float(np.sum(_off(np.array(shares), groups) ** 2)) / freedom)
 
 
-def _at_rest(test: Test) -> list[tuple[int, float, float]]:
-    """What the cell reads [N] before (0) and after (1) the ramps, without pressure, and the middle of that time [s]."""
+def at_rest(test: Test, channel: str = "force") -> list[tuple[int, float, float]]:
+    """Before (0) and after (1) the ramps, without pressure: the middle of that time [s], what a channel reads [SI]."""
     trial, found = test.trial, []
     ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.data.get("rate")}
     if not {"fill", "empty"} <= set(ramps):
         return []
     begin, over = ramps["fill"].t, ends(ramps["empty"])
-    P, F = trial.channels["pressure"], trial.channels["force"]
+    P, read = trial.channels["pressure"], trial.channels[channel]
     for which, (low, high) in enumerate(((begin - REST + SWINGS, begin), (over + SWINGS, over + REST))):
-        rows = (trial.t >= low) & (trial.t < high) & trial.usable & np.isfinite(F)
+        rows = (trial.t >= low) & (trial.t < high) & trial.usable & np.isfinite(read)
         if rows.sum() > 2 and float(P[rows].mean()) < WITHOUT * float(test.P.max()):
-            found.append((which, 0.5 * (low + high), float(F[rows].mean())))
+            found.append((which, 0.5 * (low + high), float(read[rows].mean())))
     return found
 
 
 def gone_since(test: Test) -> float | None:
     """What the cell reads more after the ramps than before [N]; None of a muscle that may pull without pressure."""
-    reads = {which: read for which, _, read in _at_rest(test)}
+    reads = {which: read for which, _, read in at_rest(test)}
     return reads[1] - reads[0] if len(reads) == 2 and test.trial.point["contraction"] > -STRETCHED else None
 
 
@@ -166,7 +166,7 @@ def _zeros(ordered: Sequence[tuple[Test, object, Cell]]) -> Departure | None:
     """Of tests that are a file each: the zero of the cell in each, as a muscle that is not stretched pulls nothing
     without pressure.
     """
-    able = [(test, _at_rest(test)) for test, _, cell in ordered if cell.contraction > -STRETCHED]
+    able = [(test, at_rest(test)) for test, _, cell in ordered if cell.contraction > -STRETCHED]
     zeros = {test: float(np.mean([read for _, _, read in rests])) for test, rests in able if rests}
     if len(zeros) < 2:
         return None
@@ -192,7 +192,7 @@ def _drift(cells: Sequence[Cell]) -> tuple[Departure | None, float]:
     times, readings, groups = [], [], []
     ordered = _rows(cells)
     for test, group, _ in ordered:
-        for which, middle, read in _at_rest(test):
+        for which, middle, read in at_rest(test):
             times.append(middle)
             readings.append(read)
             groups.append((*group, which))

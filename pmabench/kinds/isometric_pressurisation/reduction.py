@@ -1,7 +1,7 @@
 """Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
 
-Lines at one contraction and S(eps) come from `isometric_lines` and `curve`, what several
-contractions say at one pressure from `sections`; words and figures in `figures`.
+Lines at one contraction come from `isometric_lines` and `curve`, S(eps) from `braid`, where the force begins from
+`begins`, what several contractions say at one pressure from `sections`; words and figures in `figures`.
 
 What one trial says by itself, for the display.
 """
@@ -29,14 +29,16 @@ from pmabench.analysis.shared.isometric_lines import (
     spread,
     tests_of,
 )
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import noise_of, on_time_run
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures
-from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
+from pmabench.kinds.isometric_pressurisation import RESULTS, figures
+from pmabench.kinds.isometric_pressurisation.begins import LEAST, ONE_TEST, THRESHOLD, begin_estimates, begins
+from pmabench.kinds.isometric_pressurisation.braid import Section, section_estimates, sections_of
+from pmabench.kinds.isometric_pressurisation.curve import PHASES, mean_of, straight_from
 from pmabench.kinds.isometric_pressurisation.flow import by_flow
-from pmabench.kinds.isometric_pressurisation.form import DRIFT, departures, gone_since, late, scatter_of
+from pmabench.kinds.isometric_pressurisation.form import DRIFT, Departure, departures, gone_since, late, scatter_of
 from pmabench.kinds.isometric_pressurisation.sections import (
     APART,
     BEYOND,
@@ -50,16 +52,15 @@ from pmabench.kinds.isometric_pressurisation.sections import (
     corrected,
     given_of,
 )
+from pmabench.kinds.isometric_pressurisation.zeros import zeroed
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.store.records import RunData, TrialData
 
 KIND = "isometric-pressurisation"
-THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
-SECTION, TURN = "daerden-section", "turn of the loop"
-TIMES = 3.0
-"""Another threshold of the force, as a multiple: noise hides how it begins, and that it begins late grows with it."""
+SECTIONS, SIDES, CORRECTED = "isometric-sections", "isometric-sides", "corrected-force"
+TURN = "turn of the loop"
 CHANNELS = ("pressure", "force")
-ONE_TEST, ONE_REPEAT = "no repeats part: one test only", "no repeats part: one repeat only"
+ONE_REPEAT = "no repeats part: one repeat only"
 PULLED = 5 * LEAST
 """A muscle whose force changes less is slack [N]."""
 LATE = 0.25
@@ -68,13 +69,8 @@ MOST_DRIFT = 0.5
 """A drift of the cell that makes more than this share of the loop is not left to an interval."""
 SEEN = 4.0
 """Standard errors from which on a delay is seen."""
-OF_ONSET = (
-    "method: half the difference of filling and emptying, with half a sample, or of the two sides; and what a "
-    "threshold three times as large makes of it"
-)
 SENSELESS = 1e9
 """Pressures [Pa] and forces [N] beyond this are none."""
-QUANTITY = {"D_0": ("length", "m"), "theta_0": ("angle", "rad"), "alpha": ("count", "1")}
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -87,12 +83,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; else those of the specimen.
     """
-    options = options or {}
+    options, runs = options or {}, [on_time_run(run, *CHANNELS) for run in runs]
     groups, dropped = tests_of(runs, PHASES, lack)
     scales = Scales.of(runs)
+    groups, opened, zeros = zeroed(groups, scales)
     given = {**given_of(runs[0].manifest.get("specimen") if runs else None), **options}
     found = _found(groups, given, scales)
-    estimates, cells = _weighed(found, groups, given, scales), found.cells
+    estimates, cells = _weighed(found, groups, given, scales, opened), found.cells
     volumes, words, volume_traces, without = by_flow(runs, scales)
     estimates += volumes
     findings = [
@@ -102,6 +99,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *figures.of_corrected(found.corrected, given),
         *figures.of_cells(cells),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
+        *zeros,
         *words,
     ]
     if estimates and (missing := scales.lack(CHANNELS)):
@@ -133,7 +131,7 @@ class _Found:
 
     cells: Sequence[Cell]
     across: Sequence[Across]
-    sections: Mapping[str, curve.Section]
+    sections: Mapping[str, Section]
     corrected: Corrected | None
     estimates: Sequence[Estimate]
 
@@ -144,7 +142,7 @@ def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
     estimates: list[Estimate] = []
     begun: list[Estimate] = []
     for cell in cells:
-        begun += _begins(cell, scales)
+        begun += begin_estimates(cell, scales)
         if cell.pooled is None:
             continue
         others = [cell.pooled.mean] if cell.upper is None else [cell.pooled.mean, (cell.upper.m, cell.upper.c)]
@@ -153,10 +151,10 @@ def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
     estimates = _placed(estimates, cells, scales)
     over = across(cells)
     lengths: list[Any] = [given.get(name) for name in ("nominal_length", "inner_diameter", "braid_angle")]
-    sections = _sections(cells, given)
+    sections = sections_of(cells, given)
     force = None if None in lengths else corrected(cells, *lengths)
     estimates += [*begun, *_sides(cells), *blocked_estimates(cells, given, scales), *_three_elements(over, scales)]
-    estimates += _section_estimates(sections, scales, given) + _corrected_estimate(force, scales)
+    estimates += section_estimates(sections, scales, given) + _corrected_estimate(force, scales)
     return _Found(cells, over, sections, force, estimates)
 
 
@@ -191,11 +189,13 @@ def _curves(cells: Sequence[Cell], estimates: Sequence[Estimate]) -> list[Curve]
     ]  # fmt: skip
 
 
-def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Scales) -> list[Estimate]:
+def _weighed(
+    found: _Found, groups: Groups, given: Mapping[str, Any], scales: Scales, opened: Sequence[Departure]
+) -> list[Estimate]:
     """The values with what departures from the form of the tests may do to them, or withheld."""
     doubts: dict[Key, list[Doubt]] = {_key(e): [] for e in found.estimates}
     values = {_key(e): e.value for e in found.estimates}
-    for one in departures(found.cells):
+    for one in [*departures(found.cells), *opened]:
         without = {x: [replace(test, F=test.F - one.force(test)) for test in tests] for x, tests in groups.items()}
         changed = {_key(e): e.value for e in _found(without, given, scales).estimates}
         for e in found.estimates:
@@ -226,17 +226,25 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
         if e.symbol in ("F_b", "F_ce") and turned:
             lacks = max(abs(float(np.interp(e.at["pressure"], *one))) for one in turned)
             mine.append(Doubt(TURN, "method", BEYOND * lacks, seen=True))
-        if e.method == METHOD and e.coordinate and cell is not None:
-            P, off = cell.mean.turned
-            rows = P >= (cell.low or 0.0)
-            terms = np.polyfit(P[rows], off[rows], 1) if rows.sum() > 1 else np.zeros(2)
-            mine.append(Doubt(TURN, "method", abs(float(terms[0 if e.coordinate == "slope" else 1])), seen=True))
+        if e.method == METHOD and e.symbol in ("m", "c", "p_0") and cell is not None:
+            mine.append(_turned(e, cell))
         if e.symbol == "F_b" and scatter is not None:
             more = max(0.0, (scatter * (e.value or 0.0)) ** 2 / e.n - (e.parts.repeats or 0.0) ** 2)
             mine.append(Doubt("scatter at the other contractions", "repeats", sqrt(more), seen=False))
         scale = float(np.nanmax(np.abs(cell.mean.force))) if e.symbol == "c" and cell is not None else None
         judged.append(weighed(e, mine, scale))
     return judged
+
+
+def _turned(e: Estimate, cell: Cell) -> Doubt:
+    """What the turns of the loop make of the line, or of where it has no force as far as a parabola does not tell."""
+    P, off = cell.mean.turned
+    rows = P >= (cell.low or 0.0)
+    m, c = (np.polyfit(P[rows], off[rows], 1) if rows.sum() > 1 else np.zeros(2)).tolist()
+    if e.symbol != "p_0" or cell.pooled is None or e.value is None:
+        return Doubt(TURN, "method", abs(m if e.symbol == "m" else c), seen=True)
+    half = abs(c + m * e.value) / cell.pooled.line.m
+    return Doubt(TURN, "method", max(0.0, half - (e.parts.method or 0.0)), seen=True)
 
 
 Key = tuple[str, str, str, float | None]
@@ -249,11 +257,11 @@ def _key(e: Estimate) -> Key:
 
 def _late(H: Estimate, cell: Cell, delay: float, error: float) -> Doubt:
     """What a force that comes after the pressure is worth of the loop width [N]: it opens the loop by itself."""
-    per_second = 2 * _rate(cell) * abs(cell.pooled.line.m if cell.pooled is not None else 0.0)
+    per_second = 2 * cell.rate * abs(cell.pooled.line.m if cell.pooled is not None else 0.0)
     worth = show(per_second * abs(delay), "force", 2)
     reason = (
         f"as the ramps end the force comes {show(delay, 'time', 2)} after the pressure, which is worth {worth} of the "
-        "loop: a filter of the cell, or creep. Ramp more slowly"
+        "loop: a filter of the cell or of the gauge, or creep. Ramp more slowly, or declare the `sensor_lag`"
     )
     half = per_second * (BEYOND * abs(delay) + 2 * error)
     return Doubt("delay of the force", "method", half, abs(delay) > SEEN * error, reason, LATE)
@@ -302,11 +310,6 @@ def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
     return Cell(contraction, tests, mean, low, off, pooled, None if upper is None else upper.line)
 
 
-def _rate(cell: Cell) -> float:
-    """Fastest ramp [Pa/s]."""
-    return max((c.data.get("rate", 0.0) for test in cell.tests for c in test.trial.commands), default=0.0)
-
-
 def _width(cell: Cell, scales: Scales) -> Estimate:
     """Force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
     gaps = by_repeat(cell.tests, cell.gaps)
@@ -315,56 +318,12 @@ def _width(cell: Cell, scales: Scales) -> Estimate:
     if not cell.mean.held and any(not c.data.get("rate") for c in commands):  # it goes up or down in a step
         why = "a loop on the way from one pressure to the next is as wide as the force is late: ramp, or hold at five"
         return Estimate("H", None, "N", "force", METHOD, at, n=len(gaps), note=why, trials=names)
-    apart = 2 * _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
+    apart = 2 * cell.rate * skew.apart([test.run for test in cell.tests], CHANNELS)
     slope = cell.pooled.line.m if cell.pooled else 0.0
     value = float(gaps.mean())
     parts = Parts(repeats=spread(gaps), calibration=scales.part({"force": value}), skew=abs(slope) * apart)
     note = sentences("" if len(gaps) > 1 else ONE_TEST, "emptying minus filling")
     return Estimate("H", value, "N", "force", METHOD, at, parts, len(gaps), note=note, trials=names)
-
-
-def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
-    """The pressure at which the force begins, by its onset and by the line at force 0 [Pa]."""
-    at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
-    late = _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
-    pairs = {test: pair for test in cell.tests if None not in (pair := begins(test.trial))}
-    found = []
-    if pairs:
-        both = np.array(list(pairs.values()), dtype=np.float64)
-        values, value = by_repeat(list(pairs), both.mean(axis=1)), float(both.mean())
-        step = max(1.0 / test.run.rate if test.run.rate else 0.0 for test in cell.tests)
-        half = 0.5 * (abs(float((both[:, 0] - both[:, 1]).mean())) + _rate(cell) * step)
-        side = np.array([test.trial.point.get("side", 0.0) for test in pairs])
-        half = max(half, 0.5 * float(np.ptp([both[side == one].mean() for one in np.unique(side)])))
-        later = [begins(test.trial, TIMES) for test in pairs]
-        known = [0.5 * (one[0] + one[1]) - mean for one, mean in zip(later, both.mean(axis=1), strict=True)
-                 if one[0] is not None and one[1] is not None]  # fmt: skip
-        half = sqrt(half**2 + (float(np.mean(known)) if known else 0.0) ** 2)
-        parts = Parts(spread(values), half, scales.part({"pressure": value}, {"pressure": 1.0}), late)
-        note = sentences("" if len(values) > 1 else ONE_TEST, OF_ONSET)
-        n = len(values)
-        found.append(Estimate("p_0", value, "Pa", "pressure", THRESHOLD, at, parts, n, note=note, trials=names))
-    if cell.pooled is None or cell.pooled.line.m <= 0 or cell.low is None:
-        return found
-    line = cell.pooled.line
-    value = -line.c / line.m
-    if not float(cell.mean.P[0]) < value <= cell.low:
-        return found
-    each = [-c / m for m, c in cell.pooled.repeats if m > 0]
-    scale = scales.part({"pressure": value}, {"pressure": 1.0, "force": 1 / line.m})
-    parts = Parts(spread(each), BEYOND * abs(value - _bent_zero(cell, value)), scale, late)
-    note = sentences("" if len(each) > 1 else ONE_TEST, "the line at force 0")
-    return [*found, Estimate("p_0", value, "Pa", "pressure", METHOD, at, parts, len(each), note=note, trials=names)]
-
-
-def _bent_zero(cell: Cell, value: float) -> float:
-    """Where a parabola through the straight part is 0 [Pa], from where the line is: as good a choice as the line."""
-    known = np.isfinite(cell.mean.force) & (cell.mean.P >= (cell.low or 0.0))
-    P, F = cell.mean.P[known] - value, cell.mean.force[known]
-    bend, slope, start = np.polyfit(P, F, 2)
-    inner = slope * slope - 4 * bend * start
-    off = 2 * start / (slope + np.sqrt(inner)) if inner > 0 and slope > 0 else start / slope
-    return value - float(off)
 
 
 def _sides(cells: Sequence[Cell]) -> Iterator[Estimate]:
@@ -404,65 +363,6 @@ def _three_elements(found: Sequence[Across], scales: Scales) -> list[Estimate]:
     return estimates
 
 
-def _sections(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, curve.Section]:
-    """S(eps) by method: all three free, and with what the specimen tells; empty where the length is not known."""
-    usable = [(cell, cell.pooled) for cell in cells if cell.pooled is not None]
-    if "nominal_length" not in given or not usable:
-        return {}
-    halves = [pooled.half("m") or 0.0 for _, pooled in usable]
-    slopes = curve.Slopes(
-        np.array([float(cell.place.mean()) for cell, _ in usable]) / given["nominal_length"],
-        np.array([pooled.line.m for _, pooled in usable]),
-        np.array(halves) / 1.96,
-    )
-    ways = {SECTION: {}, f"{SECTION}, alpha = 2": {"alpha": 2.0}}
-    if "inner_diameter" in given:
-        ways[f"{SECTION}, D_0 of the specimen"] = {"D_0": given["inner_diameter"]}
-    if "braid_angle" in given:
-        ways[f"{SECTION}, theta_0 of the specimen"] = {"theta_0": given["braid_angle"]}
-    fits = {name: curve.fit(slopes, **known) for name, known in ways.items()}
-    return {name: one for name, one in fits.items() if one is not None}
-
-
-def _section_estimates(
-    sections: Mapping[str, curve.Section], scales: Scales, given: Mapping[str, float]
-) -> list[Estimate]:
-    """The free parameters of each way; no value where the slopes do not determine it.
-
-    Calibration: the section is fitted again to what it is where the gains of force or pressure, the zero or the gain of
-    the displacement are off by their uncertainty.
-    """
-    found = []
-    for method, one in sections.items():
-        again = _sections_again(one, scales, given["nominal_length"])
-        for name in one.free:
-            half, is_open = one.half(name), one.other_form or name in one.open
-            quantity, unit = QUANTITY[name]
-            value = float(getattr(one, name))
-            changes = [float(getattr(other, name)) - value for other in again]
-            text = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
-            why = "S(eps) has another form" if one.other_form else "not determined separately from the others"
-            note = f"{why}: {text}" if is_open else ""
-            parts = Parts() if is_open else Parts(repeats=half, calibration=hypot(*changes) if changes else None)
-            n = len(one.slopes.S)
-            found.append(Estimate(name, None if is_open else value, unit, quantity, method, {}, parts, n, note=note))
-    return found
-
-
-def _sections_again(one: curve.Section, scales: Scales, length: float) -> list[curve.Section]:
-    """A section fitted to its slopes with each scale off by its uncertainty; none where the record gives none."""
-    slopes = one.slopes
-    known = {name: getattr(one, name) for name in curve.NAMES if name not in one.free}
-    gain = hypot(scales.gains.get("force", 0.0), scales.gains.get("pressure", 0.0))
-    ways = [replace(slopes, S=slopes.S * (1 + gain))] if gain else []
-    if zero := scales.offsets.get("displacement", 0.0):
-        ways.append(replace(slopes, eps=slopes.eps + zero / length))
-    if share := scales.gains.get("displacement", 0.0):
-        ways.append(replace(slopes, eps=slopes.eps * (1 + share)))
-    fits = [curve.fit(way, **known) for way in ways]
-    return [other for other in fits if other is not None]
-
-
 def _corrected_estimate(force: Corrected | None, scales: Scales) -> list[Estimate]:
     if force is None:
         return []
@@ -500,7 +400,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     if test is None or reason:
         return [Measured("m", "force per pressure", None), Measured("p_0", "pressure", None)], [reason]
     cell = cell_of(trial.point["contraction"], [test])
-    found = [value for value in begins(trial) if value is not None]
+    found = [one.pressure for one in begins(trial) if one is not None]
     top = float(test.P.max())
     F_e, K_e = (expected.at(name, top) if expected else None for name in ("F_ce", "K"))
     pull = F_e - K_e * cell.contraction if F_e is not None and K_e is not None else None

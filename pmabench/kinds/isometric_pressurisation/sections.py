@@ -78,6 +78,11 @@ class Cell:
         """Force while emptying minus while filling of each test, mean over the straight part [N]."""
         return self.mean.gaps(self.low or 0.0)
 
+    @property
+    def rate(self) -> float:
+        """Fastest ramp [Pa/s]."""
+        return max((c.data.get("rate", 0.0) for test in self.tests for c in test.trial.commands), default=0.0)
+
     def force_at(self, P: float) -> Array:
         """Mean of the branches of each test at a pressure [N]; NaN where it was not there."""
         return np.array([_at_pressure(P, self.mean.P, row) for row in self.mean.each])
@@ -300,8 +305,7 @@ def blocked_estimates(cells: Sequence[Cell], given: Mapping[str, float], scales:
     others = [cell for cell in cells if cell.contraction > blocked.contraction + near]
     nearest = min(others, key=lambda cell: cell.contraction, default=None)
     off = float(np.abs(blocked.place).max())
-    late = max((c.data.get("rate", 0.0) for test in blocked.tests for c in test.trial.commands), default=0.0)
-    late *= skew.apart([test.run for test in blocked.tests], ("pressure", "force"))
+    late = blocked.rate * skew.apart([test.run for test in blocked.tests], ("pressure", "force"))
     found = []
     for P in pressures(cells):
         each = blocked.force_at(float(P))
