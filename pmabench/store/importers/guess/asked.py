@@ -15,10 +15,18 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.found import slope
-from pmabench.store.importers.guess.columns import OF_ROLE, Guess, Proposal, is_whole, lattice, lone, words
+from pmabench.store.importers.guess.names import words
+from pmabench.store.importers.guess.proposal import Guess, Proposal
+from pmabench.store.importers.guess.shapes import is_whole, lattice, lone
 from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.records import Array
 
+OF_ROLE = {
+    "pressure_command": "pressure",
+    "displacement_command": "length",
+    "supply": "pressure",
+    "displacement": "length",
+}
 HIGHEST = {"pressure": (2e4, 1.6e6), "force": (1.0, 3e4), "length": (3e-4, 3.0)}
 """Between what the highest value lies in a test of a muscle of 5 to 80 mm [SI]: less moves nothing, more bursts it."""
 UNITS = {
