@@ -15,12 +15,14 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.found import slope
-from pmabench.store.importers.guess.names import words
+from pmabench.store.importers.guess.names import value_of, words
 from pmabench.store.importers.guess.proposal import Guess, Proposal
 from pmabench.store.importers.guess.shapes import is_whole, lattice, lone
 from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.records import Array
 
+WEIGHT = {"g": 0.00980665, "kg": 9.80665}
+"""Newtons in one unit of a weight."""
 OF_ROLE = {
     "pressure_command": "pressure",
     "displacement_command": "length",
@@ -72,6 +74,18 @@ def quantity_of(column: Proposal) -> str:
     return OF_ROLE.get(column.role, column.role.removesuffix("_command"))
 
 
+def factor_of(column: Proposal) -> Asked | None:
+    """How much one number of a column is whose heading has a factor: labs write it for what was and is to be done."""
+    quantity, unit = quantity_of(column), column.unit
+    weight = WEIGHT.get(unit, 0.0) if quantity == "force" else 0.0
+    if not column.factor or not (weight or QUANTITY.get(unit) == quantity):
+        return None
+    factor, upper = value_of(column.factor) or 1.0, "N" if weight else unit
+    each = [f"{value * (weight or 1.0):.6g} {upper}/{unit}" for value in (factor, 1.0 / factor, 1.0)]
+    text = f'"{column.name}" has "{column.factor}" with its unit: is a number to be multiplied by it ({each[0]})'
+    return Asked("", f"{text}, was it multiplied already ({each[1]}), or is it in {unit} ({each[2]})?")
+
+
 def unit_of(column: Proposal, guess: Guess) -> Asked | None:
     """Which unit a column has, where the file does not say it or says one in which its numbers cannot be."""
     quantity, top = quantity_of(column), max(_top(column.good), column.elsewhere)
@@ -98,14 +112,14 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
         head = f"nothing names this column, which by its numbers is the {role}: is it, and in which unit?"
     counts = is_whole(column.good) or lattice(column.good) > 0
     more = "; or counts of a converter (count, with the line to the quantity)" if counts else ""
-    value = "" if is_whole(column.good) else column.unit if column.unit in fits else fits[0]
+    value = "" if is_whole(column.good) or column.factor else column.unit if column.unit in fits else fits[0]
     return Asked(value, f"{head} {_candidates(top, fits, quantity)}{more}")
 
 
 def _steep(column: Proposal, guess: Guess) -> Asked | None:
     """A pressure that stays low while the force rises as if it did not is likely in another unit."""
     force, top = guess.role("force"), _top(column.good) * unit_factor(column.unit, "pressure")
-    if force is None or QUANTITY.get(force.unit) != "force" or top >= USUAL[0]:
+    if force is None or force.factor or QUANTITY.get(force.unit) != "force" or top >= USUAL[0]:
         return None
     P = column.values * unit_factor(column.unit, "pressure")
     slope = 1e3 * abs(_slope(*_both(P, force.values * unit_factor(force.unit, "force"))))
@@ -252,7 +266,7 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     spread = (max(slopes) - min(slopes)) / abs(slopes[-1])
     if spread <= CHANGES:
         return None
-    known = force.unit if QUANTITY.get(force.unit) == "force" else ""
+    known = force.unit if QUANTITY.get(force.unit) == "force" and not force.factor else ""
     at = [f"{low + share * (top - low):.2g} {known}".strip() for share in SHARES]
     sentence = "; ".join(
         f"{place}: {100 * (slope / slopes[-1] - 1):+.1f} %" for place, slope in zip(at, slopes, strict=True)

@@ -13,10 +13,10 @@ import numpy as np
 
 from pmabench.store.importers.found import correlation
 from pmabench.store.importers.guess import times
-from pmabench.store.importers.guess.names import WORDS, unit_in, words
+from pmabench.store.importers.guess.names import BRACKETS, WORDS, split_factor, unit_in, words
 from pmabench.store.importers.guess.proposal import Proposal
 from pmabench.store.importers.guess.shapes import by_shape, lattice
-from pmabench.store.importers.map_file import QUANTITY, PointName
+from pmabench.store.importers.map_file import QUANTITY, PointName, spelled
 from pmabench.store.records import Array
 
 OF_MUSCLE = {"pressure", "force", "length"}
@@ -25,8 +25,13 @@ FEW = 0.1
 
 
 def proposal(name: str, values: Array, said: str = "", *, bare: bool = False) -> Proposal:
-    """A column by its heading; `said`: its unit where the file gives that apart from the name."""
-    return Proposal(name, values, unit=said or unit_in(name), bare=bare)
+    """A column by its heading; `said`: its unit as the file gives it apart from the name, where it does."""
+    own, heading = f"[{said}]", f"{name} [{said}]" if said else name
+    column = Proposal(name, values, unit=spelled(said) or unit_in(own) or unit_in(name), bare=bare)
+    column.factor = split_factor(own)[1] or split_factor(heading)[1]
+    texts = [] if column.unit else BRACKETS.findall(heading)
+    column.strange = next((text[1:-1] for text in texts if re.search(r"[^\W\d_]", text)), "")
+    return column
 
 
 def choose(proposals: Sequence[Proposal]) -> None:

@@ -79,10 +79,10 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
 
 def _proposal(name: str, table: Table, names: Sequence[str]) -> Proposal:
     """A column of a file with units; the columns of a matrix have no names."""
-    matrix, said = matrix_of(name), spelled(table.units.get(name, ""))
+    matrix, said = matrix_of(name), table.units.get(name, "")
     bare = bool(matrix) and sum(other.startswith(f"{matrix}(:,") for other in names) > 1
     column = proposal(name, table.columns[name], said, bare=bare)
-    column.reasons += [f"the file says its unit, {column.unit}"] if said else []
+    column.reasons += [f"the file says its unit, {column.unit}"] if spelled(said) else []
     return column
 
 
@@ -137,7 +137,7 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
     guess = Guess([path], guessed.layout, [every[name] for name in guessed.names], [], [], kinds, reasons=reasons)
     time = guess.role("time")
     if time is not None and time.written == "index":
-        time.period = guessed.interval
+        time.period = time.period or guessed.interval
     guess.period, guess.either = guessed.interval, guessed.either
     guess.tests = [str(number) for number in range(1, guessed.tests + 1)]
     if not guessed.named:

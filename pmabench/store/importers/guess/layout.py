@@ -150,7 +150,7 @@ class TextGuess:
     texts: list[str]
     """Names of columns that hold words."""
     units: dict[str, str] = field(default_factory=dict)
-    """From a line of units below the names."""
+    """From a line of units below the names, as it writes them."""
     reasons: list[str] = field(default_factory=list)
     stamps: Stamps | None = None
     """The column whose texts are times, or that counts the steps of the header."""
@@ -461,7 +461,7 @@ def _header(body: _Body, comment: str | None, reasons: list[str]) -> tuple[list[
     if of_units and named is not of_units:
         reasons.append(f"names in line {k + 1}, their units in line {of_units[-1][0] + 1}")
         called = fields if not _twice(fields) else _apart(fields)
-        return called, {name: spelled(text) for name, text in zip(called, of_units[-1][1], strict=True)}, None
+        return called, dict(zip(called, of_units[-1][1], strict=True)), None
     if commented:
         reasons.append(f"names in line {k + 1}, which is a comment")
         return fields, {}, None

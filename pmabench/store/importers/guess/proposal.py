@@ -44,6 +44,10 @@ class Proposal:
     """Distance of the samples [s] that a time counts; 0 where the file does not give it."""
     bare: bool = False
     """Nothing but its numbers shows what it is: the file gives no name, or one for all columns of a matrix."""
+    factor: str = ""
+    """What its heading multiplies the unit by, as it is written: `x10`, `/10`."""
+    strange: str = ""
+    """What is written in place of a unit that is not known."""
     extra: list[str] = field(default_factory=list)
     """Further lines of the map that are known of it."""
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pmabench.store.importers.guess.names import words
+from pmabench.store.importers.guess.names import WORDS, value_of, words
 from pmabench.store.importers.guess.proposal import Proposal
 from pmabench.store.records import Array
 
@@ -95,6 +95,8 @@ def choose(proposals: Sequence[Proposal]) -> None:
     elif good and not good[0].unit and bool(np.all(np.diff(good[0].values) == 1.0)) and words(good[0].name) & SAMPLES:
         good[0].written = "index"
         good[0].reasons.append("rises by exactly 1 from row to row: it counts the samples")
+    elif good and good[0].factor and good[0].unit in SECONDS and good[0].written == "number":
+        good[0].written, good[0].period = "index", value_of(good[0].factor) * SECONDS[good[0].unit]
     elif good and not good[0].unit:
         _time_unit(good[0])
     elif good and good[0].unit in USUAL and good[0].written == "number":
@@ -137,11 +139,12 @@ def _said_time(time: Proposal) -> None:
 
 
 def _which_time(time: Proposal) -> None:
-    """Ask for the unit of a time without one, where several are possible."""
+    """Ask for the unit of a time without one, where several are possible or its heading may mean another one."""
     possible = _usual_units(time, SLOWEST)
     text = "; ".join(possible)
     if bool(np.all(np.diff(time.values) == 1.0)):
         head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or does it count the samples'
         time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with their distance)? {text}"
-    elif len(possible) > 1:
-        time.question = f'in which unit is "{time.name[:40]}"? {text}'
+    elif len(possible) > 1 or time.factor or time.strange or not (time.bare or words(time.name) & WORDS["time"]):
+        head = f'in which unit is "{time.name[:40]}"? {text}'
+        time.question = f"{head}; for any other write {{is: time, written: index, period: 0.1 ms}} with its length"
