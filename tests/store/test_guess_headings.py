@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pmabench.files.document import Document
+from pmabench.kinds.recorded_sine.reduction import reduce
 from pmabench.store.importers import apart
 from pmabench.store.importers.guess.names import split_factor, value_of
 from pmabench.store.importers.guess.write import map_text
@@ -135,3 +136,61 @@ def test_a_time_whose_unit_nobody_knows_is_asked_for(tmp_path, name):
     assert "10 samples a second" in question.question
     assert "period: 0.1 ms" in question.question
     assert asked(file(tmp_path, {"time": T, "P [kPa]": P, "F [N]": F})) == {}, "s by its steps"
+
+
+def sine(t):
+    """A contraction of 1 Hz, 0.5 rad behind its pressure [mm]."""
+    return 20 + 4 * np.sin(2 * np.pi * t - 0.5)
+
+
+def two_clocks(folder, later, begins=0.0):
+    """A pressure and its time, a length and its own that much later [s]; its clock begins at `begins` [s]."""
+    t = np.arange(0, 12, 0.01)
+    noise = np.random.default_rng(7).standard_normal((2, len(t)))
+    pressure = 250 + 46 * np.sin(2 * np.pi * t) + 0.3 * noise[0]
+    length = sine(t + later) + 0.003 * noise[1]
+    path = folder / "sine_1Hz.csv"
+    columns = np.column_stack([t, pressure, 1e3 * (t + later + begins), length])
+    np.savetxt(path, columns, fmt="%.5f", delimiter=",", header="t_P [s],P [kPa],t_x [ms],x [mm]", comments="")
+    return path
+
+
+def test_a_second_clock_that_is_later_in_each_row_is_a_question(tmp_path):
+    """By the moments of the pressure the length is 0.126 rad too early; with the lateness of the question it is not."""
+    path = two_clocks(tmp_path, 0.02)
+    question = asked(path)["columns.t_P [s].is"]
+    assert '"t_x [ms]" is 20 ms later than "t_P [s]" in each row' in question.question
+    assert "the later one is the time" in question.question
+    text = map_text(guess_files([path]), {})
+    for old, new in (
+        ('"t_P [s]": {is: "?? time", unit: s}', '"t_P [s]": ignore'),
+        ('"t_x [ms]": ignore', '"t_x [ms]": {is: time, unit: ms}'),
+        ("is: pressure\n", "is: pressure\n    late_by: [20 ms, 20 ms]\n"),
+    ):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    (run,) = import_files([path], tmp_path / "map.yaml", tmp_path / "runs")
+    (phase,) = [e for e in reduce([open_run(run.path)]).estimates if e.symbol == "phi_x"]
+    assert phase.value == pytest.approx(-0.5, abs=0.003)
+
+
+@pytest.mark.parametrize(("later", "begins"), [(0.0, 0.0), (0.0004, 0.0), (0.0, 3600.0)])
+def test_clocks_of_the_same_moments_and_of_other_zeros_are_no_question(tmp_path, later, begins):
+    assert "columns.t_P [s].is" not in asked(two_clocks(tmp_path, later, begins))
+
+
+def test_a_coarse_clock_is_no_later_clock(tmp_path):
+    columns = {"t [s]": T, "time daq [s]": np.floor(10 * T) / 10, **dict(list(PLAIN.items())[1:])}
+    assert asked(file(tmp_path, columns)) == {}
+
+
+@pytest.mark.parametrize("name", ["Pabs [kPa]", "P_abs [kPa]", "Pressure abs [kPa]", "pAbs [kPa]"])
+def test_an_absolute_pressure_that_never_vents_is_a_question(tmp_path, name):
+    path = file(tmp_path, {"t [s]": T, name: P + 201.3, "F [N]": F})
+    question = asked(path)[f"columns.{name}.line.offset"]
+    assert question.used == "-101.325 kPa"
+    assert "never falls below 201" in question.question
+    path = file(tmp_path, {"t [s]": T, name: P + 101.325, "F [N]": F})
+    assert asked(path) == {}, "vented, it reads the pressure of air"
+    assert imported(path).channels["pressure"] == pytest.approx(1e3 * P, abs=1.0)

@@ -48,6 +48,8 @@ SHARES = (0.0, 0.02, 0.05, 0.1)
 """Thresholds of force that are tried, as shares of the highest one."""
 CHANGES = 0.02
 """A threshold that moves the slope by more than this share is asked for."""
+SAME_MOMENT = 1e-3
+"""Two clocks that differ by less than this [s] in each row count the same moments."""
 LENGTH = re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?mm)")
 """A length in the name of a file or of a test [mm]."""
 CONTRACTIONS = words("contraction disp displacement stroke shortening hub verkurzung kontraktion")
@@ -180,10 +182,10 @@ def negative(column: Proposal) -> bool:
     return len(column.good) > 0 and float(np.quantile(column.good, 0.9)) < 0
 
 
-def _both(P: Array, F: Array) -> tuple[Array, Array]:
+def _both(one: Array, other: Array) -> tuple[Array, Array]:
     """Samples in which both are numbers."""
-    good = np.isfinite(P) & np.isfinite(F)
-    return P[good], F[good]
+    good = np.isfinite(one) & np.isfinite(other)
+    return one[good], other[good]
 
 
 def _ends(P: Array, F: Array) -> tuple[float, float]:
@@ -195,20 +197,24 @@ def _ends(P: Array, F: Array) -> tuple[float, float]:
 
 
 def gauge_of(column: Proposal) -> Asked | None:
-    """Whether a pressure is absolute, which never falls to 0 and does not say what it is."""
-    if (
-        column.role != "pressure"
-        or QUANTITY.get(column.unit) != "pressure"
-        or re.search("abs|gauge", column.name, re.I)
-    ):
+    """Whether a pressure is absolute: by its numbers where its name does not say it, or against its name."""
+    named = absolute(column)
+    if column.role != "pressure" or QUANTITY.get(column.unit) != "pressure" or re.search("gauge", column.name, re.I):
         return None
     factor = unit_factor(column.unit, "pressure")
     low, top = (float(v) * factor for v in np.quantile(column.good, [0.001, 0.995])) if len(column.good) else (0.0, 0.0)
-    if not (AIR[0] <= low <= AIR[1] and top > 1.2 * low):
+    vented = AIR[0] <= low <= AIR[1]
+    if vented == named or (not named and top <= 1.2 * low):
         return None
-    head = f'"{column.name}" never falls below {show(low, "pressure", 4)}: is it absolute'
+    head = f'"{column.name}" never falls below {show(low, "pressure", 4)}'
+    head += ", which is no pressure of air: is it absolute, as its name says" if named else ": is it absolute"
     text = f"Then this offset is right; a gauge pressure has 0 {column.unit} here. It moves each pressure by 101 kPa"
     return Asked(air(column.unit), f"{head}? {text}")
+
+
+def absolute(column: Proposal) -> bool:
+    """Whether a pressure is absolute by its name: `P abs`, `Pabs`, `p_abs`."""
+    return bool(re.search(r"(?:\b|_|p|druck|pressure)abs", column.name, re.IGNORECASE))
 
 
 def air(unit: str) -> str:
@@ -286,25 +292,36 @@ def _slope(P: Array, F: Array, above: float = -np.inf) -> float:
 
 
 def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
-    """Which of two times counts, where they do not agree."""
+    """Which of two times counts, where they do not agree: in how long they last, or in when they were at each row."""
     time = next((column for column in columns if column.role == "time"), None)
     for other in columns if time is not None else ():
-        if not any(reason.startswith("a second time") for reason in other.reasons) or time is None:
+        if time is None or not any(reason.startswith("a second time") for reason in other.reasons):
             continue
-        ours, theirs = (_seconds(each) for each in (time, other))
-        step = max(float(np.max(np.abs(np.diff(_in_seconds(each))), initial=0.0)) for each in (time, other))
-        if abs(theirs - ours) > 0.001 * abs(ours) + step:
-            text = f'"{time.name}" lasts {ours:.4g} s, "{other.name}" {theirs:.4g} s'
+        one, two = _both(_in_seconds(time), _in_seconds(other))
+        if not len(one):
+            continue
+        lasts = [float(clock[-1] - clock[0]) for clock in (one, two)]
+        step = max(float(np.max(np.abs(np.diff(clock)), initial=0.0)) for clock in (one, two))
+        later = float(np.median(two - one))
+        if abs(lasts[1] - lasts[0]) > 0.001 * abs(lasts[0]) + step:
+            text = f'"{time.name}" lasts {lasts[0]:.4g} s, "{other.name}" {lasts[1]:.4g} s'
             yield Asked("time", f"which clock is right? {text}; the other one then is to be: ignore")
-
-
-def _seconds(column: Proposal) -> float:
-    values = _in_seconds(column)
-    return float(values[-1] - values[0]) if len(values) else 0.0
+        elif SAME_MOMENT + max(_coarseness(one), _coarseness(two)) < abs(later) < max(lasts):
+            by, way = f"{abs(1e3 * later):.4g} ms", "later" if later > 0 else "earlier"
+            text = f'"{other.name}" is {by} {way} than "{time.name}" in each row: were some channels read at each? '
+            text += f"Then the later one is the time, the other: ignore, and its channels have late_by: [{by}, {by}]"
+            yield Asked("time", f"{text}. If one only began at another moment, write time")
+        # clocks without a moment in common only begin at other zeros
 
 
 def _in_seconds(column: Proposal) -> Array:
-    return column.good * unit_factor(column.unit or "s", "time")
+    return column.values * (column.period or unit_factor(column.unit or "s", "time"))
+
+
+def _coarseness(clock: Array) -> float:
+    """The smallest step of a clock that repeats its readings [s], shape (n,): it is late by up to that; else 0."""
+    steps = np.diff(clock)
+    return float(np.min(steps[steps > 0])) if (steps == 0).any() and (steps > 0).any() else 0.0
 
 
 def _top(values: Array, share: float = 0.995) -> float:

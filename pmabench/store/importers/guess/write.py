@@ -271,15 +271,16 @@ def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[list[str]
         return ["unit: count", question(Asked("", text)), f'line: {{slope: "{OPEN}", offset: 0 mm}}'], []
     if (slope := asked.factor_of(column)) is not None:
         zero = f"0 {'N' if quantity == 'force' else unit}"
+        zero = asked.air(unit) if quantity == "pressure" and asked.absolute(column) else zero
         return [f"unit: {unit}", question(slope), f"line: {{slope: {slope.scalar}, offset: {zero}}}"], []
     if (unit_asked := asked.unit_of(column, guess)) is not None:
         return [question(unit_asked), f"unit: {unit_asked.scalar}"], []
     if QUANTITY.get(unit) == quantity:
-        if quantity == "pressure" and re.search(r"\babs", column.name, re.IGNORECASE):
-            line = f"line: {{slope: 1 {unit}/{unit}, offset: {asked.air(unit)}}}"
-            return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
         if (air := asked.gauge_of(column)) is not None:
             return [f"unit: {unit}", question(air), f"line: {{slope: 1 {unit}/{unit}, offset: {air.scalar}}}"], []
+        if quantity == "pressure" and asked.absolute(column):
+            line = f"line: {{slope: 1 {unit}/{unit}, offset: {asked.air(unit)}}}"
+            return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
         if (pull := asked.pull_of(column, guess)) is not None:
             return [f"unit: {unit}", question(pull), f"line: {{slope: {pull.scalar}, offset: 0 {unit}}}"], []
         return [f"unit: {unit}"], []
