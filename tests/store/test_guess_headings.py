@@ -6,6 +6,7 @@ The files are written here: a pressure that rises and falls in 20 s, a force of 
 import numpy as np
 import pytest
 
+from pmabench.base.errors import InvalidFile
 from pmabench.files.document import Document
 from pmabench.kinds.recorded_sine.reduction import reduce
 from pmabench.store.importers import apart
@@ -194,3 +195,19 @@ def test_an_absolute_pressure_that_never_vents_is_a_question(tmp_path, name):
     path = file(tmp_path, {"t [s]": T, name: P + 101.325, "F [N]": F})
     assert asked(path) == {}, "vented, it reads the pressure of air"
     assert imported(path).channels["pressure"] == pytest.approx(1e3 * P, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("0.{k};2 49{k};1 49{k}", '"2 490" seems to have its digits in groups'),
+        ('"0.{k}","2,49{k}","{k}"', r'or digits in groups \("2,490"\): "P \[Pa\]" have the comma'),
+    ],
+)
+def test_a_refusal_names_digits_in_groups(tmp_path, row, said):
+    mark = ";" if ";" in row else ","
+    path = tmp_path / "groups.csv"
+    rows = "".join(row.replace("{k}", str(k)) + "\n" for k in range(10))
+    path.write_text(mark.join(("t [s]", "P [Pa]", "x [V]")) + "\n" + rows, encoding="utf-8")
+    with pytest.raises(InvalidFile, match=said):
+        guess_files([path])
