@@ -146,5 +146,5 @@ def _which_time(time: Proposal) -> None:
         head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or does it count the samples'
         time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with their distance)? {text}"
     elif len(possible) > 1 or time.factor or time.strange or not (time.bare or words(time.name) & WORDS["time"]):
-        head = f'in which unit is "{time.name[:40]}"? {text}'
-        time.question = f"{head}; for any other write {{is: time, written: index, period: 0.1 ms}} with its length"
+        head = f'in which unit is "{time.name[:40]}"? {text}{"; " if possible else ""}'
+        time.question = f"{head}for any other write {{is: time, written: index, period: 0.1 ms}} with its length"
