@@ -15,10 +15,20 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.found import slope
-from pmabench.store.importers.guess.columns import OF_ROLE, Guess, Proposal, is_whole, lattice, lone, words
+from pmabench.store.importers.guess.names import value_of, words
+from pmabench.store.importers.guess.proposal import Guess, Proposal
+from pmabench.store.importers.guess.shapes import is_whole, lattice, lone
 from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.records import Array
 
+WEIGHT = {"g": 0.00980665, "kg": 9.80665}
+"""Newtons in one unit of a weight."""
+OF_ROLE = {
+    "pressure_command": "pressure",
+    "displacement_command": "length",
+    "supply": "pressure",
+    "displacement": "length",
+}
 HIGHEST = {"pressure": (2e4, 1.6e6), "force": (1.0, 3e4), "length": (3e-4, 3.0)}
 """Between what the highest value lies in a test of a muscle of 5 to 80 mm [SI]: less moves nothing, more bursts it."""
 UNITS = {
@@ -38,6 +48,8 @@ SHARES = (0.0, 0.02, 0.05, 0.1)
 """Thresholds of force that are tried, as shares of the highest one."""
 CHANGES = 0.02
 """A threshold that moves the slope by more than this share is asked for."""
+SAME_MOMENT = 1e-3
+"""Two clocks that differ by less than this [s] in each row count the same moments."""
 LENGTH = re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?mm)")
 """A length in the name of a file or of a test [mm]."""
 CONTRACTIONS = words("contraction disp displacement stroke shortening hub verkurzung kontraktion")
@@ -62,6 +74,18 @@ class Asked:
 def quantity_of(column: Proposal) -> str:
     """What a column measures: `pressure`, `force` or `length`."""
     return OF_ROLE.get(column.role, column.role.removesuffix("_command"))
+
+
+def factor_of(column: Proposal) -> Asked | None:
+    """How much one number of a column is whose heading has a factor: labs write it for what was and is to be done."""
+    quantity, unit = quantity_of(column), column.unit
+    weight = WEIGHT.get(unit, 0.0) if quantity == "force" else 0.0
+    if not column.factor or not (weight or QUANTITY.get(unit) == quantity):
+        return None
+    factor, upper = value_of(column.factor) or 1.0, "N" if weight else unit
+    each = [f"{value * (weight or 1.0):.6g} {upper}/{unit}" for value in (factor, 1.0 / factor, 1.0)]
+    text = f'"{column.name}" has "{column.factor}" with its unit: is a number to be multiplied by it ({each[0]})'
+    return Asked("", f"{text}, was it multiplied already ({each[1]}), or is it in {unit} ({each[2]})?")
 
 
 def unit_of(column: Proposal, guess: Guess) -> Asked | None:
@@ -90,14 +114,14 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
         head = f"nothing names this column, which by its numbers is the {role}: is it, and in which unit?"
     counts = is_whole(column.good) or lattice(column.good) > 0
     more = "; or counts of a converter (count, with the line to the quantity)" if counts else ""
-    value = "" if is_whole(column.good) else column.unit if column.unit in fits else fits[0]
+    value = "" if is_whole(column.good) or column.factor else column.unit if column.unit in fits else fits[0]
     return Asked(value, f"{head} {_candidates(top, fits, quantity)}{more}")
 
 
 def _steep(column: Proposal, guess: Guess) -> Asked | None:
     """A pressure that stays low while the force rises as if it did not is likely in another unit."""
     force, top = guess.role("force"), _top(column.good) * unit_factor(column.unit, "pressure")
-    if force is None or QUANTITY.get(force.unit) != "force" or top >= USUAL[0]:
+    if force is None or force.factor or QUANTITY.get(force.unit) != "force" or top >= USUAL[0]:
         return None
     P = column.values * unit_factor(column.unit, "pressure")
     slope = 1e3 * abs(_slope(*_both(P, force.values * unit_factor(force.unit, "force"))))
@@ -158,10 +182,10 @@ def negative(column: Proposal) -> bool:
     return len(column.good) > 0 and float(np.quantile(column.good, 0.9)) < 0
 
 
-def _both(P: Array, F: Array) -> tuple[Array, Array]:
+def _both(one: Array, other: Array) -> tuple[Array, Array]:
     """Samples in which both are numbers."""
-    good = np.isfinite(P) & np.isfinite(F)
-    return P[good], F[good]
+    good = np.isfinite(one) & np.isfinite(other)
+    return one[good], other[good]
 
 
 def _ends(P: Array, F: Array) -> tuple[float, float]:
@@ -173,20 +197,24 @@ def _ends(P: Array, F: Array) -> tuple[float, float]:
 
 
 def gauge_of(column: Proposal) -> Asked | None:
-    """Whether a pressure is absolute, which never falls to 0 and does not say what it is."""
-    if (
-        column.role != "pressure"
-        or QUANTITY.get(column.unit) != "pressure"
-        or re.search("abs|gauge", column.name, re.I)
-    ):
+    """Whether a pressure is absolute: by its numbers where its name does not say it, or against its name."""
+    named = absolute(column)
+    if column.role != "pressure" or QUANTITY.get(column.unit) != "pressure" or re.search("gauge", column.name, re.I):
         return None
     factor = unit_factor(column.unit, "pressure")
     low, top = (float(v) * factor for v in np.quantile(column.good, [0.001, 0.995])) if len(column.good) else (0.0, 0.0)
-    if not (AIR[0] <= low <= AIR[1] and top > 1.2 * low):
+    vented = AIR[0] <= low <= AIR[1]
+    if vented == named or (not named and top <= 1.2 * low):
         return None
-    head = f'"{column.name}" never falls below {show(low, "pressure", 4)}: is it absolute'
+    head = f'"{column.name}" never falls below {show(low, "pressure", 4)}'
+    head += ", which is no pressure of air: is it absolute, as its name says" if named else ": is it absolute"
     text = f"Then this offset is right; a gauge pressure has 0 {column.unit} here. It moves each pressure by 101 kPa"
     return Asked(air(column.unit), f"{head}? {text}")
+
+
+def absolute(column: Proposal) -> bool:
+    """Whether a pressure is absolute by its name: `P abs`, `Pabs`, `p_abs`."""
+    return bool(re.search(r"(?:\b|_|p|druck|pressure)abs", column.name, re.IGNORECASE))
 
 
 def air(unit: str) -> str:
@@ -244,7 +272,7 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     spread = (max(slopes) - min(slopes)) / abs(slopes[-1])
     if spread <= CHANGES:
         return None
-    known = force.unit if QUANTITY.get(force.unit) == "force" else ""
+    known = force.unit if QUANTITY.get(force.unit) == "force" and not force.factor else ""
     at = [f"{low + share * (top - low):.2g} {known}".strip() for share in SHARES]
     sentence = "; ".join(
         f"{place}: {100 * (slope / slopes[-1] - 1):+.1f} %" for place, slope in zip(at, slopes, strict=True)
@@ -264,25 +292,36 @@ def _slope(P: Array, F: Array, above: float = -np.inf) -> float:
 
 
 def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
-    """Which of two times counts, where they do not agree."""
+    """Which of two times counts, where they do not agree: in how long they last, or in when they were at each row."""
     time = next((column for column in columns if column.role == "time"), None)
     for other in columns if time is not None else ():
-        if not any(reason.startswith("a second time") for reason in other.reasons) or time is None:
+        if time is None or not any(reason.startswith("a second time") for reason in other.reasons):
             continue
-        ours, theirs = (_seconds(each) for each in (time, other))
-        step = max(float(np.max(np.abs(np.diff(_in_seconds(each))), initial=0.0)) for each in (time, other))
-        if abs(theirs - ours) > 0.001 * abs(ours) + step:
-            text = f'"{time.name}" lasts {ours:.4g} s, "{other.name}" {theirs:.4g} s'
+        one, two = _both(_in_seconds(time), _in_seconds(other))
+        if not len(one):
+            continue
+        lasts = [float(clock[-1] - clock[0]) for clock in (one, two)]
+        step = max(float(np.max(np.abs(np.diff(clock)), initial=0.0)) for clock in (one, two))
+        later = float(np.median(two - one))
+        if abs(lasts[1] - lasts[0]) > 0.001 * abs(lasts[0]) + step:
+            text = f'"{time.name}" lasts {lasts[0]:.4g} s, "{other.name}" {lasts[1]:.4g} s'
             yield Asked("time", f"which clock is right? {text}; the other one then is to be: ignore")
-
-
-def _seconds(column: Proposal) -> float:
-    values = _in_seconds(column)
-    return float(values[-1] - values[0]) if len(values) else 0.0
+        elif SAME_MOMENT + max(_coarseness(one), _coarseness(two)) < abs(later) < max(lasts):
+            by, way = f"{abs(1e3 * later):.4g} ms", "later" if later > 0 else "earlier"
+            text = f'"{other.name}" is {by} {way} than "{time.name}" in each row: were some channels read at each? '
+            text += f"Then the later one is the time, the other: ignore, and its channels have late_by: [{by}, {by}]"
+            yield Asked("time", f"{text}. If one only began at another moment, write time")
+        # clocks without a moment in common only begin at other zeros
 
 
 def _in_seconds(column: Proposal) -> Array:
-    return column.good * unit_factor(column.unit or "s", "time")
+    return column.values * (column.period or unit_factor(column.unit or "s", "time"))
+
+
+def _coarseness(clock: Array) -> float:
+    """The smallest step of a clock that repeats its readings [s], shape (n,): it is late by up to that; else 0."""
+    steps = np.diff(clock)
+    return float(np.min(steps[steps > 0])) if (steps == 0).any() and (steps > 0).any() else 0.0
 
 
 def _top(values: Array, share: float = 0.995) -> float:

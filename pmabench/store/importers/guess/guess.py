@@ -22,9 +22,12 @@ from pmabench.store.formats import text
 from pmabench.store.formats.mat import alike, is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import Guess, Proposal, choose, is_whole, unit_in, usual_step
+from pmabench.store.importers.guess.columns import choose, proposal
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
+from pmabench.store.importers.guess.proposal import Guess, Proposal
+from pmabench.store.importers.guess.shapes import is_whole
 from pmabench.store.importers.guess.signs import choose_kind, count, share
+from pmabench.store.importers.guess.times import SECONDS, usual_step
 from pmabench.store.importers.map_file import PLACE, spelled
 from pmabench.store.importers.map_rules import read_map
 from pmabench.store.importers.table import Table, content_of, read_table
@@ -32,8 +35,6 @@ from pmabench.store.records import Array
 
 LOOKED_AT = 20_000_000
 """Bytes of a text file that are looked at."""
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
-"""In one unit of a time."""
 
 
 def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
@@ -78,10 +79,10 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
 
 def _proposal(name: str, table: Table, names: Sequence[str]) -> Proposal:
     """A column of a file with units; the columns of a matrix have no names."""
-    matrix, said = matrix_of(name), spelled(table.units.get(name, ""))
-    column = Proposal(name, table.columns[name], unit=said or unit_in(name))
-    column.bare = bool(matrix) and sum(other.startswith(f"{matrix}(:,") for other in names) > 1
-    column.reasons += [f"the file says its unit, {column.unit}"] if said else []
+    matrix, said = matrix_of(name), table.units.get(name, "")
+    bare = bool(matrix) and sum(other.startswith(f"{matrix}(:,") for other in names) > 1
+    column = proposal(name, table.columns[name], said, bare=bare)
+    column.reasons += [f"the file says its unit, {column.unit}"] if spelled(said) else []
     return column
 
 
@@ -113,7 +114,7 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
     if table.starts:
         table = table.tests()[0]
     columns = [
-        Proposal(name, table.columns[name], unit=guessed.units.get(name) or unit_in(name), bare=not guessed.named)
+        proposal(name, table.columns[name], guessed.units.get(name, ""), bare=not guessed.named)
         for name in numbers
         if stamps is None or name != stamps.date
     ]
@@ -136,7 +137,7 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
     guess = Guess([path], guessed.layout, [every[name] for name in guessed.names], [], [], kinds, reasons=reasons)
     time = guess.role("time")
     if time is not None and time.written == "index":
-        time.period = guessed.interval
+        time.period = time.period or guessed.interval
     guess.period, guess.either = guessed.interval, guessed.either
     guess.tests = [str(number) for number in range(1, guessed.tests + 1)]
     if not guessed.named:

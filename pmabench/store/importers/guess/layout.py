@@ -150,7 +150,7 @@ class TextGuess:
     texts: list[str]
     """Names of columns that hold words."""
     units: dict[str, str] = field(default_factory=dict)
-    """From a line of units below the names."""
+    """From a line of units below the names, as it writes them."""
     reasons: list[str] = field(default_factory=list)
     stamps: Stamps | None = None
     """The column whose texts are times, or that counts the steps of the header."""
@@ -397,13 +397,16 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
             score = (numbers * len(alike) // len(rows), delimiter in even, decimal == "point")
             if best is None or score > best[0]:
                 best = (score, delimiter, decimal, alike, thousands)
+    cells = (text.strip() for line in lines for text in re.split(r"[\t;|]", line))
+    grouped = next((text for text in cells if re.fullmatch(r"\d{1,3}(?:[ \u00a0\u202f]\d{3})+", text)), "")
+    hint = f'. "{grouped}" seems to have its digits in groups: export the numbers without them' if grouped else ""
     if best is None:
-        raise invalid(path, "holds no rows of at least two numbers in its first lines: nothing can be guessed")
+        raise invalid(path, f"holds no rows of at least two numbers in its first lines: nothing can be guessed{hint}")
     first, count = best[3][0][0], len(best[3])
     below = sum(bool(line.strip()) for line in lines[first:])
     if count < TABLE * below:
         sentence = f"{count} of {below} lines from line {first + 1} on are rows of {best[3][0][1]} fields with numbers"
-        raise invalid(path, f"is no table of numbers ({sentence}): nothing can be guessed")
+        raise invalid(path, f"is no table of numbers ({sentence}): nothing can be guessed{hint}")
     return best[1], best[2], best[3], best[4]
 
 
@@ -461,7 +464,7 @@ def _header(body: _Body, comment: str | None, reasons: list[str]) -> tuple[list[
     if of_units and named is not of_units:
         reasons.append(f"names in line {k + 1}, their units in line {of_units[-1][0] + 1}")
         called = fields if not _twice(fields) else _apart(fields)
-        return called, {name: spelled(text) for name, text in zip(called, of_units[-1][1], strict=True)}, None
+        return called, dict(zip(called, of_units[-1][1], strict=True)), None
     if commented:
         reasons.append(f"names in line {k + 1}, which is a comment")
         return fields, {}, None
@@ -481,7 +484,7 @@ def _before(lines: Sequence[str], first: int, comment: str | None) -> int:
 def _words(body: _Body, names: Sequence[str], reasons: list[str]) -> tuple[list[int], list[str]]:
     """Columns of words, and texts that mean no value in the others; InvalidFile where words are numbers otherwise."""
     number, otherwise = (_COMMA, _POINT) if body.decimal == "comma" else (_POINT, _COMMA)
-    cells, texts, missing, other = body.below(), list[int](), set[str](), list[int]()
+    cells, texts, missing, other = body.below(), list[int](), set[str](), dict[int, str]()
     for column in range(body.width):
         every = (row[column] for row in cells)
         grouped = "any" if body.thousands else ""
@@ -491,15 +494,16 @@ def _words(body: _Body, names: Sequence[str], reasons: list[str]) -> tuple[list[
         if len(strange) > len(cells) / 2 or faults > max(1.0, FAULTS * len(cells)):
             texts.append(column)
             if all(otherwise.fullmatch(text) for text in strange):
-                other.append(column)
+                other[column] = strange[0] if all(map(_GROUPED[body.decimal].fullmatch, strange)) else ""
         else:
             missing |= known
     if other:
         named = ", ".join(f'"{names[k]}"' if names else f"column {k + 1}" for k in other)[:200]
         one, two = ("comma", "point") if body.decimal == "comma" else ("point", "comma")
-        text = (
-            f"two decimal signs in one file: {named} have the {two}, the others the {one}; export it with one of them"
-        )
+        groups = next(iter(other.values())) if all(other.values()) else ""
+        text = "two decimal signs in one file" + (f', or digits in groups ("{groups}")' if groups else "")
+        text += f": {named} have the {two}, the others the {one}; export it with one of them"
+        text += ", without groups" if groups else ""
         raise invalid(body.path, text, body.first + 1, 1)
     wide = [row for row in map(body.cut, body.further) if len(row) == body.width]
     later = {row[k].strip() for row in wide for k in range(body.width) if k not in texts}

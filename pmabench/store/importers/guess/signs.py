@@ -12,7 +12,8 @@ import numpy as np
 
 from pmabench.store.importers import motion
 from pmabench.store.importers.found import correlation
-from pmabench.store.importers.guess.columns import Guess, Proposal, held, lone
+from pmabench.store.importers.guess.proposal import Guess, Proposal
+from pmabench.store.importers.guess.shapes import held, lone
 from pmabench.store.records import Array
 
 LONG_PAUSE = 2.0

@@ -13,7 +13,8 @@ from pmabench.base.text import printable
 from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked, quantity_of
-from pmabench.store.importers.guess.columns import UNLIKE_TIME, Guess, Proposal
+from pmabench.store.importers.guess.proposal import Guess, Proposal
+from pmabench.store.importers.guess.times import UNLIKE_TIME
 from pmabench.store.importers.map_file import NUMBERS, OPEN, QUANTITY
 
 TRUTH = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
@@ -54,8 +55,13 @@ def time_lines(column: Proposal, guess: Guess) -> list[str]:
         keys["unit"] = Asked(unit, "").scalar if column.question else unit
     if column.written == "index":
         keys["period"] = f"{column.period:.9g} s"
-        if not column.period:
-            text = f'"{column.name}" counts the samples: how far apart are they? For instance 2 ms'
+        text = f'"{column.name}" counts the samples: how far apart are they? For instance 2 ms'
+        if column.factor:
+            text = (
+                f'"{column.name}" has "{column.factor}" with its unit: how long is 1 of its numbers? As it is written '
+            )
+            text += keys["period"]
+        if column.factor or not column.period:
             asking.append(Asked("", text))
             keys["period"] = asking[-1].scalar
     if column.order and column.written == "date and time":
@@ -116,8 +122,6 @@ UNASKED = {
     "flow": "a flow enters the volume of isometric-pressurisation alone, as a mass; docs/maps.md makes one of litres",
 }
 """Role of a column that most tests do not need -> what to do about one whose scale the file does not say."""
-WEIGHT = {"g": 0.00980665, "kg": 9.80665}
-"""Newtons in one unit of a weight."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +217,8 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
     role = which.scalar if column.question else column.role
     if column.role == "date":
         return [*head, *date_lines(column)]
-    if column.role in UNASKED and column.role not in spans and QUANTITY.get(column.unit) != quantity_of(column):
+    known = QUANTITY.get(column.unit) == quantity_of(column) and not column.factor
+    if column.role in UNASKED and column.role not in spans and not known:
         head.append(f"  {comment(UNASKED[column.role])}")
         return [*head, f"  {scalar(column.name)}: ignore"]
     if column.role == "time":
@@ -264,19 +269,23 @@ def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[list[str]
     if quantity == "length" and unit in (None, "", "%") and re.search(SHARE, column.name, re.IGNORECASE):
         text = f'"{column.name}" is a share: of which length? The slope is what one unit of it is, as "2.5 mm/count"'
         return ["unit: count", question(Asked("", text)), f'line: {{slope: "{OPEN}", offset: 0 mm}}'], []
+    if (slope := asked.factor_of(column)) is not None:
+        zero = f"0 {'N' if quantity == 'force' else unit}"
+        zero = asked.air(unit) if quantity == "pressure" and asked.absolute(column) else zero
+        return [f"unit: {unit}", question(slope), f"line: {{slope: {slope.scalar}, offset: {zero}}}"], []
     if (unit_asked := asked.unit_of(column, guess)) is not None:
         return [question(unit_asked), f"unit: {unit_asked.scalar}"], []
     if QUANTITY.get(unit) == quantity:
-        if quantity == "pressure" and re.search(r"\babs", column.name, re.IGNORECASE):
-            line = f"line: {{slope: 1 {unit}/{unit}, offset: {asked.air(unit)}}}"
-            return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
         if (air := asked.gauge_of(column)) is not None:
             return [f"unit: {unit}", question(air), f"line: {{slope: 1 {unit}/{unit}, offset: {air.scalar}}}"], []
+        if quantity == "pressure" and asked.absolute(column):
+            line = f"line: {{slope: 1 {unit}/{unit}, offset: {asked.air(unit)}}}"
+            return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
         if (pull := asked.pull_of(column, guess)) is not None:
             return [f"unit: {unit}", question(pull), f"line: {{slope: {pull.scalar}, offset: 0 {unit}}}"], []
         return [f"unit: {unit}"], []
-    if quantity == "force" and unit in WEIGHT:
-        line = f"line: {{slope: {WEIGHT[unit]} N/{unit}, offset: 0 N}}"
+    if quantity == "force" and unit in asked.WEIGHT:
+        line = f"line: {{slope: {asked.WEIGHT[unit]} N/{unit}, offset: 0 N}}"
         return [f"unit: {unit}", line], [f"a weight in {unit}, with 9.80665 m/s2"]
     return _from_reading(column, quantity, span)
 
@@ -440,7 +449,7 @@ def _analysis(guess: Guess) -> list[str]:
 
 def _smallest(reading: float, command: Proposal, span: Span | None) -> str:
     """A step of the command in a unit of pressure; where its scale is open, what no test goes below."""
-    if QUANTITY.get(command.unit) == "pressure":
+    if QUANTITY.get(command.unit) == "pressure" and not command.factor:
         return f"{reading:.3g} {command.unit}"
     top = float(np.quantile(command.good, 0.999))
     for known, begin, end, most in LOOPS:
