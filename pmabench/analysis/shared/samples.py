@@ -155,7 +155,7 @@ def step_of(y: Array) -> float:
 def unresolved(y: Array, step: float) -> float:
     """By how much the mean of samples at rest `y` (n,), which are read in steps, may be off [as y], at the most.
 
-    Noise that is small next to a step is read as now and then the next one: with a variance v [steps^2] that is read, the
+    Noise that is small next to a step is read as the next one now and then: where a variance v [steps^2] is read, the
     mean is off by sqrt(1/4 - v). Larger noise leaves exp(-2 pi^2 (v - 1/12)) / pi (the characteristic function of
     Gaussian noise at one turn per step: Widrow), up to 1.31 times that where v depends on the place between two steps.
     """
