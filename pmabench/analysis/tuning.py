@@ -99,14 +99,19 @@ def tune(
 
 
 def _made(rule: Rule, K_u: Estimate, common: Estimate, settings: Mapping[str, tuple[float, Parts]]) -> Gains:
-    """The settings of a rule as estimates like `common`, by their symbols; units follow from that of K_u."""
+    """The settings of a rule as estimates like `common`, by their symbols; units follow from that of K_u.
+
+    The budget of K_u, whose lines are in its unit, is not theirs.
+    """
     bare = (f"{K_u.unit}/s", ""), (f"{K_u.unit}.s" if K_u.unit != "1" else "s", "")
     time, (of_i, of_d) = ("s", "time"), FOLLOWING.get(K_u.unit, bare)
     kinds = {"K_p": (K_u.unit, K_u.quantity), "T_i": time, "T_d": time, "K_i": of_i, "K_d": of_d}
     found: dict[str, Any] = {}
     for symbol, (value, parts) in settings.items():
         unit, quantity = kinds[symbol]
-        found[symbol] = replace(common, symbol=symbol, value=value, unit=unit, quantity=quantity, parts=parts)
+        found[symbol] = replace(
+            common, symbol=symbol, value=value, unit=unit, quantity=quantity, parts=parts, budget=()
+        )
     return Gains(rule, **found)
 
 

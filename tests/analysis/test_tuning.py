@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from math import degrees
 
 import pytest
@@ -11,7 +12,7 @@ from pmabench.analysis.tuning import facts, plausibility, rules_named, tune
 from pmabench.base.quantities import QUANTITIES
 from pmabench.model.loop import Loop, ultimate
 from pmabench.model.rules import all_rules
-from pmabench.store.analyses.results import Estimate, Parts
+from pmabench.store.analyses.results import Estimate, Parts, Source
 
 
 def pair(
@@ -65,6 +66,13 @@ def test_intervals_are_carried_through() -> None:
     relative = {e.symbol: (e.parts.repeats or 0.0) / (e.value or 1.0) for e in found.estimates}
     assert relative == pytest.approx({"K_p": 0.03, "T_i": 0.04, "T_d": 0.04, "K_i": 0.05, "K_d": 0.05})
     assert found.K_p.parts.method is None
+
+
+def test_no_line_of_the_budget_of_K_u_stands_as_one_of_a_setting() -> None:
+    """Its halves are in the unit of K_u, and a T_i in seconds is none."""
+    K_u, T_u = pair(60e6, 0.35, "Pa/m", (0.03, 0.04))
+    K_u = replace(K_u, budget=(Source("scatter of the cycles", "repeats", "A", 1.8e6),))
+    assert all(e.budget == () for e in tune(K_u, T_u, rules=rules_named("Ziegler-Nichols PID"))[0].estimates)
 
 
 def test_margins_where_a_model_is_known() -> None:
