@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -83,6 +84,14 @@ def test_a_form_that_is_too_simple_is_doubted():
     assert doubt.text.endswith("a form is too simple for this muscle")
     assert all("a form is too simple" in e.note for e in of(analysis, "K", JOINT).values())
     assert analysis.facts["joint"]["residual_rms"] > 5 * analysis.facts["residual_rms"]
+
+
+def test_one_pressure_has_no_form_and_that_is_said():
+    run = small("paper0")
+    run = replace(run, trials=tuple(trial for trial in run.trials if trial.point["pressure"] == 3e5))
+    analysis = reduce([run], {"forms": ["K=line"], "replays": 2})
+    assert [f.level for f in analysis.findings if f.text.startswith("no joint fit: one pressure, 300 kPa")] == ["doubt"]
+    assert not of(analysis, "K", JOINT)
 
 
 def test_forms_that_hold_only_within_the_tested_pressures_are_enough():

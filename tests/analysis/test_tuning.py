@@ -68,7 +68,7 @@ def test_intervals_are_carried_through() -> None:
     assert found.K_p.parts.method is None
 
 
-def test_no_line_of_the_budget_of_K_u_stands_as_one_of_a_setting() -> None:
+def test_the_budget_of_K_u_is_not_that_of_a_setting() -> None:
     """Its halves are in the unit of K_u, and a T_i in seconds is none."""
     K_u, T_u = pair(60e6, 0.35, "Pa/m", (0.03, 0.04))
     K_u = replace(K_u, budget=(Source("scatter of the cycles", "repeats", "A", 1.8e6),))

@@ -157,6 +157,11 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> F
     rows = above(pooled.segments, least)
     segments, noise = pooled.segments.where(rows), rms_of(pooled.noise[rows])
     knots = pooled.fit.knots[pooled.fit.knots >= least]
+    if len(knots) < 2:
+        text = (
+            f"no joint fit: one pressure, {show(campaign.tested[0], 'pressure')}, has no form over pressure: test two"
+        )
+        return Further(findings=(Finding("doubt", text),))
     orders, scores = choose(segments, {s: wanted.get(s) for s in SYMBOLS}, knots, noise)
     solved = replace(solve(segments, knots, noise, forms_of(orders, knots)), added=pooled.fit.added, least=least)
     trust = pooled.trust_of(solved, rows, pooled.noise[rows])
