@@ -414,7 +414,7 @@ def _reference(one: References) -> Finding:
     ends = f"{show(values[0], 'length', 4)} at first, {show(values[-1], 'length', 4)} at last"
     text = f"{one.title}: {len(values)} times, {ends}"
     if limits is None:
-        return Finding("note", f"{text}; {len(one.days)} days, too few for control limits")
+        return Finding("note", f"{text}; too few days for control limits: {len(one.days)}")
     changed = "the muscle changed, or the sensor or its mounting"
     if (alarm := limits.first_alarm) is None:
         steadily = _steadily(limits.values, "length", 1.5 * one.step)  # a line through a step of 1 changes by 1.5
