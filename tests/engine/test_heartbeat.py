@@ -18,17 +18,17 @@ from tests.engine.benches import CHANNELS, mounted
 
 
 class Slow:
-    """A stream whose `collect` waits for an event, then gives nothing."""
+    """A stream that gives nothing, whose `collect` makes one thread wait for an event."""
 
     def __init__(self):
-        self.go = threading.Event()
-        self.go.set()
+        self.go, self.of = threading.Event(), None
 
     def start(self, rate):
         return rate
 
     def collect(self):
-        self.go.wait(20.0)
+        if threading.current_thread() is self.of:
+            self.go.wait(20.0)
         return Block(array("q"), {name: array("d") for name in CHANNELS}, -1)
 
     def stop(self):
@@ -55,8 +55,7 @@ def test_while_a_device_is_waited_for_the_program_says_that_it_lives(made):
     acquisition, slow, beats = made
     acquisition.pass_time(0.2)
     assert beats == []
-    slow.go.clear()
-    executor = threading.Thread(target=acquisition.pass_time, args=(0.2,), daemon=True)
+    slow.of = executor = threading.Thread(target=acquisition.pass_time, args=(0.2,), daemon=True)
     executor.start()
     until = time.monotonic() + 10.0
     while len(beats) < 4 and time.monotonic() < until:
