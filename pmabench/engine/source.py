@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from math import floor
+from math import floor, inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -231,8 +231,12 @@ class Source:
         self.spacing = Spacing(1.0)
         self.last: int | None = None
         """The newest sample, on the device's clock [ns]."""
+        self.newest = -inf
+        """When it was taken, by the shortest delay so far [s, bench time]."""
+        self.is_old = False
+        """Whether it was too old when it came to count as heard."""
         self.heard = 0.0
-        """When it came [s]."""
+        """When one came last that was not too old [s]."""
         self.scales = [(channel, channel.scale.slope, channel.scale.offset) for channel in channels]
         self.clock = DeviceClock()
         self._rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []
