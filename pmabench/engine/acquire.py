@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, LimitTripped, PmaError, RecordError
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, PmaError, RecordError
 from pmabench.bench.interface import Block, CompiledBench, Stream
 from pmabench.engine.commanded import Commanded
 from pmabench.engine.recorder import Forgiving, Recorder
@@ -78,6 +78,8 @@ class Acquisition:
         self.commanded = Commanded()
         self.on_trip: Callable[[str, bool], None] = lambda _why, _latches: None
         """Begins the safe state, from whatever thread finds its cause; whether that is one that latches the bench."""
+        self.question: Callable[[float], None] = lambda _now: None
+        """Asks devices whether they are as they were when the bench was armed, and does not wait; at bench time [s]."""
         self.beat: Callable[[], None] = lambda: None
         """Reports to the guard that the program lives, while samples are waited for."""
         self.holding: set[str] = set()
@@ -235,7 +237,15 @@ class Acquisition:
                 self._refuse_silence(source)
             if self._watch is not None:
                 self._act(self._watch.silent(self.clock.now()))
+                self._question()
             self._raise_trip()
+
+    def _question(self) -> None:
+        """A device that has changed or restarted ends the run as a limit does: what it measures may be anything."""
+        try:
+            self.question(self.clock.now())
+        except LimitRefused as error:
+            self.trip(str(error))
 
     def _raise_trip(self) -> None:
         """Raise the trip that another thread has found."""

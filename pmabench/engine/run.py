@@ -273,6 +273,8 @@ class _Run:
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
             acquisition.pass_time(0.1)
             if self.bench.realtime:
+                self.own.supervision.begin()
+                acquisition.question = self.own.supervision.look
                 acquisition.supervise()
             self.before_proof(executor)
             prove(self.bench, self.guard, acquisition, executor.recorder)

@@ -7,8 +7,6 @@ samples are flagged by their times alone, overrange and slack by their values.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from functools import partial
 from math import floor, inf
 from typing import Any, NamedTuple
 
@@ -16,34 +14,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock, DeviceClock
-from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Device, Identity, Stream
-from pmabench.guard.links import OPENS_WITHIN, load_driver
-from pmabench.guard.owner import Owner
+from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Identity, Stream
+from pmabench.guard.course import step
+from pmabench.guard.links import Act, Links
+from pmabench.guard.supervision import Supervision
 from pmabench.store.records import Flag
 
 COLLECTS_WITHIN = 0.5
 """How long handing over samples may take [s]."""
 
 
-class OwnStream:
-    """A stream behind its owner."""
+class OwnLinks(Links):
+    """Links whose calls may take as long as handing over samples does."""
 
-    def __init__(self, owner: Owner, device: Stream) -> None:
-        self._owner, self._device = owner, device
+    def call(self, name: str, act: Act) -> Any:
+        """Make a call of a device and wait for it."""
+        return self._owners[name].call(act, COLLECTS_WITHIN)
+
+
+class OwnStream:
+    """The stream of a device that the engine calls itself."""
+
+    def __init__(self, links: Links, name: str) -> None:
+        self._links, self._name = links, name
 
     def start(self, rate: float) -> float:
         """As `Stream.start`."""
-        return float(self._owner.call(partial(self._device.start, rate), COLLECTS_WITHIN))
+        return self._links.stream(self._name, rate)
 
     def stop(self) -> None:
         """As `Stream.stop`."""
-        self._owner.call(self._device.stop, COLLECTS_WITHIN)
+        self._links.stream(self._name, 0.0)
 
     def collect(self) -> Block:
         """As `Stream.collect`."""
-        block: Block = self._owner.call(self._device.collect, COLLECTS_WITHIN)
-        return block
+        return self._links.collect(self._name)
 
 
 class OwnDevices:
@@ -51,32 +56,23 @@ class OwnDevices:
 
     def __init__(self, bench: CompiledBench, clock: Clock) -> None:
         self._records = [record for record in bench.devices if bench.realtime and not record.guarded]
-        self._clock = clock
-        self._opened: dict[str, tuple[Owner, Device]] = {}
-        self.identities: dict[str, Identity] = {}
+        self._links = OwnLinks(bench, clock, threads=True)
+        self.identities: Mapping[str, Identity] = self._links.identities
         self.streams: dict[str, OwnStream] = {}
         self.channels = frozenset(channel.name for record in self._records for channel in record.channels)
+        self.supervision = Supervision(bench, self._links, clock, lambda output: step(output.safe), {})
+        """Whether they are as they were when the bench was armed; they have no outputs."""
 
     def open(self) -> None:
-        """Open all; on failure those already open are closed."""
-        for record in self._records:
-            owner = Owner(record.name)
-            try:
-                device = load_driver(record, self._clock)
-                self.identities[record.name] = owner.call(device.open, OPENS_WITHIN)
-            except BaseException:
-                self.close()
-                raise
-            self._opened[record.name] = owner, device
+        """Open all, at the same time; on failure those already open are closed."""
+        self._links.open(self._records, lambda _name: [], forgiving=False)
+        for name, device in self._links.devices.items():
             if isinstance(device, Stream):
-                self.streams[record.name] = OwnStream(owner, device)
+                self.streams[name] = OwnStream(self._links, name)
 
     def close(self) -> None:
         """Let go of all; harmless when repeated."""
-        for owner, device in self._opened.values():
-            with suppress(DeviceError):
-                owner.call(device.close)
-        self._opened = {}
+        self._links.close(disarm=False)
 
 
 Array = NDArray[np.float64]

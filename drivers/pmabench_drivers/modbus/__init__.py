@@ -281,10 +281,10 @@ class ModbusDevice(Watched, Controlled):
             if registers.timeout.read_back:  # off: 0; a time that cannot be read is left out
                 seconds = self._get(registers.timeout, deadline) * registers.resolution
                 found["watchdog"] = seconds if on == registers.on else 0.0
-        if self._map.uptime is not None:
-            found["uptime"] = self._get(self._map.uptime, deadline)
         if isinstance(serial := self._map.identity.get("serial"), r.Register):
             found["serial"] = self._identify(serial, deadline)
+        if self._map.uptime is not None:
+            found["uptime"] = self._get(self._map.uptime, deadline)
         return found
 
     # -- registers ------------------------------------------------------------------------------------------------
