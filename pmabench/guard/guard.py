@@ -13,7 +13,7 @@ from itertools import takewhile
 from math import inf, isfinite
 from typing import Any
 
-from pmabench.base.clock import Clock
+from pmabench.base.clock import Clock, DeviceClock
 from pmabench.base.errors import DeviceError, LimitRefused
 from pmabench.bench.interface import (
     Block,
@@ -42,6 +42,8 @@ from pmabench.guard.supervision import Supervision
 
 __all__ = ["Guard", "Measure", "State", "Vent"]
 
+FRESH = 0.5
+"""Values that are older [s], by the shortest delay of a device's samples, confirm nothing."""
 Measure = Callable[[], Mapping[str, float]]
 """Lets a little bench time pass; returns the latest measured values [SI]."""
 
@@ -88,6 +90,9 @@ class Guard:
         """Where each output was sent last [SI over s]."""
         self._closed: dict[str, bool] = {}
         """How each valve was switched last."""
+        self._unanswered = -inf
+        """When a command was sent last whose outcome is not known [s]."""
+        self._clocks: dict[str, DeviceClock] = {}
         self._shuts: dict[str, float] = {}
         """When the last pulse of each valve ends [s]."""
         self.supervision = Supervision(bench, self.links, clock, self._course, self._closed)
@@ -152,7 +157,7 @@ class Guard:
         if not (isfinite(rate) and rate > 0) or (output.rate and rate > output.rate * (1 + 1e-9)):
             raise LimitRefused(f'"{name}" cannot be ramped at {rate} per second; at most {output.rate}')
         refuse_jump(output, self._now_at(output), origin)
-        self.links.call(output.device, self._ramping(output, origin, target, rate))
+        self._command(output.device, self._ramping(output, origin, target, rate))
         self._courses[name] = course.ramp(self.clock.now(), origin, target, rate)
 
     def sine(self, name: str, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
@@ -172,7 +177,7 @@ class Guard:
             frequency=frequency,
             cycles=cycles,
         )
-        self.links.call(output.device, self.links.following(output, segment))
+        self._command(output.device, self.links.following(output, segment))
         self._courses[name] = course.sine(segment.start, mean, amplitude, frequency, cycles)
 
     def place(self, load: Load) -> None:
@@ -197,7 +202,7 @@ class Guard:
         opens = [(refuse_pulse(self._valves, name, seconds), seconds) for name, seconds in pulses.items()]
         refuse_together(pulses, self._valves, {name for name, end in self._shuts.items() if end > now + 1e-9})
         for valve, seconds in opens:
-            self.links.call(valve.device, self.links.pulsing(valve, seconds))
+            self._command(valve.device, self.links.pulsing(valve, seconds))
             self._shuts[valve.name] = max(self._shuts.get(valve.name, now), self.clock.now() + seconds)
 
     def value_sent(self, name: str, value: float) -> float:
@@ -208,11 +213,18 @@ class Guard:
     def collect(self, name: str) -> Block:
         """The new samples of one device; the guard keeps the newest values of channels that it confirms."""
         block = self.links.collect(name)
-        if len(block.time):
+        if len(block.time) and self._age(name, int(block.time[-1]), block.host) <= FRESH:
             for record in self.bench.devices:
                 for channel in record.channels if record.name == name else ():
                     self.latest[channel.name] = float(channel.scale.to_si(block.columns[channel.name][-1]))
         return block
+
+    def _age(self, name: str, newest: int, host: int) -> float:
+        """How old the newest sample of a device is [s]; 0 in virtual time."""
+        now = self.clock.now()
+        arrived = host * 1e-9 if host >= 0 else now
+        ahead = self._clocks.setdefault(name, DeviceClock()).ahead(newest, arrived)
+        return now - newest * 1e-9 - ahead if self._threads else 0.0
 
     def _refuse_unless_active(self, name: str) -> None:
         if self.state not in {State.SETUP, State.RUNNING}:
@@ -227,14 +239,21 @@ class Guard:
         refuse_outside(output, values, self.bench.setup_pressure if unproven else inf)
         return output
 
+    def _command(self, device: str, act: Act) -> None:
+        try:
+            self.links.call(device, act)
+        except DeviceError:
+            self._unanswered = self.clock.now()  # it may be carried out yet
+            raise
+
     def _write(self, output: OutputRecord, value: float) -> float:
-        self.links.call(output.device, self.links.writing(output, value))
+        self._command(output.device, self.links.writing(output, value))
         sent = self.value_sent(output.name, value)
         self._courses[output.name] = course.step(sent)
         return sent
 
     def _switch(self, valve: ValveRecord, *, closed: bool) -> None:
-        self.links.call(valve.device, self.links.switching(valve, closed=closed))
+        self._command(valve.device, self.links.switching(valve, closed=closed))
         self._closed[valve.name] = closed
 
     def _course(self, output: OutputRecord) -> course.Course:
@@ -257,8 +276,9 @@ class Guard:
         if self._safe is None:
             self.state = State.STOPPING
             self._safe = SafeState(
-                self.bench.safe_state, self._begin, self._rescue, self._look, self.clock.now(), self._floors
-            )
+                self.bench.safe_state, self._begin, self._rescue, self._look, self.clock.now(), self._floors,
+                self._unanswered,
+            )  # fmt: skip
         elif self._safe.vent is not None:
             for action in self.bench.safe_state:
                 if action.do not in {"confirm", "hold"}:

@@ -350,6 +350,7 @@ class Service:
                 with suppress(PmaError):
                     self._kept.setdefault(name, []).append(self.guard.collect(name))
         vent = self.guard.step_safe(self.guard.latest)
+        self.guard.latest.clear()  # what was measured once confirms once
         if vent is None or self._vent is not None:
             return
         self._vent = vent = Vent(vent.result, (*vent.actions, *self.guard.supervision.differences()))
