@@ -213,17 +213,16 @@ class Guard:
     def collect(self, name: str) -> Block:
         """The new samples of one device; the guard keeps the newest values of channels that it confirms."""
         block = self.links.collect(name)
-        if len(block.time) and self._age(name, int(block.time[-1]), block.host) <= FRESH:
+        if len(block.time) and self._age(name, int(block.time[-1])) <= FRESH:
             for record in self.bench.devices:
                 for channel in record.channels if record.name == name else ():
                     self.latest[channel.name] = float(channel.scale.to_si(block.columns[channel.name][-1]))
         return block
 
-    def _age(self, name: str, newest: int, host: int) -> float:
-        """How old the newest sample of a device is [s]; 0 in virtual time."""
+    def _age(self, name: str, newest: int) -> float:
+        """How old the newest sample of a device is [s], against the least that this ever was; 0 in virtual time."""
         now = self.clock.now()
-        arrived = host * 1e-9 if host >= 0 else now
-        ahead = self._clocks.setdefault(name, DeviceClock()).ahead(newest, arrived)
+        ahead = self._clocks.setdefault(name, DeviceClock()).ahead(newest, now)
         return now - newest * 1e-9 - ahead if self._threads else 0.0
 
     def _refuse_unless_active(self, name: str) -> None:
