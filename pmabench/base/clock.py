@@ -91,5 +91,7 @@ class DeviceClock:
         """Bench time minus device time [s], after a sample of `newest` [ns] has `arrived` [s]."""
         passed = newest - self._last if self._last is not None else 0
         self._last = newest
+        if passed < 0:  # the device began anew
+            self._ahead = inf
         self._ahead = min(self._ahead + DRIFT * passed * 1e-9, arrived - newest * 1e-9)
         return self._ahead

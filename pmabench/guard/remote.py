@@ -23,7 +23,7 @@ from pmabench.base.system import user_name
 from pmabench.bench.interface import Block, CompiledBench, Identity, Load, Stream
 from pmabench.guard.guard import Guard, Measure, State
 from pmabench.guard.limits import to_device
-from pmabench.guard.safe import Vent
+from pmabench.guard.safe import LINGERS, Vent
 from pmabench.guard.station import UNCLEAN, Station
 from pmabench.guard.wire import Message, Messages, encode, keys
 
@@ -234,7 +234,7 @@ class RemoteGuard:
     def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
         """As `Guard.safe_state`. Where the guard is gone the engine opens the devices itself."""
         self.begin_safe(tripped=tripped, why=why)
-        longest = sum(action.within for action in self.bench.safe_state) + 2.0
+        longest = sum(action.within for action in self.bench.safe_state) + LINGERS + 2.0
         deadline = time.monotonic() + longest
         while self._vent is None and self._link is not None and time.monotonic() < deadline:
             before = time.monotonic()
