@@ -11,7 +11,7 @@ import pytest
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, LimitRefused
-from pmabench.bench.interface import ChannelRecord, DeviceRecord, Scale
+from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Scale
 from pmabench.engine.source import OwnDevices
 from tests.engine.benches import mounted
 from tests.engine.forked import Forks
@@ -36,6 +36,9 @@ class Reporting(Reader):
 
     def close(self):
         self._file.with_suffix(".closed").touch()
+
+    def collect(self):
+        return Block([int(self._clock.now() * 1e9)], {"supply": [0.0]})
 
     def held(self):
         says = self._says()
@@ -89,6 +92,19 @@ def test_a_device_that_restarts_in_a_run_is_a_trip(tmp_path, change):
         assert run.said("why").startswith(why)
         assert run.said("vent") == "confirmed"
         assert run.bench_state["what"] == "tripped"
+
+
+def test_what_it_measures_confirms_the_vent(tmp_path):
+    """The pressure is that of the engine's device: the guard cannot read it itself."""
+    with Forks() as forks, served(tmp_path) as (bench, plant):
+        safe = tuple(replace(act, target="supply") if act.do == "confirm" else act for act in bench.safe_state)
+        made = replace(bench, devices=(*bench.devices, gauge(tmp_path / "gauge.json")), safe_state=safe)
+        run = Run(forks, made, plant, tmp_path / "run", "short")
+        try:
+            assert run.end() == 0, run.lines()
+        finally:
+            run.kill_rest()
+        assert run.said("vent") == "confirmed"
 
 
 def opened(*devices):
