@@ -91,6 +91,8 @@ class Acquisition:
         self._stop: Stop | None = None
         self._stopped: float | None = None
         self._collected = self._asked = 0.0
+        self._changed = ""
+        """The device that is not what it was: its values confirm nothing."""
         self._supervisor: threading.Thread | None = None
         self._ending = threading.Event()
         self._realtime = bench.realtime
@@ -211,7 +213,12 @@ class Acquisition:
         begun = self.clock.now()
         self.clock.wait_until(begun + max(0.1, 1.5 / self.rate))
         self._collect()
-        late = {name for source in self._sources if source.newest < begun for name in source.channels}
+        late = {
+            name
+            for source in self._sources
+            if source.newest < begun or source.name == self._changed
+            for name in source.channels
+        }
         return {name: value for name, value in self.latest.items() if name not in late}
 
     def catch_up(self) -> float:
@@ -245,6 +252,7 @@ class Acquisition:
         try:
             self.question(self.clock.now())
         except LimitRefused as error:
+            self._changed = str(error).partition(":")[0]
             self.trip(str(error))
 
     def _raise_trip(self) -> None:

@@ -6,7 +6,7 @@ samples are flagged by their times alone, overrange and slack by their values.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import floor, inf
 from typing import Any, NamedTuple
 
@@ -22,6 +22,8 @@ from pmabench.store.records import Flag
 
 COLLECTS_WITHIN = 0.5
 """How long handing over samples may take [s]."""
+SOON = 0.1
+"""A stream that gives nothing for so long [s] may be that of another device now."""
 
 
 class OwnLinks(Links):
@@ -32,15 +34,26 @@ class OwnLinks(Links):
         return self._owners[name].call(act, COLLECTS_WITHIN)
 
 
-class OwnStream:
-    """The stream of a device that the engine calls itself."""
+class OwnSupervision(Supervision):
+    """Questions of the engine."""
 
-    def __init__(self, links: Links, name: str) -> None:
-        self._links, self._name = links, name
+    def hasten(self, name: str) -> None:
+        """Ask a device with the next look, whenever it was asked before."""
+        self._since.pop(name, None)
+
+
+class OwnStream:
+    """The stream of a device that the engine calls itself; where it stops the device is asked at once what it is."""
+
+    def __init__(self, links: Links, name: str, clock: Clock, hasten: Callable[[str], None]) -> None:
+        self._links, self._name, self._clock, self._hasten = links, name, clock, hasten
+        self._heard = self._soon = 0.0
 
     def start(self, rate: float) -> float:
         """As `Stream.start`."""
-        return self._links.stream(self._name, rate)
+        used = self._links.stream(self._name, rate)
+        self._heard, self._soon = self._clock.now(), max(SOON, 3.0 / used)
+        return used
 
     def stop(self) -> None:
         """As `Stream.stop`."""
@@ -48,7 +61,14 @@ class OwnStream:
 
     def collect(self) -> Block:
         """As `Stream.collect`."""
-        return self._links.collect(self._name)
+        block = self._links.collect(self._name)
+        now = self._clock.now()
+        if len(block.time):
+            self._heard = now
+        elif now - self._heard > self._soon:
+            self._heard = now
+            self._hasten(self._name)
+        return block
 
 
 class OwnDevices:
@@ -56,11 +76,11 @@ class OwnDevices:
 
     def __init__(self, bench: CompiledBench, clock: Clock) -> None:
         self._records = [record for record in bench.devices if bench.realtime and not record.guarded]
-        self._links = OwnLinks(bench, clock, threads=True)
+        self._clock, self._links = clock, OwnLinks(bench, clock, threads=True)
         self.identities: Mapping[str, Identity] = self._links.identities
         self.streams: dict[str, OwnStream] = {}
         self.channels = frozenset(channel.name for record in self._records for channel in record.channels)
-        self.supervision = Supervision(bench, self._links, clock, lambda output: step(output.safe), {})
+        self.supervision = OwnSupervision(bench, self._links, clock, lambda output: step(output.safe), {})
         """Whether they are as they were when the bench was armed; they have no outputs."""
 
     def open(self) -> None:
@@ -68,7 +88,7 @@ class OwnDevices:
         self._links.open(self._records, lambda _name: [], forgiving=False)
         for name, device in self._links.devices.items():
             if isinstance(device, Stream):
-                self.streams[name] = OwnStream(self._links, name)
+                self.streams[name] = OwnStream(self._links, name, self._clock, self.supervision.hasten)
 
     def close(self) -> None:
         """Let go of all; harmless when repeated."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pmabench.base.clock import VirtualClock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped
 from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Scale, TripRecord
 from pmabench.engine.acquire import OLD, SILENCE, Acquisition, Tripped
 from pmabench.engine.executor import Executor
@@ -151,6 +151,21 @@ def test_values_from_before_confirm_nothing():
     acquisition, _ = sampling(lambda _now: 0.01)
     acquisition.pass_time(1.0)
     assert acquisition.measure()["supply"] > 1.08
+
+
+def test_a_device_that_is_not_what_it_was_ends_the_run_and_confirms_nothing():
+    def changed(now):
+        if now > 1.0:
+            raise LimitRefused("gauge: its serial was 1 when the bench was armed and is 2 now")
+
+    acquisition, _ = sampling(lambda _now: 0.001)
+    acquisition.question, began = changed, []
+    acquisition.on_trip = lambda why, latches: began.append((why, latches))
+    with pytest.raises(LimitTripped, match="its serial was 1"):
+        acquisition.pass_time(5.0)
+    assert began == [("gauge: its serial was 1 when the bench was armed and is 2 now", True)]
+    acquisition.begin_safe_state()
+    assert acquisition.measure() == {}
 
 
 def test_a_trial_waits_for_its_last_samples():

@@ -38,6 +38,8 @@ class Reporting(Reader):
         self._file.with_suffix(".closed").touch()
 
     def collect(self):
+        if self._says().get("silent"):
+            return Block([], {"supply": []})
         return Block([int(self._clock.now() * 1e9)], {"supply": [0.0]})
 
     def held(self):
@@ -138,6 +140,31 @@ def asked_for(seconds, own):
     end = time.monotonic() + seconds
     while (now := time.monotonic()) < end:
         own.supervision.look(now)
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("after", [0.5, 0.6, 0.7])
+def test_one_whose_samples_stay_away_is_asked_at_once(tmp_path, after):
+    """Within 0.1 s and the question itself; by the round of questions it may be half a second."""
+    own = opened(gauge(tmp_path / "gauge.json"))
+    try:
+        own.streams["gauge"].start(100.0)
+        own.supervision.begin()
+        sampled_for(after, own)
+        say(tmp_path / "gauge.json", serial="9999", silent=True)
+        begun = time.monotonic()
+        with pytest.raises(LimitRefused, match="9999"):
+            sampled_for(1.0, own)
+        assert time.monotonic() - begun < 0.3
+    finally:
+        own.close()
+
+
+def sampled_for(seconds, own):
+    end = time.monotonic() + seconds
+    while (now := time.monotonic()) < end:
+        own.supervision.look(now)
+        own.streams["gauge"].collect()
         time.sleep(0.01)
 
 
