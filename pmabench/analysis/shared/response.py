@@ -29,6 +29,8 @@ STILL = 0.01
 """A fortieth of a cycle in which it moves less than this share of its size is spent at rest; a sine spends 8 % so."""
 PART = 0.02
 """Share by which a smoothed cycle may be off: at its corners, and where its middle is crossed."""
+LONGEST = 1e3
+"""Muscles creep with the logarithm of time: a motion that is seen in the window may go on so until then [s]."""
 STICKS = 0.3
 """Share of a cycle spent at rest from which on it is stick-slip."""
 
@@ -89,6 +91,8 @@ class Unsure:
     """What the mean in the window differs by from that at rest, or over whole cycles [m]."""
     moves: bool
     """Whether a motion in the window is seen."""
+    creep: float
+    """How far that may go on along the logarithm of time, until `LONGEST` [m]."""
 
 
 def respond(
@@ -142,12 +146,18 @@ def respond(
         period=0.0 if cycle is None else period + PART * cycle.period / cycle.count,
         error=max(error, 0.5 * resolution),
         moves=cycle is not None or further.seen or wander > smallest,
+        creep=_creep(t[inside], x[inside]) if further.seen and cycle is None else 0.0,
     )
     overshoot = max(0.0, place.against(setpoint).peak(noise) / step)
     settling = settled(band * step) if near is not None else None
     IAE = float(np.trapezoid(np.abs(setpoint - at), t)) - 0.5 * rectified
     off = setpoint - float(x[inside].mean())
     return Response(rise, overshoot, settling, off, IAE, cycle, wander, smallest, unsure)
+
+
+def _creep(t: Array, x: Array) -> float:
+    since = np.log(np.maximum(t, t[-1] / len(t)))
+    return abs(float(np.polyfit(since, x, 1)[0])) * max(0.0, float(np.log(LONGEST) - since.mean()))
 
 
 def _rise(t: Array, x: Array, step: float, rest: float) -> tuple[float | None, list[float]]:
