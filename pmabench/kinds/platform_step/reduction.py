@@ -120,11 +120,11 @@ def _heights(courses: Sequence[Course]) -> tuple[tuple[float, float], list[Findi
     for _ in range(PASSES):
         terms, errors = _motion(courses)
         before, found, error = found, max(0.0, float(terms[1])), SURE * float(errors[1])
-        told = 0 < error <= wide + UNSEEN  # noise hides it, and what does not move does not show it
-        if not told or abs(found - before) <= 0.5 * wide + error:
+        shows = 0 < error <= wide + UNSEEN  # noise hides it, and what does not move does not show it
+        if not shows or abs(found - before) <= 0.5 * wide + error:
             break
         courses = [course_of(one.run, one.trial, found - declared) for one in courses]
-    if not told or abs(found - declared) <= wide + UNSEEN + error:
+    if not shows or abs(found - declared) <= wide + UNSEEN + error:
         return (-wide, wide), []
     text = (
         f"while it tilts, the readings are those of an accelerometer {show(found, 'length', 2)} above the joint, and "
