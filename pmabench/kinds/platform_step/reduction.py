@@ -44,7 +44,7 @@ def _wobble(one: Course) -> float:
     t, power = one.t[level], 0.0
     for angle in (one.phi[level], one.psi[level]):
         power += float(np.var(angle - np.polyval(np.polyfit(t, angle, 1), t)))
-    count = 0.5 * max(count_of(one.run, name) for name in ACCELERATIONS) / G
+    count = 0.5 * max(count_of(one.run, one.trial, name) for name in ACCELERATIONS) / G
     return math.hypot(math.sqrt(2 * max(0.0, power - 2 * one.noise**2)), count)
 
 

@@ -66,8 +66,8 @@ def step_in(runs: Sequence[RunData]) -> float:
     read = [
         trial.channels["pressure"][trial.usable] for run in runs for trial in run.trials if "pressure" in trial.channels
     ]
-    values = [np.unique(P[np.isfinite(P)]) for P in read]
-    return max((step_of(P) for P in values if len(P) >= VALUES), default=0.0)
+    read = [P[np.isfinite(P)] for P in read]
+    return max((step_of(P) for P in read if len(np.unique(P)) >= VALUES), default=0.0)
 
 
 def zero_moved(runs: Sequence[RunData]) -> float:
