@@ -145,6 +145,14 @@ def test_an_angle_that_creeps_beyond_the_window_is_named_and_where_it_ends_is_in
     assert "in the window" not in " ".join(one.text for one in stepped().findings)
 
 
+def test_an_angle_that_dies_away_as_an_exponential_is_not_taken_for_one_that_creeps():
+    """What is left of it after 4 s is found from the window itself: 4 % of the step came with 0.9 s."""
+    found = stepped(change=creeping(0.04, [0.9]))
+    assert "in the window" not in " ".join(one.text for one in found.findings)
+    (e,) = (e for e in found.estimates if e.symbol == "e_th")
+    assert abs(e.value) < e.parts.combined < 1.3e-3
+
+
 def test_a_sound_bench_keeps_narrow_intervals():
     halves = {e.symbol: e.parts.combined for e in stepped().estimates}
     assert halves["OS_th"] < 1.5 * math.hypot(OFFSET, GAIN * GOAL)

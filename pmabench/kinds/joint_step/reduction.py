@@ -64,7 +64,7 @@ class Stepped(Course):
     calibration: Mapping[str, float] | None
     """What the uncertainties of the angle's offset and gain do to each; None where they are not known."""
     moves: float
-    """How far it still moves in the window of e_th [rad]; 0 for not."""
+    """How far it creeps or swings in the window of e_th [rad]; 0 for not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +161,7 @@ def _stepped(
     since = np.clip(t / max(float(law["reference_lag"]), 1e-9), 0.0, 700.0)  # in lags, of which there are two
     reference = goal * (1 - (1 + since) * np.exp(-since))
     saturated = float(law.get("saturated", 0.0))
-    moves = response.wander if seen.moves else 0.0
+    moves = response.wander if seen.creep or response.cycle is not None else 0.0
     return Stepped(run, trial, t, angle, reference, saturated, values, unsure, calibration, moves)
 
 
