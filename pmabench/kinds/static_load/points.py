@@ -76,7 +76,7 @@ def zero_moved(runs: Sequence[RunData]) -> float:
     for trial in (one for run in runs for one in run.trials if "pressure" in one.channels):
         first = next((c for c in trial.commands if c.output == "pressure"), None)
         P = trial.channels["pressure"][trial.usable & (trial.t < (-np.inf if first is None else first.t))]
-        if first is not None and first.before <= 0 and len(P) >= FEWEST:
+        if first is not None and first.before <= 0 and len(P) >= FEWEST and np.ptp(P) > 0:  # else it is dead
             means.append(float(P.mean()))
             errors.append(max(noise_of(P), float(P.std())) / float(np.sqrt(len(P))))
     apart = max(means, default=0.0) - min(means, default=0.0)
