@@ -1,8 +1,9 @@
-"""Two clocks with the same methods: real time, and virtual time that passes only when it is waited for."""
+"""Two clocks with the same methods, real time and virtual time that jumps to what is waited for; a device's clock."""
 
 from __future__ import annotations
 
 import time
+from math import inf
 from typing import Protocol
 
 
@@ -73,3 +74,24 @@ class VirtualClock:
     def set_quiet_until(self, moment: float) -> None:
         """Keep it for the simulation."""
         self.quiet_until = moment
+
+
+DRIFT = 2e-4
+"""How far a device's clock may drift against the computer's [1]."""
+
+
+class DeviceClock:
+    """Bench time of a device's samples, by the one that came with the shortest delay so far."""
+
+    def __init__(self) -> None:
+        self._ahead = inf
+        self._last: int | None = None
+
+    def ahead(self, newest: int, arrived: float) -> float:
+        """Bench time minus device time [s], after a sample of `newest` [ns] has `arrived` [s]."""
+        passed = newest - self._last if self._last is not None else 0
+        self._last = newest
+        if passed < 0:  # the device began anew
+            self._ahead = inf
+        self._ahead = min(self._ahead + DRIFT * passed * 1e-9, arrived - newest * 1e-9)
+        return self._ahead

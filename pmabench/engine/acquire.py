@@ -294,7 +294,7 @@ class Acquisition:
         """What is added to the device's clock to get bench time [s]; in virtual time they are the same."""
         if not self._realtime:
             return 0.0
-        return source.ahead(newest, host * 1e-9 if host >= 0 else self.clock.now())
+        return source.clock.ahead(newest, host * 1e-9 if host >= 0 else self.clock.now())
 
     def _rewound(self, source: Source, t: Array, index: int) -> bool:
         """Take time back to a sample inside the block, where the clock can; what came after it did not happen."""

@@ -325,6 +325,8 @@ class _Run:
         """Newest values for the safe state; more signals shorten its waits."""
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
+        if isinstance(self.guard, RemoteGuard):
+            self.guard.seen = {}  # what was measured before confirms nothing, should this fail
         values = self.acquisition.measure()
         if isinstance(self.guard, RemoteGuard):
             self.guard.seen = {name: value for name, value in values.items() if name in self.own.channels}

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from math import floor, inf
+from math import floor
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.clock import Clock
+from pmabench.base.clock import Clock, DeviceClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Device, Identity, Stream
 from pmabench.guard.links import OPENS_WITHIN, load_driver
@@ -211,10 +211,6 @@ class Ranges:
         return flags
 
 
-DRIFT = 2e-4
-"""How far a device's clock may drift against the computer's [1]."""
-
-
 class Piece(NamedTuple):
     """Samples as the recorder takes them: all of shape (n,); `host` is when the newest was here [ns, bench time]."""
 
@@ -238,19 +234,12 @@ class Source:
         self.heard = 0.0
         """When it came [s]."""
         self.scales = [(channel, channel.scale.slope, channel.scale.offset) for channel in channels]
-        self._ahead = inf
-        """Bench time minus device time [s]: the least seen, from the sample with the shortest delay."""
+        self.clock = DeviceClock()
         self._rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []
         """Single samples: time [ns], raw columns of length 1, flags, arrival [ns].
 
         The newest ones wait where only the next one shows whether they are late or samples are missing before them.
         """
-
-    def ahead(self, newest: int, arrived: float) -> float:
-        """Bench time minus device time [s], after a sample of `newest` [ns] has `arrived` [s]."""
-        passed = newest - self.last if self.last is not None else 0
-        self._ahead = min(self._ahead + DRIFT * passed * 1e-9, arrived - newest * 1e-9)
-        return self._ahead
 
     def flag(self, flags: Sequence[int]) -> None:
         """Set the flags of the samples that wait (the newest last), now that the next one has decided them."""

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from enum import Enum
+from functools import partial
 from itertools import takewhile
 from math import inf, isfinite
 from typing import Any
 
-from pmabench.base.clock import Clock
+from pmabench.base.clock import Clock, DeviceClock
 from pmabench.base.errors import DeviceError, LimitRefused
 from pmabench.bench.interface import (
     Block,
@@ -42,6 +43,8 @@ from pmabench.guard.supervision import Supervision
 
 __all__ = ["Guard", "Measure", "State", "Vent"]
 
+FRESH = 0.5
+"""Values that are older [s], by the shortest delay of a device's samples, confirm nothing."""
 Measure = Callable[[], Mapping[str, float]]
 """Lets a little bench time pass; returns the latest measured values [SI]."""
 
@@ -88,6 +91,9 @@ class Guard:
         """Where each output was sent last [SI over s]."""
         self._closed: dict[str, bool] = {}
         """How each valve was switched last."""
+        self._unanswered = -inf
+        """When a command was sent last whose outcome is not known [s]."""
+        self._clocks: dict[str, DeviceClock] = {}
         self._shuts: dict[str, float] = {}
         """When the last pulse of each valve ends [s]."""
         self.supervision = Supervision(bench, self.links, clock, self._course, self._closed)
@@ -152,7 +158,7 @@ class Guard:
         if not (isfinite(rate) and rate > 0) or (output.rate and rate > output.rate * (1 + 1e-9)):
             raise LimitRefused(f'"{name}" cannot be ramped at {rate} per second; at most {output.rate}')
         refuse_jump(output, self._now_at(output), origin)
-        self.links.call(output.device, self._ramping(output, origin, target, rate))
+        self._command(output.device, self._ramping(output, origin, target, rate))
         self._courses[name] = course.ramp(self.clock.now(), origin, target, rate)
 
     def sine(self, name: str, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
@@ -172,7 +178,7 @@ class Guard:
             frequency=frequency,
             cycles=cycles,
         )
-        self.links.call(output.device, self.links.following(output, segment))
+        self._command(output.device, self.links.following(output, segment))
         self._courses[name] = course.sine(segment.start, mean, amplitude, frequency, cycles)
 
     def place(self, load: Load) -> None:
@@ -197,7 +203,7 @@ class Guard:
         opens = [(refuse_pulse(self._valves, name, seconds), seconds) for name, seconds in pulses.items()]
         refuse_together(pulses, self._valves, {name for name, end in self._shuts.items() if end > now + 1e-9})
         for valve, seconds in opens:
-            self.links.call(valve.device, self.links.pulsing(valve, seconds))
+            self._command(valve.device, self.links.pulsing(valve, seconds))
             self._shuts[valve.name] = max(self._shuts.get(valve.name, now), self.clock.now() + seconds)
 
     def value_sent(self, name: str, value: float) -> float:
@@ -208,11 +214,17 @@ class Guard:
     def collect(self, name: str) -> Block:
         """The new samples of one device; the guard keeps the newest values of channels that it confirms."""
         block = self.links.collect(name)
-        if len(block.time):
+        if len(block.time) and self._age(name, int(block.time[-1])) <= FRESH:
             for record in self.bench.devices:
                 for channel in record.channels if record.name == name else ():
                     self.latest[channel.name] = float(channel.scale.to_si(block.columns[channel.name][-1]))
         return block
+
+    def _age(self, name: str, newest: int) -> float:
+        """How old the newest sample of a device is [s], against the least that this ever was; 0 in virtual time."""
+        now = self.clock.now()
+        ahead = self._clocks.setdefault(name, DeviceClock()).ahead(newest, now)
+        return now - newest * 1e-9 - ahead if self._threads else 0.0
 
     def _refuse_unless_active(self, name: str) -> None:
         if self.state not in {State.SETUP, State.RUNNING}:
@@ -227,14 +239,21 @@ class Guard:
         refuse_outside(output, values, self.bench.setup_pressure if unproven else inf)
         return output
 
+    def _command(self, device: str, act: Act) -> None:
+        try:
+            self.links.call(device, act)
+        except DeviceError:
+            self._unanswered = self.clock.now()  # it may be carried out yet
+            raise
+
     def _write(self, output: OutputRecord, value: float) -> float:
-        self.links.call(output.device, self.links.writing(output, value))
+        self._command(output.device, self.links.writing(output, value))
         sent = self.value_sent(output.name, value)
         self._courses[output.name] = course.step(sent)
         return sent
 
     def _switch(self, valve: ValveRecord, *, closed: bool) -> None:
-        self.links.call(valve.device, self.links.switching(valve, closed=closed))
+        self._command(valve.device, self.links.switching(valve, closed=closed))
         self._closed[valve.name] = closed
 
     def _course(self, output: OutputRecord) -> course.Course:
@@ -257,8 +276,9 @@ class Guard:
         if self._safe is None:
             self.state = State.STOPPING
             self._safe = SafeState(
-                self.bench.safe_state, self._begin, self._rescue, self._look, self.clock.now(), self._floors
-            )
+                self.bench.safe_state, self._begin, self._rescue, self._look, self.clock.now(), self._floors,
+                self._unanswered,
+            )  # fmt: skip
         elif self._safe.vent is not None:
             for action in self.bench.safe_state:
                 if action.do not in {"confirm", "hold"}:
@@ -329,13 +349,17 @@ class Guard:
         if action.do == "stop":
             return self.links.halting(target)
         if action.do == "ramp":
-            origin = self._now_at(target)
-            follow = self._ramping(target, origin, action.value, action.rate)
-            self._courses[target.name] = course.ramp(self.clock.now(), origin, action.value, action.rate)
-            lasts = abs(action.value - origin) / action.rate
-            return lambda: (follow(), lasts)[1]
+            return partial(self._ramp_down, target, action)
         self._courses[target.name] = course.step(action.value)
         return self.links.writing(target, action.value)
+
+    def _ramp_down(self, output: OutputRecord, action: SafeAction) -> float:
+        """Begin a safe ramp, in the thread of the device: from where it was sent, else from what it holds."""
+        known = output.name in self._courses
+        origin = self._now_at(output) if known else float(output.scale.to_si(self.links.read_back(output)))
+        self._ramping(output, origin, action.value, action.rate)()
+        self._courses[output.name] = course.ramp(self.clock.now(), origin, action.value, action.rate)
+        return abs(action.value - origin) / action.rate
 
     def _rescue(self, action: SafeAction) -> Call | None:
         """Try an action over the second way of its device, where it has one."""

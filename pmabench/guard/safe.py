@@ -20,6 +20,10 @@ Without one the command counts as not carried out; over the second way, whose li
 """
 REPEAT = 0.5
 """While a confirmation is waited for, the commands are sent again so often [s]; they are absolute."""
+STAYS = 0.5
+"""A value must stay low for so long [s] after the last command: a valve may be about to open for the one before."""
+LINGERS = 3.0
+"""A command that was not answered may be carried out so much later [s]; those of the safe state are sent until then."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class SafeState:
     `begin` starts an action (the result of a ramp is how long it takes [s]) and `rescue` tries it over a second way;
     `look` asks whether a command is held (None: it cannot be asked); all return at once. Commands that follow each
     other go out together; `ramp`, `hold` and `confirm` are waited for until they are done or their time is over. A
-    value at or below its entry in `floors` [SI] confirms nothing.
+    value at or below its entry in `floors` [SI] confirms nothing, nor does any within `LINGERS` after `unanswered` [s].
     """
 
     def __init__(
@@ -62,6 +66,7 @@ class SafeState:
         look: Callable[[SafeAction], Call | None],
         now: float,
         floors: Mapping[str, float] | None = None,
+        unanswered: float = -inf,
     ) -> None:
         self._floors = floors or {}
         self._todo = list(actions)
@@ -73,13 +78,18 @@ class SafeState:
         self._confirmed = 0
         self._first: float | None = None
         """First value that was measured for this confirmation."""
+        self._newest: float | None = None
         self._fallen = False
+        self._low: float | None = None
+        """Since when the value has stayed low [s]."""
+        self._late = unanswered + LINGERS
         self.outcome: list[str] = []
         self.failed: set[str] = set()
         """Targets of commands that failed or were not carried out."""
         self.unmoved = False
         """Whether a measured value has not fallen after all commands."""
-        self._commands = [action for action in actions if action.do in AT_ONCE]
+        self._commands: list[SafeAction] = []
+        """What was commanded so far, a ramp by its end."""
         self.vent: Vent | None = None
         """What came of it, when it is over."""
 
@@ -100,7 +110,7 @@ class SafeState:
             self._todo.pop(0)
             self._gather(now)
             self._since = self._repeated = now
-            self._ramp, self._first, self._fallen = None, None, False
+            self._ramp, self._first, self._newest, self._fallen, self._low = None, None, None, False, None
         if self.vent is None and not self._todo and not self._sent:
             result = "failed" if self.failed else "commanded"
             if self._confirms and self._confirmed == self._confirms:
@@ -110,14 +120,14 @@ class SafeState:
 
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
         """Whether the next action may begin."""
-        if action.do in AT_ONCE:
-            self._sent.append(_Sent(action, self._begin(action), now))
-            return True
         if action.do == "confirm":
             return self._confirm(action, now, latest)
-        if action.do == "ramp" and self._ramp is None:
-            self._ramp = self._begin(action)
-            self._sent.append(_Sent(action, self._ramp, now))
+        if action.do in AT_ONCE or (action.do == "ramp" and self._ramp is None):
+            self._sent.append(_Sent(action, self._begin(action), now))
+            self._commands.append(replace(action, do="set") if action.do == "ramp" else action)
+            if action.do in AT_ONCE:
+                return True
+            self._ramp = self._sent[-1].call
         if self._ramp is not None and self._ramp.error is not None:
             return True
         lasts = self._ramp.result if self._ramp is not None else None
@@ -125,22 +135,28 @@ class SafeState:
 
     def _confirm(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
         value = latest.get(action.target)
-        if value is not None and self._floors.get(action.target, -inf) < value < action.value:
+        self._newest = self._newest if value is None else value
+        low = value is not None and self._floors.get(action.target, -inf) < value < action.value
+        if self._sent or (value is not None and not low):
+            self._low = None
+        elif low and self._low is None:
+            self._low = max(now, self._late)
+        if value is not None and low and self._low is not None and now - self._low >= STAYS:
             self._confirmed += 1
             self.outcome.append(f"confirm {action.target}: {_shown(action, value)}, below {_shown(action)}")
             return True
-        if now - self._since >= action.within:
+        if now >= max(self._since + action.within, 0.0 if self._low is None else self._low + 2 * STAYS):
             bound = f"below {_shown(action)} within {action.within:g} s"
-            measured = "nothing measured" if value is None else _shown(action, value)
-            if value is not None and value < action.value:
-                measured += ", which a broken wire reads"
+            measured = "nothing measured" if self._newest is None else _shown(action, self._newest)
+            if self._newest is not None and self._newest < action.value:
+                measured += ", and not for long" if self._low is not None else ", which a broken wire reads"
             self.outcome.append(f"confirm {action.target}: {measured}, not {bound}")
             return True
         if value is not None:
-            self._fallen = self._first is not None and value < 0.98 * self._first
+            self._fallen = low or (self._first is not None and value < 0.98 * self._first)
             self._first = value if self._first is None else self._first
         self.unmoved = self.unmoved or (now - self._since >= NO_EFFECT and not self._fallen)
-        if now - self._repeated >= REPEAT:
+        if now - self._repeated >= REPEAT and (not low or now < self._late):
             self._repeated = now
             for command in self._commands:
                 self._begin(command)

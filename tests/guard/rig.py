@@ -44,6 +44,8 @@ class Rig:
         """Whether it acknowledges commands and carries none out; "both ways": nor those of the second way."""
         self.wrong: dict[str, Any] = dict(device.options.get("wrong", {}))
         self.reads: dict[str, float] = {channel.name: 0.0 for channel in device.channels}
+        self.late = 0.0
+        """How late samples come [s]."""
         self.high = True
         self.promised: float | None = None
         Rig.made[device.name] = self
@@ -129,7 +131,7 @@ class Rig:
 
     def collect(self) -> Block:
         self._note("collect")
-        moment = array("q", [int(self.clock.now() * 1e9)])
+        moment = array("q", [int((self.clock.now() - self.late) * 1e9)])
         return Block(moment, {name: array("d", [value]) for name, value in self.reads.items()})
 
     def values(self, *kinds: str) -> list[tuple[Any, ...]]:

@@ -7,13 +7,14 @@ from math import inf
 
 import pytest
 
-from pmabench.base.clock import RealClock
+from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, LimitRefused
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, Scale, TripRecord, ValveRecord
 from pmabench.guard import course
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.limits import refuse_outside
 from pmabench.guard.owner import Direct, Owner
+from pmabench.guard.safe import LINGERS, STAYS
 from tests.guard.rig import BENCH, DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, Plain, Rig, armed, bench, opened
 
 RAMP = SafeAction("ramp", "pressure", 0.0, 5.0, 100e3)
@@ -48,6 +49,18 @@ def test_a_safe_ramp_begins_where_the_output_is_not_where_its_last_ramp_ends():
     assert (segment.target, segment.rate * OUTPUT.scale.slope) == (0.0, pytest.approx(100e3))
 
 
+def test_a_safe_ramp_of_a_guard_that_comes_later_begins_at_what_the_device_holds():
+    """Whoever commanded it is gone: the ramp is no step to its end."""
+    guard, rig = opened(bench(safe_state=(RAMP, *SAFE)), forgiving=True)
+    rig.at["p"] = lambda _now: OUTPUT.scale.to_raw(400e3)
+    guard.begin_safe()
+    assert advance(guard, 3.9) is None
+    (segment,) = [reported[2] for reported in rig.values("follow")]
+    assert segment.origin * OUTPUT.scale.slope == pytest.approx(400e3, abs=OUTPUT.scale.slope)
+    assert segment.rate * OUTPUT.scale.slope == pytest.approx(100e3)
+    assert rig.values("write") == []
+
+
 def test_a_safe_ramp_out_of_a_sine_begins_on_the_sine():
     guard, rig = armed(bench(safe_state=(RAMP,)))
     guard.sine("pressure", 300e3, 100e3, 0.25, 10)
@@ -77,7 +90,8 @@ def test_a_ramp_is_waited_for_and_a_hold_too():
     assert rig.values("write", "switch") == []
     advance(guard, 0.2)
     assert rig.values("write", "switch") == [("write", "p", 0.0), ("switch", "v", False)]
-    assert advance(guard, 0.1, LOW).confirmed
+    assert advance(guard, 0.1, LOW) is None
+    assert advance(guard, STAYS, LOW).confirmed
 
 
 def test_a_ramp_that_fails_goes_over_the_second_way_and_nothing_waits_for_it():
@@ -104,7 +118,8 @@ def test_hurry_leaves_out_waits_and_nothing_else():
     guard.step_safe({})
     commands = rig.values("write", "halt", "switch")
     assert commands == [("write", "p", 0.0), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
-    assert advance(guard, 0.1, LOW).confirmed
+    assert advance(guard, 0.1, LOW) is None
+    assert advance(guard, STAYS, LOW).confirmed
 
 
 def test_commands_are_sent_again_while_the_confirmation_is_waited_for():
@@ -117,6 +132,61 @@ def test_commands_are_sent_again_while_the_confirmation_is_waited_for():
     vent = advance(guard, 0.3, {"pressure": 200e3})
     assert vent.result == "commanded"
     assert vent.actions[-1] == "confirm pressure: 200 kPa, not below 20 kPa within 1 s"
+
+
+def test_a_pressure_that_had_not_risen_yet_confirms_nothing():
+    """A valve that opens 0.2 s after the command before, and sticks: low at first."""
+    guard, _ = armed()
+    guard.set("pressure", 400e3)
+    begun = guard.clock.now()
+    vent = guard.safe_state(lambda: {"pressure": 0.0 if wait(guard) < begun + 0.2 else 400e3})
+    assert (vent.result, guard.state) == ("commanded", State.SAFE)
+    assert vent.actions[-1] == "confirm pressure: 400 kPa, not below 20 kPa within 1 s"
+
+
+def wait(guard):
+    guard.clock.wait_until(guard.clock.now() + 0.05)
+    return guard.clock.now()
+
+
+def test_what_was_measured_once_confirms_once():
+    guard, _ = armed()
+    read = iter([LOW, LOW])
+    vent = guard.safe_state(lambda: (wait(guard), next(read, {}))[1])
+    assert vent.result == "commanded", "no sample has come since"
+
+
+@pytest.mark.parametrize(("late", "believed"), [(0.2, True), (2.0, False)])
+def test_samples_that_come_late_confirm_nothing(late, believed):
+    guard = Guard(BENCH, VirtualClock(), threads=True)
+    guard.open()
+    guard.collect("dac")
+    assert guard.latest.pop("pressure") == 0.0
+    guard.clock.wait_until(3.0)
+    Rig.made["dac"].late = late
+    guard.collect("dac")
+    assert ("pressure" in guard.latest) == believed
+    guard.close()
+
+
+def test_a_command_that_was_not_answered_is_overruled_until_it_cannot_come_any_more():
+    """It is carried out 1.2 s later: the safe value is sent again after that, and nothing was confirmed before."""
+    guard, rig = armed()
+    rig.wrong["write"] = "did not answer"
+    with pytest.raises(DeviceError):
+        guard.set("pressure", 400e3)
+    sent, held = guard.clock.now(), []
+    del rig.wrong["write"]
+
+    def measure():
+        if wait(guard) >= sent + 1.2 and not held:
+            held.append(len(rig.values("write")))
+        return LOW
+
+    vent = guard.safe_state(measure)
+    assert vent.confirmed
+    assert guard.clock.now() >= sent + LINGERS + STAYS
+    assert len(rig.values("write")) > held[0] + 2
 
 
 @pytest.mark.parametrize("value", [float("nan"), None, float("inf"), 20e3])

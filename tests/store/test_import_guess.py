@@ -261,6 +261,12 @@ def test_a_matrix_without_a_pressure_is_not_made_into_one(tmp_path):
     assert any("no column was found that is a pressure" in doubt for doubt in guess.doubts)
 
 
+def test_a_pressure_alone_is_said_to_give_no_result(tmp_path):
+    t = np.arange(500) * 0.01
+    (tmp_path / "fill.csv").write_text("t [s],P [kPa]\n" + "\n".join(f"{s:.2f},{600 * s / 5:.2f}" for s in t))
+    assert any("a pressure alone gives no result" in doubt for doubt in guess_files([tmp_path / "fill.csv"]).doubts)
+
+
 def test_what_the_guess_left_open_is_reported_where_it_is(tmp_path):
     files = sorted((OLD / "polled").glob("*step_exp/*.dat"))
     path = written(tmp_path, guess_files(files))

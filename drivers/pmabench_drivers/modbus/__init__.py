@@ -66,13 +66,13 @@ class Watched(Polled):
         registers = self._own_watchdog()
         if not 0 < seconds < math.inf:
             raise self._error(f"a watchdog of {seconds} s cannot be set", "watchdog")
-        counts, deadline = max(1, math.floor(seconds / registers.resolution + 1e-6)), monotonic() + CALL
+        counts = max(1, math.floor(seconds / registers.resolution + 1e-6))
         if registers.trigger is not None:
-            self._put(registers.trigger, registers.off, deadline, checked=False)
-        self._put(registers.timeout, counts, deadline, checked=False)
-        held = self._get(registers.timeout, deadline) if registers.timeout.read_back else counts
+            self._put(registers.trigger, registers.off, monotonic() + CALL, checked=False)
+        self._put(registers.timeout, counts, monotonic() + CALL, checked=False)
+        held = self._get(registers.timeout, monotonic() + CALL) if registers.timeout.read_back else counts
         if registers.trigger is not None:
-            self._put(registers.trigger, registers.on, deadline)
+            self._put(registers.trigger, registers.on, monotonic() + CALL)
         if held <= 0:
             raise self._error("holds a watchdog time of 0, which is none", "watchdog")
         self._armed, self._fed = held * registers.resolution, monotonic()

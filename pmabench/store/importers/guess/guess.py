@@ -303,6 +303,8 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     for role in ("time", "pressure"):
         if guess.role(role) is None:
             guess.doubts.append(f"no column was found that is a {role}: say which it is, for the map needs one")
+    if guess.lacks == "force" and all(column.role != "ignore" for column in guess.columns):
+        guess.doubts.append("no column is a force or a displacement: a pressure alone gives no result here")
     if guess.role("time") is None and guess.role("pressure") is not None and isinstance(guess.layout, TextLayout):
         guess.doubts.append(
             "a table of points without time is no recording: report --overlay draws it next to your own, and model fit "
