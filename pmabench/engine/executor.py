@@ -269,9 +269,10 @@ class Executor:
                 )
             self.acquisition.record(on=True)
             return
+        ended = self.acquisition.catch_up()
         self.acquisition.record(on=False)
         if self._trial is not None:
-            self._event("trial-end", trial=self._trial, status=self._trial_status)
+            self.recorder.event("trial-end", ended, trial=self._trial, status=self._trial_status)
             if self._trial_status == "finished" and self._trial_of(self._trial) is not self.again:
                 self.finished.add(self._trial)
         self._trial = None
