@@ -31,6 +31,8 @@ from pmabench.guard.wire import Message, Messages, encode, keys
 
 RATE = 50.0
 """At which the pressure is looked at while a vent is confirmed [Hz]."""
+SILENT = 0.3
+"""A device that gives no sample for so long [s] is begun again: whoever else vents may have ended its sampling."""
 
 
 def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
@@ -44,18 +46,19 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
         guard.close()
         guard = _opened(bench)
     try:
-        sampled = [name for name, device in list(guard.devices.items()) if isinstance(device, Stream)]
+        heard = {name: 0.0 for name, device in list(guard.devices.items()) if isinstance(device, Stream)}
         guard.begin_safe()
         guard.step_safe({})
 
         def measure() -> Mapping[str, float]:
             guard.latest.clear()
             guard.clock.wait_until(guard.clock.now() + 0.05)
-            for name in sampled:
+            for name, since in heard.items():
                 with suppress(PmaError):  # asked again each time: what is late on a busy computer may confirm the vent
-                    if name not in guard.links.sampling:
+                    if name not in guard.links.sampling or guard.clock.now() - since > SILENT:
                         guard.links.stream(name, RATE)
-                    guard.collect(name)
+                        heard[name] = guard.clock.now()
+                    heard[name] = guard.clock.now() if len(guard.collect(name).time) else heard[name]
             return guard.latest
 
         vent = guard.safe_state(measure)

@@ -123,6 +123,14 @@ def test_one_lost_answer_is_no_lost_device():
         assert (lost, serving.service._ended) == (1, {})
 
 
+def test_time_that_is_lost_before_it_is_armed_begins_nothing():
+    with Serving() as serving:
+        serving.ask(serving.link(), "open")
+        serving.service._pulse.lost = 1.9
+        serving.service.turn()
+        assert serving.guard.state is State.DISARMED
+
+
 def test_a_ramp_does_not_go_on_in_a_guard_that_lost_time():
     """Somebody else may have vented while it was stopped: it sends the end of the ramp at once."""
     with Serving(bench(safe_state=(SafeAction("ramp", "pressure", 0.0, 5.0, 100e3), *SAFE))) as serving:
