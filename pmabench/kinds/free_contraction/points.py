@@ -18,6 +18,7 @@ from scipy.interpolate import PchipInterpolator
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import (
+    FINE,
     OF_TWO,
     Held,
     Left,
@@ -219,7 +220,8 @@ def _with_steps(rests: Sequence[Rest]) -> list[Rest]:
     for run, mine in grouped(rests, lambda rest: rest.run.id).items():
         x = np.concatenate([rest.trial.channels["displacement"][rest.trial.usable] for rest in mine])
         steps[run] = step_of(x[np.isfinite(x)])
-    return [replace(rest, coarse=unresolved(rest.last, steps[rest.run.id])) for rest in rests]
+    coarse = [unresolved(rest.last, steps[rest.run.id]) for rest in rests]
+    return [replace(r, coarse=c if c > FINE * steps[r.run.id] else 0.0) for r, c in zip(rests, coarse, strict=True)]
 
 
 def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
