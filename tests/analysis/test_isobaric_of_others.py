@@ -236,3 +236,29 @@ def test_turns_that_one_loop_shows_open_no_other(speeds):
     assert len(at_rest) >= 3
     for e in at_rest:
         assert e.value == pytest.approx({"H": 16.0, "F_c": 8.0, "B": 1200.0}[e.symbol], rel=0.15), e.method
+
+
+def filtered(t, y, constant):
+    """Through a filter of first order, as exactly as straight lines between samples have it."""
+    found, keep = np.empty(len(y)), np.exp(-np.diff(t) / constant)
+    found[0] = y[0]
+    for i, (dt, k) in enumerate(zip(np.diff(t), keep, strict=True), 1):
+        slope = (y[i] - y[i - 1]) / dt
+        found[i] = y[i] - slope * constant + (found[i - 1] - y[i - 1] + slope * constant) * k
+    return found
+
+
+def test_a_filter_of_the_cell_that_is_declared_is_none_that_comes_early(speeds):
+    """Its answer to a turn begins at once: H, B and F_c were withheld, with the force "27 ms ahead"."""
+    chance, lag = np.random.default_rng(7), 0.02
+
+    def of_another_muscle(trial: TrialData) -> TrialData:
+        x, P = trial.channels["displacement"], trial.point["pressure"]
+        F = filtered(trial.t, force(x, P) - 1200.0 * np.gradient(x, trial.t), lag) + chance.normal(0, 0.3, len(x))
+        return replace(trial, channels={**trial.channels, "pressure": np.full(len(x), P), "force": F})
+
+    trials, known = [of_another_muscle(trial) for trial in speeds.trials], {"force": {"sensor_lag": lag}}
+    found = reduce([as_run("isobaric-ramp", trials, speeds.rate, {"discard": 1}, known)])
+    (B,) = [e for e in found.estimates if (e.symbol, e.method) == ("B", "loop-gap")]
+    assert B.value is not None, B.note
+    assert abs(B.value - 1200.0) < 250.0
