@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import (
     NotUsable,
+    fresh,
     lags_of,
     least_squares,
     noise_of,
@@ -42,8 +43,6 @@ channel that jumps, which is judged by its form.
 """
 FEWEST = 12
 """Samples that a cycle needs."""
-HELD, RARELY = 0.6, 0.02
-"""A channel that is held is new sooner than this share of its usual time in so few of its new samples only."""
 HARMONICS = 5
 """Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
 
@@ -189,18 +188,6 @@ def _window(trial: TrialData, frequency: float, discard: float) -> slice:
     if last - first < FEWEST * whole:
         raise NotUsable(f"fewer than {FEWEST} samples a cycle")
     return slice(int(first), int(last))
-
-
-def fresh(y: Array) -> NDArray[np.bool_]:
-    """Which samples (n,) of a channel are new, where it is read less often than it is recorded and held in between.
-
-    It is never new sooner than that. A channel that is read in steps changes by one of them at a time, if it is slow.
-    """
-    new = np.append(True, np.diff(y) != 0)
-    runs, jumps = np.diff(np.flatnonzero(new)), np.abs(np.diff(y))[new[1:]]
-    if len(runs) < FEWEST or np.median(jumps) <= 2 * step_of(y) or np.mean(runs < HELD * np.median(runs)) > RARELY:
-        return np.ones(len(y), dtype=bool)
-    return new
 
 
 def evaluate(
