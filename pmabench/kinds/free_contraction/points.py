@@ -242,6 +242,9 @@ def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
     return points, dropped
 
 
+UNEQUAL = 0.25
+"""Share of half the width between both sides by which their mean may be off: friction, and a curve, are not the same
+both ways."""
 BENDS = {True: 0.2, False: 1.0}
 """What the way from the measured pressure to the commanded one may be off, as a share: along a sigmoid that fits, and
 along a curve through the points only."""
@@ -258,11 +261,15 @@ class Level:
     """Whether `shape` is a sigmoid that fits."""
     zero: float
     """By which the zero of the pressure is open [Pa]."""
+    apart: float
+    """What the difference of both sides changes by on the way to one pressure, where no form says the curve [m]."""
 
     @classmethod
     def of(cls, point: Point, shape: Shape, zero: float, *, fits: bool) -> Level:
         """A point, by the curve of all."""
-        return cls(point.at(point.pressure, shape), point.at(point.set, shape), shape, fits, zero)
+        there = point.at(point.set, shape)
+        apart = 0.0 if fits or not len(point.gaps) else abs(float(there.gaps.mean() - point.gaps.mean()))
+        return cls(point.at(point.pressure, shape), there, shape, fits, zero, apart)
 
     def rise(self, by: float) -> float:
         """Change of the contraction by the pressure, a change of which by `by` [Pa] is looked at [m/Pa]."""
@@ -273,7 +280,7 @@ class Level:
     @property
     def method(self) -> float:
         """What the way to the commanded pressure, noise and zero of the measured one may do to the contraction [m]."""
-        way = BENDS[self.fits] * (self.there.x - self.point.x)
+        way = hypot(BENDS[self.fits] * (self.there.x - self.point.x), UNEQUAL * self.apart / 2)
         return hypot(way, *(by * self.rise(by) for by in (2 * self.point.pressure_noise, self.zero) if by > 0))
 
 
@@ -327,7 +334,8 @@ def held_back(points: Sequence[Point]) -> float:
         return 0.0
     below = points[-2]
     noise = CLEAR * max(rest.noise for rest in below.rests)
-    clear = max(noise, spread(below.gaps) or 0.0, OF_TWO * below.coarse, below.apart.most)
+    starts = float(np.ptp([rest.start for rest in below.rests]))
+    clear = max(noise, spread(below.gaps) or 0.0, OF_TWO * below.coarse, below.apart.most, starts)
     return 0.5 * gaps[0] if gaps[0] > clear else 0.0
 
 

@@ -27,6 +27,7 @@ from pmabench.kinds.free_contraction import RESULTS, figures
 from pmabench.kinds.free_contraction.points import (
     CHANNELS,
     CLEAR,
+    UNEQUAL,
     Level,
     Point,
     Shape,
@@ -80,8 +81,6 @@ BETWEEN = 0.25
 """Share of the way between two pressures by which a curve through points may be off between them."""
 FINE = 2001
 """Points of a curve on which a pressure is looked up."""
-UNEQUAL = 0.25
-"""Share of half the width between both sides by which their mean may be off: friction is not the same both ways."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -143,7 +142,7 @@ def _lengths(levels: Sequence[Level], length: float, scales: Scales) -> list[Est
         lengths.append(_free("L", length - point.x, "length", at, parts, n, [point]))
         if len(point.gaps):
             value = float(point.gaps.mean())
-            parts = Parts(spread(point.gaps), 0.0, scales.part({"displacement": value}))
+            parts = Parts(spread(point.gaps), level.apart, scales.part({"displacement": value}))
             gaps.append(_free("x_H", value, "length", at, parts, len(point.gaps), [point]))
     found = [*lengths, *gaps, *([_half(levels, scales)] if len(levels) > 2 else [])]
     if not levels or not 0 < length < np.inf:
