@@ -172,7 +172,8 @@ class Form:
         reason, r = self.doubt_of_friction(F_c), abs(self.reach)
         wound = self._wound(F_c) if self.h3 < -self.half[1] else 0.0
         half = 2 * (abs(F_c) if reason else wound) * r + abs(self._carried(0.0, wound))
-        return Doubt(BUILDS_UP, "method", half, bool(reason), f"{reason}; it adds to K, which carries the force to x = 0")
+        reason += "; it adds to K, which carries the force to x = 0" if reason else ""
+        return Doubt(BUILDS_UP, "method", half, bool(reason), reason)
 
     def why_no_stiffness(self, F_c: float | None) -> str:
         """The reason to withhold K; empty where the harmonics correct it."""
