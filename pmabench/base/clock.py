@@ -76,15 +76,15 @@ class VirtualClock:
         self.quiet_until = moment
 
 
-DRIFT = 2e-4
-"""How far a device's clock may drift against the computer's [1]."""
+DRIFT = 1e-2
+"""How far any device's clock may drift against the computer's [1]: a ceramic resonator with temperature and age."""
 
 
 class DeviceClock:
     """Bench time of a device's samples, by the one that came with the shortest delay so far."""
 
-    def __init__(self) -> None:
-        self._ahead = inf
+    def __init__(self, drift: float = DRIFT) -> None:
+        self._drift, self._ahead = drift, inf
         self._last: int | None = None
 
     def ahead(self, newest: int, arrived: float) -> float:
@@ -93,5 +93,5 @@ class DeviceClock:
         self._last = newest
         if passed < 0:  # the device began anew
             self._ahead = inf
-        self._ahead = min(self._ahead + DRIFT * passed * 1e-9, arrived - newest * 1e-9)
+        self._ahead = min(self._ahead + self._drift * passed * 1e-9, arrived - newest * 1e-9)
         return self._ahead

@@ -45,7 +45,8 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
         todo = "; install its package, or name its folder in PYTHONPATH" if isinstance(error, ImportError) else ""
         c.fault((*at, "driver"), f'the driver "{device.driver}" cannot be loaded: {error}{todo}')
         return device
-    device = replace(device, verified=device.verified or verified(driver))
+    drift = getattr(driver, "drift", device.drift)
+    device = replace(device, verified=device.verified or verified(driver), drift=drift)
     if _lacks_a_capability(c, device, driver):
         return device
     check = getattr(driver, "check", None)

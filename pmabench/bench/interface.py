@@ -232,6 +232,8 @@ class DeviceRecord:
     """What its driver was tried on: `hardware (who, date, firmware)`, `emulator only`, or in other words."""
     verified_firmware: str = ""
     """The firmware for which the bench file says so; empty: any."""
+    drift: float = 2e-4
+    """How far its clock may drift against the computer's [1]; what comes later by more each second is late."""
     fastest: float = 0.0
     """Highest rate at which it samples with these options [Hz]; 0: its driver does not say."""
     fastest_from: str = ""

@@ -101,7 +101,7 @@ class Acquisition:
         for device in bench.devices:
             opened = devices[device.name]
             if isinstance(opened, Stream) and device.channels:
-                self._sources.append(Source(device.name, opened, device.channels, record))
+                self._sources.append(Source(device.name, opened, device.channels, record, device.drift))
 
     def switched(self, name: str, *, safe: bool) -> None:
         """Note in the record the position of a valve from now on: as in the safe state, or the other way."""

@@ -239,7 +239,9 @@ class Piece(NamedTuple):
 class Source:
     """A stream with its clock offset, and the samples that were not handed to the recorder yet."""
 
-    def __init__(self, name: str, stream: Stream, channels: Sequence[ChannelRecord], recorded: Sequence[str]) -> None:
+    def __init__(
+        self, name: str, stream: Stream, channels: Sequence[ChannelRecord], recorded: Sequence[str], drift: float
+    ) -> None:
         self.name = name
         self.stream = stream
         self.channels = {channel.name: channel for channel in channels}
@@ -254,7 +256,7 @@ class Source:
         self.heard = 0.0
         """When one came last that was not too old [s]."""
         self.scales = [(channel, channel.scale.slope, channel.scale.offset) for channel in channels]
-        self.clock = DeviceClock()
+        self.clock = DeviceClock(drift)
         self._rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []
         """Single samples: time [ns], raw columns of length 1, flags, arrival [ns].
 

@@ -67,10 +67,10 @@ CHANNEL = ChannelRecord("supply", "pressure", "gauge", "in", "float64", "Pa", Sc
 GAUGE = DeviceRecord("gauge", "none:None", channels=(CHANNEL,))
 
 
-def sampling(delay, *trips):
+def sampling(delay, *trips, drift=2e-4):
     """The acquisition of such a device, at work; and what it records."""
     clock, kept = Passing(), Kept()
-    bench = replace(mounted("mock-realtime").bench, devices=(GAUGE,), trips=trips)
+    bench = replace(mounted("mock-realtime").bench, devices=(replace(GAUGE, drift=drift),), trips=trips)
     acquisition = Acquisition(bench, {"gauge": Queue(clock, delay)}, clock, 500.0, ("supply",), kept)
     acquisition.start()
     return acquisition, kept
@@ -108,9 +108,18 @@ def test_a_delay_that_was_always_there_is_no_fault():
     acquisition.pass_time(5.0)
 
 
-def test_a_clock_that_drifts_as_much_as_quartz_is_no_fault():
-    acquisition, _ = sampling(lambda now: 1e-4 * now)
-    acquisition.pass_time(4000.0)
+@pytest.mark.parametrize(("drift", "known"), [(1e-4, 2e-4), (-1e-4, 2e-4), (5e-3, 1e-2), (-5e-3, 1e-2)])
+def test_a_clock_that_drifts_is_no_fault(drift, known):
+    """Quartz, and the ceramic resonator of an Arduino Uno: for a minute and more the newest samples stay from now."""
+    acquisition, _ = sampling(lambda now: drift * now + 0.001 * (int(20 * now) % 3), drift=known)
+    acquisition.pass_time(100.0)
+    [source] = acquisition._sources
+    assert source.newest == pytest.approx(100.0, abs=0.02)
+
+
+def test_a_board_with_a_resonator_is_known_as_one():
+    assert [device.drift for device in mounted("serial-line-daq").bench.devices] == [1e-2]
+    assert {device.drift for device in mounted("serial").bench.devices if device.name != "board"} == {2e-4}
 
 
 def test_old_samples_do_not_keep_a_stale_limit_quiet():

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block
+from pmabench_drivers.shared.link import Pace
 
 FLASH = 0x3C4000
 """Where the constants begin in the device's flash."""
@@ -55,6 +56,8 @@ PATIENCE = 0.25
 """So long [s] after a packet is due `collect` says that none comes."""
 AHEAD, DRIFT = 0.5, 1e-3
 """So far [s], and in proportion to time [1], a scan's time may be ahead of the moment when it arrived."""
+SLIP = 0.1
+"""More than this the scans of a whole second may not be later than they were [s]."""
 PIECE = 65536
 
 
@@ -202,6 +205,7 @@ class StreamLink:
         self._rate, self._scans, self._tables = rate, scans, tables
         self._packets = Packets(len(self._names), scans)
         self._start = self._last = self._clock.now()
+        self._pace = Pace(SLIP)
         self._socket.settimeout(None)
         self._thread = threading.Thread(target=self._receive, name=f"labjack {self._device}", daemon=True)
         self._thread.start()
@@ -253,6 +257,9 @@ class StreamLink:
         elapsed = arrived - self._start
         if (end - 1) / rate > elapsed * (1 + DRIFT) + AHEAD:
             raise StreamBroken(f"scan {end - 1} cannot have been taken {elapsed:.3f} s after the start")
+        if (behind := self._pace.behind(self._start + (end - 1) / rate, arrived)) > 0:
+            why = "they wait in its buffer or on the way, or it is slower than it says"
+            raise StreamBroken(f"scans come {behind:.2f} s later than they did: {why}")
         origin = round(self._start * 1e9)
         times = array("q", [origin + round(number * 1e9 / rate) for number in range(scans.first, end)])
         columns = [

@@ -263,6 +263,8 @@ class SerialLineDaq(Led):
     """
 
     verified = "emulator and compiled sketch, no board"
+    drift = 1e-2
+    """A Uno has a ceramic resonator: within 5e-3 when new, 1e-2 with temperature and age."""
     emulator = "pmabench_drivers.serial_line_daq.emulator"
     read_options = staticmethod(read_options)
     _options: int

@@ -1,12 +1,16 @@
 """The stream of the emulated T7 through the driver: every scan once, gaps at their place, ends in a sentence."""
 
+import re
 import socket
 import time
+from array import array
 from itertools import pairwise
 
 import pytest
 from pmabench_drivers.labjack import registers as r
+from pmabench_drivers.labjack.stream import Scans, StreamBroken, StreamLink
 
+from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError
 from tests.drivers.common import timed
 from tests.drivers.labjack.rigs import rig, t7
@@ -230,3 +234,24 @@ def test_arrivals_are_noted():
         time.sleep(0.3)
         block = device.collect()
         assert 0 <= block.host - block.time[-1] < 0.2e9
+
+
+@pytest.mark.parametrize(("slower", "ends"), [(1e-4, None), (0.002, 0.1 / 0.0018), (0.3, 1.0)])
+def test_scans_that_come_ever_later_end_the_stream(slower, ends):
+    """At 1 kHz, ten a packet, looked at each second: 0.1 s behind at 56 s, where 2 ms come each second and quartz takes 0.2."""
+    scans, clock = 10, VirtualClock()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = StreamLink("t7", ["pressure"], server.getsockname(), 1.0, clock)
+        try:
+            link.begin(1000.0, scans, [array("d", range(65536))])
+            for packet in range(6000):
+                arrived = (packet + 1) * scans / 1000.0 * (1.0 + slower)
+                try:
+                    link._keep(Scans(1 + packet * scans, array("H", [7] * scans)), arrived)
+                except StreamBroken as error:
+                    assert re.match(r"scans come 0\.\d\d s later than they did: they wait in its buffer", str(error))
+                    assert ends <= arrived <= ends + 2.5
+                    return
+            assert ends is None
+        finally:
+            link.close()
