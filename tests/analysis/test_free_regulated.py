@@ -43,19 +43,28 @@ class Bench:
     repeats: int = 3
     vents: bool = False
     declared: float = 0.0
+    step: float = 0.0
+    """In which the displacement is read [m]."""
+    friction: float = 0.0
+    """What the muscle stays behind by, either way [Pa]."""
+    band: float = 0.0
+    """By which the regulator stops before its set-point, from either side [Pa]."""
 
     def measured(self, seed: int) -> Analysis:
         """Reduced: in each trial a rest that is vented, a ramp of 1 s, a hold of 3 s; from either side."""
         random, trials, t = np.random.default_rng(seed), [], np.arange(0.0, 6.0, 0.02)
         for repeat in range(self.repeats):
             for level, side in [(level, side) for level in self.levels for side in (-1.0, 1.0)]:
-                reached = max(0.0, 1e3 * level + self.rests + self.regulation * random.standard_normal())
+                off = side * self.band * (level > 0) + self.regulation * random.standard_normal()
+                reached = max(0.0, 1e3 * level + self.rests + off)
                 reached = 0.0 if level == 0 and self.vents else reached
                 P = reached * np.clip(t - 2.0, 0.0, 1.0)
-                x = (1 + self.scatter * random.standard_normal()) * contraction(P)
+                behind = self.friction * (side if level < max(self.levels) else -1.0)
+                x = (1 + self.scatter * random.standard_normal()) * contraction(P + behind * (P > 0))
+                x = x + 3e-6 * random.standard_normal(len(t))
                 channels = {
                     "pressure": P + self.zero + self.noise * random.standard_normal(len(t)),
-                    "displacement": x + 3e-6 * random.standard_normal(len(t)),
+                    "displacement": self.step * np.round(x / self.step) if self.step else x,
                 }
                 ramp = Command(2.0, "pressure", "ramp", 1e3 * level, 0.0, "fill", {"rate": max(1e3 * level, 1.0)})
                 point, flags = {"pressure": 1e3 * level, "side": side}, np.zeros(len(t), np.uint16)
@@ -178,3 +187,38 @@ def test_half_of_the_contraction_between_few_pressures():
            if name == "P_half"]  # fmt: skip
     assert max(off for off, _ in few) < 1.0
     assert max(half for _, half in few) < 30e3
+
+
+@pytest.mark.parametrize("step", [1.95e-4, 4.9e-5])
+def test_the_steps_in_which_a_quiet_displacement_is_read_are_in_the_lengths(step: float):
+    """All repeats read the same step: L and eps_max were up to 400 half widths off, x_H was 0 +- 1e-19 m."""
+    bench = Bench(vents=True, step=step)
+    hold(bench, 1.0)
+    assert all(e.parts.combined > 0.5 * step for e in bench.measured(0).estimates if e.symbol == "x_H")
+
+
+def test_what_friction_keeps_short_at_the_highest_pressure_is_open():
+    """Nothing is above it: x_H was 0 +- 0.03 mm, and L 7 half widths off, while the next pressure showed 0.4 mm."""
+    found = Bench(vents=True, friction=3e3).measured(0)
+    top = {e.symbol: e for e in found.estimates if e.at.get("pressure") == 500e3}
+    assert abs(top["L"].value - truth(top["L"])) < top["L"].parts.combined
+    assert top["x_H"].value is None
+    assert "from below both times" in top["x_H"].note
+    assert any("from below both times" in f.text for f in found.findings if f.level == "doubt")
+    (share,) = [e for e in found.estimates if e.symbol == "eps_max"]
+    assert abs(share.value - truth(share)) < share.parts.combined
+
+
+@pytest.mark.parametrize("zero", [-1500.0, 1500.0])
+def test_a_zero_within_what_is_declared_is_taken_off_where_the_lengths_show_it(zero: float):
+    """At -1.5 kPa d was 3 half widths off; at 1.5 kPa the curve had "another form"."""
+    hold(Bench(levels=(0, 40, *LOW[5:]), vents=True, zero=zero, declared=1500.0), 1.0, range(2))
+
+
+def test_the_way_to_one_pressure_along_a_curve_that_no_form_says_is_open_in_the_difference_of_both_sides():
+    """A regulator that stops 3 kPa before its set-point made a hysteresis of 0.7 mm +- 0.06 of a muscle without one."""
+    found = Bench(levels=(0, 60, 110, 350, 500), vents=True, band=3e3).measured(0)
+    sides = [e for e in found.estimates if e.symbol == "x_H" and e.value is not None and e.at["pressure"] > 0]
+    assert len(sides) == 4
+    assert all(abs(e.value) < 1.3 * e.parts.combined for e in sides), "5 pressures hardly show the knee"
+    assert max(abs(e.value) for e in sides) > 2e-4

@@ -210,3 +210,55 @@ def test_the_work_given_is_that_of_the_motion_where_a_drive_turns_late_and_on_a_
     assert abs(W_c.value - truth) <= W_c.parts.combined
     assert abs(W_c.value - truth) <= 1e-3 * truth
     assert W_c.parts.combined <= 8e-3 * truth
+
+
+def slipping(x, way):
+    """Of -1 to 1 along contractions [m]: a spring that is bent over half of `way` either side, and slips."""
+    found, now = np.zeros(len(x)), 0.0
+    for i, moved in enumerate(np.diff(x), 1):
+        found[i] = now = min(1.0, max(-1.0, now + 2 * moved / way))
+    return found
+
+
+def test_turns_that_one_loop_shows_open_no_other(speeds):
+    """The gap of all speeds was that of the slowest: a damping of 0 +- 60, and a hysteresis 20 half widths off."""
+    chance = np.random.default_rng(6)
+    way = 0.4 * (speeds.trials[0].point["upper"] - speeds.trials[0].point["lower"])
+
+    def of_another_muscle(trial: TrialData) -> TrialData:
+        x, P = trial.channels["displacement"], trial.point["pressure"]
+        F = force(x, P) - 8.0 * slipping(x, way) - 1200.0 * np.gradient(x, trial.t) + chance.normal(0, 0.3, len(x))
+        return replace(trial, channels={**trial.channels, "pressure": np.full(len(x), P), "force": F})
+
+    found = reduce([replace(speeds, trials=tuple(of_another_muscle(trial) for trial in speeds.trials))])
+    at_rest = [e for e in found.estimates if e.method in ("loop-gap", "loop-gap, open loop") and e.value is not None]
+    at_rest = [e for e in at_rest if (e.symbol, e.at.get("speed")) in (("H", 0.0), ("B", None), ("F_c", None))]
+    assert len(at_rest) >= 3
+    for e in at_rest:
+        assert e.value == pytest.approx({"H": 16.0, "F_c": 8.0, "B": 1200.0}[e.symbol], rel=0.15), e.method
+
+
+def filtered(t, y, constant):
+    """Through a filter of first order, as exactly as straight lines between samples have it."""
+    found, keep = np.empty(len(y)), np.exp(-np.diff(t) / constant)
+    found[0] = y[0]
+    for i, (dt, k) in enumerate(zip(np.diff(t), keep, strict=True), 1):
+        slope = (y[i] - y[i - 1]) / dt
+        found[i] = y[i] - slope * constant + (found[i - 1] - y[i - 1] + slope * constant) * k
+    return found
+
+
+def test_a_filter_of_the_cell_that_is_declared_is_none_that_comes_early(speeds):
+    """Its answer to a turn begins at once: H, B and F_c were withheld, with the force "27 ms ahead"."""
+    chance, lag = np.random.default_rng(7), 0.02
+
+    def of_another_muscle(trial: TrialData) -> TrialData:
+        x, P = trial.channels["displacement"], trial.point["pressure"]
+        F = filtered(trial.t, force(x, P) - 1200.0 * np.gradient(x, trial.t), lag) + chance.normal(0, 0.3, len(x))
+        return replace(trial, channels={**trial.channels, "pressure": np.full(len(x), P), "force": F})
+
+    trials, known = [of_another_muscle(trial) for trial in speeds.trials], {"force": {"sensor_lag": lag}}
+    found = reduce([as_run("isobaric-ramp", trials, speeds.rate, {"discard": 1}, known)])
+    (B,) = [e for e in found.estimates if (e.symbol, e.method) == ("B", "loop-gap")]
+    assert B.value is not None, B.note
+    assert abs(B.value - 1200.0) < 250.0

@@ -3,6 +3,8 @@
 Pressure and force come from the library's driven chamber (plant 5.5: -2.8/+5.6 kPa at 0.1 Hz, -26/+60 kPa at 1 Hz).
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from pmabench.model.library.chamber import driven_chamber
 from pmabench.model.library.daerden import daerden_force
 from pmabench.store.records import Command, TrialData
 from tests.analysis.loop_rig import as_run
+from tests.analysis.sine_rig import Muscle51, value
 
 LOW, HIGH, LENGTH = -0.03, 0.20, 0.2
 
@@ -93,3 +96,17 @@ def test_with_one_pressure_no_force_is_modelled_and_that_is_said():
     found = reduce([as_run("sinusoidal-displacement", [trial(0, 5e5, 1.0, 6)], {"discard": 2})])
     assert not [e for e in found.estimates if e.symbol == "F_rms"]
     assert any("run them at two pressures" in f.text for f in found.findings)
+
+
+def test_a_pressure_that_is_off_by_direction_is_in_the_friction_that_its_harmonic_withholds():
+    """1 kPa less while contracting is 1 N of friction less: where its harmonic withheld that, F_c was -1 +- 0.01 N."""
+    trials = []
+    for one_trial in Muscle51(B_r=1680.0, noise=(3e-6, 0.3, 250.0)).trials(repeats=3):
+        way = np.cos(2 * np.pi * one_trial.point["frequency"] * (one_trial.t - one_trial.t[0]))
+        P, F = one_trial.channels["pressure"], one_trial.channels["force"]
+        P, F = P + 1e3 * np.sign(way), F + 1.01 * np.sign(way)
+        trials.append(replace(one_trial, channels={**one_trial.channels, "pressure": P, "force": F}))
+    found = reduce([as_run("sinusoidal-displacement", trials, {"discard": 1})])
+    for method in ("sine-harmonic", "loop-width"):
+        F_c = value(found, "F_c", method)
+        assert F_c.value is None or abs(F_c.value) < F_c.parts.combined < 4.0

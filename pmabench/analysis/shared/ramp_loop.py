@@ -27,6 +27,7 @@ from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.samples import (
     NotUsable,
     ends,
+    lag_of,
     lag_open,
     noise_of,
     on_time,
@@ -35,7 +36,7 @@ from pmabench.analysis.shared.samples import (
     settings_of,
 )
 from pmabench.analysis.shared.sine_loop import lost_work
-from pmabench.analysis.shared.turn_times import behind
+from pmabench.analysis.shared.turn_times import behind, through_filter
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.store.records import Array, Command, Flag, RunData, TrialData
 
@@ -321,9 +322,11 @@ def _late(
     run: RunData, trial: TrialData, channels: tuple[Array, Array], moments: Sequence[float], span: float, axes: Axes
 ) -> Doubt:
     """What of the time between force and displacement is open: what the record leaves open, or the turns show."""
-    good, known, (x, F) = trial.usable, lag_open(run, axes.pulls), channels
+    good, known, (x, F), lag = trial.usable, lag_open(run, axes.pulls), channels, lag_of(run, axes.pulls)
     shown = behind(trial.t[good], x[good], F[good], moments, span)
     sample = float(np.median(np.diff(trial.t)))
+    if lag > 0 and through_filter(trial.t[good], x[good], trial.channels[axes.pulls][good], moments, lag):
+        shown = None  # a filter as declared: on a branch it is a delay, which is taken off, and at a turn it is none
     if shown is None:
         return Doubt(LATE, "method", max(known, 2 * sample), False)
     doubtful = shown.half + 0.5 * sample

@@ -167,6 +167,22 @@ def step_of(y: Array) -> float:
     return 0.0 if len(again) and np.mean(again) > MOSTLY else least
 
 
+FEWEST_NEW, HELD, RARELY = 12, 0.6, 0.02
+"""A channel that is held is new so often at least, and sooner than this share of its usual time but rarely."""
+
+
+def fresh(y: Array) -> NDArray[np.bool_]:
+    """Which samples (n,) of a channel are new, where it is read less often than it is recorded and held in between.
+
+    It is never new sooner than that. A channel that is read in steps changes by one of them at a time, if it is slow.
+    """
+    new = np.append(True, np.diff(y) != 0)
+    runs, jumps = np.diff(np.flatnonzero(new[1:])), np.abs(np.diff(y))[new[1:]]
+    usual = float(np.median(runs)) if len(runs) >= FEWEST_NEW else 0.0
+    held = usual > 1 and np.mean(runs < HELD * usual) <= RARELY and np.median(jumps) > 2 * step_of(y)
+    return new if held else np.ones(len(y), dtype=bool)
+
+
 def unresolved(y: Array, step: float) -> float:
     """By how much the mean of samples at rest `y` (n,), which are read in steps, may be off [as y], at the most.
 

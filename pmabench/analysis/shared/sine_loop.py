@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import (
     NotUsable,
+    fresh,
     lags_of,
     least_squares,
     noise_of,
@@ -40,6 +41,8 @@ COARSE, JUMPS = 0.15, 0.4
 """Steps of a channel up to this share of its swing are evaluated. Two or three values are no steps of a converter but a
 channel that jumps, which is judged by its form.
 """
+FEWEST = 12
+"""Samples that a cycle needs."""
 HARMONICS = 5
 """Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
 
@@ -144,8 +147,12 @@ def measure(
     slack = int(np.count_nonzero(trial.flags[window] & np.uint16(Flag.SLACK)))
     if slack or F.min() <= 3 * noise_of(F):
         raise NotUsable(f"the specimen was slack: force down to {show(float(F.min()), 'force', 3)}")
-    good = trial.usable[window]
-    refuse_flagged(good)
+    refuse_flagged(trial.usable[window])
+    good = trial.usable[window] & fresh(x) & fresh(F)
+    cycles = (t[-1] - t[0]) * frequency
+    if good.sum() < FEWEST * floor(cycles + 0.5):
+        often = f"{good.sum() / cycles:.2g} times a cycle, and held in between"
+        raise NotUsable(f"displacement and force are new {often}: {FEWEST} times are needed, read them more often")
     t, x, F = t[good], x[good], F[good]
     steps = step_of(x), step_of(F)
     for name, y, step in zip(("displacement", "force"), (x, F), steps, strict=True):
@@ -178,8 +185,8 @@ def _window(trial: TrialData, frequency: float, discard: float) -> slice:
     if whole < 1:
         raise NotUsable("it holds no whole cycle beyond those left out")
     first, last = np.searchsorted(trial.t, [begin - 1e-9, begin + whole / frequency - 1e-9])
-    if last - first < 12 * whole:
-        raise NotUsable("fewer than 12 samples a cycle")
+    if last - first < FEWEST * whole:
+        raise NotUsable(f"fewer than {FEWEST} samples a cycle")
     return slice(int(first), int(last))
 
 

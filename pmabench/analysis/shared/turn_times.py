@@ -32,6 +32,8 @@ WIDER = 3.0
 ORDER = 3
 ALIKE = 1e-9
 """Sums of squares that differ by less than this share of theirs are the same: delays between the same two samples."""
+OF_FILTER = 4.0
+"""Time constants of a filter that are looked at on either side of a turn."""
 SURE = 4.0
 """A filter is taken for a delay that leaves so many standard deviations more."""
 
@@ -63,8 +65,24 @@ def behind(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: f
     return replace(near, half=float(np.hypot(near.half, abs(near.time - wide.time))))
 
 
+def through_filter(t: Array, moved: Array, pulls: Array, turns: Sequence[float], constant: float) -> bool:
+    """Whether `pulls` comes through a filter of first order with a time `constant` [s], as far as its turns show."""
+    span = OF_FILTER * constant
+    windows = _windows(t, moved, pulls, turns, span)
+    if not windows:
+        return False
+    _, least, variance = min((_best(windows, REACH * span, of) for of in (_delayed, _filtered)), key=lambda one: one[1])
+    period, one = max(float(np.median(np.diff(t))) for t, _ in windows), np.array([constant])
+    near = [[(t - by, y) for t, y in windows] for by in period * np.linspace(-0.5, 0.5, 3)]  # between samples
+    return min(float(_left(those, _filtered, one)[0]) for those in near) <= least + SURE**2 * variance
+
+
+def _windows(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: float) -> list[tuple[Array, Array]]:
+    return [window for turn in turns if (window := _window(t, moved, pulls, turn, span)) is not None]
+
+
 def _of_turns(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: float) -> Behind | None:
-    windows = [window for turn in turns if (window := _window(t, moved, pulls, turn, span)) is not None]
+    windows = _windows(t, moved, pulls, turns, span)
     if not windows:
         return None
     (delayed, by_delay, _), (filtered, by_filter, variance) = (
@@ -122,12 +140,18 @@ def _filtered(t: Array, constant: Array) -> Array:
     return columns
 
 
+def _left(windows: Sequence[tuple[Array, Array]], of: Callable[[Array, Array], Array], tried: Array) -> Array:
+    """What each time that is `tried` leaves [square of what pulls], shape (k,)."""
+    every = [left_by(np.stack([np.ones_like(t), t]), of(t, tried), y) for t, y in windows]
+    return np.asarray(np.sum(every, axis=0))
+
+
 def _best(
     windows: Sequence[tuple[Array, Array]], reach: float, of: Callable[[Array, Array], Array]
 ) -> tuple[Behind, float, float]:
     """The best of one way to be late; what it leaves [square of what pulls], and the variance of that by sample."""
     tried = np.linspace(-reach, reach, 2 * TRIED - 1)
-    left = np.sum([left_by(np.stack([np.ones_like(t), t]), of(t, tried), y) for t, y in windows], axis=0)
+    left = _left(windows, of, tried)
     least = float(left.min())
     freedom = max(1, sum(len(t) for t, _ in windows) - len(windows) * (ORDER + 3) - 1)
     variance = least / freedom

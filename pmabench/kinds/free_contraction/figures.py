@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
-from pmabench.kinds.free_contraction.points import Point, curve_of
+from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of, held_back
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
 from pmabench.plotting.plots import BLUE, BROWN, CROSSES, HALF, INK, Panel, blank, few_ticks, grid
@@ -25,8 +25,6 @@ CURVE = 121
 """Points of a drawn curve."""
 DRIFTS = 0.002
 """What it would still change by after a hold, as a share of the largest contraction, that is doubted."""
-CLEAR = 6.0
-"""A contraction without pressure counts where it is larger than so many standard deviations of its noise."""
 LEFT = 0.005
 """Contraction left at rest without pressure, as a share of the largest one, that is doubted."""
 LARGEST = 0.35
@@ -87,6 +85,9 @@ def of_points(points: Sequence[Point]) -> list[Finding]:
         gap, at = max(gaps, key=lambda pair: abs(pair[0]))
         text = f"reached from above it is shorter than from below by up to {show(gap, 'length', 2)}"
         found.append(Finding("note", f"hysteresis: {text}, at {show(at, 'pressure')}"))
+    if held_back(points):
+        text = f"{show(points[-1].set, 'pressure')} was reached from below both times: friction shows at the pressure"
+        found.append(Finding("doubt", f"{text} next to it, and keeps this contraction short; nothing is above it"))
     return found
 
 

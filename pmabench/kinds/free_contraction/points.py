@@ -16,7 +16,20 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit
-from pmabench.analysis.shared.samples import Held, Left, NotUsable, ends, left, noise_of, refuse_incomplete
+from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.analysis.shared.samples import (
+    FINE,
+    OF_TWO,
+    Held,
+    Left,
+    NotUsable,
+    ends,
+    left,
+    noise_of,
+    refuse_incomplete,
+    step_of,
+    unresolved,
+)
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.model.library.description import Model
 from pmabench.store.analyses.results import Dropped
@@ -28,6 +41,8 @@ FEWEST = 5
 """Samples that it needs."""
 CHANNELS = ("displacement", "pressure")
 UNUSABLE_SHARE = 0.5
+CLEAR = 6.0
+"""A contraction counts where it is larger than so many standard deviations of its noise."""
 NOTHING = 1.0
 """Set-points up to this are 0 [Pa]."""
 VENTED = 3.0
@@ -56,6 +71,10 @@ class Rest:
     """Contraction along the second half of the hold [m]."""
     noise: float
     """Standard deviation of `start` and x [m]."""
+    last: Array
+    """Samples whose mean is x [m]."""
+    coarse: float = 0.0
+    """By how much the steps in which they are read may move x [m]."""
 
     @property
     def side(self) -> float:
@@ -118,6 +137,11 @@ class Point:
     def off(self) -> float:
         """Largest contraction that was left without pressure before a trial [m]."""
         return max(abs(rest.start) for rest in self.rests)
+
+    @property
+    def coarse(self) -> float:
+        """What the steps in which the displacement is read make of x, at the most: all repeats meet the same [m]."""
+        return max(rest.coarse for rest in self.rests)
 
     def reached(self, side: float) -> float:
         """Mean contraction reached from one side [m]; nan where there is none."""
@@ -187,13 +211,23 @@ def measure(run: RunData, trial: TrialData) -> Rest:
     noise, of_pressure = noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum())), noise_of(P[last])
     hold = Held.of(t[half], x[half], end - LAST * (end - there))
     means = float(P[last].mean()), of_pressure / float(np.sqrt(last.sum())), float(x[last].mean())
-    return Rest(run, trial, *means, float(x[first].mean()), hold, noise)
+    return Rest(run, trial, *means, float(x[first].mean()), hold, noise, x[last])
+
+
+def _with_steps(rests: Sequence[Rest]) -> list[Rest]:
+    """With what the steps in which a run is read make of each x: one trial may show too few of them."""
+    steps = {}
+    for run, mine in grouped(rests, lambda rest: rest.run.id).items():
+        x = np.concatenate([rest.trial.channels["displacement"][rest.trial.usable] for rest in mine])
+        steps[run] = step_of(x[np.isfinite(x)])
+    coarse = [unresolved(rest.last, steps[rest.run.id]) for rest in rests]
+    return [replace(r, coarse=c if c > FINE * steps[r.run.id] else 0.0) for r, c in zip(rests, coarse, strict=True)]
 
 
 def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
     """The pressures, rising, and the trials that cannot be used."""
     every, dropped = measured_trials(runs, measure)
-    points = []
+    every, points = _with_steps(every), []
     for pressure, rests in sorted(grouped(every, lambda rest: round(rest.trial.point["pressure"])).items()):
         by: dict[object, dict[float, Rest]] = {}
         order, sides = Counter[object](), {rest.side for rest in rests}
@@ -208,6 +242,9 @@ def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
     return points, dropped
 
 
+UNEQUAL = 0.25
+"""Share of half the width between both sides by which their mean may be off: friction, and a curve, are not the same
+both ways."""
 BENDS = {True: 0.2, False: 1.0}
 """What the way from the measured pressure to the commanded one may be off, as a share: along a sigmoid that fits, and
 along a curve through the points only."""
@@ -224,11 +261,15 @@ class Level:
     """Whether `shape` is a sigmoid that fits."""
     zero: float
     """By which the zero of the pressure is open [Pa]."""
+    apart: float
+    """What the difference of both sides changes by on the way to one pressure, where no form says the curve [m]."""
 
     @classmethod
     def of(cls, point: Point, shape: Shape, zero: float, *, fits: bool) -> Level:
         """A point, by the curve of all."""
-        return cls(point.at(point.pressure, shape), point.at(point.set, shape), shape, fits, zero)
+        there = point.at(point.set, shape)
+        apart = 0.0 if fits or not len(point.gaps) else abs(float(there.gaps.mean() - point.gaps.mean()))
+        return cls(point.at(point.pressure, shape), there, shape, fits, zero, apart)
 
     def rise(self, by: float) -> float:
         """Change of the contraction by the pressure, a change of which by `by` [Pa] is looked at [m/Pa]."""
@@ -239,7 +280,7 @@ class Level:
     @property
     def method(self) -> float:
         """What the way to the commanded pressure, noise and zero of the measured one may do to the contraction [m]."""
-        way = BENDS[self.fits] * (self.there.x - self.point.x)
+        way = hypot(BENDS[self.fits] * (self.there.x - self.point.x), UNEQUAL * self.apart / 2)
         return hypot(way, *(by * self.rise(by) for by in (2 * self.point.pressure_noise, self.zero) if by > 0))
 
 
@@ -281,6 +322,21 @@ def through(points: Sequence[Point], fit: ModelFit | None) -> Shape:
         return np.asarray(base(P) + off(within) + off(within, 1) * (asked - within))
 
     return shape
+
+
+def held_back(points: Sequence[Point]) -> float:
+    """By how much friction keeps the contraction at the highest pressure short [m]; 0 where that does not show.
+
+    Nothing is above it: where friction shows at the pressure next to it, and not there, both sides came from below.
+    """
+    gaps = [abs(float(point.gaps.mean())) for point in points[-2:] if len(point.gaps)]
+    if len(gaps) < 2 or gaps[1] > 0.5 * gaps[0]:
+        return 0.0
+    below = points[-2]
+    noise = CLEAR * max(rest.noise for rest in below.rests)
+    starts = float(np.ptp([rest.start for rest in below.rests]))
+    clear = max(noise, spread(below.gaps) or 0.0, OF_TWO * below.coarse, below.apart.most, starts)
+    return 0.5 * gaps[0] if gaps[0] > clear else 0.0
 
 
 def zero_of(points: Sequence[Point]) -> float:

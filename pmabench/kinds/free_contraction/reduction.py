@@ -19,17 +19,20 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import NotUsable, left
+from pmabench.analysis.shared.samples import OF_TWO, STEPS, NotUsable, left
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction import RESULTS, figures
 from pmabench.kinds.free_contraction.points import (
     CHANNELS,
+    CLEAR,
+    UNEQUAL,
     Level,
     Point,
     Shape,
     curve_of,
+    held_back,
     highest,
     measure,
     points_of,
@@ -51,6 +54,8 @@ UNITS = {"length": "m", "pressure": "Pa", "count": "1", "ratio": "1"}
 RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is not carried into the coefficients"
 MOTION, ZERO, NOISE = "motion after the hold", "contraction left without pressure", "noise of pressures near 0"
 PRESSURE = "zero of the pressure"
+BELOW = "friction where both sides came from below"
+NO_GAP = "reached from below both times: what friction keeps it short by does not show. Use that of another pressure"
 PART = {ZERO: "drift", PRESSURE: "calibration"}
 FLOOR = 5e-4
 """Error of a length at the least, as a share of the largest contraction."""
@@ -64,6 +69,8 @@ STEEPER = 1.4
 """What a scale does to a to e goes beyond the first order by so much: the curve is steep where it begins."""
 OPEN = 1.2
 """Factor on the zero of a pressure of which nothing says whether it is one."""
+OF_NOISE = 3.0
+"""Standard deviations of its noise by which the least pressure may be beyond its declared uncertainty."""
 ROUNDS = 4
 """Fits at most, each with what the one before makes of the pressures of single trials ..."""
 SETTLED = 1e-7
@@ -74,8 +81,6 @@ BETWEEN = 0.25
 """Share of the way between two pressures by which a curve through points may be off between them."""
 FINE = 2001
 """Points of a curve on which a pressure is looked up."""
-UNEQUAL = 0.25
-"""Share of half the width between both sides by which their mean may be off: friction is not the same both ways."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -137,7 +142,7 @@ def _lengths(levels: Sequence[Level], length: float, scales: Scales) -> list[Est
         lengths.append(_free("L", length - point.x, "length", at, parts, n, [point]))
         if len(point.gaps):
             value = float(point.gaps.mean())
-            parts = Parts(spread(point.gaps), 0.0, scales.part({"displacement": value}))
+            parts = Parts(spread(point.gaps), level.apart, scales.part({"displacement": value}))
             gaps.append(_free("x_H", value, "length", at, parts, len(point.gaps), [point]))
     found = [*lengths, *gaps, *([_half(levels, scales)] if len(levels) > 2 else [])]
     if not levels or not 0 < length < np.inf:
@@ -221,7 +226,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
     by_set = {point.set: point for point in points}
     friction = max((float(np.max(np.abs(point.gaps))) for point in points if len(point.gaps)), default=0.0)
     # what friction holds back at 0 kPa is half the gap there, and the mean of both directions is free of it
-    steepest = max(points, key=lambda point: point.x)
+    steepest, back = max(points, key=lambda point: point.x), held_back(points)
     found = []
     for e in estimates:
         point = by_set.get(e.at.get("pressure", steepest.set), steepest)
@@ -230,10 +235,15 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
         if e.symbol == "x_H":
             still, off = point.apart, float(np.ptp([rest.start for rest in point.rests]))
         noise = max(rest.noise for rest in point.rests)
-        doubts = (
+        coarse = OF_TWO * point.coarse  # contractions, and their zero, are read in the same steps
+        doubts = [
+            Doubt(STEPS, "method", share * coarse, seen=False),
             Doubt(MOTION, "method", share * still.most, still.seen, rests),
-            Doubt(ZERO, "drift", share * off, off > max(figures.CLEAR * noise, friction), zero),
-        )
+            Doubt(ZERO, "drift", share * off, off > max(CLEAR * noise, friction), zero),
+        ]
+        if back and point is points[-1]:
+            e = withhold(e, NO_GAP) if e.symbol == "x_H" else e
+            doubts.append(Doubt(BELOW, "method", back * share, seen=True))
         found.append(weighed(e, doubts, None if e.symbol == "P_half" else largest * share))
     return found
 
@@ -254,7 +264,7 @@ def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
     freedom = sum(len(point.repeats) - 1 for point in points)
     squares = sum(float(np.sum((point.repeats - point.x) ** 2)) for point in points)
     scatter = np.sqrt(squares / max(1, freedom) / np.array([len(point.repeats) for point in points]))
-    error = np.hypot(scatter, FLOOR * max(abs(point.x) for point in points))
+    error = np.hypot(np.hypot(scatter, FLOOR * max(abs(point.x) for point in points)), [p.coarse for p in points])
     off = np.abs(fit.computed - fit.measured)
     if not error.all():
         return ""  # nothing contracted
@@ -282,11 +292,12 @@ def _with_zero(
     """The points with the pressures from their zero, the sigmoid or why there is none, and what of a zero is open [Pa].
 
     The least that is read at set-point 0 is a zero of the sensor, or the pressure of a regulator that does not vent.
-    Below zero it is the former; else a declared uncertainty, or the lengths themselves, say which; else it is open.
+    Beyond a declared uncertainty it is the latter, below zero the former; else the lengths say which; else it is open,
+    which a declared uncertainty holds.
     """
     fit, why = _fit(points, length)
-    zero = 0.0 if "pressure" in scales.offsets else zero_of(points)
-    if not zero:
+    zero, declared = zero_of(points), scales.offsets.get("pressure", 0.0)
+    if not zero or 0 < declared < abs(zero) - OF_NOISE * max(rest.pressure_noise for rest in points[0].rests):
         return points, fit, why, 0.0, []
     other = zeroed(points, zero)
     again, why_again = _fit(other, length)
@@ -297,7 +308,7 @@ def _with_zero(
     if zero < 0 or squares[0] > limit * squares[1]:
         text = f"{read}: taken as the zero of its sensor, and off all pressures; the lengths agree with that"
         return other, again, why_again, 2 * points[0].pressure_noise, [Finding("note", text)]
-    if squares[1] > limit * squares[0]:
+    if declared or squares[1] > limit * squares[0]:
         return points, fit, why, 0.0, []
     text = f"{read}: the zero of its sensor, or a regulator that does not vent. The lengths do not say which, and the"
     text += " intervals hold both. Declare the expanded uncertainty of the pressure, or vent the muscle"
@@ -308,16 +319,18 @@ def _shifted(points: Sequence[Point], length: float, shape: Shape, zero: float) 
     """The sigmoid through what the points would be with one cause less, of those that are seen.
 
     Less what is left without pressure; where they would come to after the hold; less what noise of the pressures makes
-    of a bent curve; with pressures from another zero.
+    of a bent curve; without what friction holds back at the highest pressure; with pressures from another zero.
     """
     starts = np.array([np.mean([rest.start for rest in point.rests]) for point in points])
     noise = max(rest.noise for point in points for rest in point.rests)
-    ways = {ZERO: -starts} if np.abs(starts).max() > figures.CLEAR * noise else {}
+    ways = {ZERO: -starts} if np.abs(starts).max() > CLEAR * noise else {}
     if any(point.left.seen for point in points):
         ways[MOTION] = np.array([point.left.size for point in points])
     bent = np.array([point.bent(shape) for point in points])
     if bent.max() > BENT * noise:
         ways[NOISE] = bent
+    if back := held_back(points):
+        ways[BELOW] = np.append(np.zeros(len(points) - 1), back)
     fits = {name: _fit(points, length, off)[0] for name, off in ways.items()}
     if zero:
         fits[PRESSURE] = _fit(zeroed(points, zero), length)[0]
@@ -377,6 +390,7 @@ def _coefficients(
     quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
     scaled = {} if fit is None else _scaled(fit, length)
     scattered = np.zeros(len(UNKNOWN)) if fit is None else _scattered(fit, points)
+    stepped = scattered if fit is None else np.abs(_leverage(fit)[0] * [point.coarse for point in points])
     found = []
     for place, name in enumerate(UNKNOWN):
         quantity = quantities[name]
@@ -391,6 +405,7 @@ def _coefficients(
             Doubt(way, PART.get(way, "method"), abs(one.values[name] - (value or 0.0)), seen=True)
             for way, one in shifted.items()
         ]
+        doubts.append(Doubt(STEPS, "method", float(np.linalg.norm(stepped[place])), seen=False))
         found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found
 

@@ -36,8 +36,8 @@ UNEVEN = 0.05
 LEFT_OF_TURNS = 0.4
 """Share of what taking off the turns changes that may still be in a value: they need not fade as an exponential.
 
-Those of a Bouc-Wen muscle left four tenths. Where they are not taken off, as something else in the gap is larger, all
-may be left.
+Those of a Bouc-Wen muscle left four tenths. Where a loop does not show them, as something else in its gap is larger,
+all may be wrong.
 """
 SLOW_TURNS = 0.2
 """Share of the hysteresis that may fade over most of the stroke: the gap does not show it, and it adds to the slope.
@@ -198,6 +198,12 @@ class Cell:
         speeds = [member.speed for member in self.members]
         return min(speeds), max(speeds)
 
+    @cached_property
+    def turns_of_each(self) -> bool:
+        """Whether each loop shows how it turns, so that none has the turns of another (`of`)."""
+        turns = {member.loop.turns for member in self.members}
+        return None not in turns and len(turns) == len(self.members)
+
     @property
     def upside_down(self) -> bool:
         """Whether the contracting branch is the upper one, by more than scatter."""
@@ -244,7 +250,7 @@ class Cell:
         for loop in (m.loop for m in self.members):
             if loop.possible is not None:
                 raw, turns = loop.raw_mean.mean(axis=0), loop.turns or loop.possible
-                share = 1.0 if loop.turns is None else LEFT_OF_TURNS
+                share = LEFT_OF_TURNS if self.turns_of_each else 1.0
                 found.append(share * abs(of(raw) - of(raw - turns.of_mean(loop.x))))
         return max(found)
 

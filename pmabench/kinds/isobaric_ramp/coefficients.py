@@ -153,7 +153,7 @@ def _gap_lines(cell: Cell, scales: Scales, K: float, uneven: float, rising: floa
     found, few = [], TWO_SPEEDS if len({member.speed for member in cell.members}) == 2 else ""
     ways: dict[str, Callable[[Loop], Array]]
     ways = {GAP: lambda loop: loop.middle_gap, MEAN_GAP: lambda loop: loop.mean_gap}
-    if all(member.loop.turns is not None for member in cell.members):  # one open gap for all cycles of a loop
+    if cell.turns_of_each:  # one open gap for all cycles of a loop
         ways[OPEN] = lambda loop: np.full(1, 2 * loop.turns.h if loop.turns is not None else np.nan)
     for method, of in ways.items():
         line = cell.over_speed(of)

@@ -16,6 +16,7 @@ from pmabench.analysis.shared.samples import (
     LAG_KNOWN,
     LEAST,
     UNDECLARED,
+    fresh,
     lags_of,
     noise_of,
     nothing_moved,
@@ -149,11 +150,12 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     noise = float(P[before].std())
     if abs(size) < 2 * SEEN * max(noise, 1.0):
         return f"the pressure follows by {show(size, 'pressure', 3)} only, no more than its noise"
-    risen = _rise(t, (P - np.median(P[before])) * np.sign(size), abs(size), noise, within)
+    new = fresh(read)
+    risen = _rise(t[new], ((P - np.median(P[before])) * np.sign(size))[new], abs(size), noise, within)
     if risen is None:
         return "no onset of the pressure is seen"
     begins, doubt, crossed = risen
-    slower = (0.0, 0.0) if lags["pressure"] else _slower(t, P, size, noise, within, risen)
+    slower = (0.0, 0.0) if lags["pressure"] else _slower(t, P, new, size, noise, within, risen)
     unsure = over / 2 + LAG_KNOWN * lags["pressure"]
     dead = begins + within / 2 - (late[0] + late[1]) / 2
     dead_half = doubt + within / 2 + (late[1] - late[0]) / 2 + unsure
@@ -186,11 +188,13 @@ def _rise(t: Array, rise: Array, size: float, noise: float, within: float) -> Ri
     return *_onset(t, rise, int(begun[0]), within), t[max(0, most[0] - 1) : most[0] + 1]
 
 
-def _slower(t: Array, P: Array, size: float, noise: float, within: float, risen: Rise) -> tuple[float, float]:
+def _slower(
+    t: Array, P: Array, new: NDArray[np.bool_], size: float, noise: float, within: float, risen: Rise
+) -> tuple[float, float]:
     """What one more filter of the gauge adds to the times to the onset and from it to 63 % [s]."""
     later = behind(t, P, UNDECLARED)
     rest = np.median(later[(t >= -BEFORE) & (t < -within)])
-    again = _rise(t, (later - rest) * np.sign(size), abs(size), noise, within)
+    again = _rise(t[new], ((later - rest) * np.sign(size))[new], abs(size), noise, within)
     if again is None:
         return 0.0, 0.0
     delay, until = again[0] - risen[0], float(again[2].mean() - risen[2].mean())

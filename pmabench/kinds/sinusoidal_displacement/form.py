@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import sentences
+from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.lines import weighted_line
 from pmabench.analysis.shared.samples import least_squares
 from pmabench.analysis.shared.sine_loop import Sine, Swing, at_middle
@@ -51,6 +52,7 @@ DIRECTIONS = 2 / (3 * pi)
 """h2 over B omega A where one direction has no damping and the other has 2 B: the most that damping can make."""
 TURNS = 2.0
 """h2 of a friction that differs near the turns in one direction, over what mean force less h2 is off by it."""
+BUILDS_UP = "friction that builds up on the way"
 BETTER = "an isobaric ramp (isobaric-ramp) measures the curve itself"
 CENTRES = "sines at three means or more, one of them with x = 0 in its stroke, or static load, give F_ce"
 
@@ -154,9 +156,24 @@ class Form:
         in phase, too, of at most `WOUND` F_c, and makes the first one greater by one to twice as much: K lies between
         what follows without it and with it.
         """
-        wound = min(WOUND * abs(F_c or 0.0), max(0.0, -self.h3) + self.half[1])
+        wound = self._wound(F_c or 0.0)
         share = (3 * self.h3 + wound) / self.h1
         return 1 + share, min(1.0, hypot(wound / self.h1, REMAINS * share, 3 * self.half[1] / self.h1))
+
+    def _wound(self, F_c: float) -> float:
+        """The third harmonic in phase [N] that may be of a friction `F_c` [N] which builds up on the way."""
+        return min(WOUND * abs(F_c), max(0.0, -self.h3) + self.half[1])
+
+    def friction_at_0(self, F_c: float) -> Doubt:
+        """What a friction `F_c` [N] that builds up on the way makes of F_ce, which K and the harmonics carry to x = 0.
+
+        It adds to K as one of constant height cannot; where that shows, all of it may be a spring.
+        """
+        reason, r = self.doubt_of_friction(F_c), abs(self.reach)
+        wound = self._wound(F_c) if self.h3 < -self.half[1] else 0.0
+        half = 2 * (abs(F_c) if reason else wound) * r + abs(self._carried(0.0, wound))
+        reason += "; it adds to K, which carries the force to x = 0" if reason else ""
+        return Doubt(BUILDS_UP, "method", half, bool(reason), reason)
 
     def why_no_stiffness(self, F_c: float | None) -> str:
         """The reason to withhold K; empty where the harmonics correct it."""

@@ -102,7 +102,8 @@ def mean_force_estimates(
         scales.part_at(wanted, slope, {"force": F}, offsets),
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
-    F_ce, mean_force = (weighed(one, drift_of(members)) for one in (F_ce, mean_force))
+    drifts = drift_of(members)
+    F_ce, mean_force = weighed(F_ce, [*drifts, form.friction_at_0(fitted.muscle.F_c)]), weighed(mean_force, drifts)
     if reason := form.why_no_tangent():
         mean_force = withhold(mean_force, reason)
     if half is None:

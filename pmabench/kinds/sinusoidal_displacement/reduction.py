@@ -69,7 +69,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         slopes = changing.get(key)
         evaluated = partial(_evaluated, at=dict(key), scales=scales, slopes=slopes, slope=rising.get(key))
         form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
-        found = with_sensors(evaluated(fitted, form), fitted, partial(_named, evaluated, form), late=stated[key] == 0)
+        plain = partial(Fitted.estimates, at=dict(key), scales=scales, slopes=slopes)
+        others = partial(_named, evaluated, plain, form)
+        found = with_sensors(evaluated(fitted, form), fitted, others, late=stated[key] == 0)
         estimates += found
         if (centre := mean_force.centre_of(found, form)) is not None and "pressure" in dict(key):
             centres.setdefault(dict(key)["pressure"], []).append(centre)
@@ -113,10 +115,18 @@ def _evaluated(
     return [*found, *mean_force.work_estimates(at, fitted.group, scales, fitted.skew)]
 
 
-def _named(evaluated: Callable[[Fitted, Form], list[Estimate]], form: Form, fitted: Fitted) -> Named:
-    """Those of other lines; where their own form withholds one, that by the `form` of the measured ones."""
+def _named(
+    evaluated: Callable[[Fitted, Form], list[Estimate]], plain: Callable[[Fitted], list[Estimate]], form: Form,
+    fitted: Fitted,
+) -> Named:  # fmt: skip
+    """Those of other lines; where their own form withholds one, that by the `form` of the measured ones.
+
+    Where that withholds it, too, friction is that of the `plain` lines, which no form corrects.
+    """
     found = evaluated(fitted, Form.of([member.sine for member in fitted.group], fitted.replayed.B))
-    found = evaluated(fitted, form) + found if any(e.withheld for e in found) else found
+    if any(e.withheld for e in found):
+        friction = [e for e in plain(fitted) if e.symbol in ("F_c", "H")]
+        found = [*friction, *(e for e in [*evaluated(fitted, form), *found] if e.value is not None)]
     return {name_of(e): e for e in found if e.value is not None}
 
 
