@@ -307,6 +307,8 @@ def assess(
     seen = analytic
     if len(replays) > 1:
         seen = 0.5 * (analytic + (more * spread) ** 2)
+        if campaign.pressure_step:  # which lie where they lie in all trials: only replays show what that makes
+            seen = np.maximum(seen, (more * spread) ** 2)
     between, freedom, within = _between(segments, fit, campaign.cells)
     ratio = between / np.maximum(seen, 1e-300)
     excess = {symbol: _pooled(fit, symbol, ratio) for symbol in (*SYMBOLS, "F_c")}

@@ -25,7 +25,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
-from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, at_rest, drifts_of
+from pmabench.kinds.contraction_relaxation.intervals import Cause, Pooled, Trust, assess, at_rest, drifts_of
 from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
 from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
@@ -160,8 +160,9 @@ def _replays(
     if not count:
         return
     run = simulated.run(fit, work.P, work.dt, work.load, work.mass, work.x)
+    noise = replace(campaign.noise, pressure=0.0) if campaign.pressure_step else campaign.noise
     for seed in range(count):
-        seen_again = segments_of(simulated.measured(work, run, campaign.noise, campaign.cell, seed))
+        seen_again = segments_of(simulated.measured(work, run, noise, campaign.cell, seed, campaign.pressure_step))
         if len(seen_again) < 2 * FEWEST:
             raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
         yield seen_again
@@ -183,7 +184,9 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
     offsets = Scales.of(campaign.runs).offsets
     rests = {channel: at_rest(campaign, channel, offsets.get(channel, 0.0)) for channel in rested}
-    work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
+    stepless = _stepless(campaign)
+    pieces = _moving(replace(campaign, samples=stepless), segments)
+    work = simulated.stretches(pieces, 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:
         """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
@@ -199,8 +202,11 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         again_seen = _replays(campaign, segments_of, work, other, int(options.get("replays", REPLAYS)))
         replays = [other.again(one, rms_of(seen)).theta for one in again_seen]
         skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
-        drifts = drifts_of(campaign, mine, other, rms_of(seen), rests)
-        trust = assess(campaign, mine, other, seen, replays, skews, drifts)
+        causes = list(drifts_of(campaign, mine, other, rms_of(seen), rests))
+        if campaign.pressure_step:
+            between = again(diagnosis.corrected(segments_of(stepless))) - other.theta
+            causes.append(Cause("where the pressure is between its steps", "method", between[None]))
+        trust = assess(campaign, mine, other, seen, replays, skews, causes)
         return trust if spread is None else replace(trust, correction=spread.of(other, rows, unit))
 
     every = np.ones(len(segments), bool)
@@ -224,6 +230,17 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         return with_hidden(other, rows, trusted(other, rows, seen, unit, lambda late: other.again(late, unit).theta))
 
     return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, work, diagnosis)
+
+
+def _stepless(campaign: Campaign) -> tuple[Samples, ...]:
+    """The samples with the pressure as it may have been between its steps, where noise does not fill these."""
+    step = campaign.pressure_step
+    found = list(campaign.samples)
+    for i, one in enumerate(found if step else ()):
+        if one.ok.any():
+            P = np.interp(one.t, one.t[one.ok], one.P[one.ok])
+            found[i] = replace(one, P=simulated.between_steps(P, step))
+    return tuple(found)
 
 
 def _skews(campaign: Campaign, segments_of: Cut, again: Callable[[Segments], Array], solved: Fit) -> Array:
