@@ -22,7 +22,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import bandwidth
 from pmabench.kinds.contraction_relaxation.bandwidth import responses
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
-from pmabench.kinds.contraction_relaxation.intervals import CORRECTED, Pooled
+from pmabench.kinds.contraction_relaxation.intervals import AT_REST, CORRECTED, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
 from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, biases, curve, with_bias
@@ -184,7 +184,7 @@ class _Raw:
 def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], options: Mapping[str, Any]) -> Further:
     """The papers' estimates and the dead times; `found` are the primary method's."""
     primary, moved = pooled.fit, set(pooled.segments.trial.tolist())
-    seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO}
+    seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
     seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}
     scales = Scales.of(campaign.runs)
     steps = [one for n in sorted(moved) for one in steps_of(campaign.samples[n], campaign.trials[n], Gate.lift)]

@@ -25,7 +25,16 @@ from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
-from pmabench.kinds.contraction_relaxation.intervals import Cause, Pooled, Trust, assess, at_rest, drifts_of
+from pmabench.kinds.contraction_relaxation.intervals import (
+    Cause,
+    Pooled,
+    Trust,
+    assess,
+    at_rest,
+    drifts_of,
+    level_at_rest,
+    zeros_of,
+)
 from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
 from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
@@ -184,9 +193,9 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
     offsets = Scales.of(campaign.runs).offsets
     rests = {channel: at_rest(campaign, channel, offsets.get(channel, 0.0)) for channel in rested}
-    stepless = _stepless(campaign)
-    pieces = _moving(replace(campaign, samples=stepless), segments)
-    work = simulated.stretches(pieces, 1 / campaign.rate, round(0.1 * campaign.rate))
+    levels = {channel: level_at_rest(campaign, channel, offsets.get(channel, 0.0)) for channel in rested}
+    stepless = replace(campaign, samples=_stepless(campaign))
+    work = simulated.stretches(_moving(stepless, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:
         """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
@@ -203,8 +212,9 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         replays = [other.again(one, rms_of(seen)).theta for one in again_seen]
         skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
         causes = list(drifts_of(campaign, mine, other, rms_of(seen), rests))
+        causes += zeros_of(mine, other, rms_of(seen), levels, offsets)
         if campaign.pressure_step:
-            between = again(diagnosis.corrected(segments_of(stepless))) - other.theta
+            between = again(diagnosis.corrected(segments_of(stepless.samples))) - other.theta
             causes.append(Cause("where the pressure is between its steps", "method", between[None]))
         trust = assess(campaign, mine, other, seen, replays, skews, causes)
         return trust if spread is None else replace(trust, correction=spread.of(other, rows, unit))
