@@ -114,10 +114,16 @@ def _of_a_real_bench(c: Compilation) -> Iterator[str]:
     if not c.bench.interlocks:
         yield 'no interlock: the program does not see the emergency stop; remedy: "interlocks" with a contact of it'
     watched = {(entry.kind, entry.channel) for entry in c.bench.watch if entry.action in {"stop", "vent"}}
+    moving = {entry.channel for entry in c.bench.watch if entry.kind in {"frozen", "following"}}
     for name in [n for n in c.bench.pressures if n in c.channels and not {("stale", n), ("frozen", n)} & watched]:
         yield (
             "nothing that sees a dead pressure sensor; remedy: "
             f'"watch: [{{stale: {name}, for: 100 ms, action: vent}}, {{off_range: {name}, action: vent}}]"'
+        )
+    for name in [n for n in c.bench.pressures if n in c.channels and n not in moving]:
+        yield (
+            f'nothing that sees that "{name}" stands still while its device answers: it would confirm a vent; remedy: '
+            f'"watch: [{{following: {name}, more_than: 60 kPa, for: 3 s, action: stop}}]"'
         )
     if c.bench.proof is None:
         yield (

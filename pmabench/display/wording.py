@@ -77,7 +77,7 @@ def about_run(manifest: Mapping[str, Any]) -> dict[str, str]:
     return {"kind": clean(manifest.get("kind", "")), "started": started, "session": started[:10], "campaign": name}
 
 
-_ELSEWHERE = ("command", "clock", "found", "trial-begin", "trial-end", "key", "live")
+_ELSEWHERE = ("command", "acknowledged", "clock", "found", "trial-begin", "trial-end", "key", "live")
 """Events that are shown in another way than in the log."""
 _IN_LOG = {
     "armed": ("armed: ", "bench", "info"),

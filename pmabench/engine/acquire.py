@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, LimitTripped, PmaError, RecordError
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, PmaError, RecordError
 from pmabench.bench.interface import Block, CompiledBench, Stream
 from pmabench.engine.commanded import Commanded
 from pmabench.engine.recorder import Forgiving, Recorder
@@ -27,6 +27,13 @@ VIRTUAL_BLOCK = 1.0
 REAL_BLOCK = 0.05
 SILENCE = 1.0
 """A stream that gives nothing for so long [s], and for a block, has failed."""
+OLD = 0.25
+"""A sample that is older when it is here [s], by the shortest delay of its stream, counts as none for `SILENCE`.
+
+The guard lets an engine be silent for as long; a computer that is busy for a moment gives newer ones within a second.
+"""
+CATCHES_UP = 0.01
+"""At the end of a recording samples that are under way are looked for so often [s]."""
 HUNG = 2.0
 """An executor that asks for no sample for so long [s] has failed; real time only."""
 
@@ -71,6 +78,8 @@ class Acquisition:
         self.commanded = Commanded()
         self.on_trip: Callable[[str, bool], None] = lambda _why, _latches: None
         """Begins the safe state, from whatever thread finds its cause; whether that is one that latches the bench."""
+        self.question: Callable[[float], None] = lambda _now: None
+        """Asks devices whether they are as they were when the bench was armed, and does not wait; at bench time [s]."""
         self.beat: Callable[[], None] = lambda: None
         """Reports to the guard that the program lives, while samples are waited for."""
         self.holding: set[str] = set()
@@ -82,6 +91,8 @@ class Acquisition:
         self._stop: Stop | None = None
         self._stopped: float | None = None
         self._collected = self._asked = 0.0
+        self._changed = ""
+        """The device that is not what it was: its values confirm nothing."""
         self._supervisor: threading.Thread | None = None
         self._ending = threading.Event()
         self._realtime = bench.realtime
@@ -199,9 +210,25 @@ class Acquisition:
     def measure(self) -> Mapping[str, float]:
         """A tenth of a second of samples; the latest of them [SI], nothing older. For confirming the safe state."""
         self.latest.clear()
-        self.clock.wait_until(self.clock.now() + max(0.1, 1.5 / self.rate))
+        begun = self.clock.now()
+        self.clock.wait_until(begun + max(0.1, 1.5 / self.rate))
         self._collect()
-        return self.latest
+        late = {
+            name
+            for source in self._sources
+            if source.newest < begun or source.name == self._changed
+            for name in source.channels
+        }
+        return {name: value for name, value in self.latest.items() if name not in late}
+
+    def catch_up(self) -> float:
+        """Now [s]; returns when all that was sampled until then is here, at once in virtual time."""
+        now = self.clock.now()
+        while self._realtime and any(
+            source.recorded and source.newest + 1.0 / self.rates[source.name] <= now for source in self._sources
+        ):
+            self.pass_time(CATCHES_UP)
+        return now
 
     def _collect(self, *, single: bool = False) -> None:
         """Take what is new of every stream; `single`: one sample by itself in plain numbers, where it is one."""
@@ -214,9 +241,19 @@ class Acquisition:
                     self._single(source, block)
                 else:
                     self._take(source, block)
+                self._refuse_silence(source)
             if self._watch is not None:
                 self._act(self._watch.silent(self.clock.now()))
+                self._question()
             self._raise_trip()
+
+    def _question(self) -> None:
+        """A device that has changed or restarted ends the run as a limit does: what it measures may be anything."""
+        try:
+            self.question(self.clock.now())
+        except LimitRefused as error:
+            self._changed = str(error).partition(":")[0]
+            self.trip(str(error))
 
     def _raise_trip(self) -> None:
         """Raise the trip that another thread has found."""
@@ -265,13 +302,9 @@ class Acquisition:
         time_ns = np.asarray(block.time, dtype=np.int64)
         count = len(time_ns)
         if count == 0:
-            longest = max(SILENCE, self._block)
-            if self.clock.now() - source.heard > longest + 1.5 / self.rate:
-                raise DeviceError(source.name, f"has sent no sample for {longest:g} s")
             return
-        source.heard = self.clock.now()
         raw = {name: np.asarray(block.columns[name]) for name in source.channels}
-        t = np.asarray(time_ns * 1e-9, dtype=np.float64) + self._ahead(source, int(time_ns[-1]), block.host)
+        t = np.asarray(time_ns * 1e-9, dtype=np.float64) + self._hear(source, int(time_ns[-1]), block.host)
         values = {name: source.channels[name].scale.to_si(raw[name]) for name in raw}
         at = self._stop(Samples(t, values)) if self._stop is not None and self._stopped is None else None
         if at is not None:
@@ -279,7 +312,7 @@ class Acquisition:
             if self._rewound(source, t, at):
                 count = at + 1
         seen = {name: column[:count] for name, column in values.items()}
-        trips = self._watch.look(t[:count], seen, self.clock.now()) if self._watch is not None else []
+        trips = self._watch.look(t[:count], seen, source.heard) if self._watch is not None else []
         ends = next((trip for trip in trips if trip.limit.action in ENDS), None)
         if ends is not None and ends.index < count - 1 and self._rewound(source, t, ends.index):
             count = ends.index + 1
@@ -290,11 +323,30 @@ class Acquisition:
         self._keep(source, time_ns, raw, values, block.host)
         self._act(trips)
 
-    def _ahead(self, source: Source, newest: int, host: int) -> float:
-        """What is added to the device's clock to get bench time [s]; in virtual time they are the same."""
-        if not self._realtime:
-            return 0.0
-        return source.clock.ahead(newest, host * 1e-9 if host >= 0 else self.clock.now())
+    def _hear(self, source: Source, newest: int, host: int) -> float:
+        """What is added to the device's clock to get bench time [s]; in virtual time they are the same.
+
+        Notes when the newest sample was taken, and that it came, unless it is old.
+        """
+        now, ahead = self.clock.now(), 0.0
+        if self._realtime:
+            ahead = source.clock.ahead(newest, host * 1e-9 if host >= 0 else now)
+        source.newest = newest * 1e-9 + ahead
+        source.is_old = self._realtime and now - source.newest > OLD
+        if not source.is_old:
+            source.heard = now
+        return ahead
+
+    def _refuse_silence(self, source: Source) -> None:
+        """Raise DeviceError where a stream has given nothing, or nothing but old samples, for too long."""
+        now, longest = self.clock.now(), max(SILENCE, self._block)
+        if now - source.heard <= longest + 1.5 / self.rate:
+            return
+        if source.is_old:
+            late = f"its samples come {now - source.newest:.1f} s late, for {longest:g} s none was from now"
+            look = "look at its connection (network, hub, USB), at how busy this computer is, and at the device's clock"
+            raise DeviceError(source.name, f"{late}: {look}")
+        raise DeviceError(source.name, f"has sent no sample for {longest:g} s")
 
     def _rewound(self, source: Source, t: Array, index: int) -> bool:
         """Take time back to a sample inside the block, where the clock can; what came after it did not happen."""
@@ -325,8 +377,7 @@ class Acquisition:
     def _single(self, source: Source, block: Block) -> None:
         """As `_take` for one sample, in plain numbers: a loop closed at 500 Hz has 2 ms for everything."""
         time_ns, columns = int(block.time[0]), block.columns
-        source.heard = self.clock.now()
-        t = time_ns * 1e-9 + self._ahead(source, time_ns, block.host)
+        t = time_ns * 1e-9 + self._hear(source, time_ns, block.host)
         values = {channel.name: columns[channel.name][0] * slope + offset for channel, slope, offset in source.scales}
         self.latest.update(values)
         before, _ = source.spacing.look((time_ns,))
@@ -338,7 +389,7 @@ class Acquisition:
             if count >= self.rate * self._block:
                 self._hand_over(source, source.kept())
         if self._watch is not None:
-            self._act(self._watch.look_once(t, self.latest))
+            self._act(self._watch.look_once(t, values, source.heard))
 
     def _hand_over(self, source: Source, pieces: Iterable[Piece]) -> None:
         for piece in pieces:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -49,13 +49,29 @@ class _Lows:
         self.values.append(low)
 
 
+def _with_fall(
+    before: Iterable[tuple[float, float, float]], t: float, until: float, rate: float
+) -> list[tuple[float, float, float]]:
+    """The falls that count, and a new one from `t` until `until` [s] where `rate` [SI/s] is not 0.
+
+    From `t` on it stands for those that were no faster. What was over long before `t` no sample asks for any more.
+    """
+    kept, begins = [], t
+    for first, last, fall in before:
+        if fall == rate and last > t:
+            begins = min(begins, first)
+        elif last > t - SETTLES:
+            kept.append((first, min(last, t) if fall < rate else last, fall))
+    return [*kept, (begins, until, rate)] if rate else kept
+
+
 @dataclass
 class Commanded:
-    """The course of each output [SI over s of bench time], noted when it is commanded."""
+    """The course of each output [SI over s of bench time], noted when it was commanded: `t` is before it was sent."""
 
     _courses: dict[str, _Course] = field(default_factory=dict)
-    _falls: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    """How fast each output was commanded down [SI/s], and until when a pressure may still follow that [s]."""
+    _falls: dict[str, list[tuple[float, float, float]]] = field(default_factory=dict)
+    """From when on, and until when a pressure may follow each command down [s], and how fast that is [SI/s]."""
     _lows: dict[str, _Lows] = field(default_factory=dict)
 
     def set(self, output: str, t: float, value: float) -> None:
@@ -83,10 +99,13 @@ class Commanded:
         return None if at is None else at(t)
 
     def falling(self, output: str, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How fast the output was commanded down [SI/s], of shape (n,) as `t` [s]: a pressure may fall as fast."""
+        """How fast the output was commanded down [SI/s], of shape (n,) as `t` [s]: a pressure may fall as fast.
+
+        A sample that is looked at late is explained by the commands before it alone.
+        """
         allowed = np.zeros(len(t))
-        for until, rate in self._falls.get(output, ()):
-            allowed = np.where(t < until, np.maximum(allowed, rate), allowed)
+        for begins, until, rate in self._falls.get(output, ()):
+            allowed = np.where((begins <= t) & (t < until), np.maximum(allowed, rate), allowed)
         return allowed
 
     def lowest(self, output: str, t: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -102,8 +121,7 @@ class Commanded:
     def _note(self, output: str, at: course.Course, t: float, ends: float, falls: float, low: float) -> None:
         before = self._courses.get(output)
         self._courses[output] = _Course(at, t, before.at if before is not None else None)
-        still = [fall for fall in self._falls.get(output, ()) if fall[0] > t and fall[1] > falls]
-        self._falls[output] = [*still, (ends + SETTLES, falls)] if falls else still
+        self._falls[output] = _with_fall(self._falls.get(output, ()), t, ends + SETTLES, falls)
         self._lows.setdefault(output, _Lows()).add(t, low)
 
 
@@ -115,24 +133,29 @@ class Commander:
         self.wait = wait
         """Returns when nothing holds the bench any more."""
 
+    def _wait(self) -> float:
+        """When the next command can be sent [s]: now."""
+        self.wait()
+        return self._clock.now()
+
     def set(self, output: str, value: float) -> float:
         """Command `value` [SI]; returns what the device got."""
-        self.wait()
+        t = self._wait()
         sent = self._guard.set(output, value)
-        self._commanded.set(output, self._clock.now(), value)
+        self._commanded.set(output, t, value)
         return sent
 
     def ramp(self, output: str, origin: float, target: float, rate: float) -> None:
         """From `origin` to `target` [SI] at `rate` [SI/s]."""
-        self.wait()
+        t = self._wait()
         self._guard.ramp(output, origin, target, rate)
-        self._commanded.ramp(output, self._clock.now(), origin, target, rate)
+        self._commanded.ramp(output, t, origin, target, rate)
 
     def sine(self, output: str, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
         """Mean + amplitude sin(2 pi f t) [SI, Hz] for whole cycles."""
-        self.wait()
+        t = self._wait()
         self._guard.sine(output, mean, amplitude, frequency, cycles)
-        self._commanded.sine(output, self._clock.now(), mean, amplitude, frequency, cycles)
+        self._commanded.sine(output, t, mean, amplitude, frequency, cycles)
 
     def valve(self, name: str, *, safe: bool) -> None:
         """One valve into its safe state, or as in a run."""
@@ -141,7 +164,7 @@ class Commander:
 
     def steer(self, aims: Mapping[str, float], pulses: Mapping[str, float]) -> None:
         """Open valves for so long [s], to bring muscles to `aims` [SI]."""
-        self.wait()
+        t = self._wait()
         self._guard.steer(aims, pulses)
         for name, value in aims.items():
-            self._commanded.set(name, self._clock.now(), value)
+            self._commanded.set(name, t, value)

@@ -60,6 +60,8 @@ class TrialFailed(VerdictFailed):
 
 LIVE_EVERY = 1.0
 """In real time, while nothing is recorded, the newest values become an event so often [s]: `watch` has no others."""
+AT_ONCE = 1e-3
+"""A command that took longer until its device answered [s] is recorded with that time."""
 LONGEST_HOLD = 60.0
 """A limit that holds the bench for longer ends the run [s]."""
 
@@ -222,7 +224,10 @@ class Executor:
         before = self._value.get(step.output, 0.0)
         sent = self.guard.value_sent(step.output, step.value)
         self._command(step, step.output, "set", step.value, before, sent=sent)
+        begun = self.clock.now()
         self._commander.set(step.output, step.value)
+        if (took := self.clock.now() - begun) > AT_ONCE:
+            self._event("acknowledged", output=step.output, took=took, trial=self._trial)
 
     def _ramp(self, step: Ramp) -> None:
         self._wait_while_held()
@@ -264,9 +269,10 @@ class Executor:
                 )
             self.acquisition.record(on=True)
             return
+        ended = self.acquisition.catch_up()
         self.acquisition.record(on=False)
         if self._trial is not None:
-            self._event("trial-end", trial=self._trial, status=self._trial_status)
+            self.recorder.event("trial-end", ended, trial=self._trial, status=self._trial_status)
             if self._trial_status == "finished" and self._trial_of(self._trial) is not self.again:
                 self.finished.add(self._trial)
         self._trial = None

@@ -273,6 +273,8 @@ class _Run:
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
             acquisition.pass_time(0.1)
             if self.bench.realtime:
+                self.own.supervision.begin()
+                acquisition.question = self.own.supervision.look
                 acquisition.supervise()
             self.before_proof(executor)
             prove(self.bench, self.guard, acquisition, executor.recorder)
@@ -325,11 +327,12 @@ class _Run:
         """Newest values for the safe state; more signals shorten its waits."""
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
-        if isinstance(self.guard, RemoteGuard):
-            self.guard.seen = {}  # what was measured before confirms nothing, should this fail
-        values = self.acquisition.measure()
-        if isinstance(self.guard, RemoteGuard):
-            self.guard.seen = {name: value for name, value in values.items() if name in self.own.channels}
+        values: Mapping[str, float] = {}
+        try:  # while it collects, the guard is told of the time before
+            values = self.acquisition.measure()
+        finally:  # what was measured before confirms nothing, should this have failed
+            if isinstance(self.guard, RemoteGuard):
+                self.guard.seen = {name: value for name, value in values.items() if name in self.own.channels}
         return values
 
     def _end(self, cause: BaseException | None) -> Outcome:

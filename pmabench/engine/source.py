@@ -6,43 +6,68 @@ samples are flagged by their times alone, overrange and slack by their values.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from functools import partial
-from math import floor
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from math import floor, inf
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock, DeviceClock
-from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Device, Identity, Stream
-from pmabench.guard.links import OPENS_WITHIN, load_driver
-from pmabench.guard.owner import Owner
+from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Identity, Stream
+from pmabench.guard.course import step
+from pmabench.guard.links import Act, Links
+from pmabench.guard.supervision import Supervision
 from pmabench.store.records import Flag
 
 COLLECTS_WITHIN = 0.5
 """How long handing over samples may take [s]."""
+SOON = 0.1
+"""A stream that gives nothing for so long [s] may be that of another device now."""
+
+
+class OwnLinks(Links):
+    """Links whose calls may take as long as handing over samples does."""
+
+    def call(self, name: str, act: Act) -> Any:
+        """Make a call of a device and wait for it."""
+        return self._owners[name].call(act, COLLECTS_WITHIN)
+
+
+class OwnSupervision(Supervision):
+    """Questions of the engine."""
+
+    def hasten(self, name: str) -> None:
+        """Ask a device with the next look, whenever it was asked before."""
+        self._since.pop(name, None)
 
 
 class OwnStream:
-    """A stream behind its owner."""
+    """The stream of a device that the engine calls itself; where it stops the device is asked at once what it is."""
 
-    def __init__(self, owner: Owner, device: Stream) -> None:
-        self._owner, self._device = owner, device
+    def __init__(self, links: Links, name: str, clock: Clock, hasten: Callable[[str], None]) -> None:
+        self._links, self._name, self._clock, self._hasten = links, name, clock, hasten
+        self._heard = self._soon = 0.0
 
     def start(self, rate: float) -> float:
         """As `Stream.start`."""
-        return float(self._owner.call(partial(self._device.start, rate), COLLECTS_WITHIN))
+        used = self._links.stream(self._name, rate)
+        self._heard, self._soon = self._clock.now(), max(SOON, 3.0 / used)
+        return used
 
     def stop(self) -> None:
         """As `Stream.stop`."""
-        self._owner.call(self._device.stop, COLLECTS_WITHIN)
+        self._links.stream(self._name, 0.0)
 
     def collect(self) -> Block:
         """As `Stream.collect`."""
-        block: Block = self._owner.call(self._device.collect, COLLECTS_WITHIN)
+        block = self._links.collect(self._name)
+        now = self._clock.now()
+        if len(block.time):
+            self._heard = now
+        elif now - self._heard > self._soon:
+            self._heard = now
+            self._hasten(self._name)
         return block
 
 
@@ -51,32 +76,23 @@ class OwnDevices:
 
     def __init__(self, bench: CompiledBench, clock: Clock) -> None:
         self._records = [record for record in bench.devices if bench.realtime and not record.guarded]
-        self._clock = clock
-        self._opened: dict[str, tuple[Owner, Device]] = {}
-        self.identities: dict[str, Identity] = {}
+        self._clock, self._links = clock, OwnLinks(bench, clock, threads=True)
+        self.identities: Mapping[str, Identity] = self._links.identities
         self.streams: dict[str, OwnStream] = {}
         self.channels = frozenset(channel.name for record in self._records for channel in record.channels)
+        self.supervision = OwnSupervision(bench, self._links, clock, lambda output: step(output.safe), {})
+        """Whether they are as they were when the bench was armed; they have no outputs."""
 
     def open(self) -> None:
-        """Open all; on failure those already open are closed."""
-        for record in self._records:
-            owner = Owner(record.name)
-            try:
-                device = load_driver(record, self._clock)
-                self.identities[record.name] = owner.call(device.open, OPENS_WITHIN)
-            except BaseException:
-                self.close()
-                raise
-            self._opened[record.name] = owner, device
+        """Open all, at the same time; on failure those already open are closed."""
+        self._links.open(self._records, lambda _name: [], forgiving=False)
+        for name, device in self._links.devices.items():
             if isinstance(device, Stream):
-                self.streams[record.name] = OwnStream(owner, device)
+                self.streams[name] = OwnStream(self._links, name, self._clock, self.supervision.hasten)
 
     def close(self) -> None:
         """Let go of all; harmless when repeated."""
-        for owner, device in self._opened.values():
-            with suppress(DeviceError):
-                owner.call(device.close)
-        self._opened = {}
+        self._links.close(disarm=False)
 
 
 Array = NDArray[np.float64]
@@ -231,8 +247,12 @@ class Source:
         self.spacing = Spacing(1.0)
         self.last: int | None = None
         """The newest sample, on the device's clock [ns]."""
+        self.newest = -inf
+        """When it was taken, by the shortest delay so far [s, bench time]."""
+        self.is_old = False
+        """Whether it was too old when it came to count as heard."""
         self.heard = 0.0
-        """When it came [s]."""
+        """When one came last that was not too old [s]."""
         self.scales = [(channel, channel.scale.slope, channel.scale.offset) for channel in channels]
         self.clock = DeviceClock()
         self._rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []

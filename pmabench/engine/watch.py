@@ -94,8 +94,8 @@ class Watch:
     def look(self, t: Array, values: Mapping[str, Array], now: float | None = None) -> list[Trip]:
         """What is crossed for longer than its delay in this block, and what is over, in the order of time.
 
-        `t` [s] has shape (n,), each of `values` [SI] too; they came at `now` [s]. A value that is no number counts as
-        a crossing. Ends with the first crossing that ends the run.
+        `t` [s] has shape (n,), each of `values` [SI] too; one that was not old came last at `now` [s]. A value that is
+        no number counts as a crossing. Ends with the first crossing that ends the run.
         """
         found: list[Trip] = []
         for watched in self._watched:
@@ -112,13 +112,13 @@ class Watch:
         found.sort(key=lambda trip: trip.index)
         return found[: next((n + 1 for n, trip in enumerate(found) if trip.limit.action in ENDS), None)]
 
-    def look_once(self, t: float, values: Mapping[str, float]) -> list[Trip]:
+    def look_once(self, t: float, values: Mapping[str, float], now: float | None = None) -> list[Trip]:
         """As `look`, for a single sample in plain numbers: loops that are closed at every sample."""
         if not all(
             watched.limit.kind == "range" and not watched.active and self._inside_once(watched, values)
             for watched in self._watched
         ):
-            return self.look(np.array([t]), {name: np.array([value]) for name, value in values.items()})
+            return self.look(np.array([t]), {name: np.array([value]) for name, value in values.items()}, now)
         return []
 
     def silent(self, now: float) -> list[Trip]:

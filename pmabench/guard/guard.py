@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from enum import Enum
+from functools import partial
 from itertools import takewhile
 from math import inf, isfinite
 from typing import Any
@@ -213,17 +214,16 @@ class Guard:
     def collect(self, name: str) -> Block:
         """The new samples of one device; the guard keeps the newest values of channels that it confirms."""
         block = self.links.collect(name)
-        if len(block.time) and self._age(name, int(block.time[-1]), block.host) <= FRESH:
+        if len(block.time) and self._age(name, int(block.time[-1])) <= FRESH:
             for record in self.bench.devices:
                 for channel in record.channels if record.name == name else ():
                     self.latest[channel.name] = float(channel.scale.to_si(block.columns[channel.name][-1]))
         return block
 
-    def _age(self, name: str, newest: int, host: int) -> float:
-        """How old the newest sample of a device is [s]; 0 in virtual time."""
+    def _age(self, name: str, newest: int) -> float:
+        """How old the newest sample of a device is [s], against the least that this ever was; 0 in virtual time."""
         now = self.clock.now()
-        arrived = host * 1e-9 if host >= 0 else now
-        ahead = self._clocks.setdefault(name, DeviceClock()).ahead(newest, arrived)
+        ahead = self._clocks.setdefault(name, DeviceClock()).ahead(newest, now)
         return now - newest * 1e-9 - ahead if self._threads else 0.0
 
     def _refuse_unless_active(self, name: str) -> None:
@@ -349,13 +349,17 @@ class Guard:
         if action.do == "stop":
             return self.links.halting(target)
         if action.do == "ramp":
-            origin = self._now_at(target)
-            follow = self._ramping(target, origin, action.value, action.rate)
-            self._courses[target.name] = course.ramp(self.clock.now(), origin, action.value, action.rate)
-            lasts = abs(action.value - origin) / action.rate
-            return lambda: (follow(), lasts)[1]
+            return partial(self._ramp_down, target, action)
         self._courses[target.name] = course.step(action.value)
         return self.links.writing(target, action.value)
+
+    def _ramp_down(self, output: OutputRecord, action: SafeAction) -> float:
+        """Begin a safe ramp, in the thread of the device: from where it was sent, else from what it holds."""
+        known = output.name in self._courses
+        origin = self._now_at(output) if known else float(output.scale.to_si(self.links.read_back(output)))
+        self._ramping(output, origin, action.value, action.rate)()
+        self._courses[output.name] = course.ramp(self.clock.now(), origin, action.value, action.rate)
+        return abs(action.value - origin) / action.rate
 
     def _rescue(self, action: SafeAction) -> Call | None:
         """Try an action over the second way of its device, where it has one."""

@@ -41,6 +41,8 @@ from pmabench.guard.owner import Call, Direct, Owner
 OPENS_WITHIN = 8.0
 """Longest time that a device may take to be opened [s]."""
 
+ARMS_WITHIN = 1.0
+"""The same for its watchdog, which takes several questions; nothing is under pressure yet [s]."""
 OPENS_AGAIN = 2.5
 """A device that was not back after so long [s] is opened once more."""
 
@@ -210,7 +212,7 @@ class Links:
         for record in self._bench.devices:
             if record.watchdog:
                 device = self.need(record.name, Watchdog, "has no watchdog, and the bench file says that it has")
-                armed = self.call(record.name, partial(device.arm_watchdog, record.watchdog))
+                armed = self._owners[record.name].call(partial(device.arm_watchdog, record.watchdog), ARMS_WITHIN)
                 if not 0 < armed <= record.watchdog * 1.01:
                     asked = f"{record.watchdog:g} s was asked for"
                     raise DeviceError(record.name, f"its watchdog says {armed:g} s where {asked}")

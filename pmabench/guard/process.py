@@ -108,7 +108,7 @@ class Service:
         self._ended: dict[str, str] = {}
         self._vent: Vent | None = None
         self._kept: dict[str, list[Block]] = {}
-        self._served = self._asked_to_end = False
+        self._served = self._asked_to_end = self._unwell = False
 
     def serve(self) -> None:
         """Until it is over."""
@@ -322,18 +322,26 @@ class Service:
 
     def _refuse_lost_time(self) -> None:
         self._pulse.look()
-        if self._pulse.lost > LOST_TIME and self.guard.state in ACTIVE:
-            lost = f"{self._pulse.lost:.2f} s"
+        if self._pulse.lost <= LOST_TIME:
+            return
+        lost, self._pulse.lost = f"{self._pulse.lost:.2f} s", 0.0
+        if self.guard.state in ACTIVE:
             self._end("trip", f"the guard was stopped for {lost}: suspended, starved, or this computer slept")
             self.guard.supervision.compare()
+        elif self.guard.state is State.STOPPING:
+            self.guard.begin_safe(hurry=True)  # somebody else may have vented meanwhile: no ramp goes on
 
     def _look(self) -> None:
         try:
             self.guard.links.feed_watchdogs()
             self.guard.links.refuse_open_interlock()
             self.guard.supervision.look(time.monotonic())
+            self._unwell = False
         except PmaError as error:
-            self._end("trip" if isinstance(error, LimitRefused) else "lost", str(error))
+            tripped = isinstance(error, LimitRefused)
+            if tripped or self._unwell:  # one lost answer is no lost device
+                self._end("trip" if tripped else "lost", str(error))
+            self._unwell = True
 
     def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False) -> None:
         """Begin the safe state; the first cause is reported."""

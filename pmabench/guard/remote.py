@@ -6,6 +6,8 @@ Also the safe state without a guard process: for when there is none, or it does 
 from __future__ import annotations
 
 import json
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -19,7 +21,7 @@ from typing import IO, Any
 from pmabench.base import errors
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, PmaError, RecordError
-from pmabench.base.system import user_name
+from pmabench.base.system import try_lock, user_name
 from pmabench.bench.interface import Block, CompiledBench, Identity, Load, Stream
 from pmabench.guard.guard import Guard, Measure, State
 from pmabench.guard.limits import to_device
@@ -37,8 +39,10 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
     Devices that cannot be opened are left out: those that answer are vented. A bench that was armed or tripped before,
     or is not confirmed to be safe now, is latched.
     """
-    guard = Guard(bench, RealClock(), threads=True, forgiving=True)
-    guard.open()
+    guard = _opened(bench)
+    if any(record.guarded and record.name not in guard.devices for record in bench.devices) and _killed(station):
+        guard.close()
+        guard = _opened(bench)
     try:
         sampled = [name for name, device in list(guard.devices.items()) if isinstance(device, Stream)]
         guard.begin_safe()
@@ -65,6 +69,31 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
     with suppress(RecordError):
         station.note("tripped" if latched else "safe", why=why, vent=vars(vent))
     return vent
+
+
+def _opened(bench: CompiledBench) -> Guard:
+    guard = Guard(bench, RealClock(), threads=True, forgiving=True)
+    guard.open()
+    return guard
+
+
+def _killed(station: Station) -> bool:
+    """Whether a guard was there that did not answer and holds lines that nobody else can open; it is not any more."""
+    there, deadline = station.read("guard").get("pid"), time.monotonic() + ANSWERS_WITHIN
+    if not isinstance(there, int) or not _held(station):
+        return False
+    with suppress(OSError):
+        os.kill(there, getattr(signal, "SIGKILL", signal.SIGTERM))
+    while _held(station) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return True
+
+
+def _held(station: Station) -> bool:
+    lock = try_lock(station.folder / "lock")
+    if lock is not None:
+        os.close(lock)
+    return lock is None
 
 
 ANSWERS_WITHIN = 1.0
@@ -245,6 +274,8 @@ class RemoteGuard:
                 with suppress(PmaError):
                     self.ask("status")
         if self._vent is None:
+            if self._process is not None:
+                self._process.kill()  # what it was doing must not go on after this vent
             try:
                 self._vent = vent_directly(self.bench, Station(self.bench.name), why or "the guard was lost")
             except Exception as error:  # the run is closed with what is known

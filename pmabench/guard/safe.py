@@ -78,6 +78,7 @@ class SafeState:
         self._confirmed = 0
         self._first: float | None = None
         """First value that was measured for this confirmation."""
+        self._newest: float | None = None
         self._fallen = False
         self._low: float | None = None
         """Since when the value has stayed low [s]."""
@@ -109,7 +110,7 @@ class SafeState:
             self._todo.pop(0)
             self._gather(now)
             self._since = self._repeated = now
-            self._ramp, self._first, self._fallen, self._low = None, None, False, None
+            self._ramp, self._first, self._newest, self._fallen, self._low = None, None, None, False, None
         if self.vent is None and not self._todo and not self._sent:
             result = "failed" if self.failed else "commanded"
             if self._confirms and self._confirmed == self._confirms:
@@ -134,6 +135,7 @@ class SafeState:
 
     def _confirm(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
         value = latest.get(action.target)
+        self._newest = self._newest if value is None else value
         low = value is not None and self._floors.get(action.target, -inf) < value < action.value
         if self._sent or (value is not None and not low):
             self._low = None
@@ -145,9 +147,9 @@ class SafeState:
             return True
         if now >= max(self._since + action.within, 0.0 if self._low is None else self._low + 2 * STAYS):
             bound = f"below {_shown(action)} within {action.within:g} s"
-            measured = "nothing measured" if value is None else _shown(action, value)
-            if value is not None and value < action.value:
-                measured += ", and not for long" if low else ", which a broken wire reads"
+            measured = "nothing measured" if self._newest is None else _shown(action, self._newest)
+            if self._newest is not None and self._newest < action.value:
+                measured += ", and not for long" if self._low is not None else ", which a broken wire reads"
             self.outcome.append(f"confirm {action.target}: {measured}, not {bound}")
             return True
         if value is not None:

@@ -20,7 +20,16 @@ from pmabench.store.records import Event, RunData, is_number
 SCHEMA = "pmabench.exported-run/1"
 NAME = "run.json"
 Kept = Literal[
-    "trial-begin", "trial-end", "command", "found", "limit-reached", "valve", "load", "load-check", "zero-check"
+    "trial-begin",
+    "trial-end",
+    "command",
+    "acknowledged",
+    "found",
+    "limit-reached",
+    "valve",
+    "load",
+    "load-check",
+    "zero-check",
 ]
 """Events that say what was done to the specimen and what was found; those of devices and operators are left out."""
 MOST_BYTES, MOST_EVENTS = 50_000_000, 1_000_000

@@ -413,8 +413,10 @@ class AppendFile:
         self.size += len(piece)
 
     def sync(self) -> None:
-        """Wait until what was written survives a power cut. Raises OSError."""
+        """Wait until what was written survives a power cut. Raises OSError, where it was moved or deleted, too."""
         (os.fdatasync if sys.platform == "linux" else os.fsync)(self._fd)
+        if not os.path.samestat(os.fstat(self._fd), self.path.stat()):
+            raise FileNotFoundError(errno.ENOENT, "another file is in its place")
 
     def close(self) -> None:
         """Let go of the file; harmless when repeated."""

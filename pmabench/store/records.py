@@ -311,9 +311,16 @@ def _cuts(events: Sequence[Event]) -> list[_Cut]:
             cut.end, cut.status = event.t, str(event.data.get("status", "finished"))
         elif event.kind == "command":
             cut.commands.append(command_of(event))
+        elif event.kind == "acknowledged" and cut.commands:
+            cut.commands[-1] = _sent_within(cut.commands[-1], _number(event.data.get("took")))
         elif event.kind == "found":
             cut.found[str(event.data.get("phase", ""))] = event.data.get("result") or {}
     return cuts
+
+
+def _sent_within(command: Command, took: float) -> Command:
+    """A command that its device had at some time until it answered, `took` [s] later: half way, give or take `late`."""
+    return replace(command, t=command.t + 0.5 * took, data={**command.data, "late": 0.5 * took})
 
 
 def command_of(event: Event) -> Command:

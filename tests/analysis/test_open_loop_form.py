@@ -58,13 +58,15 @@ def steps(amplitude, rate):
     return t, P, GAIN * lagged(t, P, TAU), tuple(commands)
 
 
-def found(seed, amplitude=20e3, rate=1e9, gauge=0.0, step=0.0, noise=500.0):
-    """K_u and T_u, and the analysis, of a trial whose gauge has a filter [s] and reads in steps [Pa]."""
+def found(seed, amplitude=20e3, rate=1e9, gauge=0.0, step=0.0, noise=500.0, drift=0.0):
+    """K_u and T_u, and the analysis, of a trial whose gauge has a filter [s] and reads in steps [Pa], and whose
+    displacement drifts [m/s].
+    """
     rng = np.random.default_rng(seed)
     t, P, x, commands = steps(amplitude, rate)
     P = BIAS + (lagged(t, P, gauge) if gauge else P) + rng.normal(0, noise, len(t))
     P = step * np.round(P / step) if step else P
-    channels = {"displacement": 0.03 + x + rng.normal(0, 2e-6, len(t)), "pressure": P}
+    channels = {"displacement": 0.03 + x + drift * t + rng.normal(0, 2e-6, len(t)), "pressure": P}
     trial = TrialData("o", 0, {"setpoint": 0.03, "load": 0.0, "bias": BIAS}, 0, False, "finished", t, channels,
                       np.zeros(len(t), dtype=np.uint16), commands, {})  # fmt: skip
     analysis = reduce([as_run("ultimate-gain", [trial])])
@@ -116,6 +118,17 @@ def test_a_gauge_that_reads_in_steps_has_them_in_its_intervals(bits):
     assert off(T, T_u) <= 1
     assert any(line.name == "steps of the channels" for line in K.budget)
     assert K.parts.combined < 0.08 * K.value
+
+
+@pytest.mark.parametrize("drift", [0.1e-3 / 60, -0.3e-3 / 60])
+def test_a_displacement_that_drifts_is_named_and_taken_off(drift):
+    """0.1 mm in a minute moved K_u by 2 %, with an interval of 1.3 %."""
+    *without, sound = found(3)
+    *values, analysis = found(3, drift=drift)
+    assert [e.value for e in values] == pytest.approx([e.value for e in without], rel=1e-3)
+    (said,) = (one.text for one in analysis.findings if "moves on" in one.text)
+    assert f"by {6e4 * drift:.1g} mm in a minute, which is taken off" in said
+    assert not [one for one in sound.findings if "moves on" in one.text]
 
 
 def test_a_sound_loop_keeps_its_interval():

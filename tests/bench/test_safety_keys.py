@@ -277,6 +277,15 @@ def test_each_lack_is_said_alone_with_its_remedy(tmp_path, old, new, says):
     assert "remedy" in lack
 
 
+def test_a_gauge_that_may_stand_still_unseen_is_said(tmp_path):
+    path = rig(tmp_path, old="  - {frozen: pressure, for: 5 s, action: stop}\n", new="")
+    text = path.read_text()
+    path.write_text(text.replace("  - {following: pressure, more_than: 60 kPa, for: 2 s, action: hold}\n", ""))
+    (lack,) = mount(path, SPECIMEN).lacks
+    assert "stands still while its device answers" in lack
+    assert "remedy" in lack
+
+
 def test_a_pressure_that_the_guard_cannot_read_is_said_with_its_place(tmp_path):
     path = rig(tmp_path, "devices: {only: {driver: mock-realtime}}\nchannels: {pressure: {device: only}}\n")
     (lack,) = mount(path, SPECIMEN).lacks

@@ -215,6 +215,27 @@ def test_a_faster_fall_before_a_slower_one_is_not_forgotten():
     assert Commanded().falling("pressure", np.array([0.0])).tolist() == [0.0]
 
 
+def test_no_command_explains_a_fall_before_it():
+    """A burst at 1 s whose samples come when 1 bar was commanded already, at 1.9 s."""
+    held = np.where(T < 1.0, 4e5, 0.0)
+    late = commands((0.0, 4e5), (1.9, 1e5))
+    (found,) = look(limit("burst", high=60e3, window=0.05), held[:750], T[:750], commanded=late)
+    assert found[0] == 1.0
+    assert late.falling("pressure", np.array([1.0, 1.8, 1.9, 3.8, 4.0])).tolist() == [0.0, 0.0, math.inf, math.inf, 0.0]
+
+
+def test_a_fall_counts_for_samples_before_the_next_one_too():
+    """5 kPa/s from 1 s on, a step down at 2 s, up at 3 s, and down at 6 s: each from its own moment on."""
+    many = Commanded()
+    many.ramp("pressure", 1.0, 6e5, 5e5, 5e3)
+    many.set("pressure", 2.0, 4e5)
+    for step in range(1000):  # a loop that is closed keeps no more than it needs
+        many.set("pressure", 3.0 + 1e-3 * step, 4e5 - (step % 2) * 1e4)
+    at = np.array([0.9, 1.5, 1.9, 2.1, 2.9, 5.9, 6.1])
+    assert many.falling("pressure", at).tolist() == [0.0, 5e3, 5e3, math.inf, math.inf, math.inf, 0.0]
+    assert len(many._falls["pressure"]) <= 2
+
+
 def test_a_silent_channel_is_found_by_the_time_and_heard_again():
     watch = Watch([limit("stale", delay=0.25, action="warn")])
     assert watch.silent(10.0) == []

@@ -1,5 +1,11 @@
 """The safe state without a guard, and the engine's face of a guard that is gone (S4, S7, S10)."""
 
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
 from dataclasses import replace
 
 import pytest
@@ -54,6 +60,42 @@ def test_a_vent_that_is_not_confirmed_latches():
     assert vent.result == "failed"
     assert "set pressure: failed (dac: is not open)" in vent.actions
     assert "safe state failed" in where.latched()
+
+
+class BehindGuard(Rig):
+    """A serial port that the process of its options holds open."""
+
+    def open(self):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.device.options["holder"], 0)
+            raise DeviceError(self.device.name, "the port is in use")
+        return super().open()
+
+
+def test_a_guard_that_is_stopped_and_holds_the_line_is_killed():
+    """Its bench would stay under pressure until somebody lets it go on."""
+    where = station()
+    code = "import sys, time; from pathlib import Path; from pmabench.base.system import try_lock;"
+    code += "print(try_lock(Path(sys.argv[1]))); sys.stdout.flush(); time.sleep(60)"
+    holder = subprocess.Popen([sys.executable, "-c", code, where.folder / "lock"], stdout=subprocess.PIPE, text=True)
+    with holder:
+        assert holder.stdout.readline()
+        holder.send_signal(signal.SIGSTOP)
+        threading.Thread(target=holder.wait, daemon=True).start()  # no zombie, which would count as there
+        where.write("guard", {"pid": holder.pid})
+        device = replace(DEVICE, driver="tests.guard.test_direct:BehindGuard", options={"holder": holder.pid})
+        assert vent_directly(bench(device), where, "test").confirmed
+        assert holder.wait(5) == -signal.SIGKILL
+
+
+def test_who_does_not_hold_the_bench_is_not_killed():
+    where = station()
+    with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as other:
+        where.write("guard", {"pid": other.pid})
+        gone = replace(DEVICE, options={"wrong": {"open": "nobody there"}})
+        assert vent_directly(bench(gone), where, "test").result == "failed"
+        assert other.poll() is None
+        other.kill()
 
 
 class StartsLate(Rig):

@@ -49,6 +49,18 @@ def test_a_safe_ramp_begins_where_the_output_is_not_where_its_last_ramp_ends():
     assert (segment.target, segment.rate * OUTPUT.scale.slope) == (0.0, pytest.approx(100e3))
 
 
+def test_a_safe_ramp_of_a_guard_that_comes_later_begins_at_what_the_device_holds():
+    """Whoever commanded it is gone: the ramp is no step to its end."""
+    guard, rig = opened(bench(safe_state=(RAMP, *SAFE)), forgiving=True)
+    rig.at["p"] = lambda _now: OUTPUT.scale.to_raw(400e3)
+    guard.begin_safe()
+    assert advance(guard, 3.9) is None
+    (segment,) = [reported[2] for reported in rig.values("follow")]
+    assert segment.origin * OUTPUT.scale.slope == pytest.approx(400e3, abs=OUTPUT.scale.slope)
+    assert segment.rate * OUTPUT.scale.slope == pytest.approx(100e3)
+    assert rig.values("write") == []
+
+
 def test_a_safe_ramp_out_of_a_sine_begins_on_the_sine():
     guard, rig = armed(bench(safe_state=(RAMP,)))
     guard.sine("pressure", 300e3, 100e3, 0.25, 10)

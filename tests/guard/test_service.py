@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from pmabench.base.errors import DeviceError, RecordError
+from pmabench.bench.interface import DeviceRecord, Identity, InterlockRecord, ProofTest, SafeAction, ValveRecord
 from pmabench.guard import process
 from pmabench.guard.guard import State
 from pmabench.guard.remote import exchange
@@ -60,8 +61,6 @@ def test_an_engine_is_served_and_leaves():
 
 
 def test_before_the_proof_is_released_only_low_pressure_passes_here_too():
-    from pmabench.bench.interface import ProofTest
-
     with Serving(bench(proof=ProofTest(50e3, 20e3, 1.0))) as serving:
         link = serving.link()
         serving.ask(link, "open")
@@ -109,6 +108,33 @@ def test_an_engine_that_says_goodbye_too_early_is_lost():
     with Serving() as serving:
         serving.ask(serving.armed(), "bye")
         ended_by(serving, "left an armed bench")
+
+
+def test_one_lost_answer_is_no_lost_device():
+    with Serving() as serving:
+        link = serving.armed()
+        rig, lost = serving.rig, 0
+        rig.wrong["level"] = "no answer"
+        until = time.monotonic() + 0.3
+        while time.monotonic() < until:
+            serving.ask(link, "status")
+            if serving.service._unwell and rig.wrong.pop("level", None):
+                lost += 1
+        assert (lost, serving.service._ended) == (1, {})
+
+
+def test_a_ramp_does_not_go_on_in_a_guard_that_lost_time():
+    """Somebody else may have vented while it was stopped: it sends the end of the ramp at once."""
+    with Serving(bench(safe_state=(SafeAction("ramp", "pressure", 0.0, 5.0, 100e3), *SAFE))) as serving:
+        link = serving.armed()
+        serving.ask(link, "set", name="pressure", value=400e3)
+        serving.ask(link, "safe", tripped=False, hurry=False, why="x")
+        assert serving.rig.values("follow")
+        serving.rig.reported.clear()
+        serving.service._pulse.lost = 1.9
+        serving.service.turn()
+        serving.service.turn()
+        assert serving.rig.values("write")[:1] == [("write", "p", 0.0)]
 
 
 def test_an_open_interlock_and_a_lost_device_end_it():
@@ -489,8 +515,6 @@ def test_a_vent_whose_asker_has_gone_is_done_all_the_same():
 
 
 def test_the_watchdog_is_fed_while_the_safe_state_lasts():
-    from pmabench.bench.interface import SafeAction
-
     with Serving(bench(safe_state=(SafeAction("hold", "", 0.0, 0.4), *SAFE))) as serving:
         link = serving.armed()
         serving.ask(link, "safe", tripped=False, hurry=False, why="x")
@@ -675,7 +699,6 @@ def test_an_engine_that_leaves_a_safe_bench_is_not_lost():
 
 
 def test_only_what_streams_is_reported_and_only_what_is_open_counts_as_measured():
-    from pmabench.bench.interface import DeviceRecord, ValveRecord
     from tests.guard.rig import CHANNEL, Plain
 
     relay = DeviceRecord("relay", f"{Plain.__module__}:Plain", valves=(ValveRecord("spare", "relay", "r"),))
@@ -688,8 +711,6 @@ def test_only_what_streams_is_reported_and_only_what_is_open_counts_as_measured(
 
 
 def test_a_device_that_reports_nothing_of_itself_is_watched_by_its_outputs():
-    from pmabench.bench.interface import DeviceRecord, InterlockRecord
-
     quiet = DEVICE.driver.replace(":Rig", ":Quiet")
     door = DeviceRecord("door", quiet, interlocks=(InterlockRecord("door", "door", "in0"),))
     reader = DeviceRecord("reader", DEVICE.driver)
@@ -807,8 +828,6 @@ def test_a_link_that_was_closed_in_this_turn_is_not_read():
 
 
 def test_the_same_device_behind_another_address_is_known_by_its_serial_number(monkeypatch):
-    from pmabench.bench.interface import Identity
-
     with Serving() as serving:
         assert "error" not in serving.ask(serving.link(), "open")
         assert not [what for what, _ in serving.station.noted if what == "device"]

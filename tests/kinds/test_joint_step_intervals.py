@@ -129,8 +129,33 @@ def test_what_the_declaration_leaves_open_is_in_the_intervals(sensor):
     assert max(map(abs, off_by(stepped(**sensor), true(12.0)).values())) < 1.05
 
 
+def creeping(share, times):
+    """What is left to come of a creep of a share of the step, in as many parts as there are times [s]."""
+    return lambda t, angle: angle - GOAL * share * np.mean(
+        [np.where(t > 0, np.exp(-t / T) * (1 - np.exp(-t / 0.3)), 0.0) for T in times], axis=0
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("change", [creeping(0.04, [10.0]), creeping(0.04, np.geomspace(0.5, 500.0, 10))])
+def test_an_angle_that_creeps_beyond_the_window_is_named_and_where_it_ends_is_in_the_interval(change):
+    """The goal is reached in the end, after 10 s or along the logarithm of time."""
+    found = stepped(change=change)
+    assert "in the window of e_th the angle moves" in " ".join(one.text for one in found.findings)
+    assert abs(off_by(found, {"e_th": 0.0})["e_th"]) < 1
+    assert "in the window" not in " ".join(one.text for one in stepped().findings)
+
+
+def test_an_angle_that_dies_away_as_an_exponential_is_not_taken_for_one_that_creeps():
+    """What is left of it after 4 s is found from the window itself: 4 % of the step came with 0.9 s."""
+    found = stepped(change=creeping(0.04, [0.9]))
+    assert "in the window" not in " ".join(one.text for one in found.findings)
+    (e,) = (e for e in found.estimates if e.symbol == "e_th")
+    assert abs(e.value) < e.parts.combined < 1.3e-3
+
+
 def test_a_sound_bench_keeps_narrow_intervals():
     halves = {e.symbol: e.parts.combined for e in stepped().estimates}
     assert halves["OS_th"] < 1.5 * math.hypot(OFFSET, GAIN * GOAL)
     assert halves["t_s"] < 0.010
     assert halves["t_r"] < 0.015
+    assert halves["e_th"] < 1.5 * math.hypot(OFFSET, GAIN * GOAL)

@@ -248,6 +248,17 @@ def test_attitudes_that_tilt_too_far_together_are_refused():
         steps((0, 0))
 
 
+def test_a_rest_before_the_first_trial_is_kept_and_cycles_are_refused():
+    """Its pressures come by pulses of valves, so that there is nothing to command for a cycle."""
+
+    def prepared(what):
+        return make_plan(ROOT / "protocols" / "platform.yaml", mounted(), [("prepare", what)])[0]
+
+    assert [(step.phase, step.duration) for step in prepared("{rest: 3 s}").steps[:1]] == [("precondition", 3.0)]
+    with pytest.raises(InvalidFile, match="the pressures of a platform come by pulses of its valves"):
+        prepared("{precondition: {cycles: 3, pressure: 200 kPa, hold: 2 s}}")
+
+
 def test_runs_of_both_chains_are_not_processed_as_repeats(tmp_path):
     folders = [
         run(steps((10, 0), hold=1.5, chain=chain), out=tmp_path)[0].folder for chain in ("reference", "measured")

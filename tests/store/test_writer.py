@@ -6,6 +6,7 @@ import json
 import os
 import re
 import resource
+import shutil
 import stat
 import threading
 import time
@@ -261,6 +262,19 @@ def test_events_that_cannot_be_written_are_kept_for_the_next_try(tmp_path):
 
 def fail(_file):
     raise OSError(errno.EIO, "Input/output error")
+
+
+@pytest.mark.parametrize("move", [lambda folder: folder.rename(folder.with_name("elsewhere")), shutil.rmtree])
+def test_a_folder_that_is_moved_or_deleted_fails_the_run(tmp_path, monkeypatch, move):
+    monkeypatch.setattr("pmabench.store.writer.SYNC_EVERY", 0.01)
+    writer = begin(tmp_path)
+    writer.append("daq", *block(0, 5))
+    move(writer.folder)
+    writer._threads[1].join(60)
+    with pytest.raises(RecordError, match="No such file or directory"):
+        writer.append("daq", *block(5, 5))
+    with pytest.raises(RecordError):
+        writer.close("error", "disk")
 
 
 def test_a_failed_sync_fails_the_run(tmp_path, monkeypatch):

@@ -212,11 +212,6 @@ class LabJack(ModbusDevice):
         """Scans of this stream that never came; each is a gap in the samples."""
         return 0 if self._stream is None else self._stream.lost
 
-    @property
-    def backlog(self) -> int:
-        """Bytes that waited in the device when it sent its last packet, of 32768."""
-        return 0 if self._stream is None else self._stream.backlog
-
     # -- digital lines --------------------------------------------------------------------------------------------
 
     def switch(self, output: str, *, on: bool) -> None:

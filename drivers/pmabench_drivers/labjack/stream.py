@@ -123,16 +123,12 @@ class Packets:
         """Scans in packets that never came."""
         self.skipped = 0
         """Scans that the device left out because its buffer was full."""
-        self.backlog = 0
-        """Bytes that waited in the device when it sent the last packet."""
 
     def feed(self, data: bytes) -> Iterator[Scans]:
         """The scans that are whole with `data`; `StreamBroken` after them where the rest cannot be the stream."""
         self._data += data
         while len(self._data) >= HEADER.size:
-            transaction, protocol, length, unit, function, kind, _, backlog, status, info = HEADER.unpack_from(
-                self._data
-            )
+            transaction, protocol, length, unit, function, kind, _, _, status, info = HEADER.unpack_from(self._data)
             if (protocol, unit, function, kind) != (PROTOCOL, UNIT, FUNCTION, TYPE):
                 raise StreamBroken(f"bytes that are no stream packet: {bytes(self._data[: HEADER.size]).hex(' ')}")
             if length != AFTER_LENGTH + self._size and status not in ENDS:
@@ -147,7 +143,6 @@ class Packets:
             if sys.byteorder == "little":
                 raw.byteswap()
             self._number(transaction)
-            self.backlog = backlog
             yield from self._placed(raw, status, info)
 
     def _number(self, transaction: int) -> None:
@@ -222,11 +217,6 @@ class StreamLink:
     def lost(self) -> int:
         """Scans that are missing so far: in lost packets, or left out by the device."""
         return self._packets.lost + self._packets.skipped
-
-    @property
-    def backlog(self) -> int:
-        """Bytes that waited in the device's buffer when it sent the last packet."""
-        return self._packets.backlog
 
     def collect(self) -> Block:
         """What came since the last call; once all of it is handed out, an error where the stream has failed."""

@@ -66,13 +66,13 @@ class Watched(Polled):
         registers = self._own_watchdog()
         if not 0 < seconds < math.inf:
             raise self._error(f"a watchdog of {seconds} s cannot be set", "watchdog")
-        counts, deadline = max(1, math.floor(seconds / registers.resolution + 1e-6)), monotonic() + CALL
+        counts = max(1, math.floor(seconds / registers.resolution + 1e-6))
         if registers.trigger is not None:
-            self._put(registers.trigger, registers.off, deadline, checked=False)
-        self._put(registers.timeout, counts, deadline, checked=False)
-        held = self._get(registers.timeout, deadline) if registers.timeout.read_back else counts
+            self._put(registers.trigger, registers.off, monotonic() + CALL, checked=False)
+        self._put(registers.timeout, counts, monotonic() + CALL, checked=False)
+        held = self._get(registers.timeout, monotonic() + CALL) if registers.timeout.read_back else counts
         if registers.trigger is not None:
-            self._put(registers.trigger, registers.on, deadline)
+            self._put(registers.trigger, registers.on, monotonic() + CALL)
         if held <= 0:
             raise self._error("holds a watchdog time of 0, which is none", "watchdog")
         self._armed, self._fed = held * registers.resolution, monotonic()
@@ -119,6 +119,8 @@ class ModbusDevice(Watched, Controlled):
         self._places = [polled.index(register) for register in self._inputs]
         self._line: Line | None = None
         self._watchdog = self._map.watchdog
+        self._seen, self._over = ("", 0.0), 0
+        """Serial number and uptime as they were last, and over which of the connections that was."""
         self._written: dict[str, float] = {}
         """What was written last to registers that cannot be read."""
 
@@ -152,6 +154,7 @@ class ModbusDevice(Watched, Controlled):
             if not found and self._spans:
                 first = self._spans[0]
                 self._line.read(first.table, first.address, first.count, deadline, first.registers[0].name)
+            self._over, self._seen = self._line.connections, self._who(deadline)
         maker, model, serial, firmware = (found.get(name, "") for name in ("maker", "model", "serial", "firmware"))
         return Identity(maker, model, serial, firmware, simulated=model.startswith(EMULATED), clock=COMPUTER)
 
@@ -215,7 +218,22 @@ class ModbusDevice(Watched, Controlled):
             deadline = monotonic() + self._map.timeout
             values += span.values(line.read(span.table, span.address, span.count, deadline, span.registers[0].name))
         answered = self._clock.now()
+        if not self._is_the_same(line):
+            return  # another device, or one that began anew: whoever supervises it asks `held`, and ends the run
         self._keep([values[place] for place in self._places], asked, answered)
+
+    def _is_the_same(self, line: Line) -> bool:
+        """Whether the device behind a new connection is the one before, as far as it can tell.
+
+        Of one with outputs samples are believed in any case: they show whether it vents.
+        """
+        if line.connections == self._over or self._device.guarded:
+            return True
+        over, (serial, uptime) = line.connections, self._who(monotonic() + CALL)
+        if serial != self._seen[0] or uptime < self._seen[1]:
+            return False
+        self._over, self._seen = over, (serial, uptime)
+        return True
 
     # -- commands -------------------------------------------------------------------------------------------------
 
@@ -281,11 +299,17 @@ class ModbusDevice(Watched, Controlled):
             if registers.timeout.read_back:  # off: 0; a time that cannot be read is left out
                 seconds = self._get(registers.timeout, deadline) * registers.resolution
                 found["watchdog"] = seconds if on == registers.on else 0.0
+        serial, uptime = self._who(deadline)
+        if isinstance(self._map.identity.get("serial"), r.Register):
+            found["serial"] = serial
         if self._map.uptime is not None:
-            found["uptime"] = self._get(self._map.uptime, deadline)
-        if isinstance(serial := self._map.identity.get("serial"), r.Register):
-            found["serial"] = self._identify(serial, deadline)
+            found["uptime"] = uptime
         return found
+
+    def _who(self, deadline: float) -> tuple[str, float]:
+        """Serial number and uptime, as far as the map has registers for them."""
+        serial, uptime = self._map.identity.get("serial", ""), self._map.uptime
+        return self._identify(serial, deadline), 0.0 if uptime is None else self._get(uptime, deadline)
 
     # -- registers ------------------------------------------------------------------------------------------------
 

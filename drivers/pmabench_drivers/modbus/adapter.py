@@ -151,6 +151,8 @@ class Line:
         self._lock = threading.Lock()
         self._closed = False
         self._owed: list[tuple[Signature, float]] = []
+        self.connections = 0
+        """How often it was connected: behind a new connection there may be another device."""
         host, _, port = address.rpartition(":")
         self.is_serial = not port.isdecimal()
         self._client: _Tcp | _Rtu
@@ -309,6 +311,7 @@ class Line:
         self._client.comm_params.timeout_connect = max(0.001, min(deadline - monotonic(), 2.0))
         if not self._client.connect():
             raise DeviceError(self._device, f"no connection to {self._address}: {self._client.why}", what)
+        self.connections += 1
 
     def _why(self, error: Exception, limit: float) -> str:
         if isinstance(error, ConnectionException | OSError) and monotonic() < limit:

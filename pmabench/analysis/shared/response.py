@@ -29,6 +29,9 @@ STILL = 0.01
 """A fortieth of a cycle in which it moves less than this share of its size is spent at rest; a sine spends 8 % so."""
 PART = 0.02
 """Share by which a smoothed cycle may be off: at its corners, and where its middle is crossed."""
+LONGEST, FADES = 1e3, 0.5
+"""Muscles creep with the logarithm of time: a motion that is seen in the window may go on so until then [s], where it
+goes on over that by more than this share of what it did before."""
 STICKS = 0.3
 """Share of a cycle spent at rest from which on it is stick-slip."""
 
@@ -89,6 +92,8 @@ class Unsure:
     """What the mean in the window differs by from that at rest, or over whole cycles [m]."""
     moves: bool
     """Whether a motion in the window is seen."""
+    creep: float
+    """How far that may go on along the logarithm of time, until `LONGEST` [m]; 0 where it dies away faster."""
 
 
 def respond(
@@ -142,12 +147,26 @@ def respond(
         period=0.0 if cycle is None else period + PART * cycle.period / cycle.count,
         error=max(error, 0.5 * resolution),
         moves=cycle is not None or further.seen or wander > smallest,
+        creep=_creep(t, x, window) if further.seen and cycle is None else 0.0,
     )
     overshoot = max(0.0, place.against(setpoint).peak(noise) / step)
     settling = settled(band * step) if near is not None else None
     IAE = float(np.trapezoid(np.abs(setpoint - at), t)) - 0.5 * rectified
     off = setpoint - float(x[inside].mean())
     return Response(rise, overshoot, settling, off, IAE, cycle, wander, smallest, unsure)
+
+
+def _creep(t: Array, x: Array, window: tuple[float, float]) -> float:
+    """How far the motion in the window may go on along the logarithm of time [m]; 0 where it dies away faster."""
+
+    def by_log(low: float, high: float) -> float:
+        rows = (t >= low) & (t <= high) & (t > 0)
+        return abs(float(np.polyfit(np.log(t[rows]), x[rows], 1)[0])) if rows.sum() > FEWEST else 0.0
+
+    inside = by_log(*window)
+    if inside < FADES * by_log(0.5 * window[0], window[0]):
+        return 0.0
+    return inside * max(0.0, float(np.log(LONGEST / np.mean(window))))
 
 
 def _rise(t: Array, x: Array, step: float, rest: float) -> tuple[float | None, list[float]]:

@@ -138,18 +138,33 @@ def lag_open(run: RunData, channel: str) -> float:
     return LAG_KNOWN * lag if lag > 0 else UNDECLARED
 
 
-def count_of(run: RunData, channel: str) -> float:
-    """One count of a channel whose device gives counts [SI]; 0 for others."""
+def count_of(run: RunData, trial: TrialData, channel: str) -> float:
+    """One count of a channel whose device gives counts, or the step in which a trial reads it [SI]; 0 for none."""
     info = run.channels.get(channel)
-    return abs(info.slope) if info is not None and info.unit in ("count", "counts") else 0.0
+    if info is not None and info.unit in ("count", "counts"):
+        return abs(info.slope)
+    step = step_of(trial.channels[channel][trial.usable])
+    return step if step < np.inf else 0.0
+
+
+EVEN, MOSTLY = 0.1, 0.8
+"""A sample changes as the one before did within this share of a step; in a ramp without noise most do."""
 
 
 def step_of(y: Array) -> float:
-    """Step in which samples (n,) were rounded [as y]; 0 where they lie at no even distances, inf where all are one."""
+    """Step in which samples (n,), in their order, were rounded [as y].
+
+    0 where they lie at no even distances, or only as a ramp without noise does, which moves as far with each sample;
+    inf where all are one.
+    """
     apart = np.diff(np.unique(y))
     apart = apart[apart > 1e-9 * float(apart.sum())]
     least = float(apart.min(initial=np.inf))
-    return least if np.all(np.abs(apart / least - np.round(apart / least)) < 0.05) else 0.0
+    if np.any(np.abs(apart / least - np.round(apart / least)) >= 0.05):
+        return 0.0
+    moves = np.diff(y)
+    again = np.abs(np.diff(moves))[np.abs(moves[:-1]) > EVEN * least] < EVEN * least
+    return 0.0 if len(again) and np.mean(again) > MOSTLY else least
 
 
 def unresolved(y: Array, step: float) -> float:

@@ -33,10 +33,16 @@ def apart(runs: Iterable[RunData], channels: Sequence[str]) -> float:
 
 
 def off(runs: Iterable[RunData], channel: str) -> float:
-    """Bound of the time between a channel and the commands, which have the time of the run [s]."""
-    streams = [(run, run.channels[channel].stream) for run in runs if channel in run.channels]
-    bounds = [run.clocks[stream].uncertainty for run, stream in streams if stream in run.clocks]
-    return round(max(bounds, default=0.0), 9)
+    """Bound of the time between a channel and the commands, which have the time of the run [s].
+
+    A device that takes its time to answer had a command at some time before that.
+    """
+    bounds = [0.0]
+    for run in (one for one in runs if channel in one.channels):
+        clock = run.clocks.get(run.channels[channel].stream)
+        taken = (command.data.get("late", 0.0) for trial in run.trials for command in trial.commands)
+        bounds.append(max(taken, default=0.0) + (clock.uncertainty if clock is not None else 0.0))
+    return round(max(bounds), 9)
 
 
 def late(run: RunData, channel: str) -> float:

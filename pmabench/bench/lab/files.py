@@ -244,6 +244,7 @@ def _limits(sheet: Sheet, answers: Answers, limits: Limits) -> None:
             "  - {off_range: pressure, for: 40 ms, action: vent}",
             "  - {stale: force, for: 1 s, action: stop}",
             "  - {stale: displacement, for: 1 s, action: stop}",
+            "  - {following: pressure, more_than: 60 kPa, for: 3 s, action: stop}",
         )
     sheet.guessed("safe_state:", "done in this order when anything goes wrong", "safe_state")
     if actuated:

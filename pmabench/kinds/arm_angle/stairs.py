@@ -300,6 +300,8 @@ def _vented(trial: TrialData, ramps: Sequence[Command], good: NDArray[np.bool_])
 
 TIMES = np.geomspace(0.3, 120.0, 19)
 """Time constants of creep that are tried, over the length of the stretch of a hold that is looked at."""
+LONGEST = 1e3
+"""Creep along the logarithm of time is looked at until then [s]."""
 SLOW = 4.0
 """From here on one hold does not show them (`samples.TIMES`)."""
 MORE = 1.3
@@ -309,7 +311,8 @@ MORE = 1.3
 def still_to_come(stairs: Sequence[Stair]) -> Array:
     """What slow creep still adds at each rest of like staircases [rad], the mean of them; 0 where none is seen.
 
-    A share of each step comes with one time constant, and what was left before the first one dies away with it.
+    A share of each step comes with one time constant, or with all of them alike over the logarithm of time until
+    `LONGEST`, and what was left before the first step dies away with it.
     """
     each = [rest for stair in stairs for rest in stair.rests]
     rests = len(each) // len(stairs)
@@ -318,29 +321,30 @@ def still_to_come(stairs: Sequence[Stair]) -> Array:
     length = float(np.mean([rest.held.t[-1] for rest in each]))
     drifts = np.array([_drift(rest.held.y) for rest in each])
 
-    def fitted(time: float) -> tuple[float, float, float, float, Array]:
-        """Sum of squares left, the time constant [s], the share of each step and its error [1], what is to come."""
-        pairs = [_dying_away(stair.rests[: n + 1], time) for stair in stairs for n in range(rests)]
+    def fitted(times: Array) -> tuple[float, float, float, float, Array]:
+        """Sum of squares left, the largest time constant [s], the share of each step and its error, what is to come."""
+        pairs = [_dying_away(stair.rests[: n + 1], times) for stair in stairs for n in range(rests)]
         columns, to_come = (np.array(column) for column in zip(*pairs, strict=True))
         found, *_ = np.linalg.lstsq(columns, drifts, rcond=None)
         cost = float(np.sum((drifts - columns @ found) ** 2))
         error = float(np.sqrt(cost / (len(drifts) - 2) * np.linalg.pinv(columns.T @ columns)[0, 0]))
-        return cost, time, float(found[0]), error, to_come @ found
+        return cost, float(times[-1]), float(found[0]), error, to_come @ found
 
-    cost, time, share, error, far = min((fitted(length * time) for time in TIMES), key=lambda one: one[0])
+    tried = [*(length * TIMES[:, None]), np.geomspace(TIMES[0] * length, LONGEST, len(TIMES))]
+    cost, time, share, error, far = min(map(fitted, tried), key=lambda one: one[0])
     if time < SLOW * length or share < SURE * error or cost <= 0:
         return np.zeros(rests)
     return np.asarray(MORE * np.abs(far.reshape(-1, rests).mean(axis=0)))
 
 
-def _dying_away(rests: Sequence[Rest], time: float) -> tuple[list[float], Array]:
+def _dying_away(rests: Sequence[Rest], times: Array) -> tuple[list[float], Array]:
     """Of all steps together, and of what was left before: the drift in the last of `rests`, what is to come after it.
 
     Shape (2,) each [rad], and 1.
     """
     at, by = (np.array([getattr(rest, name) for rest in rests]) for name in ("moved", "by"))
     held = rests[-1].held
-    open_ = np.exp(-(rests[-1].since + held.t[:, None] - at) / time)
+    open_ = np.exp(-(rests[-1].since + held.t[:, None] - at) / times[:, None, None]).mean(axis=0)
     still = np.column_stack([open_ @ by, open_[:, 0]])
     return [-_drift(column) for column in still.T], still[held.late > 0].mean(axis=0)
 

@@ -37,6 +37,9 @@ PLACES = 5
 """Places in a stretch that are tried for a knot, twice: the second time between the neighbours of the best."""
 FLOOR = 1e-4
 """Least noise, as a share of the typical force."""
+ROUNDED, RESOLVED = 1e12, 1e-12
+"""Condition of a normal matrix from which on rounding counts, and the least eigenvalue then, as a share of the largest:
+it changes forces by less than `FLOOR`."""
 
 
 @dataclass(frozen=True)
@@ -284,9 +287,18 @@ def without_each(
 
 
 def inverse_of(normal: Array) -> Array:
-    """Inverse of a normal matrix, scaled to its diagonal first."""
+    """Inverse of a normal matrix, scaled to its diagonal first.
+
+    What the samples and the prior say less of than rounding leaves is drawn to 0 by `RESOLVED`, as by a prior: a few
+    trials at one pressure leave a combination of unknowns free, and without it rounding would decide on all of them.
+    """
     scale = np.sqrt(np.diag(normal))
-    return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale))
+    scaled = normal / np.outer(scale, scale)
+    inverse = np.linalg.inv(scaled)
+    if np.linalg.norm(scaled, 1) * np.linalg.norm(inverse, 1) > ROUNDED:
+        sizes, ways = np.linalg.eigh(scaled)
+        inverse = ways / np.maximum(sizes, RESOLVED * sizes[-1]) @ ways.T
+    return np.asarray(inverse / np.outer(scale, scale))
 
 
 def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Array:

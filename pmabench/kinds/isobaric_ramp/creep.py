@@ -121,7 +121,7 @@ def _tried(cell: Cell, times: Array, fastest: float, slowest: float) -> _Tried:
     seen, most, longest = False, np.full(len(times), np.inf), cell.stroke / cell.speeds[0]
     for k, time in enumerate(times):
         asked = _columns(cell, time > longest)
-        springs = [(sign, bound_of(columns, units[sign][k], shown[sign][0])) for sign, columns in asked]
+        springs = [(sign, bound_of(columns, units[sign][k], shown[sign][0], sign == FORCE)) for sign, columns in asked]
         known = [(sign, spring) for sign, spring in springs if spring is not None]
         # one of each sign: its first
         together = joined(dict(reversed(known)).values())
@@ -233,13 +233,19 @@ class Bound:
         return self.size > self.sure
 
 
-def bound_of(columns: Sequence[Array], unit: Array, shown: Array) -> Bound | None:
-    """How many times `unit` is in what is `shown`, next to `columns`, shape (n,) each; None if unknown."""
+def bound_of(columns: Sequence[Array], unit: Array, shown: Array, exact: bool = False) -> Bound | None:
+    """How many times `unit` is in what is `shown`, next to `columns`, shape (n,) each; None if unknown.
+
+    Without `exact` that is where as many are shown as are asked for, so that nothing says how sure they are: with it
+    it may be as much again, and is not significant.
+    """
     design = np.column_stack([*columns, unit])
     freedom = len(shown) - design.shape[1]
     terms, _, rank, _ = np.linalg.lstsq(design, shown, rcond=None)
-    if freedom < 1 or rank < design.shape[1]:
+    if freedom < (0 if exact else 1) or rank < design.shape[1]:
         return None
+    if freedom == 0:
+        return Bound(float(terms[-1]), abs(float(terms[-1])), np.inf)
     left = shown - design @ terms
     error = float(np.sqrt(left @ left / freedom * np.linalg.inv(design.T @ design)[-1, -1]))
     once, both, sure = (float(student.ppf(share, freedom)) for share in (ONE_SIDE, 0.975, SURE))

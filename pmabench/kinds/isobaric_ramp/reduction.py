@@ -44,6 +44,10 @@ MIDDLE = 0.05
 """Half width of the middle of the stroke, as a share of it."""
 FADED = 0.25
 """Share of what the first gap is wider by, by which later gaps may change; share of H that its half width may be."""
+ONE_CYCLE = (
+    "one cycle does not show whether the muscle creeps, and K holds what does: count two cycles and more"
+    " (trial.cycles, `discard`)"
+)
 NO_HYSTERESIS = "the gap at speed 0, which it is a share of, is not known well enough"
 
 
@@ -285,6 +289,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         near = _next_to(cell, cells)
         estimates += judged(cell, [*of_curve(cell, scales, near), *of_gap(cell, scales, near)], creep)
         findings += cell.findings()
+        if creep is None:
+            findings.append(Finding("doubt", f"at {show(cell.pressure, 'pressure')}, {ONE_CYCLE}"))
         traces += cell.traces()
     estimates += first_cycle(runs, cells, options)
     for cell in (one for one in cells if one.pressure <= UNPRESSED):

@@ -63,6 +63,8 @@ class Stepped(Course):
     """What sampling, noise, the filter of the angle and its clock leave open of each."""
     calibration: Mapping[str, float] | None
     """What the uncertainties of the angle's offset and gain do to each; None where they are not known."""
+    moves: float
+    """How far it creeps or swings in the window of e_th [rad]; 0 for not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +153,7 @@ def _stepped(
     # the first sample within the band is late, too
     settles = max(filtered["t_s"], open_ + 0.5 * float(np.median(np.diff(t))))
     unsure = {
-        "e_th": seen.error,
+        "e_th": max(seen.error, seen.creep),
         "t_s": hypot(seen.settling, settles, off([run], "angle")),
         "t_r": hypot(seen.rise, filtered["t_r"]),
         "OS_th": hypot(seen.overshoot * size, filtered["OS_th"]),
@@ -159,7 +161,8 @@ def _stepped(
     since = np.clip(t / max(float(law["reference_lag"]), 1e-9), 0.0, 700.0)  # in lags, of which there are two
     reference = goal * (1 - (1 + since) * np.exp(-since))
     saturated = float(law.get("saturated", 0.0))
-    return Stepped(run, trial, t, angle, reference, saturated, values, unsure, calibration)
+    moves = response.wander if seen.creep or response.cycle is not None else 0.0
+    return Stepped(run, trial, t, angle, reference, saturated, values, unsure, calibration, moves)
 
 
 def _swung(
@@ -206,6 +209,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         band = float(settings_of(members[0].run, options or {})["band"])
         estimates += _of_steps(dict(key), steps, band) if steps else _of_sines(dict(key), sines, scales)
         traces.append(_trace(dict(key), members[-1]))
+        if moves := max((one.moves for one in steps), default=0.0):
+            text = f"{members[0].trial.name}: in the window of e_th the angle moves by up to {show(moves, 'angle', 2)}"
+            text += ", by creep, a drift or a cycle, and e_th is what it is there. Hold longer, with a later window"
+            findings.append(Finding("doubt", text))
         if (most := max(one.saturated for one in members)) > SATURATED:
             text = f"{members[0].trial.name}: a pressure was at its limit for {most:.0%} of the time"
             findings.append(Finding("doubt", f"{text}: the joint is not as stiff as asked for, and the loop is slower"))

@@ -14,7 +14,7 @@ from pmabench.files.quantity import Pressure, Time, TorqueRate, TorsionalStiffne
 from pmabench.kinds.platform_step import ACCELERATIONS, MUSCLES
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.plan import Control, Plan, Record, TrialRecord
+from pmabench.protocol.plan import Control, Plan, Record
 from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
 
 REFERENCE_LAG, WIDE = 0.05, math.radians(10.0)
@@ -69,14 +69,21 @@ class PlatformSteps(ProtocolHead):
             return c.plan("platform-step", {})  # not a platform: said by `needs`
         for name in MUSCLES:
             c.within(name, trial.mean_pressure, ("trial", "mean_pressure"))
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        if self.prepare.precondition is not None:
+            c.fault(
+                ("prepare", "precondition"),
+                "the pressures of a platform come by pulses of its valves, and no cycles before the first trial do: "
+                "leave it out, or put steps first whose results are not used",
+            )
+            return c.plan("platform-step", {})
+        for point in expand(self.sweep, c.document):
             self._tilt(c, point)
             if c.too_long():
                 break
             attitude = {name: point.values[name] for name in ("phi", "psi")}
             if math.hypot(*attitude.values()) == 0:
                 c.fault(point.places["phi"], "phi and psi are both 0 deg: that is no step")
-            c.trials.append(TrialRecord(index, attitude, point.repeat))
+            index = c.add_trial(attitude, point.repeat)
             c.steps += [Record("step", True, index), self._control(c, attitude), Record("step", False, index)]
         settings = {name: getattr(trial, name) for name in ("level", "hold", "chain")}
         return c.plan("platform-step", {**settings, "height": bench.platform.get("accelerometer", 0.0)})

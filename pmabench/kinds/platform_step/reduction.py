@@ -33,6 +33,9 @@ MOVES = 1.0
 """The motion is looked at for so long from the step on [s]."""
 LATE = 15e-3
 """Times between axes that are shorter [s] are left to the interval: a sound accelerometer looks like up to 12 ms."""
+KNOWN, UNSEEN = 0.2, 2e-3
+"""The accelerometer's height is known to this share, and to so much [m]: what either makes of it is in the interval."""
+PASSES = 4
 
 
 def _wobble(one: Course) -> float:
@@ -41,7 +44,7 @@ def _wobble(one: Course) -> float:
     t, power = one.t[level], 0.0
     for angle in (one.phi[level], one.psi[level]):
         power += float(np.var(angle - np.polyval(np.polyfit(t, angle, 1), t)))
-    count = 0.5 * max(count_of(one.run, name) for name in ACCELERATIONS) / G
+    count = 0.5 * max(count_of(one.run, one.trial, name) for name in ACCELERATIONS) / G
     return math.hypot(math.sqrt(2 * max(0.0, power - 2 * one.noise**2)), count)
 
 
@@ -75,8 +78,8 @@ def _attitude(courses: Sequence[Course]) -> Doubt:
     return Doubt("offset of the accelerometer", "method", half, seen, reason)
 
 
-def _between_axes(courses: Sequence[Course]) -> Doubt:
-    """Effect of a filter on one axis: while it tilts, |f| departs from g by the delay of the horizontal axis.
+def _motion(courses: Sequence[Course]) -> tuple[Array, Array]:
+    """Delay of an axis [s] and height of the accelerometer [m] by |f| while it tilts, and their standard errors.
 
     f is g sin(q) across and g cos(q) - h q'^2 along, and h q'' across: columns of a least squares for delay and height.
     """
@@ -92,13 +95,44 @@ def _between_axes(courses: Sequence[Course]) -> Doubt:
     design, target = np.concatenate(columns), np.concatenate(rows)
     inverse = np.linalg.pinv(design.T @ design)
     terms = inverse @ design.T @ target
-    error = float(np.sqrt(np.mean((target - design @ terms) ** 2) * inverse[0, 0]))
+    errors = np.sqrt(np.mean((target - design @ terms) ** 2) * np.diag(inverse))
+    return terms[:2], errors[:2]
+
+
+def _between_axes(courses: Sequence[Course]) -> Doubt:
+    """Effect of a filter on one axis: while it tilts, |f| departs from g by the delay of the horizontal axis."""
+    terms, errors = _motion(courses)
     run = courses[0].run
     open_ = max(lag_open(run, name) for name in ACCELERATIONS) + max(off([run], name) for name in ACCELERATIONS)
     late = abs(float(terms[0]))
-    seen = late > SURE * error and late > LATE
+    seen = late > SURE * errors[0] and late > LATE
     reason = f"while it tilts, one axis of the accelerometer is {1e3 * late:.2g} ms behind another: look for a filter"
     return Doubt("time between the axes", "method", max(open_, 1.5 * late), seen, reason)
+
+
+def _heights(courses: Sequence[Course]) -> tuple[tuple[float, float], list[Finding]]:
+    """By how much the accelerometer may be lower and higher than declared [m], and what is said of that.
+
+    The course needs the height, and shows it: a wrong one is looked for again with the course that follows from it.
+    """
+    declared = max(map(_height, (one.run for one in courses)))
+    wide, found = KNOWN * declared, declared
+    for _ in range(PASSES):
+        terms, errors = _motion(courses)
+        before, found, error = found, max(0.0, float(terms[1])), SURE * float(errors[1])
+        shows = 0 < error <= wide + UNSEEN  # noise hides it, and what does not move does not show it
+        if not shows or abs(found - before) <= 0.5 * wide + error:
+            break
+        courses = [course_of(one.run, one.trial, found - declared) for one in courses]
+    if not shows or abs(found - declared) <= wide + UNSEEN + error:
+        return (-wide, wide), []
+    text = (
+        f"while it tilts, the readings are those of an accelerometer {show(found, 'length', 2)} above the joint, and "
+        f"{show(declared, 'length', 2)} are declared: measure it (platform.accelerometer in the bench file), and look "
+        "whether the frame shakes; the intervals hold both"
+    )
+    higher, open_ = found - declared, KNOWN * found + error
+    return (min(-wide, higher - open_), max(wide, higher + open_)), [Finding("doubt", text)]
 
 
 G = 9.81
@@ -174,8 +208,13 @@ class Course:
         return {valve: count / self.hold for valve, count in found.items()}
 
 
-def course_of(run: RunData, trial: TrialData, heights: float = 1.0) -> Course:
-    """The course of a trial; the accelerometer's height is taken `heights` times. Raises `NotUsable`."""
+def _height(run: RunData) -> float:
+    """Declared height of the accelerometer [m]."""
+    return max(0.0, float(settings_of(run).get("height", 0.0)))
+
+
+def course_of(run: RunData, trial: TrialData, higher: float = 0.0) -> Course:
+    """The course of a trial, of an accelerometer that is `higher` [m] than declared. Raises `NotUsable`."""
     law, settings = trial.found.get("step") or {}, settings_of(run)
     if law.get("ended") != "time":
         raise NotUsable(f"the loop did not reach its end: {law.get('reason') or law.get('ended') or 'it was cut off'}")
@@ -186,7 +225,7 @@ def course_of(run: RunData, trial: TrialData, heights: float = 1.0) -> Course:
         raise NotUsable("its samples end before the hold does")
     x, y, z = (on_time(run, trial, name) for name in ACCELERATIONS)
     angles = np.arctan2(y, np.hypot(x, z)), np.arctan2(-x, z)
-    lag = max(LEAST_LAG, math.sqrt(heights * max(0.0, float(settings.get("height", 0.0))) / G))
+    lag = max(LEAST_LAG, math.sqrt(max(0.0, _height(run) + higher) / G))
     noise = max(noise_of(angle) for angle in angles) * math.sqrt(1 / run.rate / (4 * lag))
     phi, psi = (both_ways(angle, lag, run.rate) for angle in angles)
     goal = trial.point["phi"], trial.point["psi"]
@@ -224,8 +263,6 @@ def _wanted(one: Course) -> dict[str, Array]:
 
 
 KIND = "platform-step"
-HEIGHTS = (0.8, 1.2)
-"""The accelerometer's height is known this well: what comes out differently with either is in the interval."""
 PEAK = 3.0
 """The highest of many smoothed samples is up to so many of their standard deviations too high."""
 THINNED = 100.0
@@ -245,10 +282,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         )
     scales = Scales.of(runs)
     courses, dropped = measured_trials(runs, course_of)
-    estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
+    estimates, traces = list[Estimate](), list[Trace]()
     cells = grouped(courses, lambda one: (str(one.law["chain"]), round(one.goal[0], 9), round(one.goal[1], 9)))
+    higher, findings = _heights(courses) if courses else ((), [])
     for (chain, phi, psi), members in cells.items():
-        estimates += _estimates(f"chain {chain}", {"phi": phi, "psi": psi}, members, courses, scales)
+        estimates += _estimates(f"chain {chain}", {"phi": phi, "psi": psi}, members, courses, scales, higher)
         traces.append(_trace(chain, members[-1]))
     findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
     for one in (one for one in courses if one.law["saturated"] > 0):
@@ -264,10 +302,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _estimates(
-    method: str, at: Mapping[str, float], members: Sequence[Course], courses: Sequence[Course], scales: Scales
-) -> Iterator[Estimate]:
-    """Everything of one cell; what the accelerometer leaves open is of all `courses`, which have the same."""
-    others = [[course_of(one.run, one.trial, heights) for one in members] for heights in HEIGHTS]
+    method: str, at: Mapping[str, float], members: Sequence[Course], courses: Sequence[Course], scales: Scales,
+    higher: Sequence[float],
+) -> Iterator[Estimate]:  # fmt: skip
+    """Everything of one cell; what the accelerometer leaves open is of all `courses`, which have the same.
+
+    `higher`: by how much it may be lower, and higher, than declared [m].
+    """
+    others = [[course_of(one.run, one.trial, more) for one in members] for more in higher]
     offset = max(scales.offsets.get(name, 0.0) for name in ACCELERATIONS) / G
     attitude, wobble = _attitude(courses), max(map(_wobble, courses))
     noise, size = max(one.noise for one in members), math.hypot(*at.values())

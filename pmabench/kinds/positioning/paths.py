@@ -82,7 +82,7 @@ class Tracked:
         in_time = changes(self.values(), self.values(later=late(self.run, CHANNEL)))
         ways = np.abs(np.diff(self.path.places))
         rest = SURE * noise_of(self.x) * smooth(self.t, self.x, lag_of(self.run, CHANNEL)).gain
-        rest += 0.5 * count_of(self.run, CHANNEL)
+        rest += 0.5 * count_of(self.run, self.trial, CHANNEL)
         peaks = {"e_rms": 0.0, "e_max": rest, "OS": rest / float(ways[ways > 0].min(initial=np.inf))}
         return {name: hypot(peaks[name], in_time[name]) for name in peaks}
 

@@ -145,8 +145,9 @@ def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Describ
     window, band, lag = (float(low), float(high)), float(settings.get("band", BAND)), lag_of(run, CHANNEL)
     origin = float(trial.channels[CHANNEL][rest].mean()) if rest.any() else 0.0
 
+    resolution = count_of(run, trial, CHANNEL)
+
     def respond_to(values: Array, lag: float) -> Response:
-        resolution = count_of(run, CHANNEL)
         return respond(t, values, setpoint, window, band, origin=origin, resolution=resolution, lag=lag)
 
     def scaled(more: float, gain: float) -> dict[str, float | None]:

@@ -136,6 +136,9 @@ STILL = 0.5
 """Friction is dry where a load stands still over this share of the distance from lift to set-down."""
 CLEAR = 5.0
 """and where that distance is so many times the noise of the pressure."""
+LEAST_REVERSED, NEARLY = 1e3, 0.1e-3
+"""A load that sets down at a pressure this much above that at which it lifts [Pa], nearly at x = 0 [m], is moved by
+something else."""
 
 
 @dataclass(frozen=True)
@@ -297,6 +300,8 @@ class Mean:
     """Whether the loads were raised, which shows hysteresis where there is some."""
     why: str = ""
     """Why F_ce is withheld; empty where it is not."""
+    reversed: float = 0.0
+    """By how much the worst load set down at more pressure than it lifted at [Pa]; 0 where none surely did."""
 
     @property
     def friction(self) -> float | None:
@@ -311,7 +316,7 @@ class Mean:
         friction = share * abs(self.friction or 0.0)
         place = 0.5 * self.points.uncertain * self.line.s if self.carried else 0.0
         loop = 0.0 if self.kept is None else float(np.nanmax(self.kept.half))
-        whole = hypot(friction, place, loop)
+        whole = hypot(friction, place, loop, 0.5 * self.reversed * self.line.s)
         return whole if row[0] else whole / float(np.nanmean(self.points.side(MEAN)))
 
 
@@ -326,6 +331,7 @@ def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Sti
         return None
     times = [times_of(trial) for trial in own]
     gap = plain.lift - plain.set_down
+    back = _reversed(own, points, carried=moved is not None)
     loops = [loop_of(trial, when) for trial, when in zip(own, times, strict=True)]
     held = kept(loops, plain.load, gap, before.s)
     if held is not None:
@@ -333,12 +339,27 @@ def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Sti
         without = fit_side(points, MEAN)
         if without is None:
             return None
-        return Mean(points, without, before, moved is not None, held)
+        return Mean(points, without, before, moved is not None, held, reversed=back)
     seen = [still for trial, when, one in zip(own, times, gap, strict=True)
             if (still := rests(trial, when, one)) is not None]  # fmt: skip
     raised = sum(loop is not None for loop in loops) > 0.5 * len(loops)
     why = YIELDS if seen and not raised and np.mean(seen) < 0.5 else ""
-    return Mean(points, line, before, moved is not None, None, raised, why)
+    return Mean(points, line, before, moved is not None, None, raised, why, back)
+
+
+def _reversed(trials: Sequence[TrialData], points: Points, *, carried: bool) -> float:
+    """By how much a load's mean pressure at set-down is above that at lift [Pa], the worst; 0 where none surely is.
+
+    Friction, damping and hysteresis part the two the other way, and K x does where a load that hangs higher than
+    `NEARLY` was not carried to x = 0.
+    """
+    places = [float((one.found.get("set-down") or {}).get("displacement") or 0.0) for one in trials]
+    gap = points.lift - points.set_down
+    rows = np.isfinite(gap) & (carried | (np.abs(places) < NEARLY))
+    load = points.load
+    worst = max((-float(gap[rows & (load == one)].mean()) for one in np.unique(load[rows])), default=0.0)
+    noise = [noise_of(one.channels["pressure"][one.usable]) for one in trials if "pressure" in one.channels]
+    return worst if worst > max(LEAST_REVERSED, points.step, CLEAR * max(noise, default=0.0)) else 0.0
 
 
 def _carried(trials: Sequence[TrialData], points: Points, slope: float, stiffness: Stiffness | None) -> Points | None:

@@ -25,6 +25,8 @@ from pmabench.store.records import Array, RunData, TrialData
 
 VALUES = 8
 """Different pressures that a trial needs to show the step in which they were read."""
+ZEROS, LEAST_ZERO = 6.0, 100.0
+"""Readings of the vented gauge differ where they lie so many of their errors and so much [Pa] apart."""
 MEAN, LIFT, SET_DOWN = "static-mean", "static-lift", "static-set-down"
 PHASES = ("lift", "set-down")
 
@@ -43,6 +45,8 @@ class Points:
     """Contraction at which set-down broke away [m], the mean over trials."""
     step: float = 0.0
     """Step in which the pressure was read [Pa]; 0 where none shows."""
+    zero: float = 0.0
+    """How far the vented gauge read apart from trial to trial [Pa]; 0 where noise makes it so."""
 
     def only(self, rows: NDArray[np.bool_], later: Array) -> Points:
         """Those `rows`, lift and set-down at pressures higher by `later` [Pa]; both of shape (n,)."""
@@ -62,8 +66,21 @@ def step_in(runs: Sequence[RunData]) -> float:
     read = [
         trial.channels["pressure"][trial.usable] for run in runs for trial in run.trials if "pressure" in trial.channels
     ]
-    values = [np.unique(P[np.isfinite(P)]) for P in read]
-    return max((step_of(P) for P in values if len(P) >= VALUES), default=0.0)
+    read = [P[np.isfinite(P)] for P in read]
+    return max((step_of(P) for P in read if len(np.unique(P)) >= VALUES), default=0.0)
+
+
+def zero_moved(runs: Sequence[RunData]) -> float:
+    """How far apart the gauge reads before the first command of trials that begin vented [Pa]; 0 within its noise."""
+    means, errors = list[float](), list[float]()
+    for trial in (one for run in runs for one in run.trials if "pressure" in one.channels):
+        first = next((c for c in trial.commands if c.output == "pressure"), None)
+        P = trial.channels["pressure"][trial.usable & (trial.t < (-np.inf if first is None else first.t))]
+        if first is not None and first.before <= 0 and len(P) >= FEWEST and np.ptp(P) > 0:  # else it is dead
+            means.append(float(P.mean()))
+            errors.append(max(noise_of(P), float(P.std())) / float(np.sqrt(len(P))))
+    apart = max(means, default=0.0) - min(means, default=0.0)
+    return apart if apart > ZEROS * max(errors, default=0.0) + LEAST_ZERO else 0.0
 
 
 def on_time_run(run: RunData) -> RunData:

@@ -18,7 +18,17 @@ from pmabench.analysis.verdict.agreement import SAME, Offer, Place, anywhere, at
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load import RESULTS, figures
 from pmabench.kinds.static_load.line import Line, Mean, fit_side, mean_of
-from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, Stiffness, on_time_run, points_of, step_in
+from pmabench.kinds.static_load.points import (
+    LIFT,
+    MEAN,
+    SET_DOWN,
+    Points,
+    Stiffness,
+    on_time_run,
+    points_of,
+    step_in,
+    zero_moved,
+)
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData
 
@@ -44,7 +54,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     step = step_in(runs)
     runs = [on_time_run(run) for run in runs]
     plain, dropped = points_of(runs)
-    plain = replace(plain, step=step)
+    plain = replace(plain, step=step, zero=zero_moved(runs))
     estimates: list[Estimate] = []
     curves: list[Curve] = []
     findings: list[Finding] = []
@@ -63,7 +73,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates += _half_differences(points, lines)
     if lines and (lack := scales.lack(["pressure"])):
         findings.append(Finding("note", lack))
-    findings += _of_both_ways(lines, mean)
+    findings += _of_both_ways(lines, mean, plain.zero)
     return Analysis.of(
         KIND,
         runs,
@@ -85,8 +95,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None) -> list[Finding]:
-    """What is missing of lift and set-down, the friction that their difference shows, and hysteresis."""
+def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None, zero: float) -> list[Finding]:
+    """What is missing of lift and set-down, the friction that their difference shows, hysteresis, and what drifts.
+
+    `zero`: as in `Points` [Pa].
+    """
     findings = []
     if not lines:
         findings.append(Finding("fault", "no line F_ce(P): fewer than two loads were found to lift or to set down"))
@@ -100,6 +113,11 @@ def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None) -> list[Finding]
         findings.append(figures.of_place(mean))
     if mean is not None and (mean.why or not mean.raised or mean.kept is not None):
         findings.append(figures.of_hysteresis(mean))
+    if lines and zero:
+        text = f"vented before each trial, the gauge reads up to {show(zero, 'pressure', 2)} apart: its zero drifts"
+        findings.append(Finding("doubt", f"{text}, which is in the intervals; zero it, or let it warm up"))
+    if mean is not None and mean.reversed:
+        findings.append(figures.of_reversal(mean))
     return findings
 
 
@@ -129,7 +147,8 @@ def _of_line(
             bias = value - float(row @ (mean.line.a, mean.line.s))
             off = abs(bias)
         unit, quantity = ("N/Pa", "force per pressure") if coordinate == "slope" else ("N", "force")
-        parts = Parts(line.half(row) if line.factor else None, off, calibration)
+        drift = line.s * points.zero / (1.0 if row[0] else float(P[usable].mean()))
+        parts = Parts(line.half(row) if line.factor else None, off, calibration, drift=drift)
         note = sentences(few, "" if bias is None else of_mean if two_sided else OF_ONE_SIDE)
         found = Estimate(
             "F_ce", value, unit, quantity, method, {} if at is None else {"pressure": at}, parts, len(names), bias,

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
@@ -42,8 +41,6 @@ LAGS = 6.0
 """Lags of a sensor after which nothing of it is left, and up to which a recovery may be made by it."""
 SAME = 0.4
 """Share by which the time constants of force and pressure may differ where one makes the other."""
-EVEN, MOSTLY = 0.1, 0.8
-"""Samples of a ramp that are a step apart, to a share of it, and how many of them make a ramp without noise."""
 BLOCK = 0.02
 """Force and pressure of the way back are compared in means over this time [s]."""
 
@@ -143,8 +140,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
     until = [*(c.t for c in ramps[1:]), float(trial.t[-1]) + 1e-9]
     begins = [float(trial.t[0]), *(c.t for c in ramps[:-1])]
     values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
-    rows = np.any([(trial.t > c.t) & (trial.t < _arrives(c)) for c in ramps], axis=0)
-    steps = {name: _read_in(trial.channels[name], trial.usable, rows) for name in values if name in trial.channels}
+    steps = {name: step_of(trial.channels[name][trial.usable]) for name in values if name in trial.channels}
     for ramp, begin, end in zip(ramps, begins, until, strict=True):
         found[ramp.phase].append(_one(run, trial, values, steps, ramp, begin, end))
     discard = int(settings_of(run, options).get("discard", 1))
@@ -163,12 +159,6 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
 def _arrives(ramp: Command) -> float:
     """When a command has come to its end [s]."""
     return ends(ramp) if ramp.data.get("rate", 0.0) > 0 else ramp.t
-
-
-def _read_in(y: Array, usable: NDArray[np.bool_], ramps: NDArray[np.bool_]) -> float:
-    """Step in which a channel (n,) is read [SI]; 0 for one without noise that only moves as far with each sample."""
-    step, moves = step_of(y[usable]), np.abs(np.diff(y))[(usable & ramps)[1:]]
-    return 0.0 if len(moves) and np.mean(np.abs(moves - step) < EVEN * step) > MOSTLY else step
 
 
 def _one(

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.form import Doubt, change_over, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import STEPS, step_of
 from pmabench.base.quantities import show
@@ -34,6 +34,8 @@ FEWEST_CYCLES = 3
 GAP = {"doubt": 0.002, "fault": 0.04}
 """Distance between the rests reached from both sides, over the swing between the outer rests: 0 without friction."""
 FILTERED = "the displacement moves before the measured pressure does: the gauge has a filter"
+LEAST_DRIFT = 1e-3
+"""Drifts over all cycles that are smaller, as a share of the swing, change nothing."""
 SURE, ALIKE, SHOWN = 10.0, 4.0, 2.0
 """Twice the logarithm of a ratio of likelihoods from which on one form is sure, below which two are alike, and from
 which on more than the simplest form is there."""
@@ -107,6 +109,8 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
     amplitude = max(abs(step.height) for step in steps)
     period = 1 / run.rate if run.rate > 0 else float(np.median(np.diff(trial.t)))
     t, x, P = samples_of(trial, steps, period)
+    drift = drift_of(t, x, cycles)
+    x = x - drift * (t - t.mean()) if drift else x
     lag = run.channels["pressure"].sensor_lag if "pressure" in run.channels else 0.0
     found, late = fit(t, x, P, steps, lag), 0.0
     if not isinstance(found, str) and (late := gauge_filter(*found[:2])):
@@ -118,6 +122,11 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
     if late:
         doubts.append(
             f"{FILTERED} of {show(late, 'time', 2)}, which is taken off: declare the `sensor_lag` of its channel"
+        )
+    if drift:
+        doubts.append(
+            f"from cycle to cycle the displacement moves on, by {show(60 * drift, 'length', 2)} in a minute, which is "
+            "taken off: its gauge drifts, or the muscle creeps"
         )
     off = _pressure_at(moved, trial.point.get("setpoint", moved.x0))
     if off is None or abs(off) > amplitude:
@@ -166,6 +175,16 @@ def _with_spread(
         doubts.append(_both(Doubt(STEPS, "method", 1.0, False), 2 * np.sqrt(np.mean(shares**2, axis=0))))
     spans = np.max([_apart(end, truth) for end in sides] or [(0.0, 0.0)], axis=0).tolist()
     return replace(known, loop=loop, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
+
+
+def drift_of(t: Array, x: Array, cycles: Sequence[Sequence[Step]]) -> float:
+    """How fast the mean displacement of a cycle moves on from cycle to cycle [m/s]; 0 where that is not seen."""
+    during = [(t >= c[0].t) & (t < c[-1].t + (c[-1].t - c[-2].t)) for c in cycles]
+    means = np.array([x[at].mean() for at in during if at.any()])
+    change = change_over([means]) if len(means) == len(cycles) else None
+    if change is None or not change.seen or change.size < LEAST_DRIFT * np.ptp(x):
+        return 0.0
+    return float(np.polyfit([cycle[0].t for cycle in cycles], means, 1)[0])
 
 
 def _apart(one: Ultimate, other: Ultimate) -> tuple[float, float]:

@@ -28,7 +28,6 @@ def test_bytes_written_by_hand():
     data = bytes.fromhex("0000 0000 0012 01 4c 10 00 0008 0000 0000 8001 0102 7fff fffe")
     packets = Packets(2, 2)
     assert numbered(packets, data) == {1: (0x8001, 0x0102), 2: (0x7FFF, 0xFFFE)}
-    assert packets.backlog == 8
     assert packet(0, [0x8001, 0x0102, 0x7FFF, 0xFFFE], backlog=8) == data
 
 
