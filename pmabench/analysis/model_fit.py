@@ -15,14 +15,17 @@ import numpy as np
 
 from pmabench.analysis.model_problem import (
     FEW,
+    STARTS,
     End,
     Problem,
     Spread,
     acting,
+    along,
     identifiability,
+    lowest,
+    net_of,
     solve,
     spread_of,
-    starts_of,
 )
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import listed
@@ -35,6 +38,14 @@ EXACT = 1e-7
 ENOUGH = 4
 """Starts that ended as low as the best, after which no more are tried."""
 SAME = 1e-6
+BETTER = 6
+"""Better ends that profiles may find before the fit counts as not converged."""
+WALK = 60
+"""Places that a search for one end of an interval tries."""
+AHEAD = 3.0
+"""A step of it is shortened until the tangent's sum of squares is below that of this multiple of the limit."""
+CLOSE = 0.01
+"""An end is found to this share of the half width, or of the limit."""
 ALIKE = 0.5
 """Correlation of neighbouring residuals from which on rows do not count as independent."""
 
@@ -149,13 +160,14 @@ def fit_model(
         raise ValueError(f"{rows} cannot give {len(unknown)} values; give some of them with --set")
     begin = {p.name: p.value for p in model.parameters} | dict(start or {})
     first = np.clip([float(begin[name]) for name in unknown], problem.low, problem.high)
-    ends = _ends(problem, first)
+    net = net_of(problem, first)
+    ends = _ends(problem, [first, *net[: STARTS - 1]])
     best = min(ends, key=lambda end: end[0])
     tried = len(ends)
     freedom = len(measured) - len(unknown)
     exact = sqrt(best[0] / len(measured)) < EXACT
     method = "profile" if freedom > 0 and len(unknown) <= FEW and not exact else "jacobian"
-    spread, intervals, better = _intervals(problem, best, freedom, profiled=method == "profile")
+    spread, intervals, better = _intervals(problem, best, freedom, net, profiled=method == "profile")
     ends = [*better, *ends]
     best = ends[0] if better else best
     computed = problem.output_at(best[1])
@@ -187,9 +199,9 @@ def fit_model(
     )
 
 
-def _ends(problem: Problem, first: Array) -> list[End]:
+def _ends(problem: Problem, starts: Sequence[Array]) -> list[End]:
     """The end of the fit from each start, until enough ends are as low as the best; ValueError where none can begin."""
-    begun = [at for at in starts_of(problem, first) if np.isfinite(problem.residuals(at)).all()]
+    begun = [at for at in starts if np.isfinite(problem.residuals(at)).all()]
     if not begun:
         raise ValueError("the model holds at none of the start values; give better ones with --start")
     ends: list[End] = []
@@ -202,17 +214,19 @@ def _ends(problem: Problem, first: Array) -> list[End]:
 
 
 def _intervals(
-    problem: Problem, best: End, freedom: int, *, profiled: bool
+    problem: Problem, best: End, freedom: int, net: Sequence[Array], *, profiled: bool
 ) -> tuple[Spread, list[Interval | None], list[End]]:
     """The interval of each unknown, and better ends that the profiles found, the best first."""
     better: list[End] = []
-    for _ in range(3 if profiled else 0):
+    for _ in range(BETTER if profiled else 0):
         spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
-        intervals, point = _profiles(problem, best, spread, freedom)
+        intervals, point = _profiles(problem, best, spread, freedom, net)
         if point is None:
             return spread, intervals, better
         best = min(solve(problem, point), best, key=lambda end: end[0])
         better.insert(0, best)
+    if better:  # the last profile found a better one, too
+        better[0] = best = (*best[:2], False)
     spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
     return spread, [_wald(v, s, freedom) for v, s in zip(best[1], spread.errors, strict=True)], better
 
@@ -224,14 +238,16 @@ def _wald(value: float, error: float | None, freedom: int) -> Interval | None:
     return float(value) - half, float(value) + half
 
 
-def _profiles(problem: Problem, best: End, spread: Spread, freedom: int) -> tuple[list[Interval | None], Array | None]:
+def _profiles(
+    problem: Problem, best: End, spread: Spread, freedom: int, net: Sequence[Array]
+) -> tuple[list[Interval | None], Array | None]:
     """Where the sum of squares, the others refitted, rises by t^2 s^2; or a point that is better than `best`."""
     limit = float(student.ppf(0.975, freedom))
     found: list[Interval | None] = []
     for i, error in enumerate(spread.errors):
         ends: list[float | None] = []
         for way in (-1.0, 1.0) if error is not None else ():
-            end, better = _end(problem, best, spread, i, way * limit * (error or 0.0), limit, best[0] / freedom)
+            end, better = _end(problem, best, i, way * limit * (error or 0.0), limit, best[0] / freedom, net)
             if better is not None:
                 return found, better
             ends.append(end)
@@ -240,35 +256,38 @@ def _profiles(problem: Problem, best: End, spread: Spread, freedom: int) -> tupl
 
 
 def _end(
-    problem: Problem, best: End, spread: Spread, i: int, reach: float, limit: float, variance: float
+    problem: Problem, best: End, i: int, reach: float, limit: float, variance: float, net: Sequence[Array]
 ) -> tuple[float | None, Array | None]:
-    """One end of a profile interval, by secants; None where the domain ends before."""
+    """One end of a profile interval, by secants; None where the domain or the search ends before.
+
+    An end counts only where no start of the net comes lower either: a refit may be caught far from a long valley.
+    """
     middle, stop = float(best[1][i]), float(problem.high[i] if reach > 0 else problem.low[i])
-    along = np.nan_to_num(spread.covariance[:, i] / spread.covariance[i, i])
-    warm, at = best[1], middle
-    for _ in range(8):
-        wanted = middle + reach
-        ended = (wanted - stop) * np.sign(reach) >= 0
-        wanted = stop if ended else wanted
-        guess = np.clip(warm + along * (wanted - at), problem.low, problem.high)
-        guess[i] = wanted
-        if not np.isfinite(problem.residuals(guess)).all():
-            guess = best[1].copy()
-            guess[i] = wanted
-            if not np.isfinite(problem.residuals(guess)).all():  # a refusal ends the domain here
-                reach *= 0.5
-                continue
-        cost, point, _ = solve(problem, guess, held=i)
+    inner, point, outer, wanted = middle, best[1], None, middle + reach
+    for _ in range(WALK):
+        wanted = min(wanted, stop) if reach > 0 else max(wanted, stop)
+        wanted, guess = along(problem, point, i, wanted, best[0] + (AHEAD * limit) ** 2 * variance)
+        if guess is None:  # a refusal ends the domain here
+            return outer, None
+        cost, refitted = lowest(problem, guess, net, i, best[0] + ((1 - CLOSE) * limit) ** 2 * variance)
         if cost < best[0] * (1 - 1e-4):
-            return None, point
+            return None, refitted
         rise = sqrt(max(cost - best[0], 0.0) / variance)
-        if ended and rise < limit:
-            return None, None
-        if abs(rise - limit) < 0.01 * limit:
+        if abs(rise - limit) < CLOSE * limit:
             return wanted, None
-        warm, at = point, wanted
-        reach = (wanted - middle) * min(3.0, limit / rise if rise > 0 else 3.0)
-    return middle + reach, None
+        if rise > limit:
+            outer = wanted
+        elif wanted == stop:
+            return None, None
+        else:
+            inner, point = wanted, refitted
+        wanted = middle + (wanted - middle) * min(3.0, limit / rise if rise > 0 else 3.0)
+        if outer is not None:
+            gap = outer - inner
+            if abs(gap) < CLOSE * abs(outer - middle):
+                return None if outer == stop else outer, None
+            wanted = inner + float(np.clip((wanted - inner) / gap, 0.1, 0.9)) * gap
+    return outer, None
 
 
 def _as_low(end: End, best: End) -> bool:

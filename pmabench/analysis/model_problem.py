@@ -112,6 +112,12 @@ MOST_EVALUATIONS = 400
 """Of the residual, in one fit from one start."""
 FEW = 8
 """Unknowns up to which a net can fill the domain."""
+ELSEWHERE = 3
+"""Points of the net from which is fitted again where a profile seems to end."""
+SHORTEST = 6
+"""Halvings of a step along a valley to keep near it,"""
+REFUSED = 12
+"""and to get past places where the model does not hold."""
 
 
 @dataclass
@@ -201,16 +207,21 @@ def acting(
     return [name for name, does in zip(names, moves, strict=True) if does]
 
 
-def starts_of(problem: Problem, start: Array) -> list[Array]:
-    """`start` and the best of a scrambled net of the domain, best first after it."""
+def net_of(problem: Problem, start: Array) -> list[Array]:
+    """Points of a scrambled net of the domain around `start`, best first; none where it cannot fill the domain."""
+    if len(start) > FEW:
+        return []
     ranges = list(map(_range, start, problem.low, problem.high, problem.size))
     net = qmc.Halton(len(start), seed=0).random(TRIED)
     points = [np.array([low * (high / low) ** u if raised else low + (high - low) * u
                         for u, (low, high, raised) in zip(row, ranges, strict=True)]) for row in net]  # fmt: skip
+    return _best_first(problem, points)
+
+
+def _best_first(problem: Problem, points: Sequence[Array]) -> list[Array]:
+    """Those of the points where the model holds."""
     costs = [float(np.sum(problem.residuals(point) ** 2)) for point in points]
-    order = [i for i in np.argsort(costs) if isfinite(costs[i])]
-    more = STARTS - 1 if len(start) <= FEW else 0
-    return [start, *(points[i] for i in order[:more])]
+    return [points[i] for i in np.argsort(costs) if isfinite(costs[i])]
 
 
 def _range(start: float, low: float, high: float, size: float) -> tuple[float, float, bool]:
@@ -255,3 +266,34 @@ def solve(problem: Problem, start: Array, held: int | None = None) -> End:
     how: dict[str, Any] = {"x_scale": "jac", "xtol": fine * 1e-11, "ftol": fine * 1e-13, "gtol": fine * 1e-13}
     found = least_squares(residuals, inside, slopes, (low, high), max_nfev=MOST_EVALUATIONS, **how)
     return 2.0 * float(found.cost), whole(np.asarray(found.x)), bool(found.status > 0)
+
+
+def along(problem: Problem, point: Array, i: int, wanted: float, most: float) -> tuple[float, Array | None]:
+    """`point` moved along the tangent of a valley towards `wanted` of unknown `i`, as far as the sum of squares stays
+    below `most`, but a part of the way at least; None where the model refuses at once.
+    """
+    slopes = problem.slopes(point) / problem.span
+    others = np.delete(slopes, i, axis=1)
+    size = np.linalg.norm(others, axis=0)
+    scale = np.where(size > 0, size, 1.0)
+    tangent = -np.linalg.lstsq(others / scale, slopes[:, i], rcond=RANK)[0] / scale
+    for shorter in range(REFUSED):
+        at = wanted if not shorter else float(point[i] + (wanted - point[i]) * 0.5**shorter)
+        guess = np.clip(point + np.insert(tangent, i, 0.0) * (at - point[i]), problem.low, problem.high)
+        guess[i] = at
+        cost = float(np.sum(problem.residuals(guess) ** 2))
+        if cost < most or (isfinite(cost) and shorter >= SHORTEST):
+            return at, guess
+    return wanted, None
+
+
+def lowest(problem: Problem, guess: Array, net: Sequence[Array], i: int, enough: float) -> tuple[float, Array]:
+    """Sum of squares and unknowns of the refit with unknown `i` held as in `guess`: from there, and from the best of
+    the net where that is not below `enough`.
+    """
+    cost, point, _ = solve(problem, guess, held=i)
+    if cost >= enough:
+        moved = [np.where(np.arange(len(guess)) == i, guess[i], other) for other in net]
+        for other in _best_first(problem, moved)[:ELSEWHERE]:
+            cost, point = min((cost, point), solve(problem, other, held=i)[:2], key=lambda end: end[0])
+    return cost, point

@@ -239,6 +239,29 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert 0.93 <= coverage(200, 12, CASES) <= 0.97
 
 
+def braid(pressure, eps, radius, angle, k):
+    """Tondu and Lopez 2000 eq. 12, a muscle that cannot push."""
+    drive = 3 / math.tan(angle) ** 2 * (1 - k * eps) ** 2 - 1 / math.sin(angle) ** 2
+    return np.maximum(0, math.pi * radius**2 * pressure * drive)
+
+
+@pytest.mark.parametrize(("sigma", "seed"), [(12.0, 13), (12.0, 14), (20.0, 11), (20.0, 15)])
+def test_an_interval_reaches_along_a_long_valley(sigma, seed):
+    """Radius, angle and k move together; values that together fit as well as the limit allows are in each interval."""
+    from scipy.stats import t as student
+
+    pressure, eps = (a.ravel() for a in np.meshgrid(np.linspace(1, 5, 5) * BAR, np.linspace(0, 0.25, 8)))
+    true = {"radius": 0.01, "braid_angle": 24 * DEG, "k": 1.2}
+    y = braid(pressure, eps, *true.values())
+    noise = sigma * np.random.default_rng(seed).standard_normal(len(y))
+    found = fit("tondu-lopez", "force", {"pressure": pressure, "contraction": eps}, y + noise, list(true))
+    assert noise @ noise <= found.residual_rms**2 * (found.freedom + student.ppf(0.975, found.freedom) ** 2)
+    for u in found.unknowns:
+        below, above = u.ci95 or (None, None)
+        assert below is None or 0 < below <= true[u.name]
+        assert above is None or above >= true[u.name]
+
+
 # -- what cannot be told -------------------------------------------------------------------------------------------
 
 

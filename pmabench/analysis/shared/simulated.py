@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from math import inf, sqrt
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -20,6 +20,8 @@ if TYPE_CHECKING:  # plants import scipy, which takes longer than a reduction th
 
 SUBSTEPS = 2
 """Integration steps from sample to sample."""
+GOLDEN = (1 + sqrt(5)) / 2
+"""Places between two steps that fill it evenly are multiples of this."""
 LEAST = 1.0
 """Least stiffness [N/m] and damping [N.s/m] with which a replay goes on where a line falls below."""
 
@@ -139,8 +141,13 @@ def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> 
     return Stretches(tuple(source), P, load, mass, start, dt)
 
 
-def measured(work: Stretches, replayed: Replayed, noise: Noise, cell: bool, seed: int) -> list[Samples]:
-    """The replay as sensors with `noise` would show it; the same `seed` gives the same samples."""
+def measured(
+    work: Stretches, replayed: Replayed, noise: Noise, cell: bool, seed: int, step: float = 0.0
+) -> list[Samples]:
+    """The replay as sensors with `noise` would show it; the same `seed` gives the same samples.
+
+    A pressure that is read in steps of `step` [Pa] is so here, in others for each seed.
+    """
     generator = np.random.default_rng(seed)
     result = []
     for column, samples in enumerate(work.source):
@@ -148,8 +155,43 @@ def measured(work: Stretches, replayed: Replayed, noise: Noise, cell: bool, seed
         shake = generator.standard_normal((3, size))
         force = replayed.force[:size, column] + noise.force * shake[2] if cell else None
         P, x = samples.P + noise.pressure * shake[0], replayed.x[:size, column] + noise.displacement * shake[1]
+        P = step * (np.round(P / step + seed / GOLDEN) - seed / GOLDEN) if step else P
         result.append(Samples(samples.trial, samples.t, P, x, force, samples.ok, samples.load, samples.mass))
     return result
+
+
+def between_steps(P: Array, step: float) -> Array:
+    """A pressure (n,) that is read in steps [as P], as it may have been: straight from one passing of the middle
+    between two readings to the next, and level while a reading lasts longer than both next to it.
+
+    Noise makes readings go to and fro where one is passed: the first and the last time count by half each.
+    """
+    return np.asarray(0.5 * step * (_passed(P / step) + _passed(P[::-1] / step)[::-1]))
+
+
+def _passed(read: Array) -> Array:
+    """The same in units of the step, by the first time that each is passed."""
+    now, found = float(read[0]), list[tuple[float, float]]()
+    for place in (np.flatnonzero(np.diff(read)) + 1).tolist():
+        to = min(max(now, read[place] - 0.5), read[place] + 0.5)
+        if to != now:
+            jump = to - now
+            found.append((place - 0.5, to - 0.5 * float(np.sign(jump)) * max(0.0, abs(jump) - 1)))
+            now = to
+    if len(found) < 2:
+        return read
+    at, value = np.array(found).T
+    lasts = np.diff(at)
+    around = np.maximum(np.append(0.0, lasts[:-1]), np.append(lasts[1:], 0.0))
+    long = np.concatenate(([True], lasts > 2 * around, [True]))
+    edges = np.concatenate(([0], np.ceil(at).astype(int), [len(read)]))
+    level = np.add.reduceat(read, edges[:-1]) / np.diff(edges)
+    begins = at + np.append(lasts[0], lasts)  # a level is reached as fast as the reading before it was passed
+    ends = at - np.append(lasts, lasts[-1])
+    t = np.concatenate((at, ends[long[:-1]], begins[long[1:]]))
+    values = np.concatenate((value, level[:-1][long[:-1]], level[1:][long[1:]]))
+    order = np.argsort(t)
+    return np.asarray(np.interp(np.arange(len(read)), t[order], values[order]), dtype=np.float64)
 
 
 LEAST_MASS = 0.5

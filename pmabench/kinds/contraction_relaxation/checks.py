@@ -390,6 +390,10 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
         yield Finding("note", text)
     if lack := Scales.of(campaign.runs).lack(campaign.channels):
         yield Finding("note", lack)
+    yield from (Finding("doubt", cause.note) for cause in trust.causes if cause.seen and cause.note)
+    if step := campaign.pressure_step:
+        text = f"the pressure is read in steps of {show(step, 'pressure', 3)}, which its noise does not fill"
+        yield Finding("note", f"{text}: the intervals hold that; finer steps would tell B and F_ce better")
     if not pooled.fit.friction:
         yield Finding("doubt", "all samples move one way: F_ce carries the friction")
     for symbol in SYMBOLS:

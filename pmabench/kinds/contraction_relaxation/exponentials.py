@@ -6,7 +6,7 @@ the primary method found; computes no interval of the latter.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import Any
@@ -21,7 +21,9 @@ from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import bandwidth
 from pmabench.kinds.contraction_relaxation.bandwidth import responses
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
+from pmabench.kinds.contraction_relaxation.intervals import AT_REST, CORRECTED, Pooled
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
 from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, biases, curve, with_bias
 from pmabench.store.analyses.results import Estimate, Finding, Parts, without_value
@@ -179,10 +181,11 @@ class _Raw:
     offsets: Mapping[str, float]
 
 
-def compare(
-    campaign: Campaign, primary: Fit, found: Sequence[Estimate], options: Mapping[str, Any], moved: set[int]
-) -> Further:
-    """The papers' estimates and the dead times; `found` are the primary method's, `moved` the trials in its fit."""
+def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], options: Mapping[str, Any]) -> Further:
+    """The papers' estimates and the dead times; `found` are the primary method's."""
+    primary, moved = pooled.fit, set(pooled.segments.trial.tolist())
+    seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
+    seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}
     scales = Scales.of(campaign.runs)
     steps = [one for n in sorted(moved) for one in steps_of(campaign.samples[n], campaign.trials[n], Gate.lift)]
     at_each = {(e.symbol, e.at["pressure"]): e for e in found if "pressure" in e.at}
@@ -203,7 +206,8 @@ def compare(
         for P in campaign.tested
         for entry in _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0], options, force_at(P))
     ]
-    estimates = [_with_bias(e, reference) for e in _calibrated(raw, scales)]
+    weighed = [_weighed(e, at_each, seen) for e in _calibrated(raw, scales)]
+    estimates = [_with_bias(e, reference) for e in weighed]
     known = [e for e in estimates if e.method == METHOD and e.value is not None]
     curves = [curve([e for e in known if e.symbol == symbol], 1) for symbol in SYMBOLS]
     table = [
@@ -305,6 +309,15 @@ def _calibrated(raw: Sequence[_Raw], scales: Scales) -> list[Estimate]:
             alone = "calibration part without that of the pressure: one pressure only"
         result.append(calibrated(replace(e, note=sentences(e.note, alone)), scales, gains, offsets))
     return result
+
+
+def _weighed(e: Estimate, found: Mapping[tuple[str, float], Estimate], seen: Collection[str]) -> Estimate:
+    """The estimate with what the weights would change it by if they were wrong and not the cell, as `found` says."""
+    known = found.get((e.symbol, e.at["pressure"]))
+    open_by = sum(line.half or 0.0 for line in known.budget if line.name in seen) if known is not None else 0.0
+    if not open_by:
+        return e
+    return replace(e, parts=replace(e.parts, calibration=(e.parts.calibration or 0.0) + open_by))
 
 
 def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], float | None]) -> Estimate:

@@ -26,9 +26,10 @@ from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import more_than_squares
-from pmabench.analysis.shared.samples import Noise
+from pmabench.analysis.shared.samples import LEAST_MOTION, Noise
 from pmabench.analysis.shared.simulated import Stretches
 from pmabench.analysis.shared.trials import compared
+from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, rms_of
 from pmabench.kinds.contraction_relaxation.segments import CHANNELS, Campaign, Segments, resting
 from pmabench.store.analyses.results import Parts, Source
@@ -37,6 +38,8 @@ from pmabench.store.records import Array, RunData, TrialData
 if TYPE_CHECKING:
     from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
 
+LIES = 0.1
+"""A cell that reads less than this share of the load says that it is on its support."""
 SPECIMEN = "drift of the specimen"
 NO_REFERENCE = "no reference trial was done again"
 NO_CHECK = "the record tells no zero at the end"
@@ -89,6 +92,50 @@ def at_rest(campaign: Campaign, channel: str, known: float) -> Array:
     first = read[np.argmin([float(campaign.samples[i].t[0]) for i in read.tolist()])]
     off = share * np.nan_to_num(found - np.array([[found[first]], [np.median(found[read])]]))
     return np.asarray(off - np.clip(off, -known, known))
+
+
+AT_REST = "zero of {}, by what it reads at rest"
+READS = {
+    "pressure": "vented, the gauge reads {}: its zero, or a regulator that does not vent. The intervals hold both. "
+    "Vent the muscle and take the zero of the gauge",
+    "displacement": "with the load on its support, the displacement reads {}: its zero, or the muscle has its "
+    "nominal length elsewhere. The intervals hold both. Take the zero of the displacement there",
+}
+SEEN = 4.0
+"""Standard errors from which on a reading at rest is no noise."""
+
+
+def level_at_rest(campaign: Campaign, channel: str, known: float) -> float:
+    """What a channel reads before the first command of each vented trial [SI], the nearest to 0; 0 where noise, or what
+    its calibration leaves open, `known`, may be all. Of a displacement only where a cell says that the load lies.
+    """
+    means, errors = [], []
+    for trial, one in zip(campaign.trials, campaign.samples, strict=True):
+        rest = resting(one, trial)
+        first = min((c for c in trial.commands if c.output == "pressure"), key=lambda c: c.t, default=None)
+        if first is None or first.before != 0 or rest.sum() < 2:
+            continue
+        if channel == "displacement" and (one.force is None or abs(one.force[rest].mean()) > LIES * one.load):
+            continue
+        values = one.channels[channel][rest]
+        means.append(float(np.mean(values)))
+        errors.append(float(np.std(values, ddof=1)) / sqrt(len(values)))
+    if len(means) < 2 or min(means) <= 0 <= max(means):
+        return 0.0
+    level = min(means, key=abs)
+    return level if abs(level) > max(known, SEEN * max(errors), LEAST_MOTION.get(channel, 0.0)) else 0.0
+
+
+def zeros_of(
+    segments: Segments, fit: Fit, noise: float, levels: Mapping[str, float], known: Mapping[str, float]
+) -> Iterator[Cause]:
+    """What the fit changes by where `levels` (`level_at_rest`) are zeros, as far as `known` [SI] does not hold it."""
+    for channel, level in levels.items():
+        if level:
+            beyond = level - float(np.sign(level)) * known.get(channel, 0.0)
+            change = _off(segments, fit, channel, 0.0, -beyond, noise) - fit.theta
+            said = READS[channel].format(show(level, "pressure" if channel == "pressure" else "length", 2))
+            yield Cause(AT_REST.format(channel), "calibration", change[None], said, seen=True)
 
 
 def drifts_of(
@@ -307,6 +354,8 @@ def assess(
     seen = analytic
     if len(replays) > 1:
         seen = 0.5 * (analytic + (more * spread) ** 2)
+        if campaign.pressure_step:  # which lie where they lie in all trials: only replays show what that makes
+            seen = np.maximum(seen, (more * spread) ** 2)
     between, freedom, within = _between(segments, fit, campaign.cells)
     ratio = between / np.maximum(seen, 1e-300)
     excess = {symbol: _pooled(fit, symbol, ratio) for symbol in (*SYMBOLS, "F_c")}

@@ -158,9 +158,9 @@ class Fit:
         """The same where pressure reads (1 + gain) times as much, plus `offset` [Pa]: a bend that a knot was put at
         is then read elsewhere, and the knot goes with it; tested pressures stay where they are.
         """
-        there, knots = self.added * (1 + gain) + offset, self.knots.copy()
-        knots[np.isin(knots, self.added)] = there
-        return replace(self, knots=knots if (np.diff(knots) > 0).all() else self.knots, added=there)
+        followed = [at * (1 + gain) + offset for at in (self.knots, self.added)]
+        knots = np.where(np.isin(self.knots, self.added), followed[0], self.knots)
+        return replace(self, knots=knots if (np.diff(knots) > 0).all() else self.knots, added=followed[1])
 
     def bends(self, segments: Segments, noise: float) -> Array:
         """What straight lines leave of a bend in each unknown, shape (p,): a third of what it changes to halve no

@@ -25,7 +25,16 @@ from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
-from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, at_rest, drifts_of
+from pmabench.kinds.contraction_relaxation.intervals import (
+    Cause,
+    Pooled,
+    Trust,
+    assess,
+    at_rest,
+    drifts_of,
+    level_at_rest,
+    zeros_of,
+)
 from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
 from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
@@ -76,7 +85,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates, curves = estimates_of(campaign, pooled)
     joint = compare(campaign, pooled, options)
     polished = output_error.compare(campaign, pooled, estimates, options)
-    stepwise = exponentials.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
+    stepwise = exponentials.compare(campaign, pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
     resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
@@ -160,8 +169,9 @@ def _replays(
     if not count:
         return
     run = simulated.run(fit, work.P, work.dt, work.load, work.mass, work.x)
+    noise = replace(campaign.noise, pressure=0.0) if campaign.pressure_step else campaign.noise
     for seed in range(count):
-        seen_again = segments_of(simulated.measured(work, run, campaign.noise, campaign.cell, seed))
+        seen_again = segments_of(simulated.measured(work, run, noise, campaign.cell, seed, campaign.pressure_step))
         if len(seen_again) < 2 * FEWEST:
             raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
         yield seen_again
@@ -183,7 +193,9 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
     offsets = Scales.of(campaign.runs).offsets
     rests = {channel: at_rest(campaign, channel, offsets.get(channel, 0.0)) for channel in rested}
-    work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
+    levels = {channel: level_at_rest(campaign, channel, offsets.get(channel, 0.0)) for channel in rested}
+    stepless = replace(campaign, samples=_stepless(campaign))
+    work = simulated.stretches(_moving(stepless, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:
         """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
@@ -199,8 +211,12 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         again_seen = _replays(campaign, segments_of, work, other, int(options.get("replays", REPLAYS)))
         replays = [other.again(one, rms_of(seen)).theta for one in again_seen]
         skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
-        drifts = drifts_of(campaign, mine, other, rms_of(seen), rests)
-        trust = assess(campaign, mine, other, seen, replays, skews, drifts)
+        causes = list(drifts_of(campaign, mine, other, rms_of(seen), rests))
+        causes += zeros_of(mine, other, rms_of(seen), levels, offsets)
+        if campaign.pressure_step:
+            between = again(diagnosis.corrected(segments_of(stepless.samples))) - other.theta
+            causes.append(Cause("where the pressure is between its steps", "method", between[None]))
+        trust = assess(campaign, mine, other, seen, replays, skews, causes)
         return trust if spread is None else replace(trust, correction=spread.of(other, rows, unit))
 
     every = np.ones(len(segments), bool)
@@ -224,6 +240,17 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         return with_hidden(other, rows, trusted(other, rows, seen, unit, lambda late: other.again(late, unit).theta))
 
     return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, work, diagnosis)
+
+
+def _stepless(campaign: Campaign) -> tuple[Samples, ...]:
+    """The samples with the pressure as it may have been between its steps, where noise does not fill these."""
+    step = campaign.pressure_step
+    found = list(campaign.samples)
+    for i, one in enumerate(found if step else ()):
+        if one.ok.any():
+            P = np.interp(one.t, one.t[one.ok], one.P[one.ok])
+            found[i] = replace(one, P=simulated.between_steps(P, step))
+    return tuple(found)
 
 
 def _skews(campaign: Campaign, segments_of: Cut, again: Callable[[Segments], Array], solved: Fit) -> Array:

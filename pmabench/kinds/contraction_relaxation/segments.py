@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -374,6 +375,12 @@ class Campaign:
     """The part of the noise that the steps of the channels' values make."""
     noise_of_means: Noise
     """The noise that means over a segment show, where that is larger: smooth noise, as of filters."""
+
+    @property
+    def pressure_step(self) -> float:
+        """Step of the pressure's values [Pa], 0 where noise fills it: then means over segments do not see it."""
+        step = self.steps.pressure
+        return sqrt(12.0) * step if step >= self.noise.pressure else 0.0
 
     @property
     def late(self) -> Noise:
