@@ -200,8 +200,8 @@ BUGS = (
     Bug(
         "a measured value at its bound confirms the vent",
         "pmabench/guard/safe.py",
-        "if value is not None and self._floors.get(action.target, -inf) < value < action.value:",
-        "if value is not None and self._floors.get(action.target, -inf) < value <= action.value:",
+        "low = value is not None and self._floors.get(action.target, -inf) < value < action.value",
+        "low = value is not None and self._floors.get(action.target, -inf) < value <= action.value",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(
@@ -242,8 +242,8 @@ BUGS = (
     Bug(
         "what was sent before a pause counts as a sign of life",
         "pmabench/guard/process.py",
-        "if self._pulse.lost > LOST_TIME and",
-        "if self._pulse.lost > 1e9 and",
+        "if self._pulse.lost <= LOST_TIME:",
+        "if self._pulse.lost <= 1e9:",
         ("tests/guard/test_service.py",),
     ),
     Bug(
