@@ -166,6 +166,13 @@ def test_next_writes_a_protocol_that_check_takes(whole: Path, tmp_path: Path, mo
     assert "every goal is reached, no further trial" in pmabench("next", str(whole), "--until", GOAL).output
 
 
+def test_a_wanted_value_that_no_trial_tells_is_named(whole: Path) -> None:
+    """B_r at the highest pressure: nothing relaxes from above it."""
+    said = " ".join(pmabench("next", str(whole), "--until", "B_r 50 %").output.split())
+    assert "out of reach: B_r at 500 kPa: not identifiable" in said
+    assert "every goal is reached" not in said
+
+
 def test_the_time_ends_a_run_and_the_rest_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     done = until("--time", "5 min")

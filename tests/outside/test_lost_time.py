@@ -40,5 +40,5 @@ def test_the_device_vents_when_both_are_killed(tmp_path, record_property):
     tried(kill_both, 1, tmp_path, record_property)
 
 
-def test_a_guard_that_goes_on_leaves_the_sealed_run_alone(tmp_path, record_property):
+def test_a_stopped_guard_is_ended_and_the_sealed_run_is_whole(tmp_path, record_property):
     tried(seal, 2, tmp_path, record_property)

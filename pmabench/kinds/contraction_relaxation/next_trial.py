@@ -18,6 +18,7 @@ from pmabench.analysis.next_trial import (
     RANDOM,
     REFERENCE,
     REPEAT,
+    SWEEP,
     Choice,
     Field,
     Goal,
@@ -162,7 +163,7 @@ class Chooser:
         if known.misfit and known.sure:
             return Proposal(f"nothing is promised: {known.misfit}", known, counts)
         beyond = out_of_reach(known.outlook.design, known.aim, counts)
-        far = tuple(self._of(known, n, counts) for n in beyond)
+        far = (*(self._of(known, n, counts) for n in beyond), *self._unidentified(known))
         near = known.narrowed([n for n in range(len(known.outlook.names)) if n not in beyond])
         if near.freedom >= FEWEST_FREEDOM and near.reached(counts):
             return Proposal("reached", near, counts, far)
@@ -244,6 +245,17 @@ class Chooser:
         symbol, P = known.outlook.names[number]
         return f"{name_of(symbol, P or None)} has {size} where {wanted} is wanted{fixed}"
 
+    def _unidentified(self, known: Known) -> list[str]:
+        """Wanted values that no number of these trials tells, in words."""
+        goals = [goal for goal in self.goals if goal.symbol != SWEEP]
+        return [
+            f"{name_of(symbol, P or None)}: {e.note}"
+            for (symbol, P), e in known.reported.items()
+            if e.value is None
+            and (symbol, P) not in known.outlook.names
+            and any(goal.of((symbol, P), 1.0, 0.0) is not None for goal in goals)
+        ]
+
     def _far(self, known: Known, counts: Array) -> str:
         """The value that is farthest from its goal, in words."""
         halves = known.aim.halves(known.outlook.design.variances(counts))
@@ -265,9 +277,11 @@ class Chooser:
         if not near.reached(known.counts(course.done)):
             return known
         trials = f"after {len(course.done)} trials, {CONFIRMING} of them to confirm it"
+        beyond = self._unidentified(known)
         if len(near.outlook.names) < len(known.outlook.names):
-            far = self._far(known, known.counts(course.done))
-            return Stop(False, f"reached as far as it can be, {trials}; out of reach: {far}")
+            beyond.insert(0, self._far(known, known.counts(course.done)))
+        if beyond:
+            return Stop(False, f"reached as far as it can be, {trials}; out of reach: {beyond[0]}")
         return Stop(True, f"the goal is reached {trials}")
 
     def _confirmed_counts(self, known: Known, course: Course, fitted: Sequence[TrialData]) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import hypot
 from typing import Any
 
@@ -181,10 +182,13 @@ def _half(levels: Sequence[Level], scales: Scales) -> Estimate:
     return _free("P_half", value, "pressure", {}, parts, n, points)
 
 
-def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
+def _fit(
+    points: Sequence[Point], length: float, off: Array | float = 0.0, *, profiles: bool = False
+) -> tuple[ModelFit | None, str]:
     """The sigmoid with fitted a to e through the means, `off` (n,) [m] added to x; or why it cannot be fitted.
 
     The mean contraction of trials is that at their mean pressure by the sigmoid itself (`Point.at`), fitted anew.
+    Intervals are those of `profiles`, where they are wanted.
     """
     model = MODELS[FORM]
     P, x = curve_of(points)
@@ -198,17 +202,17 @@ def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tu
     fixed = {p.name: p.value for p in model.parameters if p.name not in ("pressure", *UNKNOWN)}
     fixed["nominal_length"] = length
     start = {"a": 0.7 * length, "b": 0.3 * length}
-    columns = {"pressure": np.maximum(P, 0.0)}
+    through = partial(fit_model, model, "length", {"pressure": np.maximum(P, 0.0)}, fixed, unknown=UNKNOWN)
     for _ in range(ROUNDS):
         try:
-            fit = fit_model(model, "length", columns, fixed, length - x - off, UNKNOWN, start=start)
+            fit, fitted = through(length - x - off, start=start, profiles=False), x
         except ValueError:
             return None, "no fit: no sigmoid comes near these lengths"
-        start, before, shape = fit.values, x, sigmoid(fit)
+        start, shape = fit.values, sigmoid(fit)
         x = np.array([point.at(point.pressure, shape).x for point in points])
-        if np.abs(x - before).max() < SETTLED:
+        if np.abs(x - fitted).max() < SETTLED:
             break
-    return fit, ""
+    return through(length - fitted - off, start=start) if profiles else fit, ""
 
 
 def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: float) -> list[Estimate]:
@@ -295,12 +299,12 @@ def _with_zero(
     Beyond a declared uncertainty it is the latter, below zero the former; else the lengths say which; else it is open,
     which a declared uncertainty holds.
     """
-    fit, why = _fit(points, length)
+    fit, why = _fit(points, length, profiles=True)
     zero, declared = zero_of(points), scales.offsets.get("pressure", 0.0)
     if not zero or 0 < declared < abs(zero) - OF_NOISE * max(rest.pressure_noise for rest in points[0].rests):
         return points, fit, why, 0.0, []
     other = zeroed(points, zero)
-    again, why_again = _fit(other, length)
+    again, why_again = _fit(other, length, profiles=True)
     read = f"at set-point 0 the pressure reads {show(zero, 'pressure', 2)}"
     squares = [np.inf if one is None or not one.converged else one.residual_rms**2 for one in (fit, again)]
     freedom = 0 if again is None else again.freedom
