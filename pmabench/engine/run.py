@@ -328,7 +328,7 @@ class _Run:
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
         values: Mapping[str, float] = {}
-        try:  # while it collects, the guard is told of the time before
+        try:  # the guard still has the values measured before while this collects
             values = self.acquisition.measure()
         finally:  # what was measured before confirms nothing, should this have failed
             if isinstance(self.guard, RemoteGuard):

@@ -36,6 +36,7 @@ LATE = 15e-3
 KNOWN, UNSEEN = 0.2, 2e-3
 """The accelerometer's height is known to this share, and to so much [m]: what either makes of it is in the interval."""
 PASSES = 4
+"""The height is looked for so often at most."""
 
 
 def _wobble(one: Course) -> float:

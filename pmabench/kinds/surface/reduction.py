@@ -41,7 +41,7 @@ WIDE = {"force": 0.05, "K": 0.25, "K_s": 0.25}
 LOOSE = 0.5
 """The same for all others."""
 FASTEST = 0.98
-"""Quantile of the speeds at which damping is told."""
+"""Quantile of the speeds at which damping is given."""
 TOO_FEW = "its interval would say too little: test more loads, pressures or lengths around it"
 CREEP = (1.0, 30.0)
 """Times [s] between which creep is reported; the second one ends with the longest hold."""

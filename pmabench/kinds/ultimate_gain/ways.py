@@ -128,8 +128,8 @@ class GainCell(ABC, Generic[Found]):
     ) -> Estimate:  # fmt: skip
         """The mean of `values`, each with its half width (NaN where it is unknown), of the trials `of`.
 
-        `parts` holds those by method and clocks; `alone` is what is noted of one trial. `by_command`: the scale of the
-        command counts where it has one of its own, else that of the measured pressure.
+        `parts` holds those by method and clocks; `alone` is what is noted of one trial. `by_command`: the calibration
+        is that of the commanded pressure if that has one, else that of the measured pressure.
         """
         scales, (numbers, halves) = Scales.of(one.run for one in self.members), zip(*values, strict=True)
         value = float(np.mean(numbers))

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.realtime
 
 
 class Daq:
-    """Answers with its serial number (at 112), uptime (120) and a force (0); cuts the connection when it is told to."""
+    """Answers with its serial number (at 112), uptime (120) and a force (0); cuts the connection after `change`."""
 
     def __init__(self):
         self.serial, self.on, self.force, self.cut = 4711, time.monotonic() - 50.0, 100.0, False
