@@ -256,7 +256,7 @@ def _loop(regulator: Regulator, moved: Moved, period: float, off: float) -> Loop
     The hold adds half a period; lags of filling and venting, and of both directions, count by their means.
     """
     gain = regulator.gain * (moved.gain + 2 * moved.curvature * off)
-    lags = ((regulator.fill + regulator.vent) / 2, regulator.second, *lags_of(sum(moved.tau) / 2, moved.beta))
+    lags = (*regulator.mean.lags(1.0), *lags_of(sum(moved.tau) / 2, moved.beta))
     dead_time = max(0.0, regulator.dead_time + moved.late) + period / 2
     return oscillating(gain, dead_time, [lag for lag in lags if lag])
 

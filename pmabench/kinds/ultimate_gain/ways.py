@@ -181,8 +181,8 @@ class GainCell(ABC, Generic[Found]):
         return [{"trial": one.trial.name, **level.to_dict()} for one in self.members for level in levels(one.found)]
 
     def by_clocks(self, name: str) -> float:
-        """Change of the ultimate `gain` or `period` by clocks: pressure and displacement may be so far apart either way,
-        and the dead time holds all of it.
+        """Change of the ultimate `gain` or `period` by clocks: pressure and displacement may be so far apart, either
+        way, and the dead time holds all of it.
         """
         if self.apart <= 0 or self.loop is None:
             return 0.0
