@@ -203,8 +203,9 @@ def _flow(flow: Flow, truth: Ultimate, small: Sequence[Ultimate]) -> tuple[Doubt
     """What a valve that may limit the flow is worth: all of it where the steps show one, or a second lag as well."""
     weight = min(1.0, max(0.0, flow.needed) / SHOWN) if flow.better > -ALIKE else 0.0
     reason = (
-        f"the pressure changes at no more than {flow.rate / 1e3:.0f} kPa/s while it is far from the "
-        "command: a valve that limits the flow, which the fitted loop has not. Take smaller steps"
+        f"the pressure changes at no more than {flow.rate / 1e3:.0f} kPa/s while it is far from the command, which "
+        "the fitted loop has not: a valve that limits the flow, filling and venting that begin after unlike times, or "
+        "a pressure that has not settled before the next step. Take smaller steps, or longer holds"
     )
     doubt = Doubt("a valve that limits the flow", "method", 1.0, weight == 1, reason if flow.better > SURE else "")
     return _both(doubt, weight * np.max([_apart(one, truth) for one in small] or [(0.0, 0.0)], axis=0))
