@@ -74,6 +74,7 @@ class _Watched:
     bad: float | None = None
     """Since when none has been [s], and the highest of those."""
     most: float = -inf
+    falls: bool = False
     place: float = nan
 
     def look(self, value: float, now: float) -> bool:
@@ -87,6 +88,7 @@ class _Watched:
         else:
             self.since, self.bad = None, now if self.bad is None else self.bad
             self.most, self.place = max(self.most, value), value
+            self.falls = not rest and value < 0.98 * self.most
         return before is not None and not good
 
     def lasts(self, now: float, late: float) -> bool:
@@ -95,9 +97,7 @@ class _Watched:
 
     def unmoved(self, now: float) -> bool:
         """Whether the commands show no effect on it."""
-        if self.bad is None or self.value is None or now - self.bad < NO_EFFECT:
-            return False
-        return self.action.do == "rest" or self.value >= 0.98 * self.most
+        return self.bad is not None and now - self.bad >= NO_EFFECT and not self.falls
 
     def outcome(self, good: bool) -> str:
         """What is said of it at the end."""
@@ -131,11 +131,11 @@ class SafeState:
         rescue: Callable[[SafeAction], Call | None],
         look: Callable[[SafeAction], Call | None],
         now: float,
-        floors: Mapping[str, float] | None = None,
-        unanswered: Callable[[], float] = lambda: -inf,
-        motions: Collection[str] = (),
+        floors: Mapping[str, float],
+        unanswered: Callable[[], float],
+        motions: Collection[str],
     ) -> None:
-        self._floors, self._motions, self._unanswered = floors or {}, motions, unanswered
+        self._floors, self._motions, self._unanswered = floors, motions, unanswered
         self._todo = list(actions)
         self._finals = [action for action in actions if action.do in LOOKS]
         while self._todo and self._todo[-1].do in LOOKS:
@@ -220,18 +220,15 @@ class SafeState:
 
     def _astray(self, sent: _Sent, now: float, latest: Mapping[str, float], expected: float) -> bool:
         """Whether a ramp may not go on: its device is away or began anew, and would be filled when it is back."""
-        value, name = latest.get(sent.action.target), sent.action.target
+        name = sent.action.target
         if name in self._motions:
             return False
-        if value is not None and value < min(expected / 2, expected - EMPTIER):
-            return True
-        if sent.look is not None and (sent.look.done.is_set() or now - self._repeated >= ANSWERS):
-            held, sent.look = sent.held(), None
-            self._doubts = 0 if held else self._doubts + 1
-            return held is False or self._doubts >= TWICE
-        if sent.look is None and now - self._repeated >= REPEAT:
-            self._repeated, sent.look = now, self._look(sent.action)
-        return False
+        held = sent.held() if sent.look is not None else True
+        if now - self._repeated >= REPEAT:
+            self._repeated, self._doubts = now, 0 if held else self._doubts + 1
+            sent.look = self._look(sent.action)
+        emptier = latest.get(name, inf) < min(expected / 2, expected - EMPTIER)
+        return emptier or held is False or self._doubts >= TWICE
 
     def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
         """Whether all values are good together, or their time is over; meanwhile the commands are sent again."""
