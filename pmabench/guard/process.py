@@ -260,11 +260,10 @@ class Service:
         blocks = [block for block in blocks if len(block.time)] or blocks[-1:]
         self.guard.latest.update(self._believed(seen))
         columns = list(blocks[0].columns)
-        payload = b"".join(array("q", block.time).tobytes() for block in blocks)
-        for name in columns:
-            payload += b"".join(array("d", block.columns[name]).tobytes() for block in blocks)
+        parts: list[array[Any]] = [array("q", block.time) for block in blocks]
+        parts += [array("d", block.columns[name]) for name in columns for block in blocks]
         return {
-            "payload": payload,
+            "payload": b"".join(part.tobytes() for part in parts),
             "rows": sum(len(b.time) for b in blocks),
             "columns": columns,
             "host": blocks[-1].host,
@@ -285,8 +284,9 @@ class Service:
         peer.waits = True
         return {"commanded": True}
 
-    def do_status(self, peer: _Peer) -> dict[str, Any]:
-        """Answer with the state of the guard."""
+    def do_status(self, peer: _Peer, seen: dict[str, float] | None = None) -> dict[str, Any]:
+        """Answer with the state of the guard; `seen` as in `do_collect`, of an engine that collects nothing here."""
+        self.guard.latest.update(self._believed(seen or {}) if peer is self._engine else {})
         return {"run": self.guard.run}
 
     def do_bye(self, peer: _Peer) -> None:
