@@ -344,8 +344,8 @@ class _Run:
                     continue
                 asked = output.safe + way - fallen
                 if now > was - FOLLOWED * fallen and now > asked + BEHIND * fallen:
-                    said = f"{output.name} is {show(now, 'pressure', 4)} where the stop commands {show(asked, 'pressure', 4)}"
-                    why = f"{said}: it does not follow, and is vented now"
+                    is_, wanted = (show(value, "pressure", 4) for value in (now, asked))
+                    why = f"{output.name} is {is_} where the stop commands {wanted}: not followed, so vented now"
                     about = {"limit": f"controlled stop {output.name}", "action": "vent", "value": now}
                     self.executor.recorder.event("warning", self.clock.now(), reason=why, **about)
                     return
