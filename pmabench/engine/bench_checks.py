@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmabench.base.errors import LimitTripped, PmaError, VerdictFailed
+from pmabench.base.errors import DeviceError, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import show
 from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity
 from pmabench.bench.registry import HARDWARE, driver_version
@@ -53,6 +53,18 @@ def doubt(device: DeviceRecord, identity: Identity) -> str:
 def not_proven(identities: Mapping[str, Identity]) -> list[str]:
     """The emulated devices whose wiring and scales were taken from the bench file, so that its errors cancel out."""
     return [name for name, identity in identities.items() if identity.model.startswith(UNPROVEN)]
+
+
+def refuse_twice(bench: CompiledBench, identities: Mapping[str, Identity]) -> None:
+    """Raise DeviceError where one device answers as two of the bench: a vent of the other would be read at it."""
+    seen: dict[tuple[str, str, str], str] = {}
+    for name, one in identities.items():
+        who = one.maker, one.model, one.serial
+        if one.serial and not one.simulated and (first := seen.setdefault(who, name)) != name:
+            shown = f"{one.maker} {one.model}, serial number {one.serial}"
+            raise DeviceError(
+                bench.name, f"{first} and {name} are the same device, {shown}: correct one of the addresses"
+            )
 
 
 def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:

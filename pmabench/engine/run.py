@@ -17,7 +17,7 @@ from pmabench.base.system import ENGINE, ordinary, real_time, user_name
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, Identity, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
-from pmabench.engine.bench_checks import LoadImplausible, agree, as_data, not_proven, prove
+from pmabench.engine.bench_checks import LoadImplausible, agree, as_data, not_proven, prove, refuse_twice
 from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
@@ -182,6 +182,7 @@ def _as_answered(bench: CompiledBench, identities: Mapping[str, Identity]) -> Co
     simulated = [identity.simulated for identity in identities.values()]
     if not bench.realtime and not all(simulated):
         raise DeviceError(bench.name, '"time: virtual" is for simulated devices only')
+    refuse_twice(bench, identities)
     return replace(bench, simulated=any(simulated))
 
 

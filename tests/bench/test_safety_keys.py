@@ -145,6 +145,27 @@ def test_wrong_valves_and_interlocks_are_refused(tmp_path, changes, says):
     assert says in str(refused(rig(tmp_path, changes)))
 
 
+TWO = "devices:\n  daq: {address: %s}\n  again: {driver: mock-realtime, address: %s}\n"
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ("channels: {supply: {input: pressure}}\n", 'the input daq.pressure is that of "pressure" ('),
+        ("outputs: {dump_valve: {output: pressure}}\n", 'the output daq.pressure is that of "pressure" ('),
+        (TWO % ("127.0.0.1:9", "127.0.0.1:9"), '127.0.0.1:9 unit 1 is that of "daq" ('),
+        (TWO % ("127.0.0.1:9", "127.0.0.1:10"), ""),
+    ],
+)
+def test_what_is_wired_or_addressed_twice_is_refused_with_both_places(tmp_path, changes, says):
+    """A second regulator with the address of the first is never vented, and its vent is confirmed by the first."""
+    path = rig(tmp_path, changes)
+    if not says:
+        assert mount(path, SPECIMEN).lacks == ()
+        return
+    assert any(says in each.message and ".yaml:" in each.message for each in refused(path).problems)
+
+
 def test_a_supply_valve_is_left_closed_and_is_open_in_a_run(tmp_path):
     path = rig(
         tmp_path,
