@@ -11,6 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from math import nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,6 +102,34 @@ def _ask(executor: Executor, device: DeviceRecord, identity: Identity, why: str)
     answer = executor.operator.ask(text, acquisition.latest, wait)
     executor.recorder.event("answer", clock.now(), **about, answer=answer)
     return answer
+
+
+ARRIVES = 0.5
+"""A drive on its way to where arming sent it comes nearer within so long [s]."""
+NEARER = 0.1
+"""By this share of what its watch allows."""
+
+
+def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
+    """Wait until each drive that is watched is measured where arming sent it.
+
+    Raises LimitTripped where it is not and comes no nearer: one that lost its zero says that it is there.
+    """
+    drives = {output.name: output for output in bench.outputs if output.rate}
+    for trip in bench.trips:
+        if trip.kind != "following" or trip.channel not in drives or trip.high is None:
+            continue
+        output, before = drives[trip.channel], None
+        while not (off := abs(acquisition.latest.get(output.name, nan) - output.safe)) <= trip.high:
+            if before is not None and not off < before - NEARER * trip.high:
+                at, sent = (show(v, output.quantity) for v in (acquisition.latest[output.name], output.safe))
+                raise LimitTripped(
+                    f"the drive of {output.device} was sent to {sent}, and {output.name} stays at {at}, further than "
+                    f"{show(trip.high, output.quantity)} ({trip.source}): it lost its zero, counts otherwise than the "
+                    "sensor, or does not move; find its zero again (homing)"
+                )
+            before = off
+            acquisition.pass_time(ARRIVES)
 
 
 FILLED = 0.8

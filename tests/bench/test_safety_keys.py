@@ -307,6 +307,34 @@ def test_a_gauge_that_may_stand_still_unseen_is_said(tmp_path):
     assert "remedy" in lack
 
 
+@pytest.mark.parametrize(
+    ("bench", "old", "says"),
+    [
+        ("can", r"  - \{following: displacement.*\n", "goes where it was not sent"),
+        ("can", "action: vent}   # a drive", "goes where it was not sent"),
+        ("can", ", trip_low: -3 mm, action: vent", "no lower limit of the displacement, to which a drive may stretch"),
+        ("can", r"    watchdog: 500 ms   .*\n", "no watchdog of bus: a computer that dies leaves a drive in motion"),
+        ("festo-sine", r"  - \{following: displacement.*\n", "goes where it was not sent"),
+    ],
+)
+def test_a_drive_that_may_go_anywhere_is_said(tmp_path, bench, old, says):
+    shutil.copytree(BENCHES, tmp_path / "benches")
+    path = tmp_path / "benches" / f"{bench}.yaml"
+    text = path.read_text()
+    path.write_text(re.sub(old, "action: warn}   # a drive" if old.startswith("action") else "", text))
+    assert mount(BENCHES / f"{bench}.yaml", SPECIMEN).lacks == ()
+    (lack,) = mount(path, SPECIMEN).lacks
+    assert says in lack
+    assert "remedy" in lack
+
+
+def test_a_drive_cannot_be_sent_to_where_it_trips(tmp_path):
+    shutil.copytree(BENCHES, tmp_path / "benches")
+    path = tmp_path / "benches" / "mine.yaml"
+    path.write_text("include: mock-actuator.yaml\nlimits: {displacement: {trip_low: -10 um}}\n")
+    assert "below the lowest command 0 mm (" in str(refused(path))
+
+
 def test_a_pressure_that_the_guard_cannot_read_is_said_with_its_place(tmp_path):
     path = rig(tmp_path, "devices: {only: {driver: mock-realtime}}\nchannels: {pressure: {device: only}}\n")
     (lack,) = mount(path, SPECIMEN).lacks
