@@ -76,7 +76,8 @@ class Owner:
         self.name = name
         self._late: Call | None = None
         """The last call that did not come back in time."""
-        self._last: Call | None = None
+        self._last = Call(lambda: None)
+        self._last.run()
         self._calls: SimpleQueue[Call] = SimpleQueue()
         threading.Thread(target=self._work, name=f"link-{name}", daemon=True).start()
 
@@ -87,7 +88,7 @@ class Owner:
     @property
     def idle(self) -> bool:
         """Whether everything is done that was asked."""
-        return self._last is None or self._last.done.is_set()
+        return self._last.done.is_set()
 
     def _work(self) -> None:
         while True:
@@ -105,9 +106,8 @@ class Owner:
 
         What was asked before has as much time, too: a slow device may be at it.
         """
-        before = self._last
-        if before is not None and not before.done.wait(0.0 if self._hangs else within):
-            self._late = before
+        if not self._last.done.wait(0.0 if self._hangs else within):
+            self._late = self._last
             raise DeviceError(self.name, "has not answered yet what was asked before")
         return self.wait(self.submit(act), within)
 

@@ -27,10 +27,10 @@ from typing import Any
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, PmaError, RecordError
 from pmabench.base.system import GUARD, keep_in_memory, real_time
-from pmabench.bench.interface import Block, CompiledBench, Load, Stream
+from pmabench.bench.interface import Block, CompiledBench, Load, Stream, place
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.safe import Vent
-from pmabench.guard.station import Station, place
+from pmabench.guard.station import Station
 from pmabench.guard.supervision import LOOK
 from pmabench.guard.wire import Messages, encode, keys
 
@@ -262,11 +262,10 @@ class Service:
         blocks = [block for block in blocks if len(block.time)] or blocks[-1:]
         self.guard.latest.update(self._believed(seen))
         columns = list(blocks[0].columns)
-        payload = b"".join(array("q", block.time).tobytes() for block in blocks)
-        for name in columns:
-            payload += b"".join(array("d", block.columns[name]).tobytes() for block in blocks)
+        parts: list[array[Any]] = [array("q", block.time) for block in blocks]
+        parts += [array("d", block.columns[name]) for name in columns for block in blocks]
         return {
-            "payload": payload,
+            "payload": b"".join(part.tobytes() for part in parts),
             "rows": sum(len(b.time) for b in blocks),
             "columns": columns,
             "host": blocks[-1].host,
@@ -287,8 +286,9 @@ class Service:
         peer.waits = True
         return {"commanded": True}
 
-    def do_status(self, peer: _Peer) -> dict[str, Any]:
-        """Answer with the state of the guard."""
+    def do_status(self, peer: _Peer, seen: dict[str, float] | None = None) -> dict[str, Any]:
+        """Answer with the state of the guard; `seen` as in `do_collect`, of an engine that collects nothing here."""
+        self.guard.latest.update(self._believed(seen or {}) if peer is self._engine else {})
         return {"run": self.guard.run}
 
     def do_bye(self, peer: _Peer) -> None:
@@ -393,8 +393,8 @@ def main() -> None:
     station = Station(bench.name)
     try:
         station.take()
-        for where in {place(device.address, device.options) for device in bench.devices} - {""}:
-            station.take_device(where)
+        for where in filter(None, (place(device.address, device.options) for device in bench.devices)):
+            station.take_device(where)  # refused where two devices of this bench are one
     except PmaError as error:
         sys.stdout.write(json.dumps({"busy": str(error)}) + "\n")
         return

@@ -545,6 +545,20 @@ def test_what_the_engine_says_it_measured_counts_only_where_the_guard_cannot_mea
         assert serving.station.noted[-1][0] == "tripped", "not confirmed"
 
 
+def test_what_the_engine_measured_comes_with_its_sign_of_life_where_the_guard_has_no_channels():
+    """The vent was never confirmed: values came with the samples only that nobody collected."""
+    gauge = replace(DEVICE, channels=())
+    with Serving(bench(devices=(gauge,))) as serving:
+        link, stranger = serving.armed(), serving.link()
+        serving.ask(link, "safe", tripped=False, hurry=False, why="x")
+        serving.ask(stranger, "status", seen={"pressure": 7e5})
+        assert serving.guard.latest == {}, "a client who only asks is not believed"
+        until = time.monotonic() + 3.0
+        while serving.guard.state is State.STOPPING and time.monotonic() < until:
+            serving.ask(link, "status", seen={"pressure": 0.0})
+        assert serving.service._vent.confirmed
+
+
 def test_an_error_in_the_guard_itself_makes_the_bench_safe(monkeypatch):
     with Serving() as serving:
         serving.armed()

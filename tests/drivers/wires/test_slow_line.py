@@ -16,7 +16,7 @@ from pmabench.engine.bench_checks import refuse_slow
 from tests.drivers.wires.rigs import regulator
 from tests.engine.benches import mounted
 
-pytestmark = [pytest.mark.realtime, pytest.mark.singly]
+pytestmark = pytest.mark.realtime
 
 
 class Slow:
