@@ -46,6 +46,8 @@ class Supervision:
         self._course, self._closed = course, closed
         self._held: dict[str, dict[str, float | str]] = {}
         """What each device reported when the bench was armed."""
+        self._uptime: dict[str, float] = {}
+        """Of each device that has one, as it was read last."""
         self._compared: dict[str, Call] = {}
         """Whether each device is still as it was then, asked apart from the round of questions."""
         self._asked: dict[str, Call] = {}
@@ -58,7 +60,9 @@ class Supervision:
         """Keep what each device reports now: the bench has just been armed."""
         for name, device in list(self._links.devices.items()):
             if isinstance(device, Supervised):
-                self._held[name] = dict(self._links.call(name, device.held))
+                held = self._held[name] = dict(self._links.call(name, device.held))
+                if "uptime" in held:  # the lower one of two readings, as below
+                    held["uptime"] = min(held["uptime"], self._links.call(name, device.held)["uptime"], key=float)
 
     def look(self, now: float) -> None:
         """Ask the next questions, at `now` [s]; raises LimitRefused for a change, DeviceError for a silent device."""
@@ -117,7 +121,9 @@ class Supervision:
             if key == "uptime" and not isinstance(value, str) and not isinstance(was, str):
                 if value < was:
                     return f"it restarted: its uptime fell from {was:g} to {value:g}"
-                before[key] = value
+                # one reading alone may be torn: two words of a counter are read while the lower one begins again
+                before[key] = max(was, min(value, self._uptime.get(name, was)))
+                self._uptime[name] = value
             elif value != was:
                 return f"its {key} was {_shown(was)} when the bench was armed and is {_shown(value)} now: {ELSEWHERE}"
         return ""
