@@ -415,6 +415,8 @@ class Identity:
     clock: str = "own"
     """`own`: its samples carry the device's clock. `computer`: they are stamped with bench time by the driver, halfway
     between question and answer, or when a line began to come; half of a poll is then the time from stamp to arrival."""
+    answers: float = 0.0
+    """How long it took at least to answer a question [s], where the driver measures that and polls as that allows."""
 
 
 @dataclass(frozen=True)

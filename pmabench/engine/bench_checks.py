@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from math import nan
+from math import floor, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Iden
 from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.recorder import Recorder
+from pmabench.guard.owner import PATIENCE
 from pmabench.guard.remote import AnyGuard
 from pmabench.guard.station import Station
 
@@ -113,6 +114,38 @@ def _ask(executor: Executor, device: DeviceRecord, identity: Identity, why: str)
     return answer
 
 
+QUESTIONS, SIGNS = 3, 8
+"""Within so many answers a command is carried out (behind a question, and read back), and a watchdog is fed [1]."""
+NEARLY, SAMPLES = 0.99, 0.8
+"""A rate that is nearly the one that was asked counts as that, and a line that is used by so much has gaps [1]."""
+
+
+def refuse_slow(
+    bench: CompiledBench, identities: Mapping[str, Identity], wanted: float, used: Mapping[str, float]
+) -> None:
+    """Raise DeviceError where a device answers too slowly for its samples [Hz], its commands or its watchdog."""
+    for device in bench.devices:
+        takes, most = identities[device.name].answers, min(wanted, device.fastest or wanted)
+        rate, signs = used.get(device.name, most), SIGNS * takes
+        wrong = ""
+        if takes and rate < NEARLY * most:
+            can = f"{floor(10 * SAMPLES * rate) / 10:g}"
+            wrong = (
+                f"next to the guard's questions it can be read {rate:.3g} times a second, and {most:g} Hz are asked; "
+                f"declare rate: {can} Hz{f' ({device.fastest_from})' if device.fastest_from else ''}, or have fewer of "
+                "its inputs as channels, or"
+            )
+        elif device.guarded and QUESTIONS * takes > PATIENCE:
+            longest = f"{1e3 * QUESTIONS * takes:.0f} ms"
+            wrong = f"a command that is read back may take {longest}, and the guard waits {1e3 * PATIENCE:.0f} ms;"
+        elif 0 < device.watchdog < signs:
+            wrong = f"its watchdog may hear nothing for {signs:.2g} s; declare watchdog: {1.2 * signs:.2g} s, or"
+        if wrong:
+            raise DeviceError(
+                device.name, f"takes {1e3 * takes:.0f} ms for an answer: {wrong} use a quicker line (baud)"
+            )
+
+
 ARRIVES = 0.5
 """A drive on its way to where arming sent it comes nearer within so long [s]."""
 NEARER = 0.1
@@ -131,7 +164,7 @@ def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
         output, before = drives[trip.channel], None
         while not (off := abs(acquisition.latest.get(output.name, nan) - output.safe)) <= trip.high:
             if before is not None and not off < before - NEARER * trip.high:
-                at, sent = (show(v, output.quantity) for v in (acquisition.latest[output.name], output.safe))
+                at, sent = (show(v, output.quantity) for v in (acquisition.latest.get(output.name, nan), output.safe))
                 raise LimitTripped(
                     f"the drive of {output.device} was sent to {sent}, and {output.name} stays at {at}, further than "
                     f"{show(trip.high, output.quantity)} ({trip.source}): it lost its zero, counts otherwise than the "

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 from pmabench import __version__
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
+from pmabench.base.quantities import show
 from pmabench.base.system import ENGINE, ordinary, real_time, user_name
 from pmabench.bench.compile import Mounted
-from pmabench.bench.interface import CompiledBench, Identity, TripRecord
+from pmabench.bench.interface import CompiledBench, Identity, OutputRecord, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
 from pmabench.engine.bench_checks import (
     LoadImplausible,
@@ -25,6 +26,7 @@ from pmabench.engine.bench_checks import (
     not_proven,
     prove,
     refuse_other_zeros,
+    refuse_slow,
     refuse_twice,
 )
 from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
@@ -39,6 +41,12 @@ from pmabench.store.folder import run_name
 
 if TYPE_CHECKING:
     from pmabench.store.writer import RunWriter
+
+
+LOOK, FOLLOWS = 0.1, 1.5
+"""How often a controlled stop looks at the pressure, and from when on it must have fallen [s] ..."""
+FALLEN, FOLLOWED, BEHIND = 20e3, 0.2, 0.5
+"""... where the command has fallen by so much [Pa]: by the first share of it, or be behind by less than the second."""
 
 
 @dataclass(frozen=True)
@@ -284,7 +292,9 @@ class _Run:
         try:
             acquisition.start()
             self._open_streams()
-            agree(executor, {**self.guard.identities, **self.own.identities})
+            identities = {**self.guard.identities, **self.own.identities}
+            refuse_slow(self.bench, identities, executor.plan.rate, acquisition.rates)
+            agree(executor, identities)
             executor.recorder.event("armed", self.clock.now(), bench=self.bench.name)
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
             acquisition.pass_time(0.1)
@@ -339,7 +349,25 @@ class _Run:
                 rate = self.bench.stop_rate * (way / furthest)
                 self.guard.ramp(output.name, output.safe + way, output.safe, rate)
                 self.acquisition.commanded.ramp(output.name, now, output.safe + way, output.safe, rate)
-            self.acquisition.pass_time(furthest / self.bench.stop_rate)
+            self._wait_for_stop(now, furthest / self.bench.stop_rate, above)
+
+    def _wait_for_stop(self, begun: float, lasts: float, above: Mapping[OutputRecord, float]) -> None:
+        """Let the ramps of a stop pass, as long as the pressures that are measured follow them: else vent now."""
+        latest = self.acquisition.latest
+        before = {output.name: latest.get(output.name) for output in above}
+        while (since := self.clock.now() - begun) < lasts:
+            self.acquisition.pass_time(min(LOOK, lasts - since))
+            for output, way in above.items():
+                was, now, fallen = before[output.name], latest.get(output.name), way * since / lasts
+                if was is None or now is None or since < FOLLOWS or fallen < FALLEN:
+                    continue
+                asked = output.safe + way - fallen
+                if now > was - FOLLOWED * fallen and now > asked + BEHIND * fallen:
+                    is_, wanted = (show(value, "pressure", 4) for value in (now, asked))
+                    why = f"{output.name} is {is_} where the stop commands {wanted}: not followed, so vented now"
+                    about = {"limit": f"controlled stop {output.name}", "action": "vent", "value": now}
+                    self.executor.recorder.event("warning", self.clock.now(), reason=why, **about)
+                    return
 
     def _measure(self) -> Mapping[str, float]:
         """Newest values for the safe state; more signals shorten its waits."""

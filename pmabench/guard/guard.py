@@ -131,7 +131,10 @@ class Guard:
         for output in self._outputs.values():
             self.links.writing(output, output.safe)  # raises where a device takes no set-points; nothing is sent yet
         self.links.arm_watchdogs()
-        self.links.refuse_open_interlock()
+        for record in self.bench.devices:
+            act = partial(self.supervision.open_interlock, record)
+            if record.interlocks and (wrong := self.links.call(record.name, act)):
+                raise LimitRefused(wrong)
         for output in self._outputs.values():
             self._write(output, output.safe)
             self.links.refuse_other_read_back(output)

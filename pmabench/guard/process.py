@@ -31,6 +31,7 @@ from pmabench.bench.interface import Block, CompiledBench, Load, Stream, place
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.safe import Vent
 from pmabench.guard.station import Station
+from pmabench.guard.supervision import LOOK
 from pmabench.guard.wire import Messages, encode, keys
 
 SILENCE = 0.25
@@ -42,8 +43,6 @@ STRANGERS = 32
 TICK = 0.005
 CONNECTS_WITHIN = 5.0
 """An engine that does not connect within so long [s] is not waited for."""
-LOOK = 0.05
-"""Interlocks are looked at, and watchdogs fed, so often [s]."""
 ACTIVE = (State.SETUP, State.RUNNING)
 COMMANDS = ("arm", "release", "set", "ramp", "sine", "valves", "steer")
 PASSED_ON: Mapping[str, Callable[..., Any]] = {
@@ -108,7 +107,7 @@ class Service:
         self._ended: dict[str, str] = {}
         self._vent: Vent | None = None
         self._kept: dict[str, list[Block]] = {}
-        self._served = self._asked_to_end = self._unwell = False
+        self._served = self._asked_to_end = False
 
     def serve(self) -> None:
         """Until it is over."""
@@ -258,13 +257,13 @@ class Service:
         """New samples, as they came; `seen` are newest values that the engine measured itself."""
         self._collected = time.monotonic()
         blocks = [*self._kept.pop(device, []), self.guard.collect(device)]
+        blocks = [block for block in blocks if len(block.time)] or blocks[-1:]
         self.guard.latest.update(self._believed(seen))
         columns = list(blocks[0].columns)
-        payload = b"".join(array("q", block.time).tobytes() for block in blocks)
-        for name in columns:
-            payload += b"".join(array("d", block.columns[name]).tobytes() for block in blocks)
+        parts: list[array[Any]] = [array("q", block.time) for block in blocks]
+        parts += [array("d", block.columns[name]) for name in columns for block in blocks]
         return {
-            "payload": payload,
+            "payload": b"".join(part.tobytes() for part in parts),
             "rows": sum(len(b.time) for b in blocks),
             "columns": columns,
             "host": blocks[-1].host,
@@ -285,8 +284,9 @@ class Service:
         peer.waits = True
         return {"commanded": True}
 
-    def do_status(self, peer: _Peer) -> dict[str, Any]:
-        """Answer with the state of the guard."""
+    def do_status(self, peer: _Peer, seen: dict[str, float] | None = None) -> dict[str, Any]:
+        """Answer with the state of the guard; `seen` as in `do_collect`, of an engine that collects nothing here."""
+        self.guard.latest.update(self._believed(seen or {}) if peer is self._engine else {})
         return {"run": self.guard.run}
 
     def do_bye(self, peer: _Peer) -> None:
@@ -304,16 +304,18 @@ class Service:
                 self._end("lost", f"the engine was silent for {now - self._heard:.2f} s")
             elif self._asked_to_end:
                 self._end("lost", "the guard was asked to end")
-            elif now - self._looked > LOOK:
-                self._looked = now
-                self._look()
+            else:
+                try:
+                    self.guard.supervision.look(now)
+                except PmaError as error:
+                    self._end("trip" if isinstance(error, LimitRefused) else "lost", str(error))
         if self.guard.state is State.STOPPING:
             if now - self._looked > LOOK:
                 self._looked = now
                 self.guard.supervision.differences()  # a question that failed is asked again
-                if self.guard.feeds:
+                for record in self.guard.bench.devices if self.guard.feeds else ():
                     with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
-                        self.guard.links.feed_watchdogs()
+                        self.guard.supervision.feed(record, now)
                 # what confirms the vent must be measured; tried again where it failed
                 for name in {*self._streams()} - {*self.guard.links.sampling}:
                     with suppress(PmaError):
@@ -330,18 +332,6 @@ class Service:
             self.guard.supervision.compare()
         elif self.guard.state is State.STOPPING:
             self.guard.begin_safe(hurry=True)  # somebody else may have vented meanwhile: no ramp goes on
-
-    def _look(self) -> None:
-        try:
-            self.guard.links.feed_watchdogs()
-            self.guard.links.refuse_open_interlock()
-            self.guard.supervision.look(time.monotonic())
-            self._unwell = False
-        except PmaError as error:
-            tripped = isinstance(error, LimitRefused)
-            if tripped or self._unwell:  # one lost answer is no lost device
-                self._end("trip" if tripped else "lost", str(error))
-            self._unwell = True
 
     def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False) -> None:
         """Begin the safe state; the first cause is reported."""

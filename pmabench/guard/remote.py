@@ -222,7 +222,7 @@ class RemoteGuard:
     def beat(self) -> None:
         """Sign of life while nothing is collected or commanded."""
         with suppress(PmaError):
-            self.ask("status")
+            self.ask("status", seen=self.seen)
 
     def release(self) -> None:
         """As `Guard.release`."""
@@ -272,10 +272,10 @@ class RemoteGuard:
             before = time.monotonic()
             with suppress(Exception):  # whatever goes wrong while measuring: the guard goes on by itself
                 measure()
-            if time.monotonic() - before < 0.01:
-                time.sleep(0.05)
-                with suppress(PmaError):
-                    self.ask("status")
+            quick = time.monotonic() - before < 0.01
+            if quick or not any(device.guarded and device.channels for device in self.bench.devices):
+                time.sleep(0.05 if quick else 0.0)
+                self.beat()  # with what was measured, where nothing is collected from the guard
         if self._vent is None:
             if self._process is not None:
                 self._process.kill()  # what it was doing must not go on after this vent

@@ -198,6 +198,33 @@ def test_a_stop_takes_the_pressure_down_at_its_rate_and_is_not_cut_by_its_own_ca
     assert sum(kind == "trip" for kind, _, _ in outcome.events) == 1
 
 
+def test_a_stop_that_the_pressure_does_not_follow_is_vented_at_once(monkeypatch):
+    """A regulator that sticks at 300 kPa, as its gauge shows; the ramp alone would take 12 s."""
+    from pmabench_drivers.mock import MockBench
+
+    real = MockBench.collect
+
+    def stuck(self):
+        block = real(self)
+        if len(block.time) and block.time[-1] * 1e-9 > stops:
+            held.append(block.columns["pressure"][0])
+            return replace(block, columns={**block.columns, "pressure": [held[0]] * len(block.time)})
+        return block
+
+    made = stoppable(limit("range", "displacement", high=0.03, action="stop"))
+    made = replace(made, bench=replace(made.bench, stop_rate=25e3))
+    free = execute(made, HOLD)
+    assert event(free, "vent")[0] - event(free, "controlled-stop")[0] >= 12.0 - 1e-6, "it follows: nothing is cut"
+    assert not [data for kind, _, data in free.events if kind == "warning"]
+    stops, held = event(free, "controlled-stop")[0], []
+    monkeypatch.setattr(MockBench, "collect", stuck)
+    outcome = execute(made, HOLD)
+    stopped, warned = event(outcome, "controlled-stop")[0], event(outcome, "warning")
+    assert 1.5 <= warned[0] - stopped < 4.0
+    assert "kPa where the stop commands" in warned[1]["reason"]
+    assert event(outcome, "vent")[0] - warned[0] < 8.0, "no longer than the vent itself takes to be given up"
+
+
 def test_a_limit_that_vents_cuts_a_controlled_stop():
     made = stoppable(
         limit("range", "displacement", high=0.02, action="stop"),

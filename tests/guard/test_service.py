@@ -9,6 +9,7 @@ import threading
 import time
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,12 +18,12 @@ import pytest
 from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.bench.interface import DeviceRecord, Identity, InterlockRecord, ProofTest, SafeAction, ValveRecord
-from pmabench.guard import process
+from pmabench.guard import process, supervision
 from pmabench.guard.guard import State
 from pmabench.guard.remote import exchange
 from pmabench.guard.supervision import Supervision
 from pmabench.guard.wire import LONGEST, Messages, encode
-from tests.guard.rig import DEVICE, DRIVE, OUTPUT, SAFE, bench
+from tests.guard.rig import DEVICE, DRIVE, OUTPUT, SAFE, armed, bench
 from tests.guard.serving import ANSWERS, ASKS, TOKEN, Serving
 from tests.reliability.cases import cases
 
@@ -121,7 +122,8 @@ def test_one_lost_answer_is_no_lost_device():
         until = time.monotonic() + 0.3
         while time.monotonic() < until:
             serving.ask(link, "status")
-            if serving.service._unwell and rig.wrong.pop("level", None):
+            call = serving.guard.supervision._asked.get("dac" + supervision.SAFE[0])
+            if call is not None and call.error is not None and rig.wrong.pop("level", None):
                 lost += 1
         assert (lost, serving.service._ended) == (1, {})
 
@@ -310,12 +312,59 @@ def test_one_lost_answer_is_no_lost_device_and_a_second_of_them_is():
     with Serving(threads=True) as serving:
         serving.armed()
         serving.rig.wrong |= {"held": (hangs := threading.Event()), "level": hangs}
-        serving.guard.bench = serving.guard.links._bench = replace(
+        serving.guard.bench = serving.guard.links._bench = serving.guard.supervision._bench = replace(
             serving.guard.bench, devices=(replace(DEVICE, interlocks=()),)
         )
         serving_on(serving)
         hangs.set()
         assert "whether it holds what was commanded" in serving.service._ended["why"]
+
+
+def test_an_interlock_that_cannot_be_read_any_more_ends_it():
+    with Serving(threads=True) as serving:
+        serving.armed()
+        serving.rig.wrong["level"] = hangs = threading.Event()
+        serving_on(serving)
+        hangs.set()
+        assert "has not answered for 0.5 s whether its interlocks are closed" in serving.service._ended["why"]
+
+
+def test_a_device_that_takes_long_for_each_answer_is_not_lost():
+    """60 ms for each: commands and samples wait for the question that is under way, and no question for another."""
+    with Serving(threads=True) as serving:
+        link, rig = serving.armed(), serving.rig
+        for what in ("level", "held", "read_back", "is_on", "write"):
+            answer = getattr(rig, what)
+            setattr(rig, what, lambda *how, answer=answer: (time.sleep(0.06), answer(*how))[1])
+        until, longest, rows = time.monotonic() + 2.0, 0.0, 0
+        while time.monotonic() < until:
+            begun = time.monotonic()
+            assert "error" not in serving.ask(link, "set", name="pressure", value=1e5)
+            rows += serving.ask(link, "collect", device="dac", seen={})["rows"]
+            longest = max(longest, time.monotonic() - begun)
+        assert serving.service._ended == {}
+        assert rows > 4
+        assert longest < 0.35, "a question and the command"
+        assert {call[0] for call in rig.reported} >= {"feed_watchdog", "level", "held", "read_back", "is_on"}
+
+
+def test_samples_of_a_device_that_is_busy_are_handed_over_later():
+    guard, rig = armed(threads=True)
+    rig.wrong["read_back"] = busy = threading.Event()
+    guard.links.submit("dac", partial(rig.read_back, "p"))
+    begun = time.monotonic()
+    assert len(guard.collect("dac").time) == 0
+    assert time.monotonic() - begun < 0.15
+    busy.set()
+    assert len(guard.collect("dac").time) == 1
+    rig.wrong["collect"] = hangs = threading.Event()
+    for _ in range(10):
+        assert len(guard.collect("dac").time) == 0
+    time.sleep(0.4)
+    with pytest.raises(DeviceError, match="did not answer"):
+        guard.collect("dac")
+    hangs.set()
+    guard.close()
 
 
 def serving_on(serving, within=15.0):
@@ -494,10 +543,24 @@ def test_what_the_engine_says_it_measured_counts_only_where_the_guard_cannot_mea
         assert serving.station.noted[-1][0] == "tripped", "not confirmed"
 
 
+def test_what_the_engine_measured_comes_with_its_sign_of_life_where_the_guard_has_no_channels():
+    """The vent was never confirmed: values came with the samples only that nobody collected."""
+    gauge = replace(DEVICE, channels=())
+    with Serving(bench(devices=(gauge,))) as serving:
+        link, stranger = serving.armed(), serving.link()
+        serving.ask(link, "safe", tripped=False, hurry=False, why="x")
+        serving.ask(stranger, "status", seen={"pressure": 7e5})
+        assert serving.guard.latest == {}, "a client who only asks is not believed"
+        until = time.monotonic() + 3.0
+        while serving.guard.state is State.STOPPING and time.monotonic() < until:
+            serving.ask(link, "status", seen={"pressure": 0.0})
+        assert serving.service._vent.confirmed
+
+
 def test_an_error_in_the_guard_itself_makes_the_bench_safe(monkeypatch):
     with Serving() as serving:
         serving.armed()
-        monkeypatch.setattr(serving.guard.links, "refuse_open_interlock", lambda: 1 / 0)
+        monkeypatch.setattr(serving.guard.supervision, "look", lambda _now: 1 / 0)
         ended_by(serving, "an error in the guard")
 
 

@@ -178,9 +178,9 @@ BUGS = (
     ),
     Bug(
         "a watchdog that fails is not noticed",
-        "pmabench/guard/links.py",
-        "                        before.get(record.name)\n",
-        "                        pass\n",
+        "pmabench/guard/supervision.py",
+        "        self._ask(record, FED, now)\n",
+        "        pass\n",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(
