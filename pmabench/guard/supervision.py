@@ -82,9 +82,7 @@ class Supervision:
         """Keep what each device reports now: the bench has just been armed."""
         for name, device in list(self._links.devices.items()):
             if isinstance(device, Supervised):
-                held = self._held[name] = dict(self._links.call(name, device.held))
-                if "uptime" in held:  # the lower one of two readings, as below
-                    held["uptime"] = min(held["uptime"], self._links.call(name, device.held)["uptime"], key=float)
+                self._held[name] = dict(self._links.call(name, device.held))
 
     def look(self, now: float) -> None:
         """Ask what is due at `now` [s]; raises LimitRefused for a change or an interlock, DeviceError for silence."""
