@@ -69,6 +69,15 @@ def refuse_twice(bench: CompiledBench, identities: Mapping[str, Identity]) -> No
             )
 
 
+def refuse_other_zeros(bench: CompiledBench, zeroed: Mapping[str, str], identities: Mapping[str, Identity]) -> None:
+    """Raise DeviceError where a channel's zero was taken with another device; `zeroed` has those serial numbers."""
+    for device in bench.devices:
+        then, now = zeroed.get(device.name, ""), identities[device.name].serial
+        if then and now != then and any(channel.zero is not None for channel in device.channels):
+            text = f"has the serial number {now or 'unknown'}, and the zeros of the session were taken with {then}"
+            raise DeviceError(device.name, f"{text}: hold the session again with --new-session")
+
+
 def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:
     """Ask once per bench, driver, version and doubt, with nothing armed yet; a person's answer is remembered."""
     station = Station(executor.bench.name)

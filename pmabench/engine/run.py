@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from pmabench.engine.bench_checks import (
     await_drives,
     not_proven,
     prove,
+    refuse_other_zeros,
     refuse_slow,
     refuse_twice,
 )
@@ -68,6 +69,8 @@ class Outcome:
     """Events of a run that was only tried."""
     trials_done: int = 0
     """How many trials came to their end, those of the run that this one continues included."""
+    identities: Mapping[str, Identity] = field(default_factory=dict)
+    """Who answered, by device."""
 
 
 class Waiting:
@@ -151,7 +154,7 @@ def run_plan(
         guard.open()
         own.open()
         identities = {**guard.identities, **own.identities}
-        bench = _as_answered(bench, identities)
+        bench = _as_answered(bench, (mounted.in_session or {}).get("devices") or {}, identities)
         recorder: Recorder = trying or NoRecord()
         writer: RunWriter | None = None
         if out is not None:
@@ -193,12 +196,16 @@ def _no_long_collection() -> Iterator[None]:
         gc.unfreeze()
 
 
-def _as_answered(bench: CompiledBench, identities: Mapping[str, Identity]) -> CompiledBench:
-    """The bench, simulated where one of its devices is; raises DeviceError for a real device in virtual time."""
+def _as_answered(bench: CompiledBench, zeroed: Mapping[str, Any], identities: Mapping[str, Identity]) -> CompiledBench:
+    """The bench, simulated where one of its devices is; raises DeviceError for a real device in virtual time.
+
+    Also where one device answers as two, or another one than those that gave the zeros: serial numbers by name.
+    """
     simulated = [identity.simulated for identity in identities.values()]
     if not bench.realtime and not all(simulated):
         raise DeviceError(bench.name, '"time: virtual" is for simulated devices only')
     refuse_twice(bench, identities)
+    refuse_other_zeros(bench, zeroed, identities)
     return replace(bench, simulated=any(simulated))
 
 
@@ -419,6 +426,7 @@ class _Run:
             cause.trip.limit if isinstance(cause, Tripped) else None,
             tuple(recorder.events) if isinstance(recorder, NoRecord) else (),
             len(executor.finished),
+            {**self.guard.identities, **self.own.identities},
         )
 
     def _zeros(self) -> dict[str, dict[str, Any]]:

@@ -66,6 +66,8 @@ class Supervision:
         self._course, self._closed = course, closed
         self._held: dict[str, dict[str, float | str]] = {}
         """What each device reported when the bench was armed."""
+        self._uptime: dict[str, float] = {}
+        """Of each device that has one, as it was read last."""
         self._compared: dict[str, Call] = {}
         """Whether each device is still as it was then, asked apart from the round of questions."""
         self._asked: dict[str, Call] = {}
@@ -161,7 +163,9 @@ class Supervision:
             if key == "uptime" and not isinstance(value, str) and not isinstance(was, str):
                 if value < was:
                     return f"it restarted: its uptime fell from {was:g} to {value:g}"
-                before[key] = value
+                # one reading alone may be torn: two words of a counter are read while the lower one begins again
+                before[key] = max(was, min(value, self._uptime.get(name, was)))
+                self._uptime[name] = value
             elif value != was:
                 return f"its {key} was {_shown(was)} when the bench was armed and is {_shown(value)} now: {ELSEWHERE}"
         return ""

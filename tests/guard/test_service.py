@@ -11,14 +11,17 @@ from collections import Counter
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.bench.interface import DeviceRecord, Identity, InterlockRecord, ProofTest, SafeAction, ValveRecord
 from pmabench.guard import process, supervision
 from pmabench.guard.guard import State
 from pmabench.guard.remote import exchange
+from pmabench.guard.supervision import Supervision
 from pmabench.guard.wire import LONGEST, Messages, encode
 from tests.guard.rig import DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, Rig, armed, bench
 from tests.guard.serving import ANSWERS, ASKS, TOKEN, Serving
@@ -252,6 +255,33 @@ def test_a_device_that_changed_by_itself_is_a_trip(change, why):
         serving_on(serving)
         assert time.monotonic() - began < 1.0
         ended_by(serving, why, how="trip")
+
+
+UPTIMES = {
+    # what a counter of milliseconds shows from the arming on, and whether it restarted
+    "goes on": ((71001, 71450, 71900, 72350), False),
+    "one torn upwards": ((71001, 136925, 71882, 72300, 72750), False),
+    "one torn downwards": ((71001, 5800, 71450, 71900), False),
+    "restarts": ((71001, 71450, 71900, 300, 330), True),
+    "restarts after one that was torn": ((71001, 71450, 136925, 71882, 300, 330), True),
+    "restarts at once": ((71001, 300, 330), True),
+}
+
+
+@pytest.mark.parametrize("what", UPTIMES)
+def test_one_torn_reading_of_an_uptime_is_no_restart(what):
+    """Two words are read while the lower one begins again: one reading is 65536 off, each 65 s of such a counter."""
+    readings, restarts = UPTIMES[what]
+    left = list(readings)
+    device = SimpleNamespace(held=lambda: {"uptime": float(left.pop(0))})
+    links = SimpleNamespace(devices={"daq": device}, call=lambda _name, act: act(), need=lambda *_what: device)
+    supervision = Supervision(None, links, VirtualClock(), None, {})
+    supervision.begin()
+    said = []
+    while left:
+        said.append(supervision._twice(lambda: supervision._held_differs("daq")))
+    assert [bool(text) for text in said if text] == [True] * restarts
+    assert not restarts or "it restarted: its uptime fell from 7" in said[-1]
 
 
 def test_a_set_point_and_a_valve_that_nobody_commanded_are_a_trip():
