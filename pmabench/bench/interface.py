@@ -18,7 +18,10 @@ SI; a `Scale` has what the device itself gives. `Truth` is what is really wired 
 from __future__ import annotations
 
 import json
+import os
+import socket
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import Any, Protocol, TypeVar, get_args, get_origin, get_type_hints, runtime_checkable
 
@@ -212,6 +215,20 @@ class ProofTest:
     within: float
     fill: float = 5.0
     """Longest time to fill [s]."""
+
+
+def place(address: str, options: Mapping[str, Any], *, resolve: bool = True) -> str:
+    """Where a device is, in one spelling for all bench files; empty for a simulation without an address."""
+    if not address or address.startswith("/"):
+        return os.path.realpath(address) if address else ""  # what a link of /dev/serial/by-id leads to
+    host, colon, port = address.rpartition(":")
+    if not colon or not port.isdigit() or "/" in host:
+        return " ".join(str(part) for part in (options.get("server", ""), address) if part)
+    with suppress(OSError):
+        host = socket.gethostbyname(host) if resolve else host
+    map_ = options.get("map")
+    unit = options.get("unit_id") or (map_.get("unit_id") if isinstance(map_, Mapping) else None) or 1
+    return f"{host}:{port} unit {unit}"
 
 
 @dataclass(frozen=True)

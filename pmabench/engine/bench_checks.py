@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from math import floor
+from math import floor, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,6 +55,18 @@ def doubt(device: DeviceRecord, identity: Identity) -> str:
 def not_proven(identities: Mapping[str, Identity]) -> list[str]:
     """The emulated devices whose wiring and scales were taken from the bench file, so that its errors cancel out."""
     return [name for name, identity in identities.items() if identity.model.startswith(UNPROVEN)]
+
+
+def refuse_twice(bench: CompiledBench, identities: Mapping[str, Identity]) -> None:
+    """Raise DeviceError where one device answers as two of the bench: a vent of the other would be read at it."""
+    seen: dict[tuple[str, str, str], str] = {}
+    for name, one in identities.items():
+        who = one.maker, one.model, one.serial
+        if one.serial and not one.simulated and (first := seen.setdefault(who, name)) != name:
+            shown = f"{one.maker} {one.model}, serial number {one.serial}"
+            raise DeviceError(
+                bench.name, f"{first} and {name} are the same device, {shown}: correct one of the addresses"
+            )
 
 
 def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:
@@ -123,6 +135,34 @@ def refuse_slow(
             raise DeviceError(
                 device.name, f"takes {1e3 * takes:.0f} ms for an answer: {wrong} use a quicker line (baud)"
             )
+
+
+ARRIVES = 0.5
+"""A drive on its way to where arming sent it comes nearer within so long [s]."""
+NEARER = 0.1
+"""By this share of what its watch allows."""
+
+
+def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
+    """Wait until each drive that is watched is measured where arming sent it.
+
+    Raises LimitTripped where it is not and comes no nearer: one that lost its zero says that it is there.
+    """
+    drives = {output.name: output for output in bench.outputs if output.rate}
+    for trip in bench.trips:
+        if trip.kind != "following" or trip.channel not in drives or trip.high is None:
+            continue
+        output, before = drives[trip.channel], None
+        while not (off := abs(acquisition.latest.get(output.name, nan) - output.safe)) <= trip.high:
+            if before is not None and not off < before - NEARER * trip.high:
+                at, sent = (show(v, output.quantity) for v in (acquisition.latest.get(output.name, nan), output.safe))
+                raise LimitTripped(
+                    f"the drive of {output.device} was sent to {sent}, and {output.name} stays at {at}, further than "
+                    f"{show(trip.high, output.quantity)} ({trip.source}): it lost its zero, counts otherwise than the "
+                    "sensor, or does not move; find its zero again (homing)"
+                )
+            before = off
+            acquisition.pass_time(ARRIVES)
 
 
 FILLED = 0.8

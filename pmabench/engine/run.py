@@ -18,7 +18,16 @@ from pmabench.base.system import ENGINE, ordinary, real_time, user_name
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, Identity, OutputRecord, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
-from pmabench.engine.bench_checks import LoadImplausible, agree, as_data, not_proven, prove, refuse_slow
+from pmabench.engine.bench_checks import (
+    LoadImplausible,
+    agree,
+    as_data,
+    await_drives,
+    not_proven,
+    prove,
+    refuse_slow,
+    refuse_twice,
+)
 from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
@@ -189,6 +198,7 @@ def _as_answered(bench: CompiledBench, identities: Mapping[str, Identity]) -> Co
     simulated = [identity.simulated for identity in identities.values()]
     if not bench.realtime and not all(simulated):
         raise DeviceError(bench.name, '"time: virtual" is for simulated devices only')
+    refuse_twice(bench, identities)
     return replace(bench, simulated=any(simulated))
 
 
@@ -286,6 +296,8 @@ class _Run:
                 acquisition.question = self.own.supervision.look
                 acquisition.supervise()
             self.before_proof(executor)
+            if self.procedure is Executor.run:
+                await_drives(self.bench, acquisition)
             prove(self.bench, self.guard, acquisition, executor.recorder)
             self.procedure(executor)
             if executor.failed:

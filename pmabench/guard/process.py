@@ -27,10 +27,10 @@ from typing import Any
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, LimitRefused, PmaError, RecordError
 from pmabench.base.system import GUARD, keep_in_memory, real_time
-from pmabench.bench.interface import Block, CompiledBench, Load, Stream
+from pmabench.bench.interface import Block, CompiledBench, Load, Stream, place
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.safe import Vent
-from pmabench.guard.station import Station, place
+from pmabench.guard.station import Station
 from pmabench.guard.supervision import LOOK
 from pmabench.guard.wire import Messages, encode, keys
 
@@ -390,8 +390,8 @@ def main() -> None:
     station = Station(bench.name)
     try:
         station.take()
-        for where in {place(device.address, device.options) for device in bench.devices} - {""}:
-            station.take_device(where)
+        for where in filter(None, (place(device.address, device.options) for device in bench.devices)):
+            station.take_device(where)  # refused where two devices of this bench are one
     except PmaError as error:
         sys.stdout.write(json.dumps({"busy": str(error)}) + "\n")
         return

@@ -262,3 +262,31 @@ def test_a_filter_of_the_cell_that_is_declared_is_none_that_comes_early(speeds):
     (B,) = [e for e in found.estimates if (e.symbol, e.method) == ("B", "loop-gap")]
     assert B.value is not None, B.note
     assert abs(B.value - 1200.0) < 250.0
+
+
+def play(y, half):
+    """What a sensor shows that keeps its value until it is moved by more than `half` away from it."""
+    found = np.empty(len(y))
+    now = y[0]
+    for i, one in enumerate(y):
+        found[i] = now = min(max(now, one - half), one + half)
+    return found
+
+
+def test_a_friction_below_0_is_withheld_with_all_that_rests_on_the_gap(speeds):
+    """A cell with 2 N of hysteresis narrows each loop by 4 N: F_c was -1.7 +- 0.2 N, H 1.3 +- 0.2 N for 4.8 N."""
+    chance = np.random.default_rng(8)
+
+    def of_another_muscle(trial: TrialData) -> TrialData:
+        x, P = trial.channels["displacement"], trial.point["pressure"]
+        F = force(x, P) - 1200.0 * np.gradient(x, trial.t)
+        F = play(F, 2.0) + chance.normal(0, 0.3, len(x))
+        return replace(trial, channels={**trial.channels, "pressure": np.full(len(x), P), "force": F})
+
+    found = reduce([replace(speeds, trials=tuple(of_another_muscle(trial) for trial in speeds.trials))])
+    by_gap = [e for e in found.estimates if e.symbol in ("F_c", "H", "W", "W_c", "eta")]
+    assert len(by_gap) > 8
+    assert all(e.withheld for e in by_gap if e.n), [(e.symbol, e.value, e.note) for e in by_gap if not e.withheld]
+    assert "friction is never below 0" in by_gap[0].note
+    (B,) = [e for e in found.estimates if (e.symbol, e.method) == ("B", "loop-gap")]
+    assert abs(B.value - 1200.0) <= B.parts.combined

@@ -57,6 +57,7 @@ class Drive(Node):
         if self.wants_demand:
             self.transmit(1, [f.mapping(f.DEMAND, 0, 32)], self._take_demand, deadline)
         self._target_pdo = self.receive(0, [f.mapping(f.TARGET, 0, 32)], deadline)
+        self.relied = {"position mapping": (f.TPDO_MAPPING, 2), "target mapping": (f.RPDO_MAPPING, 1)}
         self._set_period(deadline)
 
     def _set_period(self, deadline: float) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pmabench.analysis.shared import student
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Estimate, Parts, Source, withhold
+from pmabench.store.analyses.results import Estimate, Parts, Source, is_below_0, withhold
 from pmabench.store.records import Array
 
 MOST_HIDDEN = 0.02
@@ -122,3 +122,27 @@ def force_from_cycle_to_cycle(cycles: Sequence[Array], share: float = 1.0) -> li
     text = f"from cycle to cycle the force changes, by {show(change.size, 'force', 2)} in all: the cell drifts, or the"
     reason = f"{text} muscle is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
     return [Doubt("change from cycle to cycle", "drift", change.most * share, seen=True, reason=reason)]
+
+
+OF_THE_LOOP = ("F_c", "H", "h_1", "W", "W_c", "eta", "phi")
+"""What an error of the gap between both branches goes into."""
+
+
+def without_negative_friction(estimates: Sequence[Estimate]) -> list[Estimate]:
+    """The estimates; of cells whose F_c is below 0 by more than its interval all that rests on the gap is withheld."""
+    found = [e for e in estimates if e.symbol == "F_c" and is_below_0(e)]
+
+    def judged(e: Estimate) -> Estimate:
+        why = next((one for one in found if e.symbol in OF_THE_LOOP and one.at.items() <= e.at.items()), None)
+        if why is None or e.value is None:
+            return e
+        size = f"{show(why.value or 0.0, 'force', 3)} +- {show(why.parts.combined or 0.0, 'force', 2)}"
+        return withhold(e, f"F_c is {size} here, and {NARROWED}")
+
+    return [judged(e) for e in estimates]
+
+
+NARROWED = (
+    "friction is never below 0: something narrows the loop, as a force cell does that has hysteresis or is pulled at "
+    "through a mount with friction. Load and unload the cell with the same weights, and compare what it reads"
+)

@@ -28,8 +28,9 @@ METHODS = {
         "refused."
     ),
     "relay-fit": (
-        "A relay makes the loop swing at two sizes. A dead time, two lags and a gain are fitted to the harmonics of "
-        "command, pressure and contraction of the larger one; K_u and T_u solve the phase equation of that loop. Where "
+        "A relay makes the loop swing at two sizes. A gain, a dead time, one lag or two of the regulator (which may "
+        "swing) and those of the muscle are fitted to the harmonics of command, pressure and contraction of the "
+        "larger one; K_u and T_u solve the phase equation of that loop. Where "
         "period or gain change with the size, as friction makes them, neither is reported."
     ),
     "relay-describing-function": (

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.form import Doubt, change_over, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import STEPS, step_of
@@ -255,7 +256,7 @@ def _loop(regulator: Regulator, moved: Moved, period: float, off: float) -> Loop
     The hold adds half a period; lags of filling and venting, and of both directions, count by their means.
     """
     gain = regulator.gain * (moved.gain + 2 * moved.curvature * off)
-    lags = ((regulator.fill + regulator.vent) / 2, regulator.second, *lags_of(sum(moved.tau) / 2, moved.beta))
+    lags = (*regulator.mean.lags(1.0), *lags_of(sum(moved.tau) / 2, moved.beta))
     dead_time = max(0.0, regulator.dead_time + moved.late) + period / 2
     return oscillating(gain, dead_time, [lag for lag in lags if lag])
 
@@ -271,6 +272,11 @@ class StepsCell(GainCell[StepsFound]):
     """All trials of steps at one operating point."""
 
     called = "trials of steps"
+
+    @property
+    def apart(self) -> float:
+        """Bound of the time between the commands and the displacement [s]: the loop's dead time holds all of it."""
+        return max(super().apart, skew.off([one.run for one in self.members], "displacement"))
 
     @cached_property
     def estimates(self) -> list[Estimate]:
@@ -319,4 +325,5 @@ class StepsCell(GainCell[StepsFound]):
         estimate = self.estimate(symbol, METHOD, self.good, values, parts, (said,), alone=ALONE)
         doubts = [found.sided for found in good] + [pair[place] for found in good for pair in found.departures]
         worst = {one.name: one for one in sorted(doubts, key=lambda one: one.half)}
-        return weighed(estimate, [replace(one, half=one.half * value) for one in worst.values()])
+        doubted = weighed(estimate, [replace(one, half=one.half * value) for one in worst.values()])
+        return skew.settled(doubted, "the commands and the displacement", self.apart)

@@ -6,7 +6,7 @@ Knows samples and steps; not what a controller makes of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, log
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 
 from pmabench.analysis.shared.oscillation import SEEN
 from pmabench.analysis.shared.samples import noise_of
+from pmabench.kinds.ultimate_gain.ways import lags_of
 from pmabench.store.records import Array
 
 FEWEST = 100
@@ -46,7 +47,8 @@ class Step:
 class Regulator:
     """Command to pressure: gain [1], dead time [s], lags while filling and venting [s], and what is left [Pa].
 
-    `second` is a lag of both directions [s]; 0 where the steps do not show one.
+    `second` is a lag of both directions [s], or b [s^2] of 1 + a s + b s^2 where the pressure `swings` in, `fill` and
+    `vent` being a; 0 where the steps do not show one.
     """
 
     gain: float
@@ -55,6 +57,17 @@ class Regulator:
     vent: float
     residual: float
     second: float = 0.0
+    swings: bool = False
+
+    @property
+    def mean(self) -> Regulator:
+        """With one lag in both directions, the mean."""
+        return replace(self, fill=(self.fill + self.vent) / 2, vent=(self.fill + self.vent) / 2)
+
+    def lags(self, height: float) -> tuple[complex, ...]:
+        """Lags [s] of a step of that `height`."""
+        lag = self.fill if height > 0 else self.vent
+        return lags_of(lag, self.second) if self.swings else (lag, self.second)
 
 
 @dataclass(frozen=True)
@@ -127,59 +140,71 @@ def fit(
     return regulator, moved, _friction(t, x, P, steps)
 
 
-def response(s: Array, lags: Sequence[float]) -> Array:
-    """Unit step response at times `s` [s] of first-order lags [s] in a row, by partial fractions."""
-    lags = [lag * (1 + 1e-4 * i) for i, lag in enumerate(sorted(lags)) if lag > 0]  # two alike have no such form
+def response(s: Array, lags: Sequence[complex]) -> Array:
+    """Unit step response at times `s` [s] of lags [s] in a row, by partial fractions; two may be a complex pair."""
+    order = sorted((lag for lag in lags if lag != 0), key=abs)
+    lags = [lag * (1 + 1e-4 * i) for i, lag in enumerate(order)]  # two alike have no such form
     value = np.where(s > 0, 1.0, 0.0)
     for i, lag in enumerate(lags):
-        share = 1.0
+        share: complex = 1.0
         for j, other in enumerate(lags):
             share *= 1.0 if i == j else lag / (lag - other)
-        value -= np.where(s > 0, share * np.exp(-np.maximum(s, 0.0) / lag), 0.0)
+        value -= np.where(s > 0, (share * np.exp(-np.maximum(s, 0.0) / lag)).real, 0.0)
     return value
 
 
 def _regulator(t: Array, P: Array, steps: Sequence[Step], sensor: float, like: Regulator | None) -> Regulator:
     """Least squares of the steps through a dead time and a lag, one for filling and one for venting.
 
-    With a second lag where that makes the fit better than noise can (`BETTER`), or where `like` has one.
+    With a second lag, or a pair that swings, where that makes the fit better than noise can (`BETTER`), or where `like`
+    has one.
     """
     starts = np.searchsorted(t, [step.t for step in steps])
     shift = float(P[: max(1, starts[0])].mean())
     period = float(np.median(np.diff(t)))
 
-    def columns(p: Array) -> Array:
+    def made_of(p: Array, swings: bool) -> Regulator:
+        more = [exp(one) for one in p[1:]]
+        second = more[2] ** (2 if swings else 1) if len(more) > 2 else 0.0
+        return Regulator(1.0, float(p[0]), more[0], more[1], 0.0, second, swings)
+
+    def solved(p: Array, swings: bool) -> tuple[float, Array]:
+        regulator = made_of(p, swings)
         made = np.zeros_like(t)
         for step, k in zip(steps, starts.tolist(), strict=True):
-            lags = (exp(p[1] if step.height > 0 else p[2]), *np.exp(p[3:]), sensor)
-            over = k + int((OVER * max(lags) + max(p[0], 0.0)) / period) + 1
+            lags = [lag for lag in (*regulator.lags(step.height), sensor) if lag]
+            slowest = max(abs(lag) ** 2 / complex(lag).real for lag in lags)
+            over = k + int((OVER * slowest + max(p[0], 0.0)) / period) + 1
             made[k:over] += step.height * response(t[k:over] - step.t - p[0], lags)
             made[over:] += step.height
-        return np.column_stack([np.ones_like(t), made / steps[0].height])
+        columns = np.column_stack([np.ones_like(t), made / steps[0].height])
+        linear = np.asarray(np.linalg.solve(columns.T @ columns, columns.T @ (P - shift)), dtype=np.float64)
+        return float(linear[1]) / steps[0].height, columns @ linear - P + shift
 
-    def solved(p: Array) -> tuple[float, Array]:
-        made = columns(p)
-        linear = np.asarray(np.linalg.solve(made.T @ made, made.T @ (P - shift)), dtype=np.float64)
-        return float(linear[1]) / steps[0].height, made @ linear - P + shift
-
-    def misfit(p: Array) -> Array:
-        return solved(p)[1] / steps[0].height
-
-    def fitted(start: Sequence[float]) -> Regulator:
+    def fitted(start: Sequence[float], swings: bool = False) -> Regulator:
         more = len(start) - 1
         bounds = ([-2 * period, *[log(period / 2)] * more], [5.0, *[log(20.0)] * more])
-        found = least_squares(misfit, start, x_scale=[0.01, *[0.3] * more], bounds=bounds, xtol=1e-6).x
-        gain, residual = solved(found)
-        second = exp(found[3]) if more > 2 else 0.0
-        return Regulator(gain, float(found[0]), exp(found[1]), exp(found[2]), float(np.std(residual)), second)
+        found = least_squares(
+            lambda p: solved(p, swings)[1] / steps[0].height, np.clip(start, *np.array(bounds)),
+            x_scale=[0.01, *[0.3] * more], bounds=bounds, xtol=1e-6,
+        ).x  # fmt: skip
+        gain, residual = solved(found, swings)
+        return replace(made_of(found, swings), gain=gain, residual=float(np.std(residual)))
+
+    def better(one: Regulator, other: Regulator) -> bool:
+        return len(t) * 2 * log(other.residual / one.residual) > BETTER
 
     if like is not None:
+        second = log(like.second) * (0.5 if like.swings else 1.0) if like.second else None
         begin = [like.dead_time, log(like.fill), log(like.vent)]
-        return fitted([*begin, *([log(like.second)] if like.second else [])])
+        return fitted(begin if second is None else [*begin, second], like.swings)
     one = fitted([0.02, log(0.05), log(0.05)])
     lag = 0.5 * (one.fill + one.vent)
     two = fitted([max(0.0, one.dead_time - 0.1 * lag), log(one.fill), log(one.vent), log(max(0.2 * lag, period))])
-    return two if len(t) * 2 * log(one.residual / two.residual) > BETTER else one
+    best = two if better(two, one) else one
+    late = one.dead_time + lag
+    pair = fitted([0.4 * late, log(0.5 * late), log(0.5 * late), log(0.4 * late)], swings=True)
+    return pair if better(pair, best) else best
 
 
 def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:

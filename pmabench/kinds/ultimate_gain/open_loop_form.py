@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 
 from pmabench.analysis.shared.samples import FINE, noise_of, rounded
 from pmabench.kinds.ultimate_gain.open_loop_fit import Moved, Regulator, Step, fit, response
+from pmabench.kinds.ultimate_gain.ways import lags_of
 from pmabench.store.records import Array
 
 SETTLED = 0.75
@@ -53,13 +54,13 @@ class Flow:
     rate: float
     """[Pa/s]."""
     better: float
-    """Twice the logarithm of its likelihood over that of a second lag."""
+    """Twice the logarithm of its likelihood over that of a second lag, or of a pair that swings."""
     needed: float
     """The same over that of a single lag."""
 
     def small(self, like: Regulator) -> Regulator:
         """The regulator `like` this for small steps."""
-        return replace(like, dead_time=self.dead_time, fill=self.fill, vent=self.vent, second=0.0)
+        return replace(like, dead_time=self.dead_time, fill=self.fill, vent=self.vent, second=0.0, swings=False)
 
 
 def flow_limited(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Flow | None:
@@ -85,6 +86,9 @@ def flow_limited(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Fl
     def lags(at: Array, p: Array, way: int) -> Array:
         return response(at, (float(p[way]), *p[2:].tolist()))
 
+    def pair(at: Array, p: Array, way: int) -> Array:
+        return response(at, lags_of(float(p[way]), float(p[2]) ** 2))
+
     def flow(at: Array, p: Array, way: int) -> Array:
         return _limited(at, float(p[way]), float(p[2 + way]))
 
@@ -92,6 +96,8 @@ def flow_limited(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Fl
     dead, lag = 0.2 * late, log(0.8 * late)
     one, single = fitted([dead, lag, lag], lags)
     double = min(fitted([one[0], *one[1:], start], lags)[1] for start in (log(period), lag - log(5.0)))
+    half = log(0.5 * late)
+    double = min(double, fitted([0.4 * late, half, half, half], pair)[1])
     found, left = fitted([one[0], one[1] - 0.3, one[2] - 0.3, one[1], one[2]], flow)
     fill, vent, *whole = np.exp(found[1:]).tolist()
     height = abs(steps[0].height)
@@ -132,8 +138,8 @@ def read_in_steps(
     (t, x, P), (regulator, moved) = samples, parts
     made = np.zeros_like(t)
     for step in cycle:
-        lags = (regulator.fill if step.height > 0 else regulator.vent, regulator.second)
-        made += step.height * regulator.gain * response(t - step.t - regulator.dead_time, lags)
+        shape = response(t - step.t - regulator.dead_time, regulator.lags(step.height))
+        made += step.height * regulator.gain * shape
     rng = np.random.default_rng(0)
     moving = np.any(
         [(t >= step.t) & (t < step.t + MOVING * (regulator.fill + regulator.vent)) for step in cycle], axis=0
