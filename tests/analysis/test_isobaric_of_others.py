@@ -310,3 +310,29 @@ def test_a_channel_that_is_polled_is_not_late_by_half_its_time(speeds, channel, 
     B = [e for e in found.estimates if e.symbol == "B" and e.value is not None]
     assert len(B) >= (1 if channel == "displacement" else 0)
     assert all(abs(e.value - 1200.0) < 100.0 for e in B), [e.value for e in B]
+
+
+def test_half_a_step_of_a_converter_that_cuts_off_is_in_the_forces(speeds):
+    """A displacement in 0.2 mm is 0.1 mm short: F was 6 half widths off. A declared uncertainty holds it."""
+    chance = np.random.default_rng(10)
+
+    def of_another_muscle(trial: TrialData) -> TrialData:
+        x, P = trial.channels["displacement"], trial.point["pressure"]
+        F = force(x, P) - 8.0 * hysteresis(x) - 1200.0 * np.gradient(x, trial.t) + chance.normal(0, 0.3, len(x))
+        read = np.floor(x / 2e-4) * 2e-4
+        return replace(
+            trial, channels={**trial.channels, "pressure": np.full(len(x), P), "force": F, "displacement": read}
+        )
+
+    trials = [of_another_muscle(trial) for trial in speeds.trials]
+    trials += [replace(trial, index=len(trials) + i, repeat=1) for i, trial in enumerate(trials)]
+    widths = []
+    for known in ({}, {"displacement": {"offset_uncertainty": 1e-4}}):
+        found = reduce([as_run("isobaric-ramp", trials, speeds.rate, {"discard": 1}, known)])
+        local = [e for e in found.estimates if (e.symbol, e.method) == ("F", "mean-curve, local")]
+        assert len(local) >= 3
+        for e in local:
+            assert abs(e.value - force(e.at["contraction"], e.at["pressure"])) < e.parts.combined
+        widths.append(local[0].parts.combined)
+        assert any("cuts off" in line.name for line in local[0].budget) is (not known)
+    assert widths[0] == pytest.approx(widths[1], rel=0.1)
