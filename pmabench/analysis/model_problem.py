@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from pmabench.analysis.shared.calibration import listed
-from pmabench.model.library import Model, OutsideDomain, Parameter
+from pmabench.model.library import Model, OutsideDomain, Parameter, check
 from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
 
@@ -110,6 +110,8 @@ WIDE = 20.0
 """A domain that reaches further than this beyond the reference value is searched within a factor of 5 of it."""
 MOST_EVALUATIONS = 400
 """Of the residual, in one fit from one start."""
+TOGETHER_AT_MOST = 1_000_000
+"""Outputs that are computed in one call, for their memory."""
 FEW = 8
 """Unknowns up to which a net can fill the domain."""
 ELSEWHERE = 3
@@ -135,6 +137,8 @@ class Problem:
     size: Array = field(init=False)
     low: Array = field(init=False)
     high: Array = field(init=False)
+    fixed: Mapping[str, Any] | None = field(init=False, default=None)
+    """All inputs but the unknowns, once each was looked at; None where one of them is refused."""
 
     def __post_init__(self) -> None:
         known = {p.name: p for p in self.model.parameters}
@@ -145,19 +149,42 @@ class Problem:
         self.high = np.array([p.high for p in unknown])
         span = 0.0 if self.measured is None else max(float(np.ptp(self.measured)), float(np.abs(self.measured).max()))
         self.span = span or 1.0
+        if self.inputs.keys() <= known.keys():
+            fixed = {name: self.inputs.get(name, p.value) for name, p in known.items() if name not in self.names}
+            with suppress(OutsideDomain):
+                check([known[name] for name in fixed], fixed)
+                self.fixed = fixed
 
     def output_at(self, at: Array) -> Array:
         """The output, shape (count,); raises OutsideDomain."""
-        found = self.model.evaluate({**self.inputs, **dict(zip(self.names, at.tolist(), strict=True))})[self.output]
-        return np.array(np.broadcast_to(found, (self.count,)))
+        return np.array(self.outputs_at(at[None])[0])
+
+    def outputs_at(self, every: Array) -> Array:
+        """The outputs at several places (places, unknowns), shape (places, count); raises OutsideDomain at any."""
+        named = {name: every[:, [i]] for i, name in enumerate(self.names)}
+        if self.fixed is not None and bool(np.all((every >= self.low) & (every <= self.high))):
+            found = self.model.unchecked(**self.fixed, **named)
+        else:
+            found = self.model.evaluate({**self.inputs, **named})
+        return np.broadcast_to(found[self.output], (len(every), self.count))
+
+    def off_measured(self, output: Array) -> Array:
+        """Computed less measured in units of the span."""
+        return (output - (0.0 if self.measured is None else self.measured)) / self.span
 
     def residuals(self, at: Array) -> Array:
         """Computed less measured in units of the span; NaN where the model does not hold."""
-        measured = np.zeros(self.count) if self.measured is None else self.measured
         try:
-            return np.asarray((self.output_at(at) - measured) / self.span)
+            return np.asarray(self.off_measured(self.output_at(at)))
         except OutsideDomain:
             return np.full(self.count, np.nan)
+
+    def costs(self, points: Sequence[Array]) -> Array:
+        """Sum of squares of the residuals at each point; NaN where the model does not hold."""
+        if points and len(points) * self.count <= TOGETHER_AT_MOST:
+            with suppress(OutsideDomain):
+                return np.asarray(np.sum(self.off_measured(self.outputs_at(np.array(points))) ** 2, axis=1))
+        return np.array([np.sum(self.residuals(point) ** 2) for point in points])
 
     def slopes(self, at: Array) -> Array:
         """Derivatives of the output by the unknowns, shape (count, unknowns); one-sided at the end of a domain."""
@@ -165,9 +192,7 @@ class Problem:
         ends = [np.minimum(np.maximum(at + way * step, self.low), self.high) for way in (1.0, -1.0)]
         every = np.vstack([np.where(np.eye(len(at), dtype=bool), end, at) for end in ends])
         try:  # all at once: arrays broadcast against each other
-            named = {name: every[:, [i]] for i, name in enumerate(self.names)}
-            found = self.model.evaluate({**self.inputs, **named})[self.output]
-            values = np.broadcast_to(found, (len(every), self.count))
+            values = self.outputs_at(every)
         except OutsideDomain:
             middle = self.output_at(at)
             values = np.array([self._output_or(row, middle) for row in every])
@@ -220,7 +245,7 @@ def net_of(problem: Problem, start: Array) -> list[Array]:
 
 def _best_first(problem: Problem, points: Sequence[Array]) -> list[Array]:
     """Those of the points where the model holds."""
-    costs = [float(np.sum(problem.residuals(point) ** 2)) for point in points]
+    costs = problem.costs(points)
     return [points[i] for i in np.argsort(costs) if isfinite(costs[i])]
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from pmabench.analysis.imported import in_time, without_doubtful
+from pmabench.analysis.shared.alone import without_spikes
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.trials import grouped, repeat_traces
 from pmabench.analysis.verdict.acceptance import Pairs, not_accepted, not_accepted_as_form
@@ -115,12 +116,22 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
     if empty:
         runs = [replace(run, trials=tuple(trial for trial in run.trials if len(trial.t))) for run in runs]
     analysis = record.part("reduction")(runs, options)
+    poor = not _given(analysis) or any(e.withheld for e in analysis.estimates)
+    if poor and (found := without_spikes(runs))[1]:
+        again = record.part("reduction")(found[0], options)
+        if _given(again) > _given(analysis):
+            runs, analysis = found[0], replace(again, findings=(*again.findings, *found[1]))
     analysis = replace(analysis, dropped=(*analysis.dropped, *empty))
     count = max((side_by_side(run.manifest.get("specimen")) for run in runs), default=1)
     analysis = without_diameter(analysis, count)
     analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)
     checked = with_record(without_doubtful(analysis, runs), runs)
     return replace(checked, traces=(*checked.traces, *repeat_traces(record.compares, runs)))
+
+
+def _given(analysis: Analysis) -> int:
+    """How many values came out."""
+    return sum(e.value is not None and not e.withheld for e in analysis.estimates)
 
 
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:

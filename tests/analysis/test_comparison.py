@@ -84,6 +84,39 @@ def test_without_a_session_the_zeros_of_one_calibration_do_not_drop_out():
     assert compare(*taken).differences[0].half == pytest.approx(2**0.5)
 
 
+def test_the_same_run_with_another_calibration_of_one_channel_shares_those_of_the_others_alone():
+    """A cell that reads 1 % more, known to 1 % instead of 0.2 %: E_n was 2.0 where both intervals hold the truth."""
+
+    def of(value, gain):
+        halves = {"force, gain": gain, "force, offset": 1.0, "pressure, offset": 1.6, "pressure, gain": 0.6}
+        lines = tuple(Source(f"calibration of {name}", "calibration", "B", half) for name, half in halves.items())
+        return replace(K(value, 0.1, calibration=np.hypot.reduce([*halves.values()])), budget=lines)
+
+    def recalibrated(number, **more):
+        (analysis,) = side(of(277.8, 2.78), name="B").analyses
+        scales = {"recalibrated": [{"channel": "force", "calibration": {"id": "F-2", "sha256": number}}, 7]}
+        return Side("B", (replace(analysis, facts=scales),), **more)
+
+    a = side(of(275.0, 0.55), calibrations=SAME)
+    found = compare(a, recalibrated("11", calibrations=SAME))
+    assert found.differences[0].half == pytest.approx((0.55**2 + 2.78**2 + 2 + 0.02) ** 0.5)
+    assert found.differences[0].agrees
+    assert found.findings[-1].text.endswith(
+        "share their scatter; recalibrated, and with its own uncertainty in each: force"
+    )
+    bare = [
+        replace(e, budget=(), note="no calibration part: the record gives no gain uncertainty")
+        for e in (of(275, 0.55), of(277.8, 2.78))
+    ]
+    b = recalibrated("11", calibrations=SAME)
+    b = replace(b, analyses=(replace(b.analyses[0], estimates=(bare[1],)),))
+    d = one(side(bare[0], calibrations=SAME), b)
+    assert d.half == pytest.approx(np.hypot(*(e.parts.combined for e in bare)))  # nothing tells the channels apart
+    assert d.lacks == ("A", "B")
+    again = compare(recalibrated("11", calibrations=SAME), replace(recalibrated("11", calibrations=SAME), name="C"))
+    assert again.differences[0].half == pytest.approx(0.02**0.5)
+
+
 @pytest.mark.parametrize(
     ("parts", "note", "lacking"),
     [

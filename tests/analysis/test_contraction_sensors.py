@@ -1,4 +1,4 @@
-"""Contraction with a gauge that is read in coarse steps, or zeros that were not taken; the muscle is integrated by scipy."""
+"""Contraction with coarse steps, wrong zeros, polled channels or spikes; the muscle is integrated by scipy."""
 
 from functools import lru_cache
 from math import sqrt
@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from pmabench.analysis.shared.simulated import between_steps
 from pmabench.kinds.contraction_relaxation.reduction import reduce
+from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.records import Command, TrialData
 from tests.analysis.judged_forms import as_run
 
@@ -47,7 +48,8 @@ def motion(weight, target):
     return t, solve_ivp(speed, (0.0, t[-1]), [0.0], "LSODA", t, max_step=0.02, rtol=1e-6, atol=1e-8).y[0]
 
 
-def reduced(bits=16, noise=250.0, seed=0, off=None, known=None):
+def recorded(bits=16, noise=250.0, seed=0, off=None, known=None, read_as=lambda _name, values, _chance: values):
+    """The run of all trials; `read_as` makes what is read of each channel's values."""
     chance, trials, step = np.random.default_rng(seed), [], 1e6 / 2**bits
     for number, (weight, target) in enumerate(CELLS):
         t, x = motion(weight, target)
@@ -58,7 +60,7 @@ def reduced(bits=16, noise=250.0, seed=0, off=None, known=None):
             "force": np.where(x > 0, weight, np.clip(TRUE["F_ce"](P), 0, weight))
             + 0.3 * chance.standard_normal(len(t)),
         }
-        read = {name: values + (off or {}).get(name, 0.0) for name, values in read.items()}
+        read = {name: read_as(name, values + (off or {}).get(name, 0.0), chance) for name, values in read.items()}
         begin, levels = 30.0 * number, np.arange(target, -1.0, -1e5)
         commands = tuple(
             Command(begin + 0.2 + k * HOLD, "pressure", "set", float(to), 0.0 if not k else float(levels[k - 1]),
@@ -81,7 +83,11 @@ def reduced(bits=16, noise=250.0, seed=0, off=None, known=None):
                 {},
             )
         )
-    return reduce([as_run("contraction-relaxation", trials, RATE, {}, known)])
+    return as_run("contraction-relaxation", trials, RATE, {}, known)
+
+
+def reduced(*given, **named):
+    return reduce([recorded(*given, **named)])
 
 
 def scores(found):
@@ -93,7 +99,7 @@ def scores(found):
     }
 
 
-@pytest.mark.parametrize(("bits", "noise"), [(8, 250.0), (9, 25.0), (10, 25.0)])
+@pytest.mark.parametrize(("bits", "noise"), [(8, 250.0), (8, 1000.0), (9, 25.0), (10, 25.0)])
 def test_a_pressure_that_is_read_in_steps_is_in_the_intervals(bits, noise):
     """By 8 to 10 bits of 10 bar; B_r was 9 half widths off, for each trial meets the same steps."""
     found = reduced(bits, noise)
@@ -132,6 +138,69 @@ def test_a_displacement_that_reads_a_length_on_the_support_may_be_wrong(uncertai
     assert all(abs(e.value - TRUE["F_ce"](e.at["pressure"])) < 1.3 * e.parts.combined for e in forces)
     assert forces
     assert any(f.level == "doubt" and "the displacement reads -1 mm" in f.text for f in found.findings)
+
+
+@pytest.mark.parametrize("channel", ["displacement", "pressure", "force"])
+def test_a_channel_that_is_polled_ten_times_less_often_is_within(channel):
+    """At 50 Hz, held in between: nothing moved by the displacement, and the form was refused by the others."""
+
+    def held(name, values, chance):
+        rows = np.arange(len(values)) + int(chance.integers(10))
+        return values[np.maximum(rows - rows % 10 - rows[0], 0)] if name == channel else values
+
+    found = reduced(16, 25.0, read_as=held)
+    known = scores(found)
+    assert sum(symbol in ("F_ce", "K") for symbol, _ in known) >= 6
+    assert max(abs(score) for score in known.values()) < 1.5
+    assert any(f"the {channel} is new every 20 ms only" in f.text for f in found.findings)
+
+
+@pytest.mark.parametrize(("channel", "size"), [("displacement", 2e-3), ("pressure", 5e4), ("force", 50.0)])
+def test_samples_that_stand_out_alone_are_left_out(channel, size):
+    """One in 500: all values were withheld for the form of the model."""
+    made = 0
+
+    def disturbed(name, values, chance):
+        nonlocal made
+        where = (chance.random(len(values)) < 0.002) & (name == channel)
+        made += np.count_nonzero(where)
+        return values + size * where * chance.choice([-1, 1], len(values))
+
+    run = recorded(16, 25.0, 1, read_as=disturbed)
+    [found] = reduce_runs([run])
+    known = scores(found)
+    assert sum(symbol in ("F_ce", "K") for symbol, _ in known) >= 6
+    assert max(abs(score) for score in known.values()) < 1.6
+    [doubt] = [f.text for f in found.findings if "stand out alone" in f.text]
+    assert abs(int(doubt.split()[0]) - made) <= 0.02 * made
+    assert f"of {sum(len(trial.t) for trial in run.trials)} samples of the {channel}" in doubt
+
+
+def played(values, half):
+    """What a sensor shows that keeps its value until it is moved by more than `half` away from it."""
+    found, now = np.empty(len(values)), values[0]
+    for i, one in enumerate(values):
+        found[i] = now = min(max(now, one - half), one + half)
+    return found
+
+
+@pytest.mark.parametrize("noise", [0.0, 250.0])
+def test_hysteresis_of_a_gauge_within_its_uncertainty_is_in_the_intervals(noise):
+    """Of 500 Pa of 1.5 kPa: B_r was 2 half widths off where the noise comes before it, F_c 3 where it comes after."""
+    known = {"pressure": {"offset_uncertainty": 1.5e3, "gain_uncertainty": 5e-3}}
+
+    def read_as(name, values, chance):
+        return (
+            played(values, 500.0) + (250.0 - noise) * chance.standard_normal(len(values))
+            if name == "pressure"
+            else values
+        )
+
+    found = reduced(16, max(noise, 1e-3), known=known, read_as=read_as)
+    assert max(abs(score) for score in scores(found).values()) < 1.0
+    (F_c,) = [e for e in found.estimates if (e.symbol, e.method) == ("F_c", "measured-pressure")]
+    assert abs(F_c.value) < 1.5 * F_c.parts.combined
+    assert 0.3 < F_c.parts.combined < 1.0
 
 
 def test_zeros_that_were_taken_are_in_no_interval():

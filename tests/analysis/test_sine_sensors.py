@@ -154,3 +154,28 @@ def test_a_channel_that_is_read_less_often_than_it_is_recorded_counts_where_it_i
         assert abs(e.value - {"K": 6773.0, "B": 1200.0}[e.symbol]) < e.parts.combined, (e.symbol, dict(e.at))
     slow = [one for one in found.dropped if "held in between" in one.reason]
     assert len(slow) == (2 if period == 25 else 0), "6.7 values a cycle are no sine"
+
+
+def test_a_friction_below_0_is_withheld_with_all_that_rests_on_the_loop() -> None:
+    """A cell with 2 N of hysteresis: F_c was -1.6 +- 0.9 N, H at 0.1 Hz 4.2 +- 0.2 N for 7.5 N."""
+    trials = []
+    for trial in Muscle51(B_c=1200.0, B_r=1200.0, noise=(3e-6, 0.3, 250.0)).trials(repeats=2):
+        shown, now = [], trial.channels["force"][0]
+        for F in trial.channels["force"]:
+            shown.append(now := min(max(now, F - 2.0), F + 2.0))
+        trials.append(replace(trial, channels={**trial.channels, "force": np.array(shown)}))
+    found = reduce([as_run("sinusoidal-displacement", trials, {"discard": 1, "time_skew": 1e-7})])
+    of_loop = [e for e in found.estimates if e.symbol in ("F_c", "H", "W", "W_c", "eta", "phi")]
+    assert len(of_loop) > 10
+    assert all(e.withheld for e in of_loop)
+    B = value(found, "B", "sine-harmonic")
+    assert abs(B.value - 1200.0) < B.parts.combined
+
+
+def test_half_a_step_of_a_converter_that_cuts_off_is_in_the_mean_force() -> None:
+    """A cell in 1 N: F was 7 half widths off."""
+    trials = []
+    for trial in Muscle51(B_c=1200.0, B_r=1200.0, noise=(3e-6, 0.05, 250.0)).trials(repeats=2):
+        trials.append(replace(trial, channels={**trial.channels, "force": np.floor(trial.channels["force"])}))
+    F = value(reduce([as_run("sinusoidal-displacement", trials, {"discard": 1})]), "F", "sine-mean")
+    assert 0.3 < 275.0 - 67.73 - F.value < F.parts.combined < 0.7

@@ -17,7 +17,8 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.files.document import read_document
-from pmabench.store.importers import apart, quality
+from pmabench.store import spikes
+from pmabench.store.importers import apart
 from pmabench.store.importers.apart import CPU
 from pmabench.store.importers.guess import guess as guessing
 from pmabench.store.importers.guess.write import map_text
@@ -93,8 +94,8 @@ def silent(found, whole, rules):
         name = channel.rule.role
         if any(each == name for _, each in new):
             continue
-        apart = quality.beyond_neighbours(before.si, swings=not name.endswith("command"))
-        limit = quality.spike_limit(before.si, apart)
+        apart = spikes.beyond_neighbours(before.si, swings=not name.endswith("command"))
+        limit = spikes.spike_limit(before.si, apart)
         windows = np.lib.stride_tricks.sliding_window_view(np.pad(before.si, 30, mode="edge"), 61)
         low, high = windows.min(axis=1)[row], windows.max(axis=1)[row]
         room = limit + (0.0 if name.endswith("command") else high - low)

@@ -1,6 +1,7 @@
 """What reductions share: trials sorted, lines fitted, and what instruments do to a result.
 
-- `trials` (by operating point, repeats, references, sessions), `samples` of one trial (noise, motion, onset, rest)
+- `trials` (by operating point, repeats, references, sessions), `samples` of one trial (noise, motion, onset, rest),
+  `alone` (samples that stand out alone)
 - `lines` (weighted lines and their intervals, least squares where one number is tried at many values), `student`
   (quantiles, means with half widths)
 - `isometric_lines` (F over P at a contraction), `ramp_loop` (loops of a driven end, or of a joint), `sine_loop`,

@@ -176,11 +176,21 @@ def fresh(y: Array) -> NDArray[np.bool_]:
 
     It is never new sooner than that. A channel that is read in steps changes by one of them at a time, if it is slow.
     """
-    new = np.append(True, np.diff(y) != 0)
+    new = np.append(True, y[1:] != y[:-1])
+    if 3 * np.count_nonzero(new) > 2 * len(y) + 3:
+        return np.ones(len(y), dtype=bool)
     runs, jumps = np.diff(np.flatnonzero(new[1:])), np.abs(np.diff(y))[new[1:]]
     usual = float(np.median(runs)) if len(runs) >= FEWEST_NEW else 0.0
     held = usual > 1 and np.mean(runs < HELD * usual) <= RARELY and np.median(jumps) > 2 * step_of(y)
     return new if held else np.ones(len(y), dtype=bool)
+
+
+def between_new(t: Array, y: Array) -> tuple[Array, float]:
+    """A channel on straight lines between its new values, and how far apart these are at `t` [s]; 0 if all are new."""
+    new = fresh(y)
+    if new.all():
+        return y, 0.0
+    return np.interp(t, t[new], y[new]), float(np.median(np.diff(t[new])))
 
 
 def unresolved(y: Array, step: float) -> float:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
-from pmabench.analysis.shared.calibration import NOT_DECLARED
+from pmabench.analysis.shared.calibration import NOT_DECLARED, listed
 from pmabench.analysis.shared.trials import Point, grouped, six_digits
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES, show
@@ -116,8 +116,8 @@ CHANCE = 0.05
 """Share of right values that lie outside their intervals."""
 SESSION = "session"
 """Name of the session among the calibrations of a side: zeros were taken in it."""
-GAIN = ", gain"
-"""How the budget line of a channel's gain ends."""
+SCALE_OF, GAIN, OFFSET = "calibration of ", ", gain", ", offset"
+"""How the budget lines of a channel's calibration begin, and how that of its gain and that of its zero end."""
 NO_SCALE = ("time", "frequency")
 """Quantities that no scale of a channel changes."""
 
@@ -321,8 +321,8 @@ def _compared(
         places = dict.fromkeys(theirs)
     elif common:
         places = dict.fromkeys(common)
-    shared, alike = _shared(a, b), set(ours) == set(theirs)
-    one_scale = bool(shared) or bool(a.runs & b.runs)
+    shared, alike, other_scales = _shared(a, b), set(ours) == set(theirs), _recalibrated(a, b, series[0])
+    one_scale = (bool(shared) or bool(a.runs & b.runs)) and not other_scales
     found, lacks = [], dict[str, list[str]]()
     for place in sorted(places):
         one, other = ours.get(place), theirs.get(place)
@@ -340,7 +340,8 @@ def _compared(
             term = series[2].startswith(TERM)
             sides = () if one_scale else ((a, one), (b, other))
             lacking = tuple(side.name for side, e in sides if _without_scale(e) and not side.published)
-            found.append(Difference(series[0], one, other, _half(one, other, shared, alike), between, lacking, term))
+            half = _half(one, other, shared, alike, other_scales)
+            found.append(Difference(series[0], one, other, half, between, lacking, term))
     return found, [_at_places(lack, where) for lack, where in lacks.items()]
 
 
@@ -349,6 +350,26 @@ def _shared(a: Side, b: Side) -> str:
     if not a.calibrations or a.calibrations != b.calibrations:
         return ""
     return "all" if a.runs == b.runs or any(name == SESSION for name, _ in a.calibrations) else "gain"
+
+
+def _recalibrated(a: Side, b: Side, kind: str | None = None) -> list[str]:
+    """Channels that `recalibrate` gave another calibration on one side than on the other, in tests of a kind or all.
+
+    The calibrations of a side are those of its runs, which keep what they were recorded with.
+    """
+
+    def scales(side: Side) -> dict[tuple[str, str], str]:
+        """Kind and channel -> the calibration, as the analysis has it."""
+        found = {}
+        for analysis in side.analyses:
+            listed = analysis.facts.get("recalibrated")
+            for channel in listed if isinstance(listed, list) else ():
+                if isinstance(channel, Mapping) and "calibration" in channel:
+                    found[analysis.kind, str(channel.get("channel"))] = repr(channel["calibration"])
+        return found
+
+    differ = scales(a).items() ^ scales(b).items()
+    return sorted({channel for (test, channel), _ in differ if kind in (None, test)})
 
 
 def _without_scale(e: Estimate) -> bool:
@@ -394,12 +415,13 @@ def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
     return replace(one, value=value, parts=Parts(**mean), at=at, trials=trials, n=max(one.n, other.n), budget=())
 
 
-def _half(one: Estimate, other: Estimate, shared: str, alike: bool) -> float | None:
+def _half(one: Estimate, other: Estimate, shared: str, alike: bool, other_scales: Sequence[str] = ()) -> float | None:
     """Half width of the difference: squares added, but for what is off by the same in both by one method.
 
     That is what both used of a calibration (`shared`), and what the method itself adds where both were tested at the
     same points (`alike`): each by its difference. Without a session no zero was taken, and that of either day may be
-    off by what the calibration allows; where no budget parts gain and zero, the whole part counts in both.
+    off by what the calibration allows, as may the channels of `other_scales`; where no budget parts them from the
+    others, the whole part counts in both.
     """
     widths = [half for half in (one.parts.combined, other.parts.combined) if half is not None]
     if len(widths) < 2:
@@ -408,16 +430,24 @@ def _half(one: Estimate, other: Estimate, shared: str, alike: bool) -> float | N
         return hypot(*widths)
     alone, common = [one.parts, other.parts], list[float]()
     scales = [e.parts.calibration for e in (one, other)]
-    if shared == "all" and None not in scales:
+    if shared == "all" and not other_scales and None not in scales:
         common.append((scales[0] or 0.0) - (scales[1] or 0.0))
         alone = [replace(parts, calibration=None) for parts in alone]
-    gains = [{s.name: s.half or 0.0 for s in e.budget if s.name.endswith(GAIN)} for e in (one, other)]
-    if shared == "gain" and gains[0] and gains[0].keys() == gains[1].keys():
-        common += [gains[0][name] - gains[1][name] for name in gains[0]]
-        rest = [
-            (scale or 0.0) ** 2 - sum(g * g for g in gain.values()) for scale, gain in zip(scales, gains, strict=True)
-        ]
-        alone = [replace(parts, calibration=max(0.0, r) ** 0.5) for parts, r in zip(alone, rest, strict=True)]
+    elif shared:
+        ends = (GAIN,) if shared == "gain" else (GAIN, OFFSET)
+        mine, others = ({s.name: s.half or 0.0 for s in e.budget if s.name.endswith(ends)} for e in (one, other))
+        for channel in other_scales:
+            mine, others = (
+                {name: half for name, half in lines.items() if not name.startswith(f"{SCALE_OF}{channel},")}
+                for lines in (mine, others)
+            )
+        if mine.keys() == others.keys():
+            common += [mine[name] - others[name] for name in mine]
+            rest = [
+                (scale or 0.0) ** 2 - sum(half * half for half in lines.values())
+                for scale, lines in zip(scales, (mine, others), strict=True)
+            ]
+            alone = [replace(parts, calibration=max(0.0, r) ** 0.5) for parts, r in zip(alone, rest, strict=True)]
     ours, theirs = _systematic(one), _systematic(other)
     if alike and ours and ours.keys() == theirs.keys():
         common += [ours[name] - theirs[name] for name in ours]
@@ -473,6 +503,9 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
     shared = ""
     if a.runs & b.runs:
         shared = "both come from the same runs and share their scatter and calibration: E_n shows less than there is"
+        if other_scales := _recalibrated(a, b):
+            shared = f"{shared.partition(' and cali')[0]}; recalibrated, and with its own uncertainty in each: "
+            shared += listed(other_scales)
     elif used := _shared(a, b):
         shared = "both used the same calibrations: their uncertainty drops out of a difference of one method"
         if used == "gain":

@@ -35,7 +35,14 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     spread,
     without_each,
 )
-from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Campaign, Gate, Segments, strokes, velocity
+from pmabench.kinds.contraction_relaxation.segments import (
+    ASSUMED_MASS,
+    Campaign,
+    Gate,
+    Segments,
+    strokes,
+    velocity,
+)
 from pmabench.kinds.contraction_relaxation.values import WIDE
 from pmabench.store.analyses.results import Estimate, Finding, Trace
 from pmabench.store.records import Array, TrialData
@@ -394,6 +401,7 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
     if step := campaign.pressure_step:
         text = f"the pressure is read in steps of {show(step, 'pressure', 3)}, which its noise does not fill"
         yield Finding("note", f"{text}: the intervals hold that; finer steps would tell B and F_ce better")
+    yield from _polled(campaign, "doubt" if pooled.diagnosis.reason else "note")
     if not pooled.fit.friction:
         yield Finding("doubt", "all samples move one way: F_ce carries the friction")
     for symbol in SYMBOLS:
@@ -406,6 +414,18 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
         yield Finding("note", f"{between} more than the noise explains ({', '.join(uneven)}); intervals follow")
     if not trust.within:
         yield Finding("note", "hardly a cell is repeated: the repeats part rests on noise and on the fit's residual")
+
+
+def _polled(campaign: Campaign, level: str) -> Iterator[Finding]:
+    """One on each channel that is new less often than it is recorded."""
+    for name in campaign.channels:
+        if every := campaign.between[name]:
+            yield Finding(
+                level,
+                f"the {name} is new every {1e3 * every:.3g} ms only, while the run records every"
+                f" {1e3 / campaign.rate:.3g} ms, and is taken on straight lines in between: what happens within"
+                " that time is lost; read it as often as the others",
+            )
 
 
 def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:

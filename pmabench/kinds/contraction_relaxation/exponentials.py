@@ -189,17 +189,18 @@ def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], optio
     scales = Scales.of(campaign.runs)
     steps = [one for n in sorted(moved) for one in steps_of(campaign.samples[n], campaign.trials[n], Gate.lift)]
     at_each = {(e.symbol, e.at["pressure"]): e for e in found if "pressure" in e.at}
-    reference = {key: e.value for key, e in at_each.items()}
+    reference = {key: e for key, e in at_each.items() if e.value is not None}
 
     def force_at(P: float) -> tuple[float, float] | None:
         """F_ce from elsewhere [N], and what is open of it without its calibration."""
         known = options.get("static")
         if known:
             return float(known["intercept"]) + float(known["slope"]) * P, 0.0
-        if reference.get(("F_ce", P)) is None:
+        other = reference.get(("F_ce", P))
+        if other is None:
             return None
-        parts = at_each["F_ce", P].parts
-        return float(primary.values("F_ce", np.array([P]))[0]), replace(parts, calibration=None).combined or 0.0
+        open_by = replace(other.parts, calibration=None).combined or 0.0
+        return float(primary.values("F_ce", np.array([P]))[0]), open_by
 
     raw = [
         entry
@@ -320,7 +321,7 @@ def _weighed(e: Estimate, found: Mapping[tuple[str, float], Estimate], seen: Col
     return replace(e, parts=replace(e.parts, calibration=(e.parts.calibration or 0.0) + open_by))
 
 
-def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], float | None]) -> Estimate:
+def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], Estimate]) -> Estimate:
     """The estimate with its distance to the primary method as bias, not taken off, and as method part."""
     if estimate.symbol not in SYMBOLS:
         return estimate

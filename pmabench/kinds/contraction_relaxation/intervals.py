@@ -372,7 +372,7 @@ def assess(
         causes=(
             Cause("bias of the fit, taken off", "method", bias[None]),
             Cause("how few replays tell the bias", "method", np.diag(unsure), "", np.ones(len(unsure)), kind="A"),
-            Cause("straight lines between pressures", "method", fit.bends(segments, expected)[None]),
+            Cause("straight lines between pressures", "method", fit.bends(segments, expected)[None], seen=True),
             *_calibration(segments, fit, expected, Scales.of(campaign.runs)),
             *drifts,
         ),

@@ -206,7 +206,7 @@ def _sampled(campaign: Campaign, e: Estimate, tau: float) -> Estimate:
 def _against(e: Estimate, driven: Sequence[Estimate]) -> Estimate:
     """With the distance to the fit with the measured pressure as bias, not taken off, and in the method part."""
     other = next((d for d in driven if d.symbol == e.symbol and d.at == e.at and d.value is not None), None)
-    return e if other is None or other.value is None or e.value is None else with_bias(e, other.value)
+    return e if other is None or e.value is None else with_bias(e, other)
 
 
 def _driven(campaign: Campaign, up: Sequence[Sequence[Step]], braid: Braid) -> list[Estimate]:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import Noise, Samples, noise_of
+from pmabench.analysis.shared.samples import Noise, Samples, between_new, noise_of
 from pmabench.analysis.shared.skew import STAMPED, apart
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
@@ -133,11 +133,15 @@ Cut = Callable[[Sequence[Samples]], Segments]
 
 
 def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
-    """A trial's samples; a channel that the record calls late by `sensor_lag` is taken that much later."""
+    """A trial's samples; a channel that the record calls late by `sensor_lag` is taken that much later.
+
+    One that is read less often than it is recorded, and held in between, is taken on straight lines.
+    """
 
     def channel(name: str) -> Array:
         lag = run.channels[name].sensor_lag if name in run.channels else 0.0
-        return _later(trial.t, trial.channels[name], lag) if lag else trial.channels[name]
+        values, _ = between_new(trial.t, trial.channels[name])
+        return _later(trial.t, values, lag) if lag else values
 
     P, x = channel("pressure"), channel("displacement")
     force = channel("force") if "force" in trial.channels else None
@@ -359,6 +363,10 @@ def _rate(values: Array, dt: float) -> Array:
     return np.asarray((values[:, -1] - values[:, 0]) / (max(1, values.shape[1] - 1) * dt))
 
 
+FILLED = 1.75
+"""Noise over that of the steps alone from which on it fills them: 0.4 steps, where means are off by 0.013 of one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Campaign:
     """The usable trials of all runs, numbered through; `cells` holds each trial's cell (load, pressure)."""
@@ -375,12 +383,14 @@ class Campaign:
     """The part of the noise that the steps of the channels' values make."""
     noise_of_means: Noise
     """The noise that means over a segment show, where that is larger: smooth noise, as of filters."""
+    between: Mapping[str, float]
+    """Channel -> time between new values, of one that is read less often than it is recorded [s]; 0 for others."""
 
     @property
     def pressure_step(self) -> float:
         """Step of the pressure's values [Pa], 0 where noise fills it: then means over segments do not see it."""
         step = self.steps.pressure
-        return sqrt(12.0) * step if step >= self.noise.pressure else 0.0
+        return sqrt(12.0) * step if FILLED * step >= self.noise.pressure else 0.0
 
     @property
     def late(self) -> Noise:
@@ -429,22 +439,33 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
         return None, dropped
     samples = tuple(samples_of(run, trial, number) for number, (run, trial) in enumerate(members))
     still = [settled(trial) for _, trial in members]
-    noise, steps = noise_seen(samples, still, _every(runs))
+    between = {channel: _between([trial for _, trial in members], channel) for channel in CHANNELS}
+    noise, steps = noise_seen(samples, still, _every(runs, between))
     keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
     numbers = {key: number for number, key in enumerate(sorted(set(keys)))}
     rate, cells = runs[0].rate, np.array([numbers[key] for key in keys], dtype=np.intp)
     of_means = noise_of_means(samples, still, Gate().samples(rate)[0], noise)
     trials, cell = tuple(trial for _, trial in members), all(s.force is not None for s in samples)
-    return Campaign(tuple(runs), trials, samples, cells, rate, cell, noise, steps, of_means), dropped
+    return Campaign(tuple(runs), trials, samples, cells, rate, cell, noise, steps, of_means, between), dropped
 
 
-def _every(runs: Sequence[RunData]) -> dict[str, int]:
-    """Field of `Samples` -> how many rows lie between two samples of the slower stream that it comes from."""
+def _every(runs: Sequence[RunData], between: Mapping[str, float]) -> dict[str, int]:
+    """Field of `Samples` -> how many rows lie between two samples that it comes from: of a slower stream, or held."""
     found: dict[str, int] = {}
     for name, channel in zip(("P", "x", "force"), CHANNELS, strict=True):
         infos = [(run.rate, run.channels[channel].rate) for run in runs if channel in run.channels]
-        found[name] = max((round(rate / own) for rate, own in infos if own > 0), default=1) or 1
+        apart = [rate / own for rate, own in infos if own > 0] + [runs[0].rate * between[channel]]
+        found[name] = max(map(round, apart)) or 1
     return found
+
+
+SOME = 10
+
+
+def _between(trials: Sequence[TrialData], channel: str) -> float:
+    """As `Campaign.between`, from some trials: where hardly anything happens a held value is not seen to be one."""
+    some = [trial for trial in trials[:: 1 + len(trials) // SOME] if channel in trial.channels]
+    return max((between_new(trial.t, trial.channels[channel])[1] for trial in some), default=0.0)
 
 
 def _unusable(run: RunData, trial: TrialData, rate: float) -> str:

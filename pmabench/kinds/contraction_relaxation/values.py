@@ -93,10 +93,14 @@ def name_of(symbol: str, P: float | None) -> str:
     return symbol if P is None else f"{symbol} at {show(P, 'pressure', 4)}"
 
 
-def with_bias(e: Estimate, known: float) -> Estimate:
-    """With the distance to the value by measured pressure as bias, which is not taken off, and in the method part."""
-    bias = (e.value or 0.0) - known
-    parts = replace(e.parts, method=hypot(bias, e.parts.method or 0.0))
+def with_bias(e: Estimate, known: Estimate) -> Estimate:
+    """With the distance to the value by measured pressure as bias, which is not taken off, and in the method part.
+
+    So is what the interval of that value holds, but for the calibration, which both share.
+    """
+    bias = (e.value or 0.0) - (known.value or 0.0)
+    of_known = replace(known.parts, calibration=None).combined or 0.0
+    parts = replace(e.parts, method=hypot(abs(bias) + of_known, e.parts.method or 0.0))
     return replace(e, bias=bias, parts=parts, note=sentences(e.note, "bias: against measured-pressure"))
 
 

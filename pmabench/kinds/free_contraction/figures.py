@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
-from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of, held_back
+from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of, one_way
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
 from pmabench.plotting.plots import BLUE, BROWN, CROSSES, HALF, INK, Panel, blank, few_ticks, grid
@@ -85,7 +85,15 @@ def of_points(points: Sequence[Point]) -> list[Finding]:
         gap, at = max(gaps, key=lambda pair: abs(pair[0]))
         text = f"reached from above it is shorter than from below by up to {show(gap, 'length', 2)}"
         found.append(Finding("note", f"hysteresis: {text}, at {show(at, 'pressure')}"))
-    if held_back(points):
+    else:
+        text = "every pressure was reached from one side: what friction in the muscle makes of the lengths is not seen"
+        found.append(Finding("doubt", f"{text}, and in no interval. Take both (`approach: from-both-sides`)"))
+    short = one_way(points)
+    if short[0]:
+        size = show(-2 * float(short[0]), "length", 2)
+        text = f"vented from a pressure, {size} of contraction are left, half of which is in the interval of L there"
+        found.append(Finding("note", text))
+    if short[-1]:
         text = f"{show(points[-1].set, 'pressure')} was reached from below both times: friction shows at the pressure"
         found.append(Finding("doubt", f"{text} next to it, and keeps this contraction short; nothing is above it"))
     return found

@@ -24,6 +24,7 @@ from pmabench.analysis.shared.samples import (
     Left,
     NotUsable,
     ends,
+    fresh,
     left,
     noise_of,
     refuse_incomplete,
@@ -73,6 +74,8 @@ class Rest:
     """Standard deviation of `start` and x [m]."""
     last: Array
     """Samples whose mean is x [m]."""
+    changes: Array
+    """Of the pressure from sample to sample along the second half of the hold, where there is one [Pa]."""
     coarse: float = 0.0
     """By how much the steps in which they are read may move x [m]."""
 
@@ -211,23 +214,48 @@ def measure(run: RunData, trial: TrialData) -> Rest:
     noise, of_pressure = noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum())), noise_of(P[last])
     hold = Held.of(t[half], x[half], end - LAST * (end - there))
     means = float(P[last].mean()), of_pressure / float(np.sqrt(last.sum())), float(x[last].mean())
-    return Rest(run, trial, *means, float(x[first].mean()), hold, noise, x[last])
+    changes = np.diff(P[half])
+    return Rest(run, trial, *means, float(x[first].mean()), hold, noise, x[last], changes[changes != 0])
 
 
-def _with_steps(rests: Sequence[Rest]) -> list[Rest]:
-    """With what the steps in which a run is read make of each x: one trial may show too few of them."""
-    steps = {}
-    for run, mine in grouped(rests, lambda rest: rest.run.id).items():
-        x = np.concatenate([rest.trial.channels["displacement"][rest.trial.usable] for rest in mine])
-        steps[run] = step_of(x[np.isfinite(x)])
-    coarse = [unresolved(rest.last, steps[rest.run.id]) for rest in rests]
-    return [replace(r, coarse=c if c > FINE * steps[r.run.id] else 0.0) for r, c in zip(rests, coarse, strict=True)]
+def _as_read(rests: Sequence[Rest]) -> list[Rest]:
+    """With what the steps in which a run is read make of each x: one trial may show too few of them.
+
+    The mean of a pressure that is read less often than it is recorded has the noise of few values.
+    """
+    found = []
+    for mine in grouped(rests, lambda rest: rest.run.id).values():
+        x = np.concatenate([_usable(rest, "displacement") for rest in mine])
+        P = np.concatenate([_between_changes(_usable(rest, "pressure")) for rest in mine])
+        step, new = step_of(x), float(np.mean(fresh(P))) if len(P) else 1.0
+        noise = noise_by(np.concatenate([rest.changes for rest in mine])) if new < 1 else 0.0
+        for rest in mine:
+            coarse = unresolved(rest.last, step)
+            of_mean = noise / np.sqrt(max(1.0, new * len(rest.last))) if noise else rest.pressure_noise
+            found.append(replace(rest, coarse=coarse if coarse > FINE * step else 0.0, pressure_noise=float(of_mean)))
+    return found
+
+
+def _usable(rest: Rest, channel: str) -> Array:
+    y = rest.trial.channels[channel][rest.trial.usable]
+    return np.asarray(y[np.isfinite(y)])
+
+
+def _between_changes(y: Array) -> Array:
+    """Samples (n,) from the first change to the last: values that are held there are so for their whole time."""
+    changed = np.flatnonzero(np.diff(y)) + 1
+    return y[changed[0] : changed[-1]] if len(changed) else y[:0]
+
+
+def noise_by(changes: Array) -> float:
+    """Standard deviation of values at rest by their changes (n,) from one to the next; 0 without any."""
+    return float(np.sqrt(0.5 * np.mean(changes**2))) if len(changes) else 0.0
 
 
 def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
     """The pressures, rising, and the trials that cannot be used."""
     every, dropped = measured_trials(runs, measure)
-    every, points = _with_steps(every), []
+    every, points = _as_read(every), []
     for pressure, rests in sorted(grouped(every, lambda rest: round(rest.trial.point["pressure"])).items()):
         by: dict[object, dict[float, Rest]] = {}
         order, sides = Counter[object](), {rest.side for rest in rests}
@@ -324,19 +352,28 @@ def through(points: Sequence[Point], fit: ModelFit | None) -> Shape:
     return shape
 
 
-def held_back(points: Sequence[Point]) -> float:
-    """By how much friction keeps the contraction at the highest pressure short [m]; 0 where that does not show.
+def one_way(points: Sequence[Point]) -> Array:
+    """By how much friction keeps the contraction of each point (n,) short where both sides came from one [m].
 
-    Nothing is above it: where friction shows at the pressure next to it, and not there, both sides came from below.
+    Nothing is above the highest pressure: where friction shows at the pressure next to it, and not there, both sides
+    came from below. Nothing is below a muscle that is vented: what is left of a contraction is no mean of both ways.
     """
-    gaps = [abs(float(point.gaps.mean())) for point in points[-2:] if len(point.gaps)]
-    if len(gaps) < 2 or gaps[1] > 0.5 * gaps[0]:
-        return 0.0
-    below = points[-2]
-    noise = CLEAR * max(rest.noise for rest in below.rests)
-    starts = float(np.ptp([rest.start for rest in below.rests]))
-    clear = max(noise, spread(below.gaps) or 0.0, OF_TWO * below.coarse, below.apart.most, starts)
-    return 0.5 * gaps[0] if gaps[0] > clear else 0.0
+    short = np.zeros(len(points))
+    if len(points) < 2 or not all(len(point.gaps) for point in (points[0], *points[-2:])):
+        return short
+    gaps = [abs(float(point.gaps.mean())) for point in (points[0], *points[-2:])]
+    if gaps[2] <= 0.5 * gaps[1] and gaps[1] > _clear(points[-2]):
+        short[-1] = 0.5 * gaps[1]
+    if points[0].set <= NOTHING and gaps[0] > _clear(points[0]):
+        short[0] = -0.5 * gaps[0]
+    return short
+
+
+def _clear(point: Point) -> float:
+    """Difference of both sides of a point that anything but friction may make [m]."""
+    noise = CLEAR * max(rest.noise for rest in point.rests)
+    starts = float(np.ptp([rest.start for rest in point.rests]))
+    return max(noise, spread(point.gaps) or 0.0, OF_TWO * point.coarse, point.apart.most, starts)
 
 
 def zero_of(points: Sequence[Point]) -> float:

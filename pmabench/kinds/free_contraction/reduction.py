@@ -33,9 +33,9 @@ from pmabench.kinds.free_contraction.points import (
     Point,
     Shape,
     curve_of,
-    held_back,
     highest,
     measure,
+    one_way,
     points_of,
     sigmoid,
     through,
@@ -55,7 +55,7 @@ UNITS = {"length": "m", "pressure": "Pa", "count": "1", "ratio": "1"}
 RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is not carried into the coefficients"
 MOTION, ZERO, NOISE = "motion after the hold", "contraction left without pressure", "noise of pressures near 0"
 PRESSURE = "zero of the pressure"
-BELOW = "friction where both sides came from below"
+ONE_WAY = "friction where both sides came from one"
 NO_GAP = "reached from below both times: what friction keeps it short by does not show. Use that of another pressure"
 PART = {ZERO: "drift", PRESSURE: "calibration"}
 FLOOR = 5e-4
@@ -230,7 +230,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
     by_set = {point.set: point for point in points}
     friction = max((float(np.max(np.abs(point.gaps))) for point in points if len(point.gaps)), default=0.0)
     # what friction holds back at 0 kPa is half the gap there, and the mean of both directions is free of it
-    steepest, back = max(points, key=lambda point: point.x), held_back(points)
+    steepest, back = max(points, key=lambda point: point.x), one_way(points)
     found = []
     for e in estimates:
         point = by_set.get(e.at.get("pressure", steepest.set), steepest)
@@ -245,9 +245,9 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
             Doubt(MOTION, "method", share * still.most, still.seen, rests),
             Doubt(ZERO, "drift", share * off, off > max(CLEAR * noise, friction), zero),
         ]
-        if back and point is points[-1]:
-            e = withhold(e, NO_GAP) if e.symbol == "x_H" else e
-            doubts.append(Doubt(BELOW, "method", back * share, seen=True))
+        if short := float(back[points.index(point)]):
+            e = withhold(e, NO_GAP) if e.symbol == "x_H" and short > 0 else e
+            doubts.append(Doubt(ONE_WAY, "method", abs(short) * share, seen=True))
         found.append(weighed(e, doubts, None if e.symbol == "P_half" else largest * share))
     return found
 
@@ -323,7 +323,7 @@ def _shifted(points: Sequence[Point], length: float, shape: Shape, zero: float) 
     """The sigmoid through what the points would be with one cause less, of those that are seen.
 
     Less what is left without pressure; where they would come to after the hold; less what noise of the pressures makes
-    of a bent curve; without what friction holds back at the highest pressure; with pressures from another zero.
+    of a bent curve; without what friction holds back where both sides came from one; with pressures from another zero.
     """
     starts = np.array([np.mean([rest.start for rest in point.rests]) for point in points])
     noise = max(rest.noise for point in points for rest in point.rests)
@@ -333,8 +333,8 @@ def _shifted(points: Sequence[Point], length: float, shape: Shape, zero: float) 
     bent = np.array([point.bent(shape) for point in points])
     if bent.max() > BENT * noise:
         ways[NOISE] = bent
-    if back := held_back(points):
-        ways[BELOW] = np.append(np.zeros(len(points) - 1), back)
+    if (short := one_way(points)).any():
+        ways[ONE_WAY] = short
     fits = {name: _fit(points, length, off)[0] for name, off in ways.items()}
     if zero:
         fits[PRESSURE] = _fit(zeroed(points, zero), length)[0]

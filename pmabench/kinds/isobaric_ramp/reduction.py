@@ -20,6 +20,7 @@ from scipy.optimize import least_squares
 
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import without_negative_friction
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import Loop, measure_as_planned
 from pmabench.analysis.shared.samples import NotUsable, settings_of
@@ -297,6 +298,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         more = rubber(cell, scales)
         estimates, findings, traces = estimates + more[0], findings + more[1], traces + more[2]
     findings += _sentences(cells)
+    estimates = without_negative_friction(estimates)
     findings += skew.findings(runs, CHANNELS, max((cell.skew for cell in cells), default=0.0), estimates)
     if estimates and (lack := scales.lack(("force", "displacement"))):
         findings.append(Finding("note", lack))

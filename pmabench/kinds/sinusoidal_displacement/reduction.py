@@ -17,6 +17,7 @@ import numpy as np
 from pmabench.analysis.imported import import_of
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.form import without_negative_friction
 from pmabench.analysis.shared.samples import settings_of
 from pmabench.analysis.shared.trials import Point, grouped, measured_trials, point_by
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
@@ -82,7 +83,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if slopes is None:
             text = "is not in the calibration parts: one pressure does not show how K, B and F_c change over it"
             findings.append(Finding("note", f"at {pressure_of(dict(key))}: what an error of the pressure adds {text}"))
-    estimates = _with_centres(estimates, centres)
+    estimates = without_negative_friction(_with_centres(estimates, centres))
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
     pressed = pressure_and_force(members, muscles, scales)
     estimates, findings, traces = estimates + pressed[0], findings + pressed[1], traces + pressed[2]

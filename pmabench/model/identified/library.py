@@ -105,7 +105,7 @@ def as_model(muscle: IdentifiedMuscle, name: str, source: str, note: str) -> Mod
             "In time, with what it remembers: pmabench model simulate; intervals: the analysis itself.",
             "Fitted by pmabench process RUN... --form surface; model fit finds a pressure or contraction from forces.",
         ),
-        values,
+        values, values,
     )  # fmt: skip
 
 

@@ -33,9 +33,9 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     real,
     three_element,
 )
-from pmabench.model.library.description import FAMILIES, MODELS, Model, OutsideDomain, Parameter, Refusal
+from pmabench.model.library.description import FAMILIES, MODELS, Model, OutsideDomain, Parameter, Refusal, check
 
-__all__ = ["FAMILIES", "MODELS", "Model", "OutsideDomain", "Parameter", "Refusal", "models"]
+__all__ = ["FAMILIES", "MODELS", "Model", "OutsideDomain", "Parameter", "Refusal", "check", "models"]
 
 
 def models() -> dict[str, Model]:

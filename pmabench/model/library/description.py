@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
 from typing import Any, ParamSpec
@@ -120,6 +120,8 @@ class Model:
     notes: tuple[str, ...]
     """What one should know: where the print is wrong, what is not refused and why."""
     function: Callable[..., Values]
+    unchecked: Callable[..., Values]
+    """The same without a look at the domains of single inputs, for a fit that keeps to them itself."""
     fitted: tuple[str, ...] = ()
     """The inputs that a fit to measurements takes as unknown, where nothing else is said."""
 
@@ -211,21 +213,24 @@ def described(
             values = {**dict(zip(known, args, strict=False)), **kwargs}
             if len(args) + len(kwargs) != len(known) or values.keys() != set(known):
                 raise TypeError(f"{name} takes {', '.join(known)}, each once")
-            _check(parameters, values)
+            check(parameters, values)
+            return unchecked(**values)
+
+        def unchecked(**values: Any) -> Values:
             inputs: Any = [values[p.name] if p.choices else np.asarray(values[p.name], np.float64) for p in parameters]
             with np.errstate(all="ignore"):
                 found = function(*inputs)  # type: ignore[call-arg]
             return {key: np.asarray(value, dtype=np.float64) for key, value in found.items()}
 
         MODELS[name] = Model(
-            name, family, title, equation, source, parameters, outputs, references, notes, checked, fitted
+            name, family, title, equation, source, parameters, outputs, references, notes, checked, unchecked, fitted
         )
         return checked
 
     return enter
 
 
-def _check(parameters: tuple[Parameter, ...], values: Mapping[str, Any]) -> None:
+def check(parameters: Sequence[Parameter], values: Mapping[str, Any]) -> None:
     """Raise OutsideDomain with every input that is not finite, not among the choices or out of its range."""
     refusals = []
     for p in parameters:

@@ -192,9 +192,22 @@ def withhold(estimate: Estimate, reason: str) -> Estimate:
     return replace(without_value(estimate, reason), withheld=True)
 
 
+BELOW = 1.5
+"""Half widths below 0 from which on what cannot be there is withheld: chance puts 1 in 600 there of what is 0."""
+
+
+def is_below_0(e: Estimate) -> bool:
+    """Whether a value lies below 0 by clearly more than its interval."""
+    half = e.parts.combined
+    return e.value is not None and half is not None and e.value < -BELOW * half
+
+
 def _known(e: Estimate) -> Estimate:
-    """The estimate, or withheld where its interval reaches to 0 and it cannot be 0: only its order is known then."""
+    """The estimate, or withheld where it cannot be 0 or below and its interval reaches to 0, or lies below."""
     found = e.parts.combined
+    if is_below_0(e) and e.value is not None:
+        size = f"{show(e.value, e.quantity, 3)} +- {show(found or 0.0, e.quantity, 2)}"
+        return withhold(e, f"{size} came out, and it is never below 0: a sensor or the form that is assumed is wrong")
     if e.quantity not in NEVER_0 or e.value is None or not found or found < abs(e.value):
         return e
     value, half = (show(number, e.quantity, 3) for number in (e.value, found))

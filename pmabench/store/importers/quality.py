@@ -7,7 +7,6 @@ Every rule uses numbers alone and says which samples it takes.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import sqrt
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from pmabench.base.quantities import show
 from pmabench.store.importers.found import Bools, Checked, Found, Report, add_effects, correlation
 from pmabench.store.importers.motion import runs
 from pmabench.store.records import Array, Flag, Flags
+from pmabench.store.spikes import ENDS, FEW, MANY, SPIKE, beyond_neighbours, resolution, some_of, spike_limit
 
 CODES = (
     *(0.0, -1.0, 99.99, 999.0, 999.9, 999.99, 999.25, 9999.0, 9999.9, 9999.99, 99999.0, 999999.0, 9999999.0),
@@ -28,8 +28,6 @@ LEAP = 4.0
 """A leap is so many times larger than other changes nearby ..."""
 NEARBY = 30
 """... within so many samples on either side."""
-MANY = 0.1
-"""Share of the samples that may be spikes or bursts; what is more frequent is the signal."""
 BURST = 5
 """Samples in a row that may be a burst where they differ from each other ..."""
 HELD = 50
@@ -40,23 +38,18 @@ MOVES = 20.0
 """A channel moves where it spans so many times the change from sample to sample."""
 AS_LARGE = 0.25
 """Beyond the largest burst the signal comes back to within this share of the leap."""
-AROUND = 12
-"""Neighbours on either side with which a spike is compared ..."""
-ALONE = 3
-"""... without those nearer than this, since a spike may be three samples long."""
-SPIKE = 4.0
-"""A spike lies so many times further out than all but the most scattered samples."""
-SMALLEST = 0.02
-"""Share of the span of a channel below which nothing is a spike."""
-SCATTERED = 0.005
-"""Share of the samples that are the most scattered; at least six."""
-ENDS = (SCATTERED, 1.0 - SCATTERED)
-RARE = 6.5
-"""Standard deviations of the noise from sample to sample within which nothing is a spike."""
-ENOUGH = 100_000
-"""Samples that show in which steps a channel reads."""
-FEW = 50
-"""With fewer samples scatter cannot be distinguished from spikes."""
+NOT_WHOLE = 0.05
+"""Counts further than this from a whole number were never counts."""
+WHOLE_SHARE = 0.01
+"""Share of such readings above which the file was not recorded with the scale that the map says."""
+SLOW = 4.0
+"""A channel that changes only every so many samples is reported."""
+OFTEN = 0.1
+"""Share of samples out of range above which the scale or the column itself is doubtful."""
+LARGEST = 1e30
+"""No device gives a reading beyond this, or one that is smaller than its inverse and not 0."""
+OPPOSITE = -0.5
+"""Correlation below which a channel seems to have the wrong sign."""
 
 
 def codes(report: Report, channel: Checked, looked_at: Bools) -> Bools:
@@ -158,7 +151,7 @@ def _far(si: Array, looked_at: Bools) -> Bools:
         return out
     values = si[rows]
     most = max(1, int(MANY * len(rows)))
-    low, high = (float(end) for end in np.quantile(_some(values), [MANY, 1.0 - MANY]))
+    low, high = (float(end) for end in np.quantile(some_of(values), [MANY, 1.0 - MANY]))
     for sign, beyond in ((1.0, low - values.min()), (-1.0, values.max() - high)):
         if beyond <= high - low:
             continue  # what is not far beyond the inner readings is not far beyond all others
@@ -186,7 +179,7 @@ def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
     if len(rows) < FEW:
         return out
     values = si[rows]
-    least = max(BEYOND * float(np.ptp(np.quantile(_some(values), ENDS))), SPIKE * _resolution(values))
+    least = max(BEYOND * float(np.ptp(np.quantile(some_of(values), ENDS))), SPIKE * resolution(values))
     steps = np.abs(np.diff(values))
     if np.count_nonzero(steps > least) < 2:
         return out
@@ -219,99 +212,6 @@ def spikes(report: Report, channel: Checked, looked_at: Bools) -> None:
     where[looked_at] = apart > limit
     text = f"lies beyond all its neighbours by more than {show(limit, rule.quantity, 3)}, alone"
     report.mark(where, Flag.SUSPECT, "doubt", "spike", text, rule.role)
-
-
-def beyond_neighbours(values: Array, swings: bool = True) -> Array:
-    """How far each value stands out alone, shape (n,): the lesser of two distances, none below 0.
-
-    Beyond all of its neighbours, the 3rd to the 12th on either side; from the running median of seven, which three in
-    a row do not move. Of what `swings`, as no command does, the difference of the levels before and after is taken off,
-    since what swings over after a step is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours
-    are on one side only, so much is taken off as these move.
-    """
-    low, high = _extremes(values)
-    beyond = np.fmax(values - high, low - values)
-    out = np.zeros(len(values))
-    padded = np.pad(values, AROUND, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
-    outside = np.flatnonzero(beyond > 0)  # all others lie among their neighbours: 0
-    for begin in range(0, len(outside), 100_000):
-        rows = outside[begin : begin + 100_000]
-        around = windows[rows]
-        near = around[:, AROUND - ALONE : AROUND + ALONE + 1]
-        median = np.partition(near, ALONE, axis=1)[:, ALONE]
-        cut = np.isnan(near).any(axis=1)
-        median[cut] = np.nanmedian(near[cut], axis=1)
-        before = np.median(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1], axis=1)
-        after = np.median(around[:, AROUND + ALONE : AROUND + ALONE + 3], axis=1)
-        end = np.isnan(before - after)
-        step = np.where(end, high[rows] - low[rows], np.abs(before - after))
-        off = step if swings else np.where(end, step, 0.0)
-        out[rows] = np.minimum(beyond[rows], np.abs(values[rows] - median)) - off
-    return np.maximum(out, 0.0)
-
-
-def _extremes(values: Array) -> tuple[Array, Array]:
-    """The lowest and the highest of the neighbours of each value, the 3rd to the 12th on either side."""
-    wide, ends = AROUND - ALONE + 1, []
-    for least, nothing in ((np.fmin, np.inf), (np.fmax, -np.inf)):
-        run = np.pad(values, AROUND, constant_values=nothing)
-        done = 1
-        while done < wide:  # the extreme of so many values in a row, from that of fewer
-            more = min(done, wide - done)
-            run, done = least(run[:-more], run[more:]), done + more
-        ends.append(least(run[: len(values)], run[AROUND + ALONE :][: len(values)]))
-    return ends[0], ends[1]
-
-
-def spike_limit(values: Array, apart: Array) -> float:
-    """Distance from which on a sample counts as a spike: far beyond scatter, resolution and 2 % of the channel's span.
-
-    Frequent spikes would pass for scatter. The gap below them shows them: the largest lie
-    `SPIKE` times further out than all that follow.
-    """
-    most = max(6, int(MANY * len(apart)))
-    above = apart[apart > 0]
-    top = np.sort(np.partition(above, -most - 1)[-most - 1 :] if len(above) > most else above)[::-1]
-    largest = np.zeros(most + 1)
-    largest[: len(top)] = top
-    count = max(6, int(SCATTERED * len(apart)))
-    some = _some(values)
-    resolution, few = _resolution(values), len(np.unique(some)) <= 20
-    low, high = (float(end) for end in np.quantile(some[_some(apart) <= largest[-1]], ENDS))
-    noise = float(np.median(np.abs(np.diff(values[:ENOUGH], n=3)))) / (0.6745 * sqrt(20.0))
-    least = max(0.0 if few else SPIKE * resolution, SMALLEST * (high - low), RARE * noise)
-    least += 1e-9 * float(np.abs(values).max())
-    usual = 2.0 * SPIKE * max(resolution, float(np.quantile(np.abs(np.diff(values[:ENOUGH])), 0.75)))
-    apart_from = np.maximum(largest[count + 1 :], max(least, usual) / SPIKE)
-    gaps = count + np.flatnonzero(largest[count:-1] > SPIKE * apart_from)
-    last = int(gaps[-1]) + 1 if len(gaps) else count - 1
-    return max(SPIKE * float(largest[last]), least)
-
-
-def _some(values: Array) -> Array:
-    """Some of many values, evenly spread, so that their quantiles cost little."""
-    return values[:: 1 + len(values) // ENOUGH]
-
-
-def _resolution(values: Array) -> float:
-    """The smallest difference between two different readings among the first `ENOUGH`; 0 if all are equal."""
-    marks = np.unique(values[:ENOUGH])
-    return float(np.diff(marks).min()) if len(marks) > 1 else 0.0
-
-
-NOT_WHOLE = 0.05
-"""Counts further than this from a whole number were never counts."""
-WHOLE_SHARE = 0.01
-"""Share of such readings above which the file was not recorded with the scale that the map says."""
-SLOW = 4.0
-"""A channel that changes only every so many samples is reported."""
-OFTEN = 0.1
-"""Share of samples out of range above which the scale or the column itself is doubtful."""
-LARGEST = 1e30
-"""No device gives a reading beyond this, or one that is smaller than its inverse and not 0."""
-OPPOSITE = -0.5
-"""Correlation below which a channel seems to have the wrong sign."""
 
 
 def inspect(
