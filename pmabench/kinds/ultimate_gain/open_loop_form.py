@@ -20,6 +20,8 @@ from pmabench.store.records import Array
 
 HUM = 0.1
 """Over so long hum of 50 and of 60 Hz averages to 0 [s]."""
+CHANCE = 0.3
+"""A swing below this share of what noise leaves in such a mean is noise."""
 SETTLED = 0.75
 """Share of the time between steps after which the pressure has settled."""
 DITHERED = 0.5
@@ -47,14 +49,15 @@ def gauge_filter(regulator: Regulator, moved: Moved) -> float:
 
 def hunting(P: Array, t: Array, steps: Sequence[Step]) -> float:
     """How far the pressure swings at rest, beyond its noise, over the largest step [1]; rms."""
-    noise, width, parts = noise_of(P), round(HUM / (t[1] - t[0])), []
+    noise, width, parts = noise_of(P), round(HUM / (t[1] - t[0])), [np.zeros(1)]
     times = [*(step.t for step in steps), 2 * steps[-1].t - steps[-2].t]
     for begin, end in pairwise(times):
         rest = P[(t >= (begin + end) / 2) & (t < end)]
         place = np.arange(len(rest))
         if len(rest) > 9:
-            parts.append(beyond_noise(rest - np.polyval(np.polyfit(place, rest, 1), place), width, noise))
-    return float(np.std(np.concatenate(parts)) / max(abs(step.height) for step in steps)) if parts else 0.0
+            parts.append(rest - np.polyval(np.polyfit(place, rest, 1), place))
+    swing = float(np.std(beyond_noise(np.concatenate(parts), width, noise)))
+    return swing / max(abs(step.height) for step in steps) if swing > CHANCE * noise / sqrt(width) else 0.0
 
 
 def better_by(one: tuple[Regulator, Moved], other: tuple[Regulator, Moved], count: int) -> float:
