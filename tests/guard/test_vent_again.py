@@ -373,6 +373,15 @@ def test_in_a_hurry_a_drive_stops_where_it_is():
 # -- samples that end -------------------------------------------------------------------------------------------------
 
 
+def test_a_gauge_that_gives_a_value_each_second_is_not_begun_anew_before_it_came():
+    guard = Guard(bench(replace(DEVICE, fastest=1.0)), VirtualClock())
+    guard.open()
+    for _ in range(25):
+        guard.keep_measuring(20.0)
+        guard.clock.wait_until(guard.clock.now() + 0.1)
+    assert Rig.made["dac"].values("start") == [("start", 20.0)]
+
+
 def test_samples_that_end_while_it_vents_are_begun_again():
     guard = Guard(BENCH, RealClock())
     guard.open()
