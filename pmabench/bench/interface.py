@@ -500,7 +500,11 @@ class SetPoint(Protocol):
 
 @runtime_checkable
 class Follower(Protocol):
-    """Follows ramps and sines by itself."""
+    """Follows ramps and sines by itself.
+
+    A driver that steps along them keeps in an attribute `unanswered` when a step was sent last of which nobody knows
+    whether it was carried out [s, bench time]: such a step may come after the safe value.
+    """
 
     def follow(self, output: str, segment: Segment) -> None:
         """Begin the segment; the next `write` or `follow` ends it."""

@@ -116,8 +116,8 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
     if outcome.vent is not None and not outcome.vent.confirmed:
         lines += [f"   {action}" for action in outcome.vent.actions[:8]]
         lines += [
-            "   nobody knows that the pressure is gone: stay away, shut the supply by hand,",
-            "   then  pmabench vent",
+            "   nobody knows that the pressure is gone and nothing moves: stay away, shut",
+            "   supply and power by hand, then  pmabench vent",
         ]
     if bench.realtime and Station(bench.name).latched():
         lines.append("   the bench is now tripped, and nothing runs on it: look at it first")
@@ -136,7 +136,10 @@ def print_outcome(outcome: Outcome) -> None:
     if outcome.vent is not None and not outcome.vent.confirmed:
         for action in outcome.vent.actions:
             click.echo(f"  {action}")
-        click.echo("  nobody knows that the pressure is gone: stay away, shut the supply by hand, then pmabench vent")
+        click.echo(
+            "  nobody knows that the pressure is gone and nothing moves: stay away, shut supply and power by hand,"
+        )
+        click.echo("  then pmabench vent")
     click.echo(str(outcome.folder))
 
 

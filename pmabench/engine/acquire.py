@@ -246,12 +246,16 @@ class Acquisition:
                 self._beaten = self._collected
                 self.beat()
             for source in self._sources:
-                block = source.stream.collect()
-                if single and len(block.time) == 1 and source.last is not None:
-                    self._single(source, block)
-                else:
-                    self._take(source, block)
-                self._refuse_silence(source)
+                try:
+                    block = source.stream.collect()
+                    if single and len(block.time) == 1 and source.last is not None:
+                        self._single(source, block)
+                    else:
+                        self._take(source, block)
+                    self._refuse_silence(source)
+                except PmaError:
+                    if self._watch is not None:
+                        raise  # while it vents, the others are measured all the same
             if self._watch is not None:
                 self._act(self._watch.silent(self.clock.now()))
                 self._question()

@@ -116,7 +116,7 @@ def _ask(executor: Executor, device: DeviceRecord, identity: Identity, why: str)
 
 QUESTIONS, SIGNS = 3, 8
 """Within so many answers a command is carried out (behind a question, and read back), and a watchdog is fed [1]."""
-NEARLY, SAMPLES = 0.99, 0.8
+NEARLY, SAMPLES = 0.99, 0.7
 """A rate that is nearly the one that was asked counts as that, and a line that is used by so much has gaps [1]."""
 
 

@@ -45,8 +45,8 @@ ARMS_WITHIN = 1.0
 """The same for its watchdog, which takes several questions; nothing is under pressure yet [s]."""
 BRIEF = 0.02
 """Samples are waited for so long [s] where their device is busy."""
-OPENS_AGAIN = 2.5
-"""A device that was not back after so long [s] is opened once more."""
+OPENS_AGAIN = 0.5
+"""A device that could not be opened is tried again after so long [s]."""
 
 Act = Callable[[], Any]
 """A call of a device, ready to be made in the thread that owns it."""
@@ -102,6 +102,7 @@ class Links:
             for name, call in opening.items():
                 with suppress(*passed):
                     self._owners[name].wait(call, max(0.0, until - time.monotonic()))
+            self._back = {record.name: 0.0 for record in records if record.name not in self.devices}
         except BaseException:
             self.close(disarm=False)
             raise
@@ -124,22 +125,21 @@ class Links:
                 self.call(name, device.close)
         self.devices.clear()
 
-    def hang_up(self, record: DeviceRecord) -> bool:
-        """Close the line of a device once, so that its watchdog runs out; opened again when that has happened."""
-        if record.name in self._back or record.name not in self.devices:
-            return False
-        self.submit(record.name, self.devices.pop(record.name).close)
-        self._back[record.name] = self._clock.now() + 1.5 * record.watchdog + 0.2
-        return True
+    def hang_up(self, name: str, rest: float) -> None:
+        """Close the line of a device; it is opened again after so long [s]."""
+        if name in self.devices:
+            self.submit(name, self.devices.pop(name).close)
+            self._back[name] = self._clock.now() + rest
 
-    def open_again(self) -> None:
-        """Open the devices again whose watchdog must have run out by now; what fails is tried again a little later."""
+    def open_again(self, first: Callable[[str], list[Act]]) -> None:
+        """Open the devices again that are due, with the calls of `first`; what fails is tried again a little later."""
         for record in self._bench.devices:
-            if self._back.get(record.name, inf) <= self._clock.now() and record.name not in self.devices:
+            due = self._back.get(record.name, inf) <= self._clock.now() and record.name not in self.devices
+            if due and self.free(record.name):
                 self._back[record.name] = self._clock.now() + OPENS_AGAIN
                 with suppress(DeviceError):
                     device = load_driver(record, self._clock)
-                    self.submit(record.name, partial(self._open, record.name, device, lambda _name: []))
+                    self.submit(record.name, partial(self._open, record.name, device, first))
 
     def call(self, name: str, act: Act) -> Any:
         """Make a call of a device and wait for it."""

@@ -25,7 +25,7 @@ from types import FrameType
 from typing import Any
 
 from pmabench.base.clock import RealClock
-from pmabench.base.errors import DeviceError, LimitRefused, PmaError, RecordError
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, PmaError, RecordError
 from pmabench.base.system import GUARD, keep_in_memory, real_time
 from pmabench.bench.interface import Block, CompiledBench, Load, Stream, place
 from pmabench.guard.guard import Guard, State
@@ -102,7 +102,9 @@ class Service:
         self._listener = listener
         self._engine: _Peer | None = None
         self._peers: list[_Peer] = []
-        self._heard = self._looked = self._collected = time.monotonic()
+        self._heard = self._looked = time.monotonic()
+        self._collected: dict[str, float] = {}
+        """When the samples of each device were handed over last [s]."""
         self._pulse = Pulse()
         self._ended: dict[str, str] = {}
         self._vent: Vent | None = None
@@ -255,7 +257,7 @@ class Service:
 
     def do_collect(self, peer: _Peer, device: str, seen: dict[str, float]) -> dict[str, Any]:
         """New samples, as they came; `seen` are newest values that the engine measured itself."""
-        self._collected = time.monotonic()
+        self._collected[device] = time.monotonic()
         blocks = [*self._kept.pop(device, []), self.guard.collect(device)]
         blocks = [block for block in blocks if len(block.time)] or blocks[-1:]
         self.guard.latest.update(self._believed(seen))
@@ -308,18 +310,17 @@ class Service:
                 try:
                     self.guard.supervision.look(now)
                 except PmaError as error:
-                    self._end("trip" if isinstance(error, LimitRefused) else "lost", str(error))
+                    opened = isinstance(error, LimitTripped)
+                    how = "trip" if opened or isinstance(error, LimitRefused) else "lost"
+                    self._end(how, str(error), hurry=opened)  # whoever opened an interlock waits for no ramp
         if self.guard.state is State.STOPPING:
             if now - self._looked > LOOK:
                 self._looked = now
                 self.guard.supervision.differences()  # a question that failed is asked again
-                for record in self.guard.bench.devices if self.guard.feeds else ():
+                for record in filter(self.guard.feeds, self.guard.bench.devices):
                     with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
                         self.guard.supervision.feed(record, now)
-                # what confirms the vent must be measured; tried again where it failed
-                for name in {*self._streams()} - {*self.guard.links.sampling}:
-                    with suppress(PmaError):
-                        self.guard.links.stream(name, 1 / LOOK)
+                self.guard.keep_measuring(1 / LOOK)  # what confirms the vent
             self._step(now)
 
     def _refuse_lost_time(self) -> None:
@@ -328,23 +329,25 @@ class Service:
             return
         lost, self._pulse.lost = f"{self._pulse.lost:.2f} s", 0.0
         if self.guard.state in ACTIVE:
-            self._end("trip", f"the guard was stopped for {lost}: suspended, starved, or this computer slept")
+            why = f"the guard was stopped for {lost}: suspended, starved, or this computer slept"
+            self._end("trip", why, hurry=True)  # a watchdog may have emptied it: no ramp
             self.guard.supervision.compare()
         elif self.guard.state is State.STOPPING:
             self.guard.begin_safe(hurry=True)  # somebody else may have vented meanwhile: no ramp goes on
 
     def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False) -> None:
         """Begin the safe state; the first cause is reported."""
-        if not self._ended:
-            self._ended = {"how": how, "why": why}
-            self.guard.latest.clear()
+        first = not self._ended
+        self._ended = self._ended or {"how": how, "why": why}
         self.guard.begin_safe(tripped=tripped, hurry=hurry)
+        if first:
+            self.guard.latest.clear()
         self._step(time.monotonic())
 
     def _step(self, now: float) -> None:
-        if now - self._collected > 2 * LOOK:
-            self._collected = now
-            for name in self._streams():
+        for name in self._streams():
+            if now - self._collected.get(name, 0.0) > 2 * LOOK:  # each by itself: the engine may have ended at one
+                self._collected[name] = now
                 with suppress(PmaError):
                     self._kept.setdefault(name, []).append(self.guard.collect(name))
         vent = self.guard.step_safe(self.guard.latest)

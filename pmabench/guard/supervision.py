@@ -13,7 +13,7 @@ from math import inf
 from typing import Any
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, LimitRefused
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped
 from pmabench.base.quantities import show
 from pmabench.bench.interface import (
     CompiledBench,
@@ -85,7 +85,7 @@ class Supervision:
                 self._held[name] = dict(self._links.call(name, device.held))
 
     def look(self, now: float) -> None:
-        """Ask what is due at `now` [s]; raises LimitRefused for a change or an interlock, DeviceError for silence."""
+        """Ask what is due at `now` [s]; LimitTripped: an interlock, LimitRefused: a change, DeviceError: silence."""
         for record in self._bench.devices:
             if record.name in self._links.devices:
                 for kind in sorted(KINDS, key=lambda kind: self._since.get(record.name + kind[0], -inf)):
@@ -93,7 +93,11 @@ class Supervision:
 
     def feed(self, record: DeviceRecord, now: float) -> None:
         """Send a device with a watchdog a sign of life where it is due; raises DeviceError where that fails."""
-        self._ask(record, FED, now)
+        try:
+            self._ask(record, FED, now)
+        except DeviceError:
+            self._asked.pop(record.name + FED[0])  # it may come back: it is asked again
+            raise
 
     def _ask(self, record: DeviceRecord, kind: Kind, now: float) -> None:
         """Ask a device that is free the next one of the questions of a kind."""
@@ -104,7 +108,7 @@ class Supervision:
         key, call = name + what, self._asked.get(name + what)
         if call is None or (call.done.is_set() and call.error is None):
             if call is not None and call.result:
-                raise LimitRefused(f"{name}: {call.result}")
+                raise (LimitTripped if kind is SAFE else LimitRefused)(f"{name}: {call.result}")
             self._answered[key] = now
         failed = call is not None and call.error is not None
         silent = now - self._answered[key]

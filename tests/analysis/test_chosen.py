@@ -16,7 +16,10 @@ import pytest
 
 from pmabench.analysis.next_trial import MOST_IN_CELL, SWEEP, Goal
 from pmabench.kinds.contraction_relaxation.known import Known, known_after
+from pmabench.kinds.contraction_relaxation.next_trial import Chooser
 from pmabench.kinds.contraction_relaxation.predicted import cells_of
+from pmabench.store.records import Array
+from tests.analysis import test_contraction_sensors as sensors
 from tests.analysis.chosen import LINES, SMALL, WHOLE, Campaign, Scatter, chosen, grid, plan, run_of, scatter
 from tests.judge.muscle import Muscle
 
@@ -153,3 +156,27 @@ def test_a_wrong_form_stops_it_and_nothing_is_promised() -> None:
     bent = chosen(GOALS, 4, CALM, SMALL, Muscle(bend=0.2))
     assert not bent.stop.reached
     assert bent.stop.why.startswith("nothing is promised"), bent.stop.why
+
+
+def test_a_goal_is_not_called_out_of_reach_by_an_assumed_scatter() -> None:
+    """One trial in each cell: K "has 5.1 %" and was out of reach of 0.6 %, which further trials came near."""
+    cells = sensors.CELLS
+    trials: list[dict[str, object]] = []
+    steps: list[dict[str, object]] = []
+    for index, (load, P) in enumerate(cells):
+        trials.append(
+            {"index": index, "point": {"load": load, "mass": 1.0, "pressure": P}, "repeat": 0, "reference": False}
+        )
+        steps.append({"step": "record", "trial": index, "on": True})
+        for level in np.arange(P, -1.0, -1e5):
+            steps += [{"step": "set", "output": "pressure", "value": float(level)}, {"step": "hold", "duration": 2.5}]
+        steps.append({"step": "record", "trial": index, "on": False})
+    plan = {"name": "plan", "trials": trials, "steps": steps, "settings": {}}
+
+    def scattered(name: str, values: Array, chance: np.random.Generator) -> Array:
+        """The muscle pulls by half a percent more or less in each trial."""
+        return values + 1.5e3 * chance.standard_normal() if name == "pressure" else values
+
+    run = sensors.recorded(read_as=scattered)
+    found = Chooser(plan, None, (Goal("K", 0.006, relative=True),)).propose([run], 4)
+    assert (found.why, found.beyond, len(found.steps)) == ("", (), 4)

@@ -99,7 +99,7 @@ def scores(found):
     }
 
 
-@pytest.mark.parametrize(("bits", "noise"), [(8, 250.0), (9, 25.0), (10, 25.0)])
+@pytest.mark.parametrize(("bits", "noise"), [(8, 250.0), (8, 1000.0), (9, 25.0), (10, 25.0)])
 def test_a_pressure_that_is_read_in_steps_is_in_the_intervals(bits, noise):
     """By 8 to 10 bits of 10 bar; B_r was 9 half widths off, for each trial meets the same steps."""
     found = reduced(bits, noise)
@@ -174,6 +174,33 @@ def test_samples_that_stand_out_alone_are_left_out(channel, size):
     [doubt] = [f.text for f in found.findings if "stand out alone" in f.text]
     assert abs(int(doubt.split()[0]) - made) <= 0.02 * made
     assert f"of {sum(len(trial.t) for trial in run.trials)} samples of the {channel}" in doubt
+
+
+def played(values, half):
+    """What a sensor shows that keeps its value until it is moved by more than `half` away from it."""
+    found, now = np.empty(len(values)), values[0]
+    for i, one in enumerate(values):
+        found[i] = now = min(max(now, one - half), one + half)
+    return found
+
+
+@pytest.mark.parametrize("noise", [0.0, 250.0])
+def test_hysteresis_of_a_gauge_within_its_uncertainty_is_in_the_intervals(noise):
+    """Of 500 Pa of 1.5 kPa: B_r was 2 half widths off where the noise comes before it, F_c 3 where it comes after."""
+    known = {"pressure": {"offset_uncertainty": 1.5e3, "gain_uncertainty": 5e-3}}
+
+    def read_as(name, values, chance):
+        return (
+            played(values, 500.0) + (250.0 - noise) * chance.standard_normal(len(values))
+            if name == "pressure"
+            else values
+        )
+
+    found = reduced(16, max(noise, 1e-3), known=known, read_as=read_as)
+    assert max(abs(score) for score in scores(found).values()) < 1.0
+    (F_c,) = [e for e in found.estimates if (e.symbol, e.method) == ("F_c", "measured-pressure")]
+    assert abs(F_c.value) < 1.5 * F_c.parts.combined
+    assert 0.3 < F_c.parts.combined < 1.0
 
 
 def test_zeros_that_were_taken_are_in_no_interval():

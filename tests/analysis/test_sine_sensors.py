@@ -170,3 +170,12 @@ def test_a_friction_below_0_is_withheld_with_all_that_rests_on_the_loop() -> Non
     assert all(e.withheld for e in of_loop)
     B = value(found, "B", "sine-harmonic")
     assert abs(B.value - 1200.0) < B.parts.combined
+
+
+def test_half_a_step_of_a_converter_that_cuts_off_is_in_the_mean_force() -> None:
+    """A cell in 1 N: F was 7 half widths off."""
+    trials = []
+    for trial in Muscle51(B_c=1200.0, B_r=1200.0, noise=(3e-6, 0.05, 250.0)).trials(repeats=2):
+        trials.append(replace(trial, channels={**trial.channels, "force": np.floor(trial.channels["force"])}))
+    F = value(reduce([as_run("sinusoidal-displacement", trials, {"discard": 1})]), "F", "sine-mean")
+    assert 0.3 < 275.0 - 67.73 - F.value < F.parts.combined < 0.7

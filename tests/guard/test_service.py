@@ -23,7 +23,7 @@ from pmabench.guard.guard import State
 from pmabench.guard.remote import exchange
 from pmabench.guard.supervision import Supervision
 from pmabench.guard.wire import LONGEST, Messages, encode
-from tests.guard.rig import DEVICE, DRIVE, OUTPUT, SAFE, armed, bench
+from tests.guard.rig import DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, Rig, armed, bench
 from tests.guard.serving import ANSWERS, ASKS, TOKEN, Serving
 from tests.reliability.cases import cases
 
@@ -114,6 +114,20 @@ def test_an_engine_that_says_goodbye_too_early_is_lost():
         ended_by(serving, "left an armed bench")
 
 
+def test_the_guard_measures_what_the_engine_does_not_ask_for():
+    """The engine may fail at one device again and again; the others must be measured all the same."""
+    gauge = DeviceRecord("gauge", DRIVER, watchdog=1.0)
+    with Serving(bench(devices=(gauge, DEVICE))) as serving:
+        link = serving.armed()
+        serving.rig.reads["pressure"] = 1e3
+        Rig.made["gauge"].wrong["collect"] = "no answer"
+        serving.ask(link, "safe", tripped=False, hurry=False, why="x")
+        until = time.monotonic() + 2.0
+        while serving.service._vent is None and time.monotonic() < until:
+            serving.ask(link, "collect", device="gauge", seen={})
+        assert serving.service._vent is not None and serving.service._vent.confirmed  # noqa: PT018
+
+
 def test_one_lost_answer_is_no_lost_device():
     with Serving() as serving:
         link = serving.armed()
@@ -141,6 +155,7 @@ def test_a_ramp_does_not_go_on_in_a_guard_that_lost_time():
     with Serving(bench(safe_state=(SafeAction("ramp", "pressure", 0.0, 5.0, 100e3), *SAFE))) as serving:
         link = serving.armed()
         serving.ask(link, "set", name="pressure", value=400e3)
+        serving.rig.reads["pressure"] = 390e3
         serving.ask(link, "safe", tripped=False, hurry=False, why="x")
         assert serving.rig.values("follow")
         serving.rig.reported.clear()
@@ -148,6 +163,24 @@ def test_a_ramp_does_not_go_on_in_a_guard_that_lost_time():
         serving.service.turn()
         serving.service.turn()
         assert serving.rig.values("write")[:1] == [("write", "p", 0.0)]
+
+
+@pytest.mark.parametrize("cause", ["interlock", "lost time"])
+def test_no_ramp_begins_after_an_emergency_stop_or_lost_time(cause):
+    """The stop, or a watchdog, may have emptied the muscle: its ramp would fill it from what was commanded last."""
+    with Serving(bench(safe_state=(SafeAction("ramp", "pressure", 0.0, 5.0, 100e3), *SAFE))) as serving:
+        serving.ask(serving.armed(), "set", name="pressure", value=400e3)
+        serving.rig.reads["pressure"] = 390e3
+        serving.rig.reported.clear()
+        if cause == "interlock":
+            serving.rig.high = False
+        else:
+            serving.service._pulse.lost = 1.9
+        until = time.monotonic() + 1.0
+        while not serving.rig.values("follow", "write"):
+            serving.service.turn()
+            assert time.monotonic() < until
+        assert serving.rig.values("follow", "write")[0] == ("write", "p", 0.0)
 
 
 def test_an_open_interlock_and_a_lost_device_end_it():

@@ -300,6 +300,11 @@ def test_other_encodings(tmp_path):
         ("Pressão ABS. (MPa)", "MPa"),
         ("Piezo_P_(mA)", "mA"),
         ("sensor_a", ""),
+        ("pressureBar", "bar"),
+        ("forceNewton", "N"),
+        ("pressureMPa", "MPa"),
+        ("valveIn", ""),
+        ("forceMin", ""),
     ],
 )
 def test_units_in_names(name, unit):

@@ -190,6 +190,13 @@ def test_a_threshold_that_moves_the_slope_is_asked_for_with_what_each_does(tmp_p
     assert "the slope moves by" in question.question
 
 
+def test_a_threshold_of_a_force_in_kg_is_asked_for_in_newtons(tmp_path):
+    slack = np.maximum(0.0, 1.2 * (P - 150.0)) + NOISE[1]
+    for unit, newtons in (("kg", 9.80665), ("g", 9.80665e-3)):
+        path = file(tmp_path / f"held_8mm_{unit}.csv", {"t [s]": T, "P [kPa]": P, f"F [{unit}]": slack / newtons})
+        assert asked(path)["analysis.force_above"].used in {"19 N", "20 N", "21 N"}
+
+
 def test_the_frequency_of_a_sine_is_fitted_where_no_name_shows_it(tmp_path):
     command = 300.0 + 100.0 * np.sin(2 * np.pi * 0.73 * T)
     late = 300.0 + 90.0 * np.sin(2 * np.pi * 0.73 * T - 0.3) + 0.2 * NOISE[0]

@@ -280,6 +280,7 @@ class ModbusDevice(Watched, Controlled):
     def read_back(self, output: str) -> float:
         """The value in the device's register; of one that cannot be read, what was written last."""
         self._output(output)
+        self._opened().let_samples()
         return self._holds(self._map.outputs[output])
 
     def switch(self, output: str, *, on: bool) -> None:
@@ -288,11 +289,13 @@ class ModbusDevice(Watched, Controlled):
 
     def is_on(self, output: str) -> bool:
         """What the coil or register holds; of one that cannot be read, what was written last."""
+        self._opened().let_samples()
         return self._holds(self._switched(output)) != 0
 
     def level(self, name: str) -> bool:
         """Whether a digital input, or the bit of a register, is set."""
         self._known("input", name, self._map.inputs)
+        self._opened().let_samples()
         return self._get(self._map.inputs[name]) != 0
 
     def rescue(self, output: str, value: float) -> None:
@@ -325,6 +328,7 @@ class ModbusDevice(Watched, Controlled):
 
     def held(self) -> Mapping[str, float | str]:
         """Its watchdog, the register `uptime` and the serial number, as far as the map has them."""
+        self._opened().let_samples()
         deadline, found = monotonic() + CALL, dict[str, float | str]()
         values = self._values(self._reported, deadline)
         if (registers := self._watchdog) is not None:

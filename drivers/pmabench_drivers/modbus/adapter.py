@@ -35,8 +35,8 @@ for _name in ("pymodbus.logging", "pymodbus_logging"):
 
 SHOWN = 0.005
 """Pause between two looks at what a device shows after a command [s]."""
-GIVES_WAY, PATIENT = 0.001, 0.2
-"""Pause between two looks whether a sample may be asked for, and how long it lets calls go first [s]."""
+GIVES_WAY, PATIENT, LONGEST = 0.001, 0.1, 0.3
+"""Pause between two looks whether a sample may be asked for; when it goes before questions, and before all [s]."""
 PIECE = 0.005
 """Longest wait for bytes of a serial port before the deadline is looked at again [s]."""
 EXCEPTIONS = {
@@ -154,6 +154,7 @@ class Line:
         self._lock = threading.Lock()
         self._closed = False
         self._owed: list[tuple[Signature, float]] = []
+        self._overdue = False
         self._calls = set[object]()
         """Calls that wait for their turn or are under way; samples wait for them."""
         self.quickest, self.heard, self.asked, self.called = math.inf, -math.inf, -math.inf, -math.inf
@@ -256,16 +257,24 @@ class Line:
         """The line for one question: a slow line would be taken again for samples before a call got it."""
         call = object()
         if sample:
-            until = min(monotonic() + PATIENT, deadline)
-            while self._calls and monotonic() < until:
+            begun = monotonic()
+            while self._calls and monotonic() < min(begun + LONGEST, deadline):
+                self._overdue = monotonic() > begun + PATIENT
                 sleep(GIVES_WAY)
         else:
             self._calls.add(call)
         try:
             with turn(self._lock, deadline, self._device, what):
+                self._overdue = self._overdue and not sample
                 yield
         finally:
             self._calls.discard(call)
+
+    def let_samples(self) -> None:
+        """Before a question that is in no hurry: let a sample go first that has waited for long."""
+        until = monotonic() + PATIENT
+        while self._overdue and monotonic() < until:
+            sleep(GIVES_WAY)
 
     def _ask(
         self,

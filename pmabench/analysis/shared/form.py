@@ -6,16 +6,17 @@ hide adds as a square. Decision 0019 says why; knows no test kind.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 
 import numpy as np
 
 from pmabench.analysis.shared import student
+from pmabench.analysis.shared.samples import step_of
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Parts, Source, is_below_0, withhold
-from pmabench.store.records import Array
+from pmabench.store.records import Array, RunData, TrialData
 
 MOST_HIDDEN = 0.02
 """A significant departure that could change a value by more than this share withholds it, where no other is given."""
@@ -122,6 +123,29 @@ def force_from_cycle_to_cycle(cycles: Sequence[Array], share: float = 1.0) -> li
     text = f"from cycle to cycle the force changes, by {show(change.size, 'force', 2)} in all: the cell drifts, or the"
     reason = f"{text} muscle is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
     return [Doubt("change from cycle to cycle", "drift", change.most * share, seen=True, reason=reason)]
+
+
+CUT_OFF = "half a step of the channels, where a converter cuts off"
+
+
+def half_steps(pairs: Iterable[tuple[RunData, TrialData]], channels: Iterable[str]) -> dict[str, float]:
+    """Channel -> half the step in which it is read [SI]: a converter that cuts off, as many do, reads so much too low.
+
+    A channel whose offset has a declared uncertainty was calibrated through its converter: that holds it.
+    """
+    found: dict[str, float] = {}
+    for run, trial in pairs:
+        for name in channels:
+            info = run.channels.get(name)
+            if name in trial.channels and (info is None or not info.offset_uncertainty):
+                step = step_of(trial.channels[name][trial.usable])
+                found[name] = max(found.get(name, 0.0), 0.5 * step if step < inf else 0.0)
+    return found
+
+
+def cut_off(half: Mapping[str, float], changes: Mapping[str, float]) -> Doubt:
+    """What `half_steps` make of a value that changes by `changes` per unit of each channel."""
+    return Doubt(CUT_OFF, "method", hypot(*(half.get(name, 0.0) * change for name, change in changes.items())), False)
 
 
 OF_THE_LOOP = ("F_c", "H", "h_1", "W", "W_c", "eta", "phi")

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.samples import (
     NotUsable,
+    between_new,
     ends,
     lag_of,
     lag_open,
@@ -242,7 +243,8 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
     grid = np.linspace(lower + turn, upper - turn, POINTS)
     if not grid[-1] > grid[0]:
         raise NotUsable("nothing is left of the stroke between its ends")
-    X, Y, good = on_time(run, trial, axes.moved), on_time(run, trial, axes.pulls), trial.usable
+    trial, good = _followed(trial, axes), trial.usable
+    X, Y = on_time(run, trial, axes.moved), on_time(run, trial, axes.pulls)
     P = np.mean([on_time(run, trial, name) for name in axes.pressures], axis=0)
     branches: tuple[list[Array], list[Array]] = ([], [])
     pressures: tuple[list[float], list[float]] = ([], [])
@@ -348,6 +350,14 @@ def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any
     settings = settings_of(run, options)
     stroke = trial.point.get("upper", 0.0) - trial.point.get("lower", 0.0)
     return measure(run, trial, int(settings.get("discard", 1)), float(settings.get("turn", TURN * stroke)))
+
+
+def _followed(trial: TrialData, axes: Axes) -> TrialData:
+    """The trial with motion and force, where they are read less often than recorded, on lines between new values."""
+    names = {axes.moved, axes.pulls} & set(trial.channels)
+    return replace(
+        trial, channels={**trial.channels, **{name: between_new(trial.t, trial.channels[name])[0] for name in names}}
+    )
 
 
 def _usable_cycles(

@@ -163,6 +163,8 @@ class Chooser:
         if known.misfit and known.sure:
             return Proposal(f"nothing is promised: {known.misfit}", known, counts)
         beyond = out_of_reach(known.outlook.design, known.aim, counts)
+        if known.freedom < FEWEST_FREEDOM:  # an assumed scatter says of no goal that trials cannot reach it
+            beyond = [n for n in beyond if known.aim.rest[n] > known.aim.goal[n]]
         far = (*(self._of(known, n, counts) for n in beyond), *self._unidentified(known))
         near = known.narrowed([n for n in range(len(known.outlook.names)) if n not in beyond])
         if near.freedom >= FEWEST_FREEDOM and near.reached(counts):
@@ -243,7 +245,9 @@ class Chooser:
         size, wanted, by_rest = (_size(one, float(known.outlook.values[number])) for one in (half, goal, rest))
         fixed = f", {by_rest} of it by calibration or skew" if rest > goal else ""
         symbol, P = known.outlook.names[number]
-        return f"{name_of(symbol, P or None)} has {size} where {wanted} is wanted{fixed}"
+        e = known.reported.get((symbol, P))
+        has = "has" if e is not None and e.parts.combined else "is expected to have"
+        return f"{name_of(symbol, P or None)} {has} {size} where {wanted} is wanted{fixed}"
 
     def _unidentified(self, known: Known) -> list[str]:
         """Wanted values that no number of these trials tells, in words."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
-from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_gauge, of_the_sensor
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
 from pmabench.kinds.contraction_relaxation.intervals import (
     Cause,
@@ -169,7 +170,9 @@ def _replays(
     if not count:
         return
     run = simulated.run(fit, work.P, work.dt, work.load, work.mass, work.x)
-    noise = replace(campaign.noise, pressure=0.0) if campaign.pressure_step else campaign.noise
+    noise = campaign.noise
+    if campaign.pressure_step:
+        noise = replace(noise, pressure=sqrt(max(0.0, noise.pressure**2 - campaign.steps.pressure**2)))
     for seed in range(count):
         seen_again = segments_of(simulated.measured(work, run, noise, campaign.cell, seed, campaign.pressure_step))
         if len(seen_again) < 2 * FEWEST:
@@ -232,8 +235,8 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     def with_hidden(other: Fit, rows: NDArray[np.bool_], trust: Trust) -> Trust:
         mine, scales = segments.where(rows), Scales.of(campaign.runs)
         of_cell = of_the_cell(diagnosis.weighed, scales, mine, other)
-        sensor = of_the_sensor(sensor_known(campaign), mine, other)
-        return replace(trust, causes=(*trust.causes, *diagnosis.hidden.lines(other, rows), *of_cell, sensor))
+        sensors = of_the_sensor(sensor_known(campaign), mine, other), *of_the_gauge(scales, mine, other)
+        return replace(trust, causes=(*trust.causes, *diagnosis.hidden.lines(other, rows), *of_cell, *sensors))
 
     def trust_of(other: Fit, rows: NDArray[np.bool_], seen: Array) -> Trust:
         unit = rms_of(seen)

@@ -363,6 +363,10 @@ def _rate(values: Array, dt: float) -> Array:
     return np.asarray((values[:, -1] - values[:, 0]) / (max(1, values.shape[1] - 1) * dt))
 
 
+FILLED = 1.75
+"""Noise over that of the steps alone from which on it fills them: 0.4 steps, where means are off by 0.013 of one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Campaign:
     """The usable trials of all runs, numbered through; `cells` holds each trial's cell (load, pressure)."""
@@ -386,7 +390,7 @@ class Campaign:
     def pressure_step(self) -> float:
         """Step of the pressure's values [Pa], 0 where noise fills it: then means over segments do not see it."""
         step = self.steps.pressure
-        return sqrt(12.0) * step if step >= self.noise.pressure else 0.0
+        return sqrt(12.0) * step if FILLED * step >= self.noise.pressure else 0.0
 
     @property
     def late(self) -> Noise:

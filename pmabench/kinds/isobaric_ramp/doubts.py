@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.form import Doubt, cut_off, half_steps, weighed
 from pmabench.analysis.shared.samples import lag_open
 from pmabench.kinds.isobaric_ramp.cell import CURVE, OF_MEAN, RAW, Cell
 from pmabench.kinds.isobaric_ramp.coefficients import SHRINKS
@@ -36,7 +36,14 @@ def judged(cell: Cell, found: list[Estimate], creep: Creep | None) -> list[Estim
     if cell.upside_down:
         return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
     late, falls = _late(cell), _falls(cell)
-    return [weighed(e, [*_doubts(cell, e, late, creep), *_of_falls(e, *falls)]) for e in _without_creep(cell, found)]
+    half = half_steps([(member.run, member.trial) for member in cell.members], ("force", "displacement"))
+    level = cut_off(half, {"force": 1.0, "displacement": cell.straight})
+
+    def doubts(e: Estimate) -> list[Doubt]:
+        at_level = [level] if e.symbol in ("F", "F_ce") else []
+        return [*_doubts(cell, e, late, creep), *_of_falls(e, *falls), *at_level]
+
+    return [weighed(e, doubts(e)) for e in _without_creep(cell, found)]
 
 
 def _doubts(cell: Cell, e: Estimate, late: Doubt, creep: Creep | None) -> list[Doubt]:

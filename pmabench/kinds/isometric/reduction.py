@@ -13,7 +13,7 @@ import numpy as np
 
 from pmabench.analysis.imported import flagged_counts, import_findings, rule_of, unusable_because
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import weighed
+from pmabench.analysis.shared.form import cut_off, half_steps, weighed
 from pmabench.analysis.shared.isometric_lines import (
     FEWEST,
     METHOD,
@@ -80,7 +80,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         at = {"contraction": contraction}
         found = departures(tests, lambda test: test.F > above, (first.line.m, first.line.c))
         lines = [first.mean, *((pooled.line.m, pooled.line.c) for pooled in fits.values())]
-        m, c = (weighed(e, found.doubts(e)) for e in estimates_of(first, tests, at, others=lines))
+        half = half_steps([(test.run, test.trial) for test in tests], ("force", "pressure"))
+        level = {"c": cut_off(half, {"force": 1.0, "pressure": first.line.m})}
+        m, c = (
+            weighed(e, [*found.doubts(e), *([level[e.symbol]] if e.symbol in level else [])])
+            for e in estimates_of(first, tests, at, others=lines)
+        )
         estimates += [m, c]
         for threshold in sorted(set(asked) & set(fits)):
             m_there, _ = estimates_of(fits[threshold], tests, at, f"{METHOD} above {show(threshold, 'force')}")

@@ -23,7 +23,7 @@ from math import hypot, isfinite, nan, pi
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import Doubt, force_from_cycle_to_cycle, weighed
+from pmabench.analysis.shared.form import Doubt, cut_off, force_from_cycle_to_cycle, half_steps, weighed
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import RECOVERED, Sine
 from pmabench.analysis.shared.skew import settled
@@ -102,7 +102,8 @@ def mean_force_estimates(
         scales.part_at(wanted, slope, {"force": F}, offsets),
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
-    drifts = drift_of(members)
+    half_step = half_steps([(member.run, member.trial) for member in members], ("force", "displacement"))
+    drifts = [*drift_of(members), cut_off(half_step, {"force": 1.0, "displacement": fitted.lines.K.start})]
     F_ce, mean_force = weighed(F_ce, [*drifts, form.friction_at_0(fitted.muscle.F_c)]), weighed(mean_force, drifts)
     if reason := form.why_no_tangent():
         mean_force = withhold(mean_force, reason)

@@ -41,6 +41,10 @@ MOST_HIDDEN = 0.02
 """A significant departure that could change a coefficient by more than this share is not left to its interval."""
 GAIN, ZERO = "gain of the force cell against the weights", "zero of the force cell against the weights"
 REVERSAL = "backlash of the displacement sensor"
+GAUGE = "hysteresis of the pressure gauge, a third of its uncertainty"
+BY_WAY = 1 / 3
+"""Share of the uncertainty of a gauge that may be hysteresis, as data sheets have it: the rest is its zero, which may
+drift, and its line, which may be bent."""
 ALONE = 1e-6
 """A column of which the coefficients leave a smaller share than this cannot be distinguished from them."""
 HARDLY = 0.01
@@ -280,6 +284,22 @@ def of_the_sensor(known: float, segments: Segments, fit: Fit) -> Cause:
     size = known or columns.UNDECLARED
     name = REVERSAL if known else f"{REVERSAL}, assumed {show(size, 'length', 2)}: the record gives no uncertainty"
     return Cause(name, "method", size * fit.change(columns.play(segments, fit)[:, None]).T)
+
+
+def of_the_gauge(scales: Scales, segments: Segments, fit: Fit) -> list[Cause]:
+    """Hysteresis of the pressure gauge, `BY_WAY` of the uncertainty of its zero; none where that is not declared.
+
+    It shows less while the pressure rises and more while it falls. Where it stays so at rest, that looks like a
+    friction; where noise lets it catch up at rest, it is a pressure that is late by an amount.
+    """
+    size = BY_WAY * scales.offsets.get("pressure", 0.0)
+    if not size:
+        return []
+    push = size * force_by_pressure(segments, fit)
+    quarter = max(1, segments.P_mid.shape[1] // 4)
+    moved = segments.P_mid[:, -quarter:].mean(axis=1) - segments.P_mid[:, :quarter].mean(axis=1)
+    late = np.clip(moved / size, -1.0, 1.0)
+    return [Cause(GAUGE, "method", fit.change(np.column_stack([push * segments.way, push * late])).T)]
 
 
 def _sizes(test: Test, known: Sequence[Departure]) -> list[Size]:

@@ -273,6 +273,8 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     if spread <= CHANGES:
         return None
     known = force.unit if QUANTITY.get(force.unit) == "force" and not force.factor else ""
+    if force.unit in WEIGHT and not force.factor:  # the map makes newtons of it
+        known, low, top = "N", low * WEIGHT[force.unit], top * WEIGHT[force.unit]
     at = [f"{low + share * (top - low):.2g} {known}".strip() for share in SHARES]
     sentence = "; ".join(
         f"{place}: {100 * (slope / slopes[-1] - 1):+.1f} %" for place, slope in zip(at, slopes, strict=True)

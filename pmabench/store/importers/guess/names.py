@@ -88,7 +88,9 @@ def unit_in(name: str) -> str:
     last = re.split(r"[_/,.\s]+", bare)
     if len(last) > 1 and (len(last[-1]) > 1 or last[-1] in QUANTITY):
         return spelled(last[-1])
-    return ""
+    joined = re.search(r"(?<=[a-z])([A-Z][A-Za-z]+)$", bare)  # pressureBar; not valveIn, forceMin
+    unit = spelled(joined[1]) or spelled(joined[1].lower()) if joined and len(last) == 1 else ""
+    return unit if QUANTITY.get(unit) in ("pressure", "force", "length", "mass") and unit != "in" else ""
 
 
 def words(name: str) -> set[str]:
