@@ -29,7 +29,6 @@ from pmabench.kinds.ultimate_gain.open_loop_form import (
     flow_limited,
     gauge_filter,
     hunting,
-    kept_short,
     read_in_steps,
 )
 from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, described, lags_of, limit_of, oscillating
@@ -226,7 +225,7 @@ def _with_spread(
         for way, tau in zip((regulator.fill, regulator.vent), moved.tau, strict=True)
     )
     flow = flow_limited(t, P, known.steps, lag)
-    doubts = _pressures(P, t, known.steps, apart)
+    doubts = _pressures(regulator, hunting(P, t, known.steps), apart)
     doubts += [] if flow is None else [_flow(flow, truth, ends([(flow.small(regulator), moved)]))]
     if other := ends([found.other] if found.other is not None else []):
         doubts.append(_both(Doubt("delay or filter of the gauge", "method", 1.0, False), _apart(other[0], truth)))
@@ -238,14 +237,14 @@ def _with_spread(
     return replace(known, loop=loop, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
 
 
-def _pressures(P: Array, t: Array, steps: Sequence[Step], apart: float) -> list[tuple[Doubt, Doubt]]:
-    """What a pressure is worth that does not go where it is sent, or swings by itself.
+def _pressures(regulator: Regulator, swing: float, apart: float) -> list[tuple[Doubt, Doubt]]:
+    """What a pressure is worth that does not go where it is sent, or swings by itself, by that share of the steps.
 
     `apart` is how far rests of gauge and command may be apart, for their gains and steps [1].
     """
-    short, swing = kept_short(P, t, steps), hunting(P, t, steps)
+    short = abs(regulator.gain - 1)
     reason = (
-        f"where the pressure rests its steps are {short:.1%} off those of the command: it meets a limit, or gauge and "
+        f"the steps of the pressure are {short:.1%} off those of the command: it meets a limit, or gauge and "
         "command are not calibrated alike. Take a bias or steps that it reaches, or calibrate both"
     )
     doubts = [Doubt("pressure over command", "method", 1.0, True, reason)]

@@ -45,31 +45,16 @@ def gauge_filter(regulator: Regulator, moved: Moved) -> float:
     return early if matches else 0.0
 
 
-def kept_short(P: Array, t: Array, steps: Sequence[Step]) -> float:
-    """Distance from 1 of the pressure's steps over the command's, the farthest of the steps to one value [1]."""
-    ends = _ends(t, P, steps)
-    rests: dict[float, list[float]] = {}
-    for step, rest in zip(steps, ends, strict=True):
-        if len(rest):
-            rests.setdefault(round(step.value - steps[3].value), []).append(float(rest.mean()))
-    middle = np.mean(rests.get(0, [np.nan]))
-    return float(max((abs((np.mean(found) - middle) / way - 1) for way, found in rests.items() if way), default=np.nan))
-
-
 def hunting(P: Array, t: Array, steps: Sequence[Step]) -> float:
     """How far the pressure swings at rest, beyond its noise, over the largest step [1]; rms."""
     noise, width, parts = noise_of(P), round(HUM / (t[1] - t[0])), []
-    for rest in _ends(t, P, steps):
+    times = [*(step.t for step in steps), 2 * steps[-1].t - steps[-2].t]
+    for begin, end in pairwise(times):
+        rest = P[(t >= (begin + end) / 2) & (t < end)]
         place = np.arange(len(rest))
         if len(rest) > 9:
             parts.append(beyond_noise(rest - np.polyval(np.polyfit(place, rest, 1), place), width, noise))
     return float(np.std(np.concatenate(parts)) / max(abs(step.height) for step in steps)) if parts else 0.0
-
-
-def _ends(t: Array, y: Array, steps: Sequence[Step]) -> list[Array]:
-    """The second half of the samples after each step."""
-    times = [*(step.t for step in steps), 2 * steps[-1].t - steps[-2].t]
-    return [y[(t >= (begin + end) / 2) & (t < end)] for begin, end in pairwise(times)]
 
 
 def better_by(one: tuple[Regulator, Moved], other: tuple[Regulator, Moved], count: int) -> float:
