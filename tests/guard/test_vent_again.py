@@ -126,13 +126,12 @@ class Holds(Rig):
 def test_a_muscle_that_was_low_and_fills_again_is_seen_while_another_one_vents():
     guard, _rig = armed(PAIR)
     guard.begin_safe()
-    leaks = lambda t: {"pressure_1": 300e3 if t > 0.7 else 1e3, "pressure_2": 300e3 * 0.9 ** (20 * t)}  # noqa: E731
-    _, vent = over(guard, leaks)
+    _, vent = over(guard, lambda t: {"pressure_1": 300e3 if t > 0.7 else 1e3, "pressure_2": 300e3 if t < 0.6 else 1e3})
     assert vent.result == "commanded"
     assert vent.actions[-2:] == (
         "confirm pressure_1: 300 kPa, not below 20 kPa within 1 s",
-        "confirm pressure_2: 36.45 kPa, not below 20 kPa within 1 s",
-    ) or "pressure_1: 300 kPa, not below" in " ".join(vent.actions)
+        "confirm pressure_2: 1 kPa, and not for long, not below 20 kPa within 1 s",
+    )
 
 
 def test_a_confirmation_between_actions_is_waited_for_and_looked_at_again_at_the_end():
@@ -230,9 +229,13 @@ def test_a_link_that_never_comes_back_by_itself_is_opened_anew():
     again = Rig.made["dac"]
     assert again is not rig
     assert vent.confirmed
-    assert again.reported[:4] == [("open",), ("start", 20.0), ("write", "p", 0.0), ("switch", "v", False)] or (
-        ("write", "p", 0.0) in again.reported
-    )
+    assert again.reported[:5] == [
+        ("open",),
+        ("start", 20.0),
+        ("halt", "x"),
+        ("write", "p", 0.0),
+        ("switch", "v", False),
+    ]
 
 
 class ComesLate(Rig):
