@@ -220,14 +220,13 @@ class SafeState:
 
     def _astray(self, sent: _Sent, now: float, latest: Mapping[str, float], expected: float) -> bool:
         """Whether a ramp may not go on: its device is away or began anew, and would be filled when it is back."""
-        name = sent.action.target
-        if name in self._motions:
+        if sent.action.target in self._motions:
             return False
         held = sent.held() if sent.look is not None else True
         if now - self._repeated >= REPEAT:
             self._repeated, self._doubts = now, 0 if held else self._doubts + 1
             sent.look = self._look(sent.action)
-        emptier = latest.get(name, inf) < min(expected / 2, expected - EMPTIER)
+        emptier = latest.get(sent.action.target, inf) < min(expected / 2, expected - EMPTIER)
         return emptier or held is False or self._doubts >= TWICE
 
     def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
@@ -244,9 +243,8 @@ class SafeState:
         since = [watched.since for watched in self._watched if watched.since is not None]
         whole = len(since) == len(self._watched)
         until = self._since + max((action.within for action in actions), default=0.0)
-        if now >= (max(until, max([late, *since]) + 2 * STAYS) if whole else until):
-            return True
-        if all(watched.lasts(now, late) for watched in self._watched):
+        over = now >= (max(until, max([late, *since]) + 2 * STAYS) if whole else until)
+        if over or all(watched.lasts(now, late) for watched in self._watched):
             return True
         if back or (now - self._repeated >= REPEAT and (not whole or now < late)):
             self._repeated = now

@@ -10,6 +10,7 @@ import pytest
 
 from pmabench.kinds.recorded_sine import reduction as sines
 from pmabench.kinds.recorded_step import reduction as steps
+from pmabench.store.records import Command, TrialData
 from tests.analysis.judged_forms import as_run, as_trials
 from tests.judge import rung
 from tests.judge.record import Ramp, Trial, lagged
@@ -142,3 +143,31 @@ def test_a_lag_of_the_pressure_sensor_that_nobody_declares_makes_another_damping
     scores = off(steps.reduce([step_run("pressure", 0.012, 0.0)]), step_truth)
     assert all(scores.get(("B", P), 2.0) > 1 for P in (rung.LOW, rung.HIGH))
     assert min(scores["tau_P", *at] for at in [(rung.LOW, rung.HIGH), (rung.HIGH, rung.LOW)]) > 2
+
+
+def test_a_declared_lag_of_the_gauge_that_is_a_delay_is_in_the_times_of_the_pressure():
+    """40 ms, taken off as a filter: t_d was 1.6 half widths late, tau_P 2.1 short."""
+    rng, trials, late, dead, tau = np.random.default_rng(3), [], 0.04, 0.03, 0.0955
+    t = np.arange(-1.0, 4.0, 1 / 250.0)
+    for number, (before, after) in enumerate([(0.0, 2e5), (2e5, 0.0)] * 2):
+        since = np.maximum(t - dead, 0.0)
+        P = before + (after - before) * (1 - np.exp(-since / tau))
+        slow = (tau * np.exp(-since / tau) - 0.2 * np.exp(-since / 0.2)) / (tau - 0.2)
+        x = 1e-7 * (before + (after - before) * (1 - slow))
+        channels = {
+            "pressure": np.interp(t - late, t, P) + 300.0 * rng.standard_normal(len(t)),
+            "displacement": x + 3e-6 * rng.standard_normal(len(t)),
+        }
+        begin = 10.0 * number
+        command = Command(begin, "pressure", "set", after, before, "step", {})
+        point, flags = {"from": before, "pressure": after}, np.zeros(len(t), np.uint16)
+        trials.append(
+            TrialData("lab", number, point, number // 2, False, "finished", begin + t, channels, flags, (command,), {})
+        )
+    run = as_run("recorded-step", trials, 250.0, {}, {"pressure": {"sensor_lag": late}})
+    known = [e for e in steps.reduce([run]).estimates if e.value is not None]
+    times = [(e, dead) for e in known if e.symbol == "t_d" and e.method == "recorded-step"]
+    times += [(e, tau) for e in known if e.symbol == "tau_P"]
+    assert len(times) >= 2
+    for e, truth in times:
+        assert abs(e.value - truth) < e.parts.combined < 0.07, (e.symbol, e.value, e.parts)

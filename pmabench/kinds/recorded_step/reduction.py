@@ -183,7 +183,7 @@ def _at(
 
 
 def _slower(steps: Sequence[Step], place: int) -> float:
-    """What a filter of the gauge that nobody declared may add to a time [s], the mean of all steps."""
+    """What a filter of the gauge, undeclared or in truth a delay, may make of a time [s], the mean of all steps."""
     return float(np.mean([step.slower[place] for step in steps]))
 
 

@@ -72,7 +72,8 @@ class Step:
     noise: float
     """Of the displacement at rest before the step, as recorded [m]."""
     slower: tuple[float, float]
-    """What a filter of the gauge that nobody declared may add to the times to the onset and from it to 63 % [s]."""
+    """What a filter of the gauge that nobody declared, or a declared one that is a delay, makes of the times to the
+    onset and from it to 63 % [s]."""
     declared: bool
     """Whether the sensor of the displacement has a declared lag."""
     unresolved: dict[str, float]
@@ -155,7 +156,8 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     if risen is None:
         return "no onset of the pressure is seen"
     begins, doubt, crossed = risen
-    slower = (0.0, 0.0) if lags["pressure"] else _slower(t, P, new, size, noise, within, risen)
+    lag = lags["pressure"]
+    slower = _as_delay(t, read, P, lag, over, within, risen) if lag else _slower(t, P, new, size, noise, within, risen)
     unsure = over / 2 + LAG_KNOWN * lags["pressure"]
     dead = begins + within / 2 - (late[0] + late[1]) / 2
     dead_half = doubt + within / 2 + (late[1] - late[0]) / 2 + unsure
@@ -199,6 +201,29 @@ def _slower(
         return 0.0, 0.0
     delay, until = again[0] - risen[0], float(again[2].mean() - risen[2].mean())
     return abs(delay), abs(until - delay)
+
+
+JUMPS = 2.5
+"""A pressure that rises so many times as much in the time over which it is averaged as in the next begins by a jump."""
+
+
+def _as_delay(
+    t: Array, read: Array, P: Array, lag: float, over: float, within: float, risen: Rise
+) -> tuple[float, float]:
+    """What the times to the onset and from it to 63 % change by where the declared lag of the gauge is a delay [s].
+
+    That it is a delay shows in P, without the lag as that of a filter and averaged over the time `over` [s]: it jumps.
+    """
+    first = np.interp(risen[0] + over * np.arange(3), t, P)
+    if abs(first[1] - first[0]) <= JUMPS * abs(first[2] - first[1]):
+        return 0.0, 0.0
+    rest, end = read[(t >= -BEFORE) & (t < -within)], float(read[t > t[-1] - 1.0].mean())
+    size = end - float(np.median(rest))
+    again = _rise(t, (read - np.median(rest)) * np.sign(size), abs(size), float(rest.std()), within)
+    if again is None:
+        return 0.0, 0.0
+    delay = again[0] - lag - risen[0]
+    return abs(delay), abs(float(again[2].mean() - risen[2].mean()) - lag - delay)
 
 
 def _unresolved(trial: TrialData, good: NDArray[np.bool_], rests: Sequence[NDArray[np.bool_]]) -> dict[str, float]:

@@ -15,12 +15,11 @@ RESULTS = (
 METHODS = {
     "open-loop": (
         "Steps of pressure to both sides of the operating point, no loop closed. A dead time and a lag, or two where "
-        "the steps show them, are fitted from command to pressure, a gain, a lag for each direction and the inertia "
-        "from the measured pressure to the "
-        "contraction; K_u and T_u solve the phase equation ω L + Σ atan(ω T) = π of both, with the mean of the two "
-        "directions (Ziegler and Nichols 1942). A contraction that begins before its pressure shows a filter of the "
-        "gauge, which is taken off. Where rests depend on the side they were reached from, as friction makes them, or "
-        "a valve limits the flow, neither is reported."
+        "the steps show them (which may swing), are fitted from command to pressure, a gain, a lag for each direction "
+        "and an inertia or a delay from the pressure to the contraction; K_u and T_u solve the phase equation "
+        "ω L + Σ atan(ω T) = π of both, with the mean of the two directions (Ziegler and Nichols 1942). A contraction "
+        "that begins before its pressure shows a filter of the gauge, which is taken off. Where rests depend on the "
+        "side they were reached from, as friction makes them, or a valve limits the flow, neither is reported."
     ),
     "gain-steps": (
         "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings is fitted "

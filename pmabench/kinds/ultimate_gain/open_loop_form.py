@@ -14,10 +14,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from pmabench.analysis.shared.samples import FINE, noise_of, rounded
-from pmabench.kinds.ultimate_gain.open_loop_fit import Moved, Regulator, Step, fit, response
+from pmabench.kinds.ultimate_gain.open_loop_fit import Moved, Regulator, Step, beyond_noise, fit, response
 from pmabench.kinds.ultimate_gain.ways import lags_of
 from pmabench.store.records import Array
 
+HUM = 0.1
+"""Over so long hum of 50 and of 60 Hz averages to 0 [s]."""
 SETTLED = 0.75
 """Share of the time between steps after which the pressure has settled."""
 DITHERED = 0.5
@@ -41,6 +43,24 @@ def gauge_filter(regulator: Regulator, moved: Moved) -> float:
     early = -moved.late
     matches = early > LEAST_LATE and early / MATCHES < regulator.second < early * MATCHES
     return early if matches else 0.0
+
+
+def hunting(P: Array, t: Array, steps: Sequence[Step]) -> float:
+    """How far the pressure swings at rest, beyond its noise, over the largest step [1]; rms."""
+    noise, width, parts = noise_of(P), round(HUM / (t[1] - t[0])), []
+    times = [*(step.t for step in steps), 2 * steps[-1].t - steps[-2].t]
+    for begin, end in pairwise(times):
+        rest = P[(t >= (begin + end) / 2) & (t < end)]
+        place = np.arange(len(rest))
+        if len(rest) > 9:
+            parts.append(beyond_noise(rest - np.polyval(np.polyfit(place, rest, 1), place), width, noise))
+    return float(np.std(np.concatenate(parts)) / max(abs(step.height) for step in steps)) if parts else 0.0
+
+
+def better_by(one: tuple[Regulator, Moved], other: tuple[Regulator, Moved], count: int) -> float:
+    """Twice the logarithm of the likelihood of `one` over that of `other`, both fitted to `count` samples."""
+    pressure = other[0].residual / one[0].residual
+    return 2 * count * log(pressure * other[1].residual / one[1].residual)
 
 
 @dataclass(frozen=True)
@@ -152,7 +172,7 @@ def read_in_steps(
     read = [rounded(y + rng.normal(0, noise, len(t)), size, channel)
             for channel, (y, noise, size) in enumerate(zip(shown, noises, sizes, strict=True))]  # fmt: skip
     for one, other in zip(*read, strict=True):
-        found = fit(t, one, other, cycle, sensor, regulator)
+        found = fit(t, one, other, cycle, sensor, parts)
         if not isinstance(found, str):
             yield found[:2]
 

@@ -186,7 +186,7 @@ class GainCell(ABC, Generic[Found]):
         """
         if self.apart <= 0 or self.loop is None:
             return 0.0
-        known, dead = getattr(ultimate(self.loop), name), self.loop.dead_time
+        known, dead = float(getattr(ultimate(self.loop), name)), self.loop.dead_time
         ends = (dead + self.apart, max(dead - self.apart, LEAST_DEAD * dead))
         return max(abs(float(getattr(ultimate(replace(self.loop, dead_time=end)), name)) - known) for end in ends)
 
