@@ -338,6 +338,16 @@ def test_a_drive_that_acknowledges_a_stop_must_come_to_rest(place, result, said)
     assert bool(Rig.made["other"].values("disarm_watchdog")) == vent.confirmed
 
 
+def test_a_vent_without_a_guard_sees_a_drive_stop_by_a_gauge_that_only_measures():
+    where = Station("rig")
+    where.folder.mkdir(parents=True)
+    gauge = DeviceRecord("gauge", DRIVER, channels=tuple(replace(c, device="gauge") for c in OTHER.channels))
+    made = bench(devices=(replace(OTHER, channels=()), REGULATOR, gauge), safe_state=(SAFE[0], SAFE[1], LOOK))
+    vent = vent_directly(made, where, "test")
+    assert vent.confirmed, vent.actions
+    assert vent.actions[-1] == "rest displacement: 0 mm, at rest"
+
+
 def test_a_ramp_of_a_drive_that_fails_is_followed_by_a_stop_and_not_by_a_quicker_motion():
     ramp = SafeAction("ramp", "displacement", 0.0, 3.0, 10e-3)
     guard, _ = of_both(ramp, SAFE[1], LOOK)
