@@ -80,6 +80,10 @@ class DeviceError(PmaError):
         super().__init__(f"{where}: {message}")
 
 
+class NotSent(DeviceError):
+    """A driver refused a command before anything of it was sent: it will not be carried out later."""
+
+
 class LimitRefused(PmaError):
     """A command outside a limit was asked for; nothing was sent."""
 

@@ -19,7 +19,7 @@ from pmabench.bench.compilation import Compilation, known_places, unconfirmed
 from pmabench.bench.driver_options import checked
 from pmabench.bench.files.bench import BenchFile, DeviceFile
 from pmabench.bench.files.specimen import SpecimenFile
-from pmabench.bench.interface import CompiledBench, DeviceRecord, SafeAction, ValveRecord
+from pmabench.bench.interface import CompiledBench, DeviceRecord, SafeAction, ValveRecord, place
 from pmabench.bench.registry import HARDWARE, driver_class
 from pmabench.bench.remarks import lacks, mistaken
 from pmabench.bench.safety import interlocks, proof, safe_state, setup_pressure, trips
@@ -127,6 +127,7 @@ def _compile(c: Compilation, path: Path) -> Mounted:
     proof_test, before = proof(c, most), session(c, most)
     known_places(c)
     devices = tuple(_devices(c, actions))
+    _refuse_twice(c, devices)
     if c.problems:
         raise InvalidFile(c.problems)
     weights = c.bench.weights
@@ -181,6 +182,27 @@ def _devices(c: Compilation, actions: tuple[SafeAction, ...]) -> Iterator[Device
             file.verified.firmware if file.verified is not None else "",
         )
         yield checked(c, record)
+
+
+def _refuse_twice(c: Compilation, devices: Sequence[DeviceRecord]) -> None:
+    """A problem for each address, input and output that the file has twice.
+
+    With the address of the first regulator, copied, a second one would never be vented, and its vent be confirmed.
+    """
+    seen: dict[tuple[str, ...], Location] = {}
+
+    def refuse(location: Location, *what: str) -> None:
+        if (first := seen.setdefault(what, location)) != location:
+            there = f'"{first[1]}" ({c.place(*first)})'
+            c.fault(location, f"{' '.join(what)} is that of {there} already: one of the two is wrong")
+
+    for device in devices:
+        if where := place(device.address, device.options, resolve=False):
+            refuse(("devices", device.name, "address"), where)
+    for name, channel in c.bench.channels.items():
+        refuse(("channels", name, "input"), "the input", f"{channel.device}.{channel.input}")
+    for name, output in c.bench.outputs.items():
+        refuse(("outputs", name, "output"), "the output", f"{output.device}.{output.output}")
 
 
 def _verified(file: DeviceFile) -> str:

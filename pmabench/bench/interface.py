@@ -18,7 +18,10 @@ SI; a `Scale` has what the device itself gives. `Truth` is what is really wired 
 from __future__ import annotations
 
 import json
+import os
+import socket
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import Any, Protocol, TypeVar, get_args, get_origin, get_type_hints, runtime_checkable
 
@@ -214,6 +217,20 @@ class ProofTest:
     """Longest time to fill [s]."""
 
 
+def place(address: str, options: Mapping[str, Any], *, resolve: bool = True) -> str:
+    """Where a device is, in one spelling for all bench files; empty for a simulation without an address."""
+    if not address or address.startswith("/"):
+        return os.path.realpath(address) if address else ""  # what a link of /dev/serial/by-id leads to
+    host, colon, port = address.rpartition(":")
+    if not colon or not port.isdigit() or "/" in host:
+        return " ".join(str(part) for part in (options.get("server", ""), address) if part)
+    with suppress(OSError):
+        host = socket.gethostbyname(host) if resolve else host
+    map_ = options.get("map")
+    unit = options.get("unit_id") or (map_.get("unit_id") if isinstance(map_, Mapping) else None) or 1
+    return f"{host}:{port} unit {unit}"
+
+
 @dataclass(frozen=True)
 class DeviceRecord:
     """One device: its driver as `module:Class`, its address and options as the bench file gives them."""
@@ -398,6 +415,8 @@ class Identity:
     clock: str = "own"
     """`own`: its samples carry the device's clock. `computer`: they are stamped with bench time by the driver, halfway
     between question and answer, or when a line began to come; half of a poll is then the time from stamp to arrival."""
+    answers: float = 0.0
+    """How long it took at least to answer a question [s], where the driver measures that and polls as that allows."""
 
 
 @dataclass(frozen=True)
@@ -481,7 +500,11 @@ class SetPoint(Protocol):
 
 @runtime_checkable
 class Follower(Protocol):
-    """Follows ramps and sines by itself."""
+    """Follows ramps and sines by itself.
+
+    A driver that steps along them keeps in an attribute `unanswered` when a step was sent last of which nobody knows
+    whether it was carried out [s, bench time]: such a step may come after the safe value.
+    """
 
     def follow(self, output: str, segment: Segment) -> None:
         """Begin the segment; the next `write` or `follow` ends it."""

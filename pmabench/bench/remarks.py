@@ -7,9 +7,10 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from pmabench.base.quantities import show, without_number
+from pmabench.bench.channels import DRIVES
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.interface import ChannelRecord, DeviceRecord
-from pmabench.bench.safety import SUPPLY_MARGIN
+from pmabench.bench.safety import ENDS, SUPPLY_MARGIN, watched_by
 
 
 def lacks(c: Compilation) -> Iterator[str]:
@@ -93,21 +94,55 @@ def _pressure_elsewhere(c: Compilation) -> Iterator[str]:
         )
 
 
-def _of_a_real_bench(c: Compilation) -> Iterator[str]:
-    off = {"pressure", "dump_valve", "fill", "supply_valve"}
-    pressurising = {file.device for name, file in c.bench.outputs.items() if without_number(name)[0] in off}
+LEAVES = {
+    **dict.fromkeys(("pressure", "dump_valve", "fill", "supply_valve"), "the pressure at its last value"),
+    **dict.fromkeys(DRIVES, "a drive in motion"),
+}
+"""What a computer that dies leaves, by the output whose device has no watchdog."""
+AT_LEAST = {"displacement": "2 mm", "angle": "3 deg"}
+"""How far a drive is usually from what is commanded, on its way."""
+
+
+def _watchdogs(c: Compilation) -> Iterator[str]:
+    """A line for each device without one that pressurises or moves."""
+    left = {file.device: LEAVES.get(without_number(name)[0], "") for name, file in c.bench.valves.items()}
+    left |= {
+        file.device: LEAVES[without_number(name)[0]] for name, file in c.bench.set_points.items() if name in c.outputs
+    }
     accepted = c.bench.no_watchdog
-    for device in sorted(pressurising):
-        if c.bench.devices.get(device) is None or c.bench.devices[device].watchdog:
+    for device, what in sorted(left.items()):
+        if not what or c.bench.devices.get(device) is None or c.bench.devices[device].watchdog:
             continue
         if accepted is not None:
             yield f"no watchdog of {device}, accepted by {accepted.accepted_by} on {accepted.date}: {accepted.reason}"
         else:
+            other = "" if what == LEAVES["angle"] else "else a normally-open dump valve on one that has; "
             yield (
-                f"no watchdog of {device}: a computer that dies leaves the pressure at its last value; remedy: "
-                '"watchdog" where the device has one, else a normally-open dump valve on one that has; '
-                'or "no_watchdog" with who accepts it'
+                f"no watchdog of {device}: a computer that dies leaves {what}; remedy: "
+                f'"watchdog" where the device has one, {other}or "no_watchdog" with who accepts it'
             )
+
+
+def _drives(c: Compilation) -> Iterator[str]:
+    """A line for each drive that may go where it was not sent, or pull beyond its lower end, and nothing sees it."""
+    watched = {entry.channel for entry in c.bench.watch if entry.kind == "following" and entry.action in ENDS}
+    below = {watched_by(key) for key, one in c.bench.limits.items() if one.trip_low and one.action in ENDS}
+    for name in [name for name in DRIVES if name in c.outputs and name in c.channels]:
+        if name not in watched:
+            yield (
+                f"nothing that sees a drive that goes where it was not sent; remedy: "
+                f'"watch: [{{following: {name}, more_than: {AT_LEAST[name]}, for: 300 ms, action: vent}}]"'
+            )
+        if name not in below:
+            yield (
+                f"no lower limit of the {name}, to which a drive may stretch the muscle; remedy: "
+                f'"limits: {{{name}: {{trip_low: ..., action: vent}}}}"'
+            )
+
+
+def _of_a_real_bench(c: Compilation) -> Iterator[str]:
+    yield from _watchdogs(c)
+    yield from _drives(c)
     if not c.bench.pressures:
         return
     yield from _pressure_elsewhere(c)

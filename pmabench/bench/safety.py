@@ -107,6 +107,7 @@ def _range(c: Compilation, name: str, limit: LimitFile, channel: ChannelRecord) 
         return None
     if low is not None:
         _inside(c, (*at, "trip_low"), low, channel)
+        _below_commands(c, name, low, channel)
     if limit.delay > LONGEST_DELAY and limit.action in ENDS:
         c.fault((*at, "delay"), f"is longer than {LONGEST_DELAY:g} s: that is no protection")
     if high is not None and low is not None and low >= high:
@@ -188,6 +189,16 @@ def _above_commands(c: Compilation, name: str, high: float, channel: ChannelReco
         )
 
 
+def _below_commands(c: Compilation, name: str, low: float, channel: ChannelRecord) -> None:
+    """The lower trip of what a drive moves lies below what may be commanded, by the channel's uncertainty."""
+    output = c.outputs.get(watched_by(name))
+    margin = channel.calibration.uncertainty(low) + _extrapolation(c, channel, low)
+    if output is not None and output.rate and (low >= output.low or low > output.low - margin * (1 - 1e-9)):
+        shown = f"the trip {show(low, output.quantity)} must lie at least {show(margin, output.quantity)} (uncertainty)"
+        text = f"{shown} below the lowest command {show(output.low, output.quantity)} ({output.low_from})"
+        c.fault(("limits", name, "trip_low"), text)
+
+
 def _protects_the_muscle(c: Compilation, name: str, limit: LimitFile, high: float) -> None:
     for borne in c.borne(name):
         never = borne.limits.pressure.never_above
@@ -213,21 +224,13 @@ def _of_the_specimen(c: Compilation, watched: Collection[str]) -> Iterator[TripR
 
 
 def _of_the_joint(c: Compilation) -> None:
-    """The angle of a joint is measured, and watched to both sides; a drive cannot reach where it trips."""
+    """The angle of a joint is measured, and watched to both sides."""
     if "angle" not in c.bench.channels:
         c.fault(("channels",), 'nothing measures the angle of the joint; add a channel "angle"')
     limit = c.bench.limits.get("angle")
     if limit is None or limit.trip is None or limit.trip_low is None or limit.action not in ENDS:
         text = 'the angle of the joint needs limits to both sides that stop or vent; add "angle: {trip_low: ..., '
         c.fault(("limits", "angle"), text + 'trip: ..., action: vent}"')
-    output, channel = c.outputs.get("angle"), c.channels.get("angle")
-    low = _bound(c, "angle", limit.trip_low, "trip_low") if limit is not None else None
-    if output is not None and channel is not None and low is not None:
-        margin = channel.calibration.uncertainty(low)
-        if low >= output.low or low > output.low - margin * (1 - 1e-9):
-            shown = f"the trip {show(low, 'angle')} must lie at least {show(margin, 'angle')} (uncertainty) below"
-            text = f"{shown} the lowest command {show(output.low, 'angle')} ({output.low_from})"
-            c.fault(("limits", "angle", "trip_low"), text)
 
 
 def _supply(c: Compilation) -> Iterator[TripRecord]:

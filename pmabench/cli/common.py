@@ -7,12 +7,12 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from errno import EPIPE
 from functools import reduce, wraps
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event, Thread, Timer
 from time import monotonic
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
@@ -162,6 +162,28 @@ def _prepared(stream: TextIO | None) -> TextIO:
     if isinstance(stream, io.TextIOWrapper):
         stream.reconfigure(errors="backslashreplace")
     return stream if isinstance(stream, Spelled) else cast("TextIO", Spelled(stream))
+
+
+UNREAD = 10.0
+"""How long the end of a run waits to be read [s]."""
+
+
+@contextmanager
+def read_or_not(code: int) -> Iterator[None]:
+    """Print what is said inside; where nobody takes it for `UNREAD` [s], end the program with this exit code.
+
+    A terminal that is stopped, or a pipe that is full, would keep a program whose run is over and recorded.
+    """
+    waits = Timer(UNREAD, os._exit, (code,))
+    waits.daemon = True
+    waits.start()
+    try:
+        yield
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+    finally:
+        waits.cancel()
 
 
 def rewrite(text: str = "") -> None:

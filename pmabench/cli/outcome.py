@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, fields, rewrite, say
+from pmabench.cli.common import Ui, fields, read_or_not, rewrite, say
 from pmabench.cli.names import short, typed
 from pmabench.report.terminal import print_texts
 
@@ -57,9 +57,11 @@ def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -
         reset = f"pmabench vent {typed(Path(bench.path), 'bench')} --reset --operator NAME --because TEXT"
         if not trials and outcome.folder is not None:
             reset = f"pmabench continue {short(outcome.folder)}"
-        say(f"the bench is now tripped, and nothing runs on it: look at it, then  {reset}")
+        with read_or_not(outcome.exit_code):
+            say(f"the bench is now tripped, and nothing runs on it: look at it, then  {reset}")
     if trials and outcome.folder is not None and outcome.status not in FINISHED:
-        ui.note(f"the trials that are left:  pmabench run --resume {shlex.quote(str(outcome.folder))}")
+        with read_or_not(outcome.exit_code):
+            ui.note(f"the trials that are left:  pmabench run --resume {shlex.quote(str(outcome.folder))}")
 
 
 def outcome_json(outcome: Outcome) -> dict[str, Any]:
@@ -75,10 +77,11 @@ def outcome_json(outcome: Outcome) -> dict[str, Any]:
 
 def show_outcome(ui: Ui, outcome: Outcome) -> None:
     """The result of a command that was one run; with --quiet its folder, why it did not finish, how it vented."""
-    if ui.quiet and not ui.json and outcome.status != "finished":
-        say(f"{outcome.status}: {outcome.why}{_vent_words(outcome)}")
     folder = () if outcome.folder is None else (str(outcome.folder),)
-    ui.result(outcome_json(outcome), lambda: print_outcome(outcome), folder)
+    with read_or_not(outcome.exit_code):
+        if ui.quiet and not ui.json and outcome.status != "finished":
+            say(f"{outcome.status}: {outcome.why}{_vent_words(outcome)}")
+        ui.result(outcome_json(outcome), lambda: print_outcome(outcome), folder)
 
 
 def show_end(ui: Ui, outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> None:
@@ -90,7 +93,8 @@ def show_end(ui: Ui, outcome: Outcome, bench: CompiledBench, kind: str, trials: 
         show_outcome(ui, outcome)
         show_next(ui, outcome, bench, trials=True)
         return
-    ui.result(outcome_json(outcome), lambda: click.echo("\n".join(_end(outcome, bench, kind, trials))))
+    with read_or_not(outcome.exit_code):
+        ui.result(outcome_json(outcome), lambda: click.echo("\n".join(_end(outcome, bench, kind, trials))))
 
 
 def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list[str]:
@@ -112,8 +116,8 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
     if outcome.vent is not None and not outcome.vent.confirmed:
         lines += [f"   {action}" for action in outcome.vent.actions[:8]]
         lines += [
-            "   nobody knows that the pressure is gone: stay away, shut the supply by hand,",
-            "   then  pmabench vent",
+            "   nobody knows that the pressure is gone and nothing moves: stay away, shut",
+            "   supply and power by hand, then  pmabench vent",
         ]
     if bench.realtime and Station(bench.name).latched():
         lines.append("   the bench is now tripped, and nothing runs on it: look at it first")
@@ -132,7 +136,10 @@ def print_outcome(outcome: Outcome) -> None:
     if outcome.vent is not None and not outcome.vent.confirmed:
         for action in outcome.vent.actions:
             click.echo(f"  {action}")
-        click.echo("  nobody knows that the pressure is gone: stay away, shut the supply by hand, then pmabench vent")
+        click.echo(
+            "  nobody knows that the pressure is gone and nothing moves: stay away, shut supply and power by hand,"
+        )
+        click.echo("  then pmabench vent")
     click.echo(str(outcome.folder))
 
 

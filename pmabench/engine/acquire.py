@@ -81,7 +81,7 @@ class Acquisition:
         self.question: Callable[[float], None] = lambda _now: None
         """Asks devices whether they are as they were when the bench was armed, and does not wait; at bench time [s]."""
         self.beat: Callable[[], None] = lambda: None
-        """Reports to the guard that the program lives, while samples are waited for."""
+        """Reports to the guard that the program lives, while it is not asked for samples."""
         self.holding: set[str] = set()
         """Limits with the action `hold` that are crossed now."""
         self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded)
@@ -90,10 +90,13 @@ class Acquisition:
         self._lock = threading.RLock()
         self._stop: Stop | None = None
         self._stopped: float | None = None
-        self._collected = self._asked = 0.0
+        self._collected = self._asked = self._beaten = 0.0
+        guarded = {device.name for device in bench.devices if device.guarded and device.channels}
+        self._mute = bench.realtime and not guarded
+        """Whether no stream is the guard's: asking it for samples says that the program lives."""
         self._changed = ""
         """The device that is not what it was: its values confirm nothing."""
-        self._supervisor: threading.Thread | None = None
+        self._supervisors: list[threading.Thread] = []
         self._ending = threading.Event()
         self._realtime = bench.realtime
         self._block = REAL_BLOCK if bench.realtime else VIRTUAL_BLOCK
@@ -123,16 +126,20 @@ class Acquisition:
         return self._ranges.extremes
 
     def supervise(self) -> None:
-        """Start a thread that checks the samples whenever the executor does not: limits act although it hangs."""
-        self._supervisor = threading.Thread(target=self._supervise, name="pmabench-watch", daemon=True)
-        self._supervisor.start()
+        """Start threads that check the samples whenever the executor does not: limits act although it hangs.
+
+        Where one of them waits for a device, the other one reports that the program lives.
+        """
+        self._supervisors = [threading.Thread(target=self._supervise, name="pmabench-watch", daemon=True) for _ in "12"]
+        for supervisor in self._supervisors:
+            supervisor.start()
 
     def stop(self) -> None:
         """End sampling; harmless when repeated."""
         self._ending.set()
-        if self._supervisor is not None:
-            self._supervisor.join()
-            self._supervisor = None
+        for supervisor in self._supervisors:
+            supervisor.join()
+        self._supervisors = []
         self.record(on=False)
         for source in self._sources:
             source.stream.stop()
@@ -235,13 +242,20 @@ class Acquisition:
         with self._lock:
             self._raise_trip()  # before a device is asked whose line the guard may have closed since
             self._collected = self.clock.now()
+            if self._mute and self._collected - self._beaten > self._block:
+                self._beaten = self._collected
+                self.beat()
             for source in self._sources:
-                block = source.stream.collect()
-                if single and len(block.time) == 1 and source.last is not None:
-                    self._single(source, block)
-                else:
-                    self._take(source, block)
-                self._refuse_silence(source)
+                try:
+                    block = source.stream.collect()
+                    if single and len(block.time) == 1 and source.last is not None:
+                        self._single(source, block)
+                    else:
+                        self._take(source, block)
+                    self._refuse_silence(source)
+                except PmaError:
+                    if self._watch is not None:
+                        raise  # while it vents, the others are measured all the same
             if self._watch is not None:
                 self._act(self._watch.silent(self.clock.now()))
                 self._question()

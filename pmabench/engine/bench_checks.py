@@ -11,16 +11,18 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from math import floor, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmabench.base.errors import LimitTripped, PmaError, VerdictFailed
+from pmabench.base.errors import DeviceError, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import show
 from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity
 from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.recorder import Recorder
+from pmabench.guard.owner import PATIENCE
 from pmabench.guard.remote import AnyGuard
 from pmabench.guard.station import Station
 
@@ -53,6 +55,27 @@ def doubt(device: DeviceRecord, identity: Identity) -> str:
 def not_proven(identities: Mapping[str, Identity]) -> list[str]:
     """The emulated devices whose wiring and scales were taken from the bench file, so that its errors cancel out."""
     return [name for name, identity in identities.items() if identity.model.startswith(UNPROVEN)]
+
+
+def refuse_twice(bench: CompiledBench, identities: Mapping[str, Identity]) -> None:
+    """Raise DeviceError where one device answers as two of the bench: a vent of the other would be read at it."""
+    seen: dict[tuple[str, str, str], str] = {}
+    for name, one in identities.items():
+        who = one.maker, one.model, one.serial
+        if one.serial and not one.simulated and (first := seen.setdefault(who, name)) != name:
+            shown = f"{one.maker} {one.model}, serial number {one.serial}"
+            raise DeviceError(
+                bench.name, f"{first} and {name} are the same device, {shown}: correct one of the addresses"
+            )
+
+
+def refuse_other_zeros(bench: CompiledBench, zeroed: Mapping[str, str], identities: Mapping[str, Identity]) -> None:
+    """Raise DeviceError where a channel's zero was taken with another device; `zeroed` has those serial numbers."""
+    for device in bench.devices:
+        then, now = zeroed.get(device.name, ""), identities[device.name].serial
+        if then and now != then and any(channel.zero is not None for channel in device.channels):
+            text = f"has the serial number {now or 'unknown'}, and the zeros of the session were taken with {then}"
+            raise DeviceError(device.name, f"{text}: hold the session again with --new-session")
 
 
 def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:
@@ -89,6 +112,66 @@ def _ask(executor: Executor, device: DeviceRecord, identity: Identity, why: str)
     answer = executor.operator.ask(text, acquisition.latest, wait)
     executor.recorder.event("answer", clock.now(), **about, answer=answer)
     return answer
+
+
+QUESTIONS, SIGNS = 3, 8
+"""Within so many answers a command is carried out (behind a question, and read back), and a watchdog is fed [1]."""
+NEARLY, SAMPLES = 0.99, 0.7
+"""A rate that is nearly the one that was asked counts as that, and a line that is used by so much has gaps [1]."""
+
+
+def refuse_slow(
+    bench: CompiledBench, identities: Mapping[str, Identity], wanted: float, used: Mapping[str, float]
+) -> None:
+    """Raise DeviceError where a device answers too slowly for its samples [Hz], its commands or its watchdog."""
+    for device in bench.devices:
+        takes, most = identities[device.name].answers, min(wanted, device.fastest or wanted)
+        rate, signs = used.get(device.name, most), SIGNS * takes
+        wrong = ""
+        if takes and rate < NEARLY * most:
+            can = f"{floor(10 * SAMPLES * rate) / 10:g}"
+            wrong = (
+                f"next to the guard's questions it can be read {rate:.3g} times a second, and {most:g} Hz are asked; "
+                f"declare rate: {can} Hz{f' ({device.fastest_from})' if device.fastest_from else ''}, or have fewer of "
+                "its inputs as channels, or"
+            )
+        elif device.guarded and QUESTIONS * takes > PATIENCE:
+            longest = f"{1e3 * QUESTIONS * takes:.0f} ms"
+            wrong = f"a command that is read back may take {longest}, and the guard waits {1e3 * PATIENCE:.0f} ms;"
+        elif 0 < device.watchdog < signs:
+            wrong = f"its watchdog may hear nothing for {signs:.2g} s; declare watchdog: {1.2 * signs:.2g} s, or"
+        if wrong:
+            raise DeviceError(
+                device.name, f"takes {1e3 * takes:.0f} ms for an answer: {wrong} use a quicker line (baud)"
+            )
+
+
+ARRIVES = 0.5
+"""A drive on its way to where arming sent it comes nearer within so long [s]."""
+NEARER = 0.1
+"""By this share of what its watch allows."""
+
+
+def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
+    """Wait until each drive that is watched is measured where arming sent it.
+
+    Raises LimitTripped where it is not and comes no nearer: one that lost its zero says that it is there.
+    """
+    drives = {output.name: output for output in bench.outputs if output.rate}
+    for trip in bench.trips:
+        if trip.kind != "following" or trip.channel not in drives or trip.high is None:
+            continue
+        output, before = drives[trip.channel], None
+        while not (off := abs(acquisition.latest.get(output.name, nan) - output.safe)) <= trip.high:
+            if before is not None and not off < before - NEARER * trip.high:
+                at, sent = (show(v, output.quantity) for v in (acquisition.latest.get(output.name, nan), output.safe))
+                raise LimitTripped(
+                    f"the drive of {output.device} was sent to {sent}, and {output.name} stays at {at}, further than "
+                    f"{show(trip.high, output.quantity)} ({trip.source}): it lost its zero, counts otherwise than the "
+                    "sensor, or does not move; find its zero again (homing)"
+                )
+            before = off
+            acquisition.pass_time(ARRIVES)
 
 
 FILLED = 0.8

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,11 +13,22 @@ from typing import TYPE_CHECKING, Any
 from pmabench import __version__
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
+from pmabench.base.quantities import show
 from pmabench.base.system import ENGINE, ordinary, real_time, user_name
 from pmabench.bench.compile import Mounted
-from pmabench.bench.interface import CompiledBench, Identity, TripRecord
+from pmabench.bench.interface import CompiledBench, Identity, OutputRecord, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
-from pmabench.engine.bench_checks import LoadImplausible, agree, as_data, not_proven, prove
+from pmabench.engine.bench_checks import (
+    LoadImplausible,
+    agree,
+    as_data,
+    await_drives,
+    not_proven,
+    prove,
+    refuse_other_zeros,
+    refuse_slow,
+    refuse_twice,
+)
 from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
@@ -30,6 +41,12 @@ from pmabench.store.folder import run_name
 
 if TYPE_CHECKING:
     from pmabench.store.writer import RunWriter
+
+
+LOOK, FOLLOWS = 0.1, 1.5
+"""How often a controlled stop looks at the pressure, and from when on it must have fallen [s] ..."""
+FALLEN, FOLLOWED, BEHIND = 20e3, 0.2, 0.5
+"""... where the command has fallen by so much [Pa]: by the first share of it, or be behind by less than the second."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +69,8 @@ class Outcome:
     """Events of a run that was only tried."""
     trials_done: int = 0
     """How many trials came to their end, those of the run that this one continues included."""
+    identities: Mapping[str, Identity] = field(default_factory=dict)
+    """Who answered, by device."""
 
 
 class Waiting:
@@ -135,7 +154,7 @@ def run_plan(
         guard.open()
         own.open()
         identities = {**guard.identities, **own.identities}
-        bench = _as_answered(bench, identities)
+        bench = _as_answered(bench, (mounted.in_session or {}).get("devices") or {}, identities)
         recorder: Recorder = trying or NoRecord()
         writer: RunWriter | None = None
         if out is not None:
@@ -177,11 +196,16 @@ def _no_long_collection() -> Iterator[None]:
         gc.unfreeze()
 
 
-def _as_answered(bench: CompiledBench, identities: Mapping[str, Identity]) -> CompiledBench:
-    """The bench, simulated where one of its devices is; raises DeviceError for a real device in virtual time."""
+def _as_answered(bench: CompiledBench, zeroed: Mapping[str, Any], identities: Mapping[str, Identity]) -> CompiledBench:
+    """The bench, simulated where one of its devices is; raises DeviceError for a real device in virtual time.
+
+    Also where one device answers as two, or another one than those that gave the zeros: serial numbers by name.
+    """
     simulated = [identity.simulated for identity in identities.values()]
     if not bench.realtime and not all(simulated):
         raise DeviceError(bench.name, '"time: virtual" is for simulated devices only')
+    refuse_twice(bench, identities)
+    refuse_other_zeros(bench, zeroed, identities)
     return replace(bench, simulated=any(simulated))
 
 
@@ -268,7 +292,9 @@ class _Run:
         try:
             acquisition.start()
             self._open_streams()
-            agree(executor, {**self.guard.identities, **self.own.identities})
+            identities = {**self.guard.identities, **self.own.identities}
+            refuse_slow(self.bench, identities, executor.plan.rate, acquisition.rates)
+            agree(executor, identities)
             executor.recorder.event("armed", self.clock.now(), bench=self.bench.name)
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
             acquisition.pass_time(0.1)
@@ -277,6 +303,8 @@ class _Run:
                 acquisition.question = self.own.supervision.look
                 acquisition.supervise()
             self.before_proof(executor)
+            if self.procedure is Executor.run:
+                await_drives(self.bench, acquisition)
             prove(self.bench, self.guard, acquisition, executor.recorder)
             self.procedure(executor)
             if executor.failed:
@@ -321,7 +349,25 @@ class _Run:
                 rate = self.bench.stop_rate * (way / furthest)
                 self.guard.ramp(output.name, output.safe + way, output.safe, rate)
                 self.acquisition.commanded.ramp(output.name, now, output.safe + way, output.safe, rate)
-            self.acquisition.pass_time(furthest / self.bench.stop_rate)
+            self._wait_for_stop(now, furthest / self.bench.stop_rate, above)
+
+    def _wait_for_stop(self, begun: float, lasts: float, above: Mapping[OutputRecord, float]) -> None:
+        """Let the ramps of a stop pass, as long as the pressures that are measured follow them: else vent now."""
+        latest = self.acquisition.latest
+        before = {output.name: latest.get(output.name) for output in above}
+        while (since := self.clock.now() - begun) < lasts:
+            self.acquisition.pass_time(min(LOOK, lasts - since))
+            for output, way in above.items():
+                was, now, fallen = before[output.name], latest.get(output.name), way * since / lasts
+                if was is None or now is None or since < FOLLOWS or fallen < FALLEN:
+                    continue
+                asked = output.safe + way - fallen
+                if now > was - FOLLOWED * fallen and now > asked + BEHIND * fallen:
+                    is_, wanted = (show(value, "pressure", 4) for value in (now, asked))
+                    why = f"{output.name} is {is_} where the stop commands {wanted}: not followed, so vented now"
+                    about = {"limit": f"controlled stop {output.name}", "action": "vent", "value": now}
+                    self.executor.recorder.event("warning", self.clock.now(), reason=why, **about)
+                    return
 
     def _measure(self) -> Mapping[str, float]:
         """Newest values for the safe state; more signals shorten its waits."""
@@ -380,6 +426,7 @@ class _Run:
             cause.trip.limit if isinstance(cause, Tripped) else None,
             tuple(recorder.events) if isinstance(recorder, NoRecord) else (),
             len(executor.finished),
+            {**self.guard.identities, **self.own.identities},
         )
 
     def _zeros(self) -> dict[str, dict[str, Any]]:

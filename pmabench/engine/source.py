@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pmabench.base.clock import Clock, DeviceClock
 from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Identity, Stream
 from pmabench.guard.course import step
-from pmabench.guard.links import Act, Links
-from pmabench.guard.supervision import Supervision
+from pmabench.guard.links import Links
+from pmabench.guard.supervision import HELD, Supervision
 from pmabench.store.records import Flag
 
 COLLECTS_WITHIN = 0.5
@@ -29,9 +29,7 @@ SOON = 0.1
 class OwnLinks(Links):
     """Links whose calls may take as long as handing over samples does."""
 
-    def call(self, name: str, act: Act) -> Any:
-        """Make a call of a device and wait for it."""
-        return self._owners[name].call(act, COLLECTS_WITHIN)
+    patience = hands_over = COLLECTS_WITHIN
 
 
 class OwnSupervision(Supervision):
@@ -39,7 +37,7 @@ class OwnSupervision(Supervision):
 
     def hasten(self, name: str) -> None:
         """Ask a device with the next look, whenever it was asked before."""
-        self._since.pop(name, None)
+        self._since.pop(name + HELD[0], None)
 
 
 class OwnStream:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 RATE_WINDOW = 0.02
 """Over what time a rate is taken where the limit does not say [s]."""
+FALLS, LEAST = 0.1, 0.5
+"""A value falls that fell by this share of what is allowed [1] in the time of its limit, at least so long [s]."""
 ENDS = ("stop", "vent")
 """Actions that end the run."""
 
@@ -50,6 +52,7 @@ class Trip:
             "frozen": f"has not changed from {shown} for {limit.delay:g} s",
             "off-range": f"{shown} is at the end of what the channel can measure",
             "following": f"{shown} is further than {high} from what is commanded",
+            "above": f"{shown} is more than {high} above what is commanded and does not fall",
             "burst": f"fell by {shown} within {limit.window:g} s, more than {high}: burst or broken line",
             "slack": f"{shown} is under {show(limit.low or 0.0, quantity)}: slack",
         }
@@ -76,6 +79,8 @@ class _Watched:
         """Samples before this block, as far back as the limit looks."""
         self.last: float | None = None
         self.changed = 0.0
+        self.high: tuple[float, float] | None = None
+        """Since when a value is too far above its command, and is not falling [s], and the value then."""
 
 
 class Watch:
@@ -109,6 +114,8 @@ class Watch:
             if watched.limit.kind == "range" and not watched.active and self._inside(watched, samples):
                 continue
             found += self._one(watched, t, samples)
+            if watched.limit.kind == "following" and watched.limit.action == "hold":
+                found += self._not_falling(watched, t, samples)
         found.sort(key=lambda trip: trip.index)
         return found[: next((n + 1 for n, trip in enumerate(found) if trip.limit.action in ENDS), None)]
 
@@ -171,6 +178,23 @@ class Watch:
                 watched.active = True
         watched.since = float(since) if since is not None and outside[-1] else None
         return found
+
+    def _not_falling(self, watched: _Watched, t: Array, samples: Array) -> list[Trip]:
+        """Where a value that is held for has risen above its command and stays there.
+
+        While the bench holds nothing is sent: what another program commanded, or a stuck valve, is not corrected.
+        """
+        limit = watched.limit
+        most = limit.high or 0.0
+        for index in range(len(t)):
+            moment, value = float(t[index]), float(samples[index])
+            if not value - self._asked(limit.channel, moment) > most:
+                watched.high = None
+            elif watched.high is None or value < watched.high[1] - FALLS * most:
+                watched.high = moment, value
+            elif moment - watched.high[0] >= max(limit.delay, LEAST):
+                return [Trip(replace(limit, kind="above", action="vent"), index, moment, value)]
+        return []
 
     @staticmethod
     def _over(watched: _Watched, index: int, t: float, value: float, found: list[Trip]) -> None:

@@ -15,7 +15,7 @@ from math import inf, isfinite
 from typing import Any
 
 from pmabench.base.clock import Clock, DeviceClock
-from pmabench.base.errors import DeviceError, LimitRefused
+from pmabench.base.errors import DeviceError, LimitRefused, NotSent
 from pmabench.bench.interface import (
     Block,
     CompiledBench,
@@ -24,6 +24,7 @@ from pmabench.bench.interface import (
     OutputRecord,
     SafeAction,
     Segment,
+    Stream,
     ValveRecord,
 )
 from pmabench.guard import course
@@ -38,13 +39,19 @@ from pmabench.guard.limits import (
 )
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
-from pmabench.guard.safe import AT_ONCE, SafeState, Vent
+from pmabench.guard.safe import AT_ONCE, TWICE, SafeState, Vent
 from pmabench.guard.supervision import Supervision
 
 __all__ = ["Guard", "Measure", "State", "Vent"]
 
 FRESH = 0.5
 """Values that are older [s], by the shortest delay of a device's samples, confirm nothing."""
+SILENT = 0.3
+"""A device that gives no sample for so long [s] is begun again: whoever else vents may have ended its sampling."""
+MOTIONS = ("length", "angle")
+"""Quantities of outputs that move."""
+AT_REST = 5e-3
+"""A motion that stays within this share of its command limits has come to rest [1]: slower ones are not seen."""
 Measure = Callable[[], Mapping[str, float]]
 """Lets a little bench time pass; returns the latest measured values [SI]."""
 
@@ -91,8 +98,14 @@ class Guard:
         """Where each output was sent last [SI over s]."""
         self._closed: dict[str, bool] = {}
         """How each valve was switched last."""
-        self._unanswered = -inf
+        self.unanswered = -inf
         """When a command was sent last whose outcome is not known [s]."""
+        self._measured: dict[str, float] = {}
+        """Newest values when the safe state began [SI]."""
+        self._given_up: set[str] = set()
+        self._heard: dict[str, float] = {}
+        """When each device gave samples, or was begun, last [s]."""
+        self._starting: dict[str, Call] = {}
         self._clocks: dict[str, DeviceClock] = {}
         self._shuts: dict[str, float] = {}
         """When the last pulse of each valve ends [s]."""
@@ -112,7 +125,8 @@ class Guard:
 
     def _first_of(self, name: str) -> list[Act]:
         """First commands of the safe state for a device that was just opened, when the guard is to vent only."""
-        begins = takewhile(lambda action: action.do in AT_ONCE, self.bench.safe_state if self._forgiving else ())
+        begins = list(takewhile(lambda action: action.do in AT_ONCE, self.bench.safe_state if self._forgiving else ()))
+        begins = begins if self._safe is None else self._safe.commands
         targets = [(action, self._target(action)) for action in begins]
         return [self._action(action, target) for action, target in targets if target and target.device == name]
 
@@ -131,7 +145,10 @@ class Guard:
         for output in self._outputs.values():
             self.links.writing(output, output.safe)  # raises where a device takes no set-points; nothing is sent yet
         self.links.arm_watchdogs()
-        self.links.refuse_open_interlock()
+        for record in self.bench.devices:
+            act = partial(self.supervision.open_interlock, record)
+            if record.interlocks and (wrong := self.links.call(record.name, act)):
+                raise LimitRefused(wrong)
         for output in self._outputs.values():
             self._write(output, output.safe)
             self.links.refuse_other_read_back(output)
@@ -214,6 +231,8 @@ class Guard:
     def collect(self, name: str) -> Block:
         """The new samples of one device; the guard keeps the newest values of channels that it confirms."""
         block = self.links.collect(name)
+        if len(block.time):
+            self._heard[name] = self.clock.now()
         if len(block.time) and self._age(name, int(block.time[-1])) <= FRESH:
             for record in self.bench.devices:
                 for channel in record.channels if record.name == name else ():
@@ -242,8 +261,9 @@ class Guard:
     def _command(self, device: str, act: Act) -> None:
         try:
             self.links.call(device, act)
-        except DeviceError:
-            self._unanswered = self.clock.now()  # it may be carried out yet
+        except DeviceError as error:
+            if not isinstance(error, NotSent):
+                self.unanswered = self.clock.now()  # it may be carried out yet
             raise
 
     def _write(self, output: OutputRecord, value: float) -> float:
@@ -274,17 +294,30 @@ class Guard:
         self.why = self.why or why
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED
         if self._safe is None:
-            self.state = State.STOPPING
+            self.state, self._measured = State.STOPPING, dict(self.latest)
+            motions = {output.name: output for output in self._outputs.values() if output.quantity in MOTIONS}
+            moved = {action.target for action in self.bench.safe_state} & motions.keys()
+            longest = max((action.within for action in self.bench.safe_state if action.do == "confirm"), default=0.0)
+            rests = tuple(
+                SafeAction("rest", name, AT_REST * (motions[name].high - motions[name].low), longest)
+                for name in (channel.name for channel in self.bench.channels)
+                if name in moved
+            )
             self._safe = SafeState(
-                self.bench.safe_state, self._begin, self._rescue, self._look, self.clock.now(), self._floors,
-                self._unanswered,
+                (*self.bench.safe_state, *rests), self._begin, self._rescue, self._look, self.clock.now(),
+                self._floors, self._last_unanswered, motions.keys(),
             )  # fmt: skip
         elif self._safe.vent is not None:
-            for action in self.bench.safe_state:
-                if action.do not in {"confirm", "hold"}:
-                    self._begin(action)
+            for action in self._safe.commands:
+                self._begin(action)
         if hurry:
             self._safe.hurry()
+
+    def _last_unanswered(self) -> float:
+        """When a command was sent last whose outcome is not known [s], also a step of a driver's own ramp or sine."""
+        steps = [getattr(device, "unanswered", -inf) for device in list(self.devices.values())]
+        self.unanswered = max([self.unanswered, *steps])
+        return self.unanswered
 
     def step_safe(self, latest: Mapping[str, float]) -> Vent | None:
         """Advance the safe state with the latest measured values [SI]; its result when it is over."""
@@ -312,32 +345,68 @@ class Guard:
             vent = self.step_safe(latest)
         return vent
 
-    @property
-    def feeds(self) -> bool:
-        """Whether devices get a sign of life: not when their safe state has no effect (S13)."""
-        return self._safe is None or not self._safe.without_effect
+    def feeds(self, record: DeviceRecord) -> bool:
+        """Whether a device gets a sign of life: not one that the safe state has no effect on, or no answer of (S13)."""
+        if self._safe is None:
+            return True
+        return not (_ends(record) & (self._safe.missing | self._safe.refusing) or self._without_effect(record))
+
+    def _without_effect(self, record: DeviceRecord) -> bool:
+        """Whether what a device commands does not go down or come to rest: of valves, which are nobody's, any."""
+        assert self._safe is not None  # noqa: S101
+        looked_at = {action.target for action in self.bench.safe_state if action.do == "confirm"}
+        own = {output.name for output in record.outputs} & {*looked_at, *self._safe.unmoved}
+        return bool(own & self._safe.unmoved or (record.valves and not own and looked_at & self._safe.unmoved))
 
     def _give_up(self) -> None:
-        """Where the safe state has no effect, close the lines of devices with a watchdog: any question feeds some."""
+        """Close the lines of devices on which the safe state has no effect, so that their watchdogs run out.
+
+        Any question feeds some. A device that does not answer at all is opened anew, and commanded as soon as it is
+        there: either it hears nothing, and its watchdog runs out, or it hears the safe value.
+        """
         assert self._safe is not None  # noqa: S101
         for record in self.bench.devices:
-            targets = {output.name for output in record.outputs} | {valve.name for valve in record.valves}
-            without = bool(targets & self._safe.failed) or (bool(targets) and self._safe.unmoved)
-            if record.watchdog and without and self.links.hang_up(record):
+            ends = _ends(record)
+            missed = max((self._safe.misses.get(end, 0) for end in ends), default=0) >= TWICE
+            if record.name not in self.devices:
+                self._safe.misses |= dict.fromkeys(ends, 0)
+            elif (
+                record.watchdog
+                and record.name not in self._given_up
+                and (ends & self._safe.refusing or self._without_effect(record))
+            ):
+                self._given_up.add(record.name)
+                self.links.hang_up(record.name, 1.5 * record.watchdog + 0.2)
                 self._safe.outcome.append(f"{record.name}: its line is closed, so that its watchdog takes over")
-        self.links.open_again()
+            elif missed and self.links.free(record.name):
+                self.links.hang_up(record.name, 0.0)
+        self.links.open_again(self._first_of)
+
+    def keep_measuring(self, rate: float) -> None:
+        """Have what confirms the vent measured at `rate` [Hz]; what gives no samples is begun again."""
+        now = self.clock.now()
+        slow = {record.name: 3 / record.fastest for record in self.bench.devices if record.fastest}
+        for name, device in list(self.devices.items()):
+            call, silent = self._starting.get(name), now - self._heard.get(name, -inf)
+            failed = call is not None and call.done.is_set() and call.error is not None
+            if isinstance(device, Stream) and (failed or silent > max(SILENT, slow.get(name, 0.0))):
+                self._heard[name], used = now, self.links.sampling.setdefault(name, rate)
+                self._starting[name] = self.links.submit(name, partial(device.start, used))
 
     def _begin(self, action: SafeAction) -> Call:
+        """Start an action; what goes wrong belongs to the outcome of the safe state, which goes on."""
         target = self._target(action)
+        if target is None:
+            return _failed(DeviceError(action.target, "is not open"))
+        return self._submit(target.device, lambda: self._action(action, target))
+
+    def _submit(self, device: str, act: Callable[[], Act]) -> Call:
         try:
-            if target is None or target.device not in self.devices:
-                raise DeviceError(target.device if target else action.target, "is not open")
-            return self.links.submit(target.device, self._action(action, target))
-        except Exception as error:  # belongs to the outcome of the safe state, which goes on
-            call = Call(lambda: None)
-            call.error = error
-            call.done.set()
-            return call
+            if device not in self.devices:
+                raise DeviceError(device, "is not open")
+            return self.links.submit(device, act())
+        except Exception as error:
+            return _failed(error)
 
     def _target(self, action: SafeAction) -> OutputRecord | ValveRecord | None:
         return self._outputs.get(action.target) or self._valves.get(action.target)
@@ -354,12 +423,29 @@ class Guard:
         return self.links.writing(target, action.value)
 
     def _ramp_down(self, output: OutputRecord, action: SafeAction) -> float:
-        """Begin a safe ramp, in the thread of the device: from where it was sent, else from what it holds."""
+        """Begin a safe ramp, in the thread of the device; how long it takes [s].
+
+        A pressure begins at the lowest of what was commanded, held and measured, and goes down at once where the device
+        holds something else: it may be empty already, and a ramp would fill it.
+        """
         known = output.name in self._courses
         origin = self._now_at(output) if known else float(output.scale.to_si(self.links.read_back(output)))
+        if output.quantity == "pressure":
+            origin = min(origin, self._measured.get(output.name, origin))
+            if origin <= action.value or (known and self._differs(output)):
+                self.links.writing(output, action.value)()
+                self._courses[output.name] = course.step(action.value)
+                return 0.0
         self._ramping(output, origin, action.value, action.rate)()
         self._courses[output.name] = course.ramp(self.clock.now(), origin, action.value, action.rate)
         return abs(action.value - origin) / action.rate
+
+    def _differs(self, output: OutputRecord) -> bool:
+        """Whether a device holds something else than it was commanded to, or does not say."""
+        try:
+            return bool(self.supervision.output_differs(output)())
+        except DeviceError:
+            return True
 
     def _rescue(self, action: SafeAction) -> Call | None:
         """Try an action over the second way of its device, where it has one."""
@@ -372,14 +458,27 @@ class Guard:
 
     def _look(self, action: SafeAction) -> Call | None:
         """Ask whether the device holds what a safe action commanded; None for a stop, whose place nobody knows."""
-        if action.do == "set":
-            output = self._outputs[action.target]
-            return self.links.submit(output.device, self.supervision.output_differs(output))
-        valve = self._valves.get(action.target)
-        if valve is None:
+        target = self._target(action)
+        if target is None or action.do == "stop":
             return None
-        return self.links.submit(valve.device, self.supervision.valve_differs(valve, closed=action.do == "close"))
+        if isinstance(target, OutputRecord):
+            return self._submit(target.device, lambda: self.supervision.output_differs(target))
+        closed = action.do == "close"
+        return self._submit(target.device, lambda: self.supervision.valve_differs(target, closed=closed))
 
     def describe(self) -> dict[str, Any]:
         """Who answered, for the manifest."""
         return {name: vars(identity) for name, identity in self.identities.items()}
+
+
+def _failed(error: Exception) -> Call:
+    """A call that could not be made."""
+    call = Call(lambda: None)
+    call.error = error
+    call.done.set()
+    return call
+
+
+def _ends(record: DeviceRecord) -> set[str]:
+    """What a device commands."""
+    return {output.name for output in record.outputs} | {valve.name for valve in record.valves}

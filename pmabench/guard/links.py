@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
+from array import array
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -13,7 +14,7 @@ from math import inf
 from typing import Any, TypeVar
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, LimitRefused
+from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import (
     Block,
     CompiledBench,
@@ -22,7 +23,6 @@ from pmabench.bench.interface import (
     Follower,
     Hands,
     Identity,
-    Inputs,
     Load,
     Motion,
     OutputRecord,
@@ -36,15 +36,17 @@ from pmabench.bench.interface import (
     Watchdog,
 )
 from pmabench.guard.limits import to_device
-from pmabench.guard.owner import Call, Direct, Owner
+from pmabench.guard.owner import PATIENCE, Call, Direct, Owner
 
 OPENS_WITHIN = 8.0
 """Longest time that a device may take to be opened [s]."""
 
 ARMS_WITHIN = 1.0
 """The same for its watchdog, which takes several questions; nothing is under pressure yet [s]."""
-OPENS_AGAIN = 2.5
-"""A device that was not back after so long [s] is opened once more."""
+BRIEF = 0.02
+"""Samples are waited for so long [s] where their device is busy."""
+OPENS_AGAIN = 0.5
+"""A device that could not be opened is tried again after so long [s]."""
 
 Act = Callable[[], Any]
 """A call of a device, ready to be made in the thread that owns it."""
@@ -66,13 +68,16 @@ def load_driver(record: DeviceRecord, clock: Clock) -> Device:
 class Links:
     """The open devices, by name. `threads`: each is called from its own thread."""
 
+    patience, hands_over = PATIENCE, 2 * PATIENCE
+    """How long a call may take [s], and handing over samples, for a question may be under way."""
+
     def __init__(self, bench: CompiledBench, clock: Clock, *, threads: bool) -> None:
         self.devices: dict[str, Device] = {}
         self.identities: dict[str, Identity] = {}
         self._bench, self._clock = bench, clock
         self._owner = Owner if threads else Direct
         self._owners: dict[str, Direct | Owner] = {}
-        self._fed: dict[str, Call] = {}
+        self._collecting: dict[str, Call] = {}
         self._able: dict[tuple[str, type[Any]], Any] = {}
         """Capabilities of each device, kept because asking takes longer than most commands."""
         self.sampling: dict[str, float] = {}
@@ -97,6 +102,7 @@ class Links:
             for name, call in opening.items():
                 with suppress(*passed):
                     self._owners[name].wait(call, max(0.0, until - time.monotonic()))
+            self._back = {record.name: 0.0 for record in records if record.name not in self.devices}
         except BaseException:
             self.close(disarm=False)
             raise
@@ -119,26 +125,25 @@ class Links:
                 self.call(name, device.close)
         self.devices.clear()
 
-    def hang_up(self, record: DeviceRecord) -> bool:
-        """Close the line of a device once, so that its watchdog runs out; opened again when that has happened."""
-        if record.name in self._back or record.name not in self.devices:
-            return False
-        self.submit(record.name, self.devices.pop(record.name).close)
-        self._back[record.name] = self._clock.now() + 1.5 * record.watchdog + 0.2
-        return True
+    def hang_up(self, name: str, rest: float) -> None:
+        """Close the line of a device; it is opened again after so long [s]."""
+        if name in self.devices:
+            self.submit(name, self.devices.pop(name).close)
+            self._back[name] = self._clock.now() + rest
 
-    def open_again(self) -> None:
-        """Open the devices again whose watchdog must have run out by now; what fails is tried again a little later."""
+    def open_again(self, first: Callable[[str], list[Act]]) -> None:
+        """Open the devices again that are due, with the calls of `first`; what fails is tried again a little later."""
         for record in self._bench.devices:
-            if self._back.get(record.name, inf) <= self._clock.now() and record.name not in self.devices:
+            due = self._back.get(record.name, inf) <= self._clock.now() and record.name not in self.devices
+            if due and self.free(record.name):
                 self._back[record.name] = self._clock.now() + OPENS_AGAIN
                 with suppress(DeviceError):
                     device = load_driver(record, self._clock)
-                    self.submit(record.name, partial(self._open, record.name, device, lambda _name: []))
+                    self.submit(record.name, partial(self._open, record.name, device, first))
 
     def call(self, name: str, act: Act) -> Any:
         """Make a call of a device and wait for it."""
-        return self._owners[name].call(act)
+        return self._owners[name].call(act, self.patience)
 
     def submit(self, name: str, act: Act) -> Call:
         """Have a call of a device made; what comes of it shows later."""
@@ -217,25 +222,9 @@ class Links:
                     asked = f"{record.watchdog:g} s was asked for"
                     raise DeviceError(record.name, f"its watchdog says {armed:g} s where {asked}")
 
-    def feed_watchdogs(self) -> None:
-        """Send every armed device a sign of life; raises DeviceError where one said before that it failed."""
-        for record in self._bench.devices:
-            device = self.devices.get(record.name)
-            if record.watchdog and isinstance(device, Watchdog):
-                before = self._fed.get(record.name)
-                if before is None or before.done.is_set():
-                    self._fed[record.name] = self.submit(record.name, device.feed_watchdog)
-                    if before is not None:
-                        before.get(record.name)
-
-    def refuse_open_interlock(self) -> None:
-        """Raise LimitRefused where an interlock is not at its safe level."""
-        for record in self._bench.devices:
-            for interlock in record.interlocks if record.name in self.devices else ():
-                device = self.need(record.name, Inputs, "has no digital inputs", interlock.input)
-                high = self.call(record.name, partial(device.level, interlock.input))
-                if high != (interlock.safe == "high"):
-                    raise LimitRefused(f'the interlock "{interlock.name}" is open ({record.name}.{interlock.input})')
+    def free(self, name: str) -> bool:
+        """Whether a device has answered all that it was asked."""
+        return self._owners[name].idle
 
     def place(self, load: Load) -> None:
         """Report what hands did to the devices that have an operator inside."""
@@ -252,7 +241,11 @@ class Links:
         return used
 
     def collect(self, name: str) -> Block:
-        """The new samples of one device."""
+        """The new samples of one device; none yet while it answers something else."""
         device = self.need(name, Stream, "takes no samples")
-        block: Block = self.call(name, device.collect)
+        call = self._collecting.pop(name, None) or self.submit(name, device.collect)
+        if not call.done.wait(BRIEF) and time.monotonic() - call.asked < self.hands_over:
+            self._collecting[name] = call
+            return Block(array("q"), {}, -1)
+        block: Block = self._owners[name].wait(call, 0.0)
         return block

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
+from math import inf
 from queue import SimpleQueue
 from typing import Any
 
@@ -18,6 +20,8 @@ class Call:
 
     def __init__(self, act: Callable[[], Any]) -> None:
         self._act = act
+        self.asked, self.ended = time.monotonic(), inf
+        """When it was handed over, and when it was done [s, monotonic]."""
         self.done = threading.Event()
         self.behind = False
         """Whether it waits behind a call that did not come back in time."""
@@ -30,6 +34,7 @@ class Call:
             self.result = self._act()
         except Exception as error:  # belongs to whoever asked for the call
             self.error = error
+        self.ended = time.monotonic()
         self.done.set()
 
     def get(self, device: str) -> Any:
@@ -43,6 +48,8 @@ class Call:
 
 class Direct:
     """Makes each call at once: virtual time, where no device can hang."""
+
+    idle = True
 
     def __init__(self, name: str = "") -> None:
         self.name = name
@@ -69,6 +76,8 @@ class Owner:
         self.name = name
         self._late: Call | None = None
         """The last call that did not come back in time."""
+        self._last = Call(lambda: None)
+        self._last.run()
         self._calls: SimpleQueue[Call] = SimpleQueue()
         threading.Thread(target=self._work, name=f"link-{name}", daemon=True).start()
 
@@ -76,20 +85,29 @@ class Owner:
     def _hangs(self) -> bool:
         return self._late is not None and not self._late.done.is_set()
 
+    @property
+    def idle(self) -> bool:
+        """Whether everything is done that was asked."""
+        return self._last.done.is_set()
+
     def _work(self) -> None:
         while True:
             self._calls.get().run()
 
     def submit(self, act: Callable[[], Any]) -> Call:
         """Queue the call behind earlier ones."""
-        call = Call(act)
+        call = self._last = Call(act)
         call.behind = self._hangs
         self._calls.put(call)
         return call
 
     def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
-        """Have the call made and wait for it; raises DeviceError where it takes longer than `within` [s]."""
-        if self._hangs:
+        """Have the call made and wait for it; raises DeviceError where it takes longer than `within` [s].
+
+        What was asked before has as much time, too: a slow device may be at it.
+        """
+        if not self._last.done.wait(0.0 if self._hangs else within):
+            self._late = self._last
             raise DeviceError(self.name, "has not answered yet what was asked before")
         return self.wait(self.submit(act), within)
 

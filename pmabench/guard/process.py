@@ -25,12 +25,13 @@ from types import FrameType
 from typing import Any
 
 from pmabench.base.clock import RealClock
-from pmabench.base.errors import DeviceError, LimitRefused, PmaError, RecordError
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, PmaError, RecordError
 from pmabench.base.system import GUARD, keep_in_memory, real_time
-from pmabench.bench.interface import Block, CompiledBench, Load, Stream
+from pmabench.bench.interface import Block, CompiledBench, Load, Stream, place
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.safe import Vent
-from pmabench.guard.station import Station, place
+from pmabench.guard.station import Station
+from pmabench.guard.supervision import LOOK
 from pmabench.guard.wire import Messages, encode, keys
 
 SILENCE = 0.25
@@ -42,8 +43,6 @@ STRANGERS = 32
 TICK = 0.005
 CONNECTS_WITHIN = 5.0
 """An engine that does not connect within so long [s] is not waited for."""
-LOOK = 0.05
-"""Interlocks are looked at, and watchdogs fed, so often [s]."""
 ACTIVE = (State.SETUP, State.RUNNING)
 COMMANDS = ("arm", "release", "set", "ramp", "sine", "valves", "steer")
 PASSED_ON: Mapping[str, Callable[..., Any]] = {
@@ -103,12 +102,14 @@ class Service:
         self._listener = listener
         self._engine: _Peer | None = None
         self._peers: list[_Peer] = []
-        self._heard = self._looked = self._collected = time.monotonic()
+        self._heard = self._looked = time.monotonic()
+        self._collected: dict[str, float] = {}
+        """When the samples of each device were handed over last [s]."""
         self._pulse = Pulse()
         self._ended: dict[str, str] = {}
         self._vent: Vent | None = None
         self._kept: dict[str, list[Block]] = {}
-        self._served = self._asked_to_end = self._unwell = False
+        self._served = self._asked_to_end = False
 
     def serve(self) -> None:
         """Until it is over."""
@@ -256,15 +257,15 @@ class Service:
 
     def do_collect(self, peer: _Peer, device: str, seen: dict[str, float]) -> dict[str, Any]:
         """New samples, as they came; `seen` are newest values that the engine measured itself."""
-        self._collected = time.monotonic()
+        self._collected[device] = time.monotonic()
         blocks = [*self._kept.pop(device, []), self.guard.collect(device)]
+        blocks = [block for block in blocks if len(block.time)] or blocks[-1:]
         self.guard.latest.update(self._believed(seen))
         columns = list(blocks[0].columns)
-        payload = b"".join(array("q", block.time).tobytes() for block in blocks)
-        for name in columns:
-            payload += b"".join(array("d", block.columns[name]).tobytes() for block in blocks)
+        parts: list[array[Any]] = [array("q", block.time) for block in blocks]
+        parts += [array("d", block.columns[name]) for name in columns for block in blocks]
         return {
-            "payload": payload,
+            "payload": b"".join(part.tobytes() for part in parts),
             "rows": sum(len(b.time) for b in blocks),
             "columns": columns,
             "host": blocks[-1].host,
@@ -285,8 +286,9 @@ class Service:
         peer.waits = True
         return {"commanded": True}
 
-    def do_status(self, peer: _Peer) -> dict[str, Any]:
-        """Answer with the state of the guard."""
+    def do_status(self, peer: _Peer, seen: dict[str, float] | None = None) -> dict[str, Any]:
+        """Answer with the state of the guard; `seen` as in `do_collect`, of an engine that collects nothing here."""
+        self.guard.latest.update(self._believed(seen or {}) if peer is self._engine else {})
         return {"run": self.guard.run}
 
     def do_bye(self, peer: _Peer) -> None:
@@ -304,20 +306,21 @@ class Service:
                 self._end("lost", f"the engine was silent for {now - self._heard:.2f} s")
             elif self._asked_to_end:
                 self._end("lost", "the guard was asked to end")
-            elif now - self._looked > LOOK:
-                self._looked = now
-                self._look()
+            else:
+                try:
+                    self.guard.supervision.look(now)
+                except PmaError as error:
+                    opened = isinstance(error, LimitTripped)
+                    how = "trip" if opened or isinstance(error, LimitRefused) else "lost"
+                    self._end(how, str(error), hurry=opened)  # whoever opened an interlock waits for no ramp
         if self.guard.state is State.STOPPING:
             if now - self._looked > LOOK:
                 self._looked = now
                 self.guard.supervision.differences()  # a question that failed is asked again
-                if self.guard.feeds:
+                for record in filter(self.guard.feeds, self.guard.bench.devices):
                     with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
-                        self.guard.links.feed_watchdogs()
-                # what confirms the vent must be measured; tried again where it failed
-                for name in {*self._streams()} - {*self.guard.links.sampling}:
-                    with suppress(PmaError):
-                        self.guard.links.stream(name, 1 / LOOK)
+                        self.guard.supervision.feed(record, now)
+                self.guard.keep_measuring(1 / LOOK)  # what confirms the vent
             self._step(now)
 
     def _refuse_lost_time(self) -> None:
@@ -326,35 +329,25 @@ class Service:
             return
         lost, self._pulse.lost = f"{self._pulse.lost:.2f} s", 0.0
         if self.guard.state in ACTIVE:
-            self._end("trip", f"the guard was stopped for {lost}: suspended, starved, or this computer slept")
+            why = f"the guard was stopped for {lost}: suspended, starved, or this computer slept"
+            self._end("trip", why, hurry=True)  # a watchdog may have emptied it: no ramp
             self.guard.supervision.compare()
         elif self.guard.state is State.STOPPING:
             self.guard.begin_safe(hurry=True)  # somebody else may have vented meanwhile: no ramp goes on
 
-    def _look(self) -> None:
-        try:
-            self.guard.links.feed_watchdogs()
-            self.guard.links.refuse_open_interlock()
-            self.guard.supervision.look(time.monotonic())
-            self._unwell = False
-        except PmaError as error:
-            tripped = isinstance(error, LimitRefused)
-            if tripped or self._unwell:  # one lost answer is no lost device
-                self._end("trip" if tripped else "lost", str(error))
-            self._unwell = True
-
     def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False) -> None:
         """Begin the safe state; the first cause is reported."""
-        if not self._ended:
-            self._ended = {"how": how, "why": why}
-            self.guard.latest.clear()
+        first = not self._ended
+        self._ended = self._ended or {"how": how, "why": why}
         self.guard.begin_safe(tripped=tripped, hurry=hurry)
+        if first:
+            self.guard.latest.clear()
         self._step(time.monotonic())
 
     def _step(self, now: float) -> None:
-        if now - self._collected > 2 * LOOK:
-            self._collected = now
-            for name in self._streams():
+        for name in self._streams():
+            if now - self._collected.get(name, 0.0) > 2 * LOOK:  # each by itself: the engine may have ended at one
+                self._collected[name] = now
                 with suppress(PmaError):
                     self._kept.setdefault(name, []).append(self.guard.collect(name))
         vent = self.guard.step_safe(self.guard.latest)
@@ -400,8 +393,8 @@ def main() -> None:
     station = Station(bench.name)
     try:
         station.take()
-        for where in {place(device.address, device.options) for device in bench.devices} - {""}:
-            station.take_device(where)
+        for where in filter(None, (place(device.address, device.options) for device in bench.devices)):
+            station.take_device(where)  # refused where two devices of this bench are one
     except PmaError as error:
         sys.stdout.write(json.dumps({"busy": str(error)}) + "\n")
         return

@@ -22,7 +22,7 @@ from pmabench.base import errors
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, PmaError, RecordError
 from pmabench.base.system import try_lock, user_name
-from pmabench.bench.interface import Block, CompiledBench, Identity, Load, Stream
+from pmabench.bench.interface import Block, CompiledBench, Identity, Load
 from pmabench.guard.guard import Guard, Measure, State
 from pmabench.guard.limits import to_device
 from pmabench.guard.safe import LINGERS, Vent
@@ -31,8 +31,8 @@ from pmabench.guard.wire import Message, Messages, encode, keys
 
 RATE = 50.0
 """At which the pressure is looked at while a vent is confirmed [Hz]."""
-SILENT = 0.3
-"""A device that gives no sample for so long [s] is begun again: whoever else vents may have ended its sampling."""
+MEASURED_FIRST = 0.5
+"""Before a safe ramp begins, a first measured value is waited for so long [s]."""
 
 
 def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
@@ -45,26 +45,26 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
     if any(record.guarded and record.name not in guard.devices for record in bench.devices) and _killed(station):
         guard.close()
         guard = _opened(bench)
+    unclean = station.read("state").get("what") == "armed"
+    if unclean:
+        guard.unanswered = guard.clock.now()  # nobody knows what the guard that has gone sent last
+
+    def measure() -> Mapping[str, float]:
+        guard.latest.clear()
+        guard.keep_measuring(RATE)  # asked again each time: what is late on a busy computer may confirm the vent
+        guard.clock.wait_until(guard.clock.now() + 0.05)
+        for name in list(guard.devices):
+            with suppress(PmaError):
+                guard.collect(name)
+        return guard.latest
+
     try:
-        heard = {name: 0.0 for name, device in list(guard.devices.items()) if isinstance(device, Stream)}
-        guard.begin_safe()
-        guard.step_safe({})
-
-        def measure() -> Mapping[str, float]:
-            guard.latest.clear()
-            guard.clock.wait_until(guard.clock.now() + 0.05)
-            for name, since in heard.items():
-                with suppress(PmaError):  # asked again each time: what is late on a busy computer may confirm the vent
-                    if name not in guard.links.sampling or guard.clock.now() - since > SILENT:
-                        guard.links.stream(name, RATE)
-                        heard[name] = guard.clock.now()
-                    heard[name] = guard.clock.now() if len(guard.collect(name).time) else heard[name]
-            return guard.latest
-
+        until = guard.clock.now() + MEASURED_FIRST
+        while any(a.do == "ramp" for a in bench.safe_state) and not measure() and guard.clock.now() < until:
+            pass  # no ramp begins above what is measured
         vent = guard.safe_state(measure)
     finally:
         guard.close()
-    unclean = station.read("state").get("what") == "armed"
     latched = bool(station.latched()) or not vent.confirmed or guard.state is State.TRIPPED
     why = UNCLEAN if unclean else why
     if not vent.confirmed:
@@ -222,7 +222,7 @@ class RemoteGuard:
     def beat(self) -> None:
         """Sign of life while nothing is collected or commanded."""
         with suppress(PmaError):
-            self.ask("status")
+            self.ask("status", seen=self.seen)
 
     def release(self) -> None:
         """As `Guard.release`."""
@@ -272,10 +272,10 @@ class RemoteGuard:
             before = time.monotonic()
             with suppress(Exception):  # whatever goes wrong while measuring: the guard goes on by itself
                 measure()
-            if time.monotonic() - before < 0.01:
-                time.sleep(0.05)
-                with suppress(PmaError):
-                    self.ask("status")
+            quick = time.monotonic() - before < 0.01
+            if quick or not any(device.guarded and device.channels for device in self.bench.devices):
+                time.sleep(0.05 if quick else 0.0)
+                self.beat()  # with what was measured, where nothing is collected from the guard
         if self._vent is None:
             if self._process is not None:
                 self._process.kill()  # what it was doing must not go on after this vent

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from math import inf
+from math import inf, nan
 
-from pmabench.base.quantities import QUANTITIES, without_number
+from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES
 from pmabench.bench.interface import SafeAction
 from pmabench.guard.owner import PATIENCE, Call
 
 AT_ONCE = ("set", "stop", "open", "close")
+LOOKS = ("confirm", "rest")
+"""Actions that only look: that a value is low, or (which the guard adds) that a motion has ended."""
 NO_EFFECT = 0.7
-"""A measured value that has not fallen by a fiftieth so long [s] after the last command shows no effect of it."""
+"""A measured value that is high, and has not fallen by a fiftieth of its most in so long [s], shows no effect."""
 ANSWERS = 5 * PATIENCE
 """How long an answer whether a command is held is waited for [s].
 
@@ -21,9 +23,13 @@ Without one the command counts as not carried out; over the second way, whose li
 REPEAT = 0.5
 """While a confirmation is waited for, the commands are sent again so often [s]; they are absolute."""
 STAYS = 0.5
-"""A value must stay low for so long [s] after the last command: a valve may be about to open for the one before."""
+"""All values must stay low together for so long [s] after the last command: a valve may be about to open for that."""
 LINGERS = 3.0
 """A command that was not answered may be carried out so much later [s]; those of the safe state are sent until then."""
+TWICE = 2
+"""A device that misses so many commands in a row is opened anew: some links never come back by themselves."""
+EMPTIER = 20e3
+"""A ramp that is so far [Pa] above the measured pressure, and at twice of it, would fill the muscle."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +54,74 @@ class _Sent:
     look: Call | None = None
     """Whether the device holds what it acknowledged: an empty text, or a sentence."""
 
+    def held(self) -> bool | None:
+        """Whether the device has it: it said so when it was asked, else it acknowledged; None: no answer yet."""
+        answer = self.look or self.call
+        return (not answer.result or answer is self.call) if answer.done.is_set() and answer.error is None else None
+
+
+@dataclass
+class _Watched:
+    """How a value was of late that must be low (`confirm`) or stay where it is (`rest`)."""
+
+    action: SafeAction
+    floor: float
+    value: float | None = None
+    seen: float = -inf
+    """When the newest value came [s]."""
+    since: float | None = None
+    """Since when every value has been good [s]."""
+    bad: float | None = None
+    """Since when none has been [s], and the highest of those."""
+    most: float = -inf
+    falls: bool = False
+    place: float = nan
+
+    def look(self, value: float, now: float) -> bool:
+        """Note a new value; whether it has just come back, after good ones."""
+        before, bound = self.since, self.action.value
+        rest = self.action.do == "rest"
+        good = abs(value - self.place) <= bound if rest else self.floor < value < bound
+        self.value, self.seen = value, now
+        if good:
+            self.since, self.bad, self.most = now if before is None else before, None, -inf
+        else:
+            self.since, self.bad = None, now if self.bad is None else self.bad
+            self.most, self.place = max(self.most, value), value
+            self.falls = not rest and value < 0.98 * self.most
+        return before is not None and not good
+
+    def lasts(self, now: float, late: float) -> bool:
+        """Whether it has been good for long enough, and values still come."""
+        return self.since is not None and self.seen - max(self.since, late) >= STAYS and now - self.seen <= STAYS
+
+    def unmoved(self, now: float) -> bool:
+        """Whether the commands show no effect on it."""
+        return self.bad is not None and now - self.bad >= NO_EFFECT and not self.falls
+
+    def outcome(self, good: bool) -> str:
+        """What is said of it at the end."""
+        action, value = self.action, self.value
+        name, within = f"{action.do} {action.target}", f"within {action.within:g} s"
+        measured = "nothing measured" if value is None else _shown(action, value)
+        if action.do == "rest":
+            return f"{name}: {measured}, {'at rest' if good else f'and not at rest {within}'}"
+        if good:
+            return f"{name}: {measured}, below {_shown(action)}"
+        if value is not None and value < action.value:
+            measured += ", and not for long" if self.since is not None else ", which a broken wire reads"
+        return f"{name}: {measured}, not below {_shown(action)} {within}"
+
 
 class SafeState:
     """One pass through the actions.
 
-    `begin` starts an action (the result of a ramp is how long it takes [s]) and `rescue` tries it over a second way;
-    `look` asks whether a command is held (None: it cannot be asked); all return at once. Commands that follow each
-    other go out together; `ramp`, `hold` and `confirm` are waited for until they are done or their time is over. A
-    value at or below its entry in `floors` [SI] confirms nothing, nor does any within `LINGERS` after `unanswered` [s].
+    `begin` starts an action (the result of a ramp is how long it takes [s], 0 where it is at its end at once) and
+    `rescue` tries it over a second way; `look` asks whether a command is held (None: it cannot be asked); all return
+    at once. Commands that follow each other go out together; `ramp`, `hold` and `confirm` are waited for until they
+    are done or their time is over, and in the end all that is looked at must be good at the same time. A value at or
+    below its entry in `floors` [SI] confirms nothing, nor does any within `LINGERS` after `unanswered` [s]. `motions`
+    are outputs that move: in a hurry they stop where they are, while a pressure is let go.
     """
 
     def __init__(
@@ -65,43 +131,47 @@ class SafeState:
         rescue: Callable[[SafeAction], Call | None],
         look: Callable[[SafeAction], Call | None],
         now: float,
-        floors: Mapping[str, float] | None = None,
-        unanswered: float = -inf,
+        floors: Mapping[str, float],
+        unanswered: Callable[[], float],
+        motions: Collection[str],
     ) -> None:
-        self._floors = floors or {}
+        self._floors, self._motions, self._unanswered = floors, motions, unanswered
         self._todo = list(actions)
+        self._finals = [action for action in actions if action.do in LOOKS]
+        while self._todo and self._todo[-1].do in LOOKS:
+            self._todo.pop()
         self._begin, self._rescue, self._look = begin, rescue, look
         self._sent: list[_Sent] = []
         self._since = self._repeated = now
-        self._ramp: Call | None = None
-        self._confirms = sum(action.do == "confirm" for action in actions)
-        self._confirmed = 0
-        self._first: float | None = None
-        """First value that was measured for this confirmation."""
-        self._newest: float | None = None
-        self._fallen = False
-        self._low: float | None = None
-        """Since when the value has stayed low [s]."""
-        self._late = unanswered + LINGERS
+        self._ramp: _Sent | None = None
+        self._doubts = 0
+        """How often in a row the device of a ramp did not say where it is."""
+        self._watched: list[_Watched] = []
         self.outcome: list[str] = []
         self.failed: set[str] = set()
-        """Targets of commands that failed or were not carried out."""
-        self.unmoved = False
-        """Whether a measured value has not fallen after all commands."""
-        self._commands: list[SafeAction] = []
-        """What was commanded so far, a ramp by its end."""
+        """Targets of commands that failed or were not carried out when they were sent first."""
+        self.missing: set[str] = set()
+        """Targets of which the last command was not answered, or was refused."""
+        self.refusing: set[str] = set()
+        """Targets whose device answers, and holds something else than what was commanded."""
+        self.unmoved: set[str] = set()
+        """Channels that have not fallen, or not come to rest, after all commands."""
+        self.misses: dict[str, int] = {}
+        """How many commands in a row were missed by a target."""
+        self.commands: list[SafeAction] = []
+        """What is commanded again, a ramp by its end."""
+        self._again: dict[SafeAction, _Sent] = {}
         self.vent: Vent | None = None
         """What came of it, when it is over."""
 
-    @property
-    def without_effect(self) -> bool:
-        """Whether a command or the whole has no effect: no device gets a sign of life any more (S13)."""
-        return bool(self.failed) or self.unmoved
+    def _at_once(self, action: SafeAction) -> SafeAction:
+        """The command in place of a ramp that may not go on: no motion is sped up."""
+        return replace(action, do="stop" if action.target in self._motions else "set")
 
     def hurry(self) -> None:
         """Skip the waits: send every command that is left now, and wait for confirmations only."""
-        todo = [replace(a, do="set") if a.do == "ramp" else a for a in self._todo if a.do != "hold"]
-        self._todo = sorted(todo, key=lambda action: action.do == "confirm")
+        left = (action for action in self._todo if action.do not in {"hold", *LOOKS})
+        self._todo = [self._at_once(action) if action.do == "ramp" else action for action in left]
 
     def step(self, now: float, latest: Mapping[str, float]) -> bool:
         """Do what can be done now, with the `latest` measured values [SI]; whether it is over."""
@@ -110,61 +180,103 @@ class SafeState:
             self._todo.pop(0)
             self._gather(now)
             self._since = self._repeated = now
-            self._ramp, self._first, self._newest, self._fallen, self._low = None, None, None, False, None
-        if self.vent is None and not self._todo and not self._sent:
+            self._ramp, self._watched = None, []
+        if self.vent is None and not self._todo and self._looked_at(self._finals, now, latest) and not self._sent:
+            late = self._unanswered() + LINGERS
+            good = [watched.lasts(now, late) for watched in self._watched]
+            self.outcome += [watched.outcome(ok) for watched, ok in zip(self._watched, good, strict=True)]
+            if late > -inf:
+                self.outcome.append(
+                    f"a command was not answered: one that is carried out more than {LINGERS:g} s later is not noticed"
+                )
             result = "failed" if self.failed else "commanded"
-            if self._confirms and self._confirmed == self._confirms:
-                result = "confirmed"
-            self.vent = Vent(result, tuple(self.outcome))
+            self.vent = Vent("confirmed" if good and all(good) else result, tuple(self.outcome))
         return self.vent is not None
 
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
         """Whether the next action may begin."""
-        if action.do == "confirm":
-            return self._confirm(action, now, latest)
-        if action.do in AT_ONCE or (action.do == "ramp" and self._ramp is None):
-            self._sent.append(_Sent(action, self._begin(action), now))
-            self._commands.append(replace(action, do="set") if action.do == "ramp" else action)
-            if action.do in AT_ONCE:
-                return True
-            self._ramp = self._sent[-1].call
-        if self._ramp is not None and self._ramp.error is not None:
+        if action.do in LOOKS:
+            return self._looked_at([action], now, latest)
+        if action.do in AT_ONCE:
+            self._send(action, now)
             return True
-        lasts = self._ramp.result if self._ramp is not None else None
-        return now - self._since >= min(action.within, action.within if lasts is None else lasts)
+        if action.do == "ramp" and self._ramp is None:
+            self._ramp = self._send(action, now)
+        if self._ramp is None:
+            return now - self._since >= action.within
+        lasts, failed = self._ramp.call.result, self._ramp.call.error is not None
+        if lasts and self._astray(self._ramp, now, latest, action.value + action.rate * (self._since + lasts - now)):
+            self._todo[0] = self._at_once(action)
+            return False
+        over = failed or now - self._since >= min(action.within, action.within if lasts is None else lasts)
+        if over and (failed or action.target not in self._motions):
+            self.commands.append(self._at_once(action))
+        return over
 
-    def _confirm(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
-        value = latest.get(action.target)
-        self._newest = self._newest if value is None else value
-        low = value is not None and self._floors.get(action.target, -inf) < value < action.value
-        if self._sent or (value is not None and not low):
-            self._low = None
-        elif low and self._low is None:
-            self._low = max(now, self._late)
-        if value is not None and low and self._low is not None and now - self._low >= STAYS:
-            self._confirmed += 1
-            self.outcome.append(f"confirm {action.target}: {_shown(action, value)}, below {_shown(action)}")
+    def _send(self, action: SafeAction, now: float) -> _Sent:
+        sent = _Sent(action, self._begin(action), now)
+        self._sent.append(sent)
+        if action.do in AT_ONCE:
+            self.commands.append(action)
+        return sent
+
+    def _astray(self, sent: _Sent, now: float, latest: Mapping[str, float], expected: float) -> bool:
+        """Whether a ramp may not go on: its device is away or began anew, and would be filled when it is back."""
+        if sent.action.target in self._motions:
+            return False
+        held = sent.held() if sent.look is not None else True
+        if now - self._repeated >= REPEAT:
+            self._repeated, self._doubts = now, 0 if held else self._doubts + 1
+            sent.look = self._look(sent.action)
+        emptier = latest.get(sent.action.target, inf) < min(expected / 2, expected - EMPTIER)
+        return emptier or held is False or self._doubts >= TWICE
+
+    def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
+        """Whether all values are good together, or their time is over; meanwhile the commands are sent again."""
+        if not self._watched:
+            self._watched = [_Watched(action, self._floors.get(action.target, -inf)) for action in actions]
+        late, back = self._unanswered() + LINGERS, False
+        for watched in self._watched:
+            value = latest.get(watched.action.target)
+            back = (value is not None and watched.look(value, now)) or back
+            watched.since = None if self._sent else watched.since
+            if watched.unmoved(now):
+                self.unmoved.add(watched.action.target)
+        since = [watched.since for watched in self._watched if watched.since is not None]
+        whole = len(since) == len(self._watched)
+        until = self._since + max((action.within for action in actions), default=0.0)
+        over = now >= (max(until, max([late, *since]) + 2 * STAYS) if whole else until)
+        if over or all(watched.lasts(now, late) for watched in self._watched):
             return True
-        if now >= max(self._since + action.within, 0.0 if self._low is None else self._low + 2 * STAYS):
-            bound = f"below {_shown(action)} within {action.within:g} s"
-            measured = "nothing measured" if self._newest is None else _shown(action, self._newest)
-            if self._newest is not None and self._newest < action.value:
-                measured += ", and not for long" if self._low is not None else ", which a broken wire reads"
-            self.outcome.append(f"confirm {action.target}: {measured}, not {bound}")
-            return True
-        if value is not None:
-            self._fallen = low or (self._first is not None and value < 0.98 * self._first)
-            self._first = value if self._first is None else self._first
-        self.unmoved = self.unmoved or (now - self._since >= NO_EFFECT and not self._fallen)
-        if now - self._repeated >= REPEAT and (not low or now < self._late):
+        if back or (now - self._repeated >= REPEAT and (not whole or now < late)):
             self._repeated = now
-            for command in self._commands:
-                self._begin(command)
+            for command in self.commands:
+                self._send_again(command, now)
         return False
+
+    def _send_again(self, command: SafeAction, now: float) -> None:
+        before = self._again.get(command)
+        if before is None or before.call.done.is_set():
+            if before is not None:
+                self.misses[command.target] = 0 if before.held() else self.misses.get(command.target, 0) + 1
+            self._again[command] = _Sent(command, self._begin(command), now)
 
     def _gather(self, now: float) -> None:
         """Note the results of the commands under way; one without success is repeated over the second way."""
         self._sent = [again for sent in self._sent if (again := self._follow_up(sent, now)) is not None]
+        for sent in self._again.values():
+            self._judge(sent)
+
+    def _judge(self, sent: _Sent) -> None:
+        """What a command that failed, or was sent again, says of its device; one that fails is asked what it holds."""
+        target = sent.action.target
+        if sent.look is None and sent.call.error is not None:
+            sent.look = self._look(sent.action)
+        if not sent.call.done.is_set() and sent.action.target not in self.failed:
+            return  # sent again, and under way
+        held = sent.held()
+        (set.discard if held else set.add)(self.missing, target)
+        (set.add if held is False else set.discard)(self.refusing, target)
 
     def _follow_up(self, sent: _Sent, now: float) -> _Sent | None:
         """The command as it is waited for further, or None where it is settled."""
@@ -176,7 +288,8 @@ class SafeState:
             if wrong is None:
                 return sent
             if not wrong:
-                self.outcome.append(f"{name}: sent" if sent.rescue is None else f"{name}: sent over the second way")
+                at_once = " at once" if way.result == 0 else ""  # a ramp that is none
+                self.outcome.append(f"{name}: sent{at_once if sent.rescue is None else ' over the second way'}")
                 return None
         else:
             wrong = str(way.error or "no answer")
@@ -187,6 +300,7 @@ class SafeState:
         if not over:
             return sent
         self.failed.add(sent.action.target)
+        self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
         self.outcome.append(f"{name}: failed ({wrong})")
         return None
 
@@ -194,6 +308,8 @@ class SafeState:
         """Why the device does not hold what it acknowledged; empty where it does or cannot say; None: not known yet."""
         if self._todo and self._todo[0].do in AT_ONCE:
             return None  # first everything that is to be commanded now
+        if sent.action.do == "ramp":
+            return ""  # asked while it goes on
         if sent.look is None or (sent.look.done.is_set() and sent.look.error is not None):
             sent.look = self._look(sent.action)  # again where it failed: the second way may have made a new connection
         if sent.look is None:
@@ -207,6 +323,6 @@ class SafeState:
 
 def _shown(action: SafeAction, value: float | None = None) -> str:
     """What is measured, or else the bound, in the unit that people read; in SI where the channel's name has none."""
-    quantity = QUANTITIES.get(without_number(action.target)[0])
+    quantity = QUANTITIES.get(CHANNEL_QUANTITY.get(action.target, ""))
     shown = action.value if value is None else value
     return f"{shown:.4g}" if quantity is None else quantity.show(shown, 4)

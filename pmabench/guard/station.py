@@ -10,7 +10,6 @@ import hashlib
 import json
 import os
 import re
-import socket
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -49,18 +48,6 @@ def folder_name(name: str) -> str:
     return f"{plain}~{hashlib.sha256(name.encode('utf-8', 'surrogatepass')).hexdigest()[:16]}"
 
 
-def place(address: str, options: Mapping[str, Any]) -> str:
-    """Where a device is, in one spelling for all bench files; empty for a simulation without an address."""
-    if not address or address.startswith("/"):
-        return os.path.realpath(address) if address else ""  # what a link of /dev/serial/by-id leads to
-    host, colon, port = address.rpartition(":")
-    if not colon or not port.isdigit() or "/" in host:
-        return " ".join(str(part) for part in (options.get("server", ""), address) if part)
-    with suppress(OSError):
-        host = socket.gethostbyname(host)
-    return f"{host}:{port} unit {options.get('unit_id') or dict(options.get('map') or {}).get('unit_id') or 1}"
-
-
 class Station:
     """The folder of one bench; the file of each method's name is written whole or not at all."""
 
@@ -86,6 +73,8 @@ class Station:
 
         Raises DeviceError where another bench uses it now, or where one that has it is latched.
         """
+        if where in self._devices:
+            raise DeviceError(self.name, f"two of its devices are one, {where}: correct an address of the bench file")
         path = root() / f"{folder_name(where)}.device"
         if try_lock(path) is None:
             owner = path.read_text("utf-8").strip() or "another program"

@@ -7,14 +7,23 @@ at a time, so that a command waits for at most one of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from math import inf
+from typing import Any
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, LimitRefused
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped
 from pmabench.base.quantities import show
-from pmabench.bench.interface import CompiledBench, DeviceRecord, OutputRecord, Supervised, ValveRecord
+from pmabench.bench.interface import (
+    CompiledBench,
+    DeviceRecord,
+    Inputs,
+    OutputRecord,
+    Supervised,
+    ValveRecord,
+    Watchdog,
+)
 from pmabench.guard.course import Course
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
@@ -22,11 +31,22 @@ from pmabench.guard.owner import Call
 EVERY = 0.45
 """All questions to a device are asked once in so long [s]."""
 WITHIN = 1.0
-"""A device that has answered no question for so long [s] is lost; one lost answer is no lost device."""
+"""A device that has answered no question for so long [s] is lost."""
+LOOK, HUNG = 0.05, 0.5
+"""Watchdogs are fed, and interlocks read, so often; an answer that does not come for so long never comes [s]."""
 AGAIN = 0.03
 """A difference counts when it is still there so much later [s]: some devices show a new value only then."""
 LAG = 0.3
 """A device on a ramp or a sine may be so late, or hold set-points that are so early [s]."""
+Kind = tuple[str, float, float, float]
+HELD = ("whether it holds what was commanded", EVERY, WITHIN, 2.0)
+FED = ("to a sign of life", LOOK, 0.0, 2.0)
+SAFE = ("whether its interlocks are closed", LOOK, 0.0, 4.0)
+"""What is asked, how often [s], within what time [s], and not before so many times what it took have passed [1].
+
+Samples need the line of a slow device, too.
+"""
+KINDS: tuple[Kind, ...] = (FED, SAFE, HELD)
 UNANSWERED = "has not answered whether it is as it was when the bench was armed"
 ELSEWHERE = "it restarted, or something else commands it"
 
@@ -46,6 +66,8 @@ class Supervision:
         self._course, self._closed = course, closed
         self._held: dict[str, dict[str, float | str]] = {}
         """What each device reported when the bench was armed."""
+        self._uptime: dict[str, float] = {}
+        """Of each device that has one, as it was read last."""
         self._compared: dict[str, Call] = {}
         """Whether each device is still as it was then, asked apart from the round of questions."""
         self._asked: dict[str, Call] = {}
@@ -53,6 +75,8 @@ class Supervision:
         self._since: dict[str, float] = {}
         """When each device was asked last, and below when it answered last [s]."""
         self._answered: dict[str, float] = {}
+        self._lost: dict[str, bool] = {}
+        """Whether the answer before was lost: one lost answer is no lost device."""
 
     def begin(self) -> None:
         """Keep what each device reports now: the bench has just been armed."""
@@ -61,29 +85,46 @@ class Supervision:
                 self._held[name] = dict(self._links.call(name, device.held))
 
     def look(self, now: float) -> None:
-        """Ask the next questions, at `now` [s]; raises LimitRefused for a change, DeviceError for a silent device."""
+        """Ask what is due at `now` [s]; LimitTripped: an interlock, LimitRefused: a change, DeviceError: silence."""
         for record in self._bench.devices:
-            name = record.name
-            questions = self._questions(record) if name in self._links.devices else []
-            if not questions:
-                continue
-            call = self._asked.get(name)
-            if call is not None and call.done.is_set() and call.error is None:
-                if call.result:
-                    raise LimitRefused(f"{name}: {call.result}")
-                self._answered[name] = now
-            if now - self._answered.setdefault(name, now) > WITHIN:
-                why = f"has not answered for {WITHIN:g} s whether it holds what was commanded"
-                raise DeviceError(name, f"{why} ({call.error})" if call is not None and call.error else why)
-            free = call is None or call.done.is_set()
-            if free and now - self._since.get(name, -EVERY) >= EVERY / len(questions):
-                self._since[name], self._count[name] = now, self._count.get(name, -1) + 1
-                self._asked[name] = self._links.submit(name, questions[self._count[name] % len(questions)])
+            if record.name in self._links.devices:
+                for kind in sorted(KINDS, key=lambda kind: self._since.get(record.name + kind[0], -inf)):
+                    self._ask(record, kind, now)  # what was asked longest ago first: a device may be free but seldom
+
+    def feed(self, record: DeviceRecord, now: float) -> None:
+        """Send a device with a watchdog a sign of life where it is due; raises DeviceError where that fails."""
+        try:
+            self._ask(record, FED, now)
+        except DeviceError:
+            self._asked.pop(record.name + FED[0])  # it may come back: it is asked again
+            raise
+
+    def _ask(self, record: DeviceRecord, kind: Kind, now: float) -> None:
+        """Ask a device that is free the next one of the questions of a kind."""
+        name, (what, every, within, rests) = record.name, kind
+        questions = self._questions(record, kind)
+        if not questions:
+            return
+        key, call = name + what, self._asked.get(name + what)
+        if call is None or (call.done.is_set() and call.error is None):
+            if call is not None and call.result:
+                raise (LimitTripped if kind is SAFE else LimitRefused)(f"{name}: {call.result}")
+            self._answered[key] = now
+        failed = call is not None and call.error is not None
+        silent = now - self._answered[key]
+        if silent > (within if failed else max(within, HUNG)) and (not failed or self._lost[key]):
+            why = f"has not answered for {within or round(silent, 1):g} s {what}"
+            raise DeviceError(name, f"{why} ({call.error})" if call is not None and call.error else why)
+        pause = rests * (0.0 if call is None or failed else call.ended - call.asked)
+        if now - self._since.get(key, -inf) >= max(every / len(questions), pause) and self._links.free(name):
+            self._since[key], self._count[key], self._lost[key] = now, self._count.get(key, -1) + 1, failed
+            self._asked[key] = self._links.submit(name, questions[self._count[key] % len(questions)])
 
     def compare(self) -> None:
         """Have every device asked whether it is still as it was when the bench was armed; does not wait."""
         for name in self._held:
-            self._compared[name] = self._links.submit(name, partial(self._held_differs, name))
+            known = self._links.devices.get(name)  # its line may be closed before it is its turn
+            self._compared[name] = self._links.submit(name, partial(self._held_differs, name, known))
 
     def differences(self) -> list[str]:
         """What came of `compare` so far, for each device that changed or has not answered; failed questions again."""
@@ -95,7 +136,12 @@ class Supervision:
             found.append(f"{name}: {call.result if answered else UNANSWERED}")
         return [text for text in found if not text.endswith(": ")]
 
-    def _questions(self, record: DeviceRecord) -> list[Act]:
+    def _questions(self, record: DeviceRecord, kind: Kind) -> Sequence[Act]:
+        if kind is SAFE:
+            return [partial(self.open_interlock, record)] if record.interlocks else []
+        if kind is FED:
+            device = self._links.devices.get(record.name)
+            return [device.feed_watchdog] if record.watchdog and isinstance(device, Watchdog) else []
         held = [partial(self._twice, partial(self._held_differs, record.name))] if record.name in self._held else []
         valves = (self.valve_differs(valve, closed=self._closed[valve.name]) for valve in record.valves
                   if not valve.longest)  # fmt: skip
@@ -109,15 +155,17 @@ class Supervision:
         self._clock.wait_until(self._clock.now() + AGAIN)
         return look()
 
-    def _held_differs(self, name: str) -> str:
-        device = self._links.need(name, Supervised, "reports nothing of itself")
+    def _held_differs(self, name: str, known: Any = None) -> str:
+        device = known or self._links.need(name, Supervised, "reports nothing of itself")
         now, before = device.held(), self._held[name]
         for key, was in before.items():
             value = now.get(key, "not reported")
             if key == "uptime" and not isinstance(value, str) and not isinstance(was, str):
                 if value < was:
                     return f"it restarted: its uptime fell from {was:g} to {value:g}"
-                before[key] = value
+                # one reading alone may be torn: two words of a counter are read while the lower one begins again
+                before[key] = max(was, min(value, self._uptime.get(name, was)))
+                self._uptime[name] = value
             elif value != was:
                 return f"its {key} was {_shown(was)} when the bench was armed and is {_shown(value)} now: {ELSEWHERE}"
         return ""
@@ -138,6 +186,14 @@ class Supervision:
             return f'"{output.name}" was commanded to {sent} and the device holds {value} as set-point: {ELSEWHERE}'
 
         return partial(self._twice, look)
+
+    def open_interlock(self, record: DeviceRecord) -> str:
+        """Which interlock of a device is open."""
+        for interlock in record.interlocks:
+            inputs = self._links.need(record.name, Inputs, "has no digital inputs", interlock.input)
+            if inputs.level(interlock.input) != (interlock.safe == "high"):
+                return f'the interlock "{interlock.name}" is open ({record.name}.{interlock.input})'
+        return ""
 
     def valve_differs(self, valve: ValveRecord, *, closed: bool) -> Act:
         """Whether a valve is as it was commanded."""

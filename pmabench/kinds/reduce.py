@@ -116,7 +116,8 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
     if empty:
         runs = [replace(run, trials=tuple(trial for trial in run.trials if len(trial.t))) for run in runs]
     analysis = record.part("reduction")(runs, options)
-    if (analysis.dropped or any(e.withheld for e in analysis.estimates)) and (found := without_spikes(runs))[1]:
+    poor = not _given(analysis) or any(e.withheld for e in analysis.estimates)
+    if poor and (found := without_spikes(runs))[1]:
         again = record.part("reduction")(found[0], options)
         if _given(again) > _given(analysis):
             runs, analysis = found[0], replace(again, findings=(*again.findings, *found[1]))

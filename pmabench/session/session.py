@@ -292,6 +292,7 @@ def ensure(
         say(f"session {session['run']} of {session['at']} counts until {session['valid_until']}")
     zeros = {str(name): float(zero["value"]) for name, zero in session["zeros"].items()}
     about = {key: session[key] for key in ("run", "at", "valid_until", "zeros", "skipped", "shortened", "operator")}
+    about["devices"] = session.get("devices", {})
     return with_zeros(mounted, zeros, about)
 
 
@@ -341,6 +342,7 @@ def _hold(
         "specimen": specimen(mounted),
         "calibrations": calibrations(mounted),
         "zeros": as_data(zeros),
+        "devices": {name: one.serial for name, one in outcome.identities.items()},
         "self_test": [asdict(check) for check in test.checks] if test is not None else [],
         "skipped": skipped,
         "shortened": shortened,

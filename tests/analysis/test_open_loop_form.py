@@ -5,6 +5,7 @@ ultimate gain solves the phase equation, by bisection here.
 """
 
 import re
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from math import atan, exp, pi
@@ -21,9 +22,9 @@ GAIN, DEAD, LAG, TAU, TS = 0.1466e-6, 0.040, 0.0955, 0.247, 0.002
 BIAS, HOLD, CYCLES, FIRST = 220e3, 2.5, 3, 2.0
 
 
-def theory():
-    """K_u [Pa/m] and T_u [s]; the hold of the controller is half a sample of dead time."""
-    w = brentq(lambda w: w * (DEAD + TS / 2) + atan(w * LAG) + atan(w * TAU) - pi, 1.0, 60.0)
+def theory(late=0.0):
+    """K_u [Pa/m] and T_u [s]; the hold of the controller is half a sample of dead time, a sensor may be `late` [s]."""
+    w = brentq(lambda w: w * (DEAD + TS / 2 + late) + atan(w * LAG) + atan(w * TAU) - pi, 1.0, 60.0)
     return float(np.hypot(1, w * LAG) * np.hypot(1, w * TAU) / GAIN), 2 * pi / w
 
 
@@ -58,18 +59,29 @@ def steps(amplitude, rate):
     return t, P, GAIN * lagged(t, P, TAU), tuple(commands)
 
 
-def found(seed, amplitude=20e3, rate=1e9, gauge=0.0, step=0.0, noise=500.0, drift=0.0):
+def found(
+    seed, amplitude=20e3, rate=1e9, gauge=0.0, step=0.0, noise=500.0, drift=0.0, late=(0.0, 0.0), answered=0.0,
+    lag=0.0, hunts=0.0, reach=1.0,
+):  # fmt: skip
     """K_u and T_u, and the analysis, of a trial whose gauge has a filter [s] and reads in steps [Pa], and whose
-    displacement drifts [m/s].
+    displacement drifts [m/s]; displacement and gauge are `late` [s]. Commands may be off by `answered` [s] in the
+    record; `lag` is what the gauge declares [s]; the pressure `hunts` by so much [Pa], and its steps `reach` that share.
     """
     rng = np.random.default_rng(seed)
     t, P, x, commands = steps(amplitude, rate)
+    if hunts or reach < 1:
+        P = reach * P + hunts * np.sin(2 * pi * 2.1 * t)
+        x = GAIN * lagged(t, P, TAU)
+    x, P = (np.interp(t - delay, t, y) for delay, y in zip(late, (x, P), strict=True))
     P = BIAS + (lagged(t, P, gauge) if gauge else P) + rng.normal(0, noise, len(t))
     P = step * np.round(P / step) if step else P
+    commands = [replace(one, t=one.t + 0.9 * answered, data={"late": abs(answered)}) for one in commands]
     channels = {"displacement": 0.03 + x + drift * t + rng.normal(0, 2e-6, len(t)), "pressure": P}
     trial = TrialData("o", 0, {"setpoint": 0.03, "load": 0.0, "bias": BIAS}, 0, False, "finished", t, channels,
                       np.zeros(len(t), dtype=np.uint16), commands, {})  # fmt: skip
-    analysis = reduce([as_run("ultimate-gain", [trial])])
+    run = as_run("ultimate-gain", [replace(trial, commands=tuple(commands))])
+    run.channels["pressure"] = replace(run.channels["pressure"], sensor_lag=lag)
+    analysis = reduce([run])
     K, T = (next(e for e in analysis.estimates if e.symbol == symbol) for symbol in ("K_u", "T_u"))
     return K, T, analysis
 
@@ -140,3 +152,40 @@ def test_a_sound_loop_keeps_its_interval():
     assert not [f for f in analysis.findings if f.level != "note"]
     fine, *_ = found(4, step=1e6 / 2**16, noise=50.0)
     assert fine.parts.combined < 0.003 * K_u
+
+
+@pytest.mark.parametrize("answered", [0.009, -0.009, 0.018])
+def test_the_time_that_a_device_took_to_answer_is_in_the_intervals_or_withholds(answered):
+    """Commands had their effect 9 ms before what is recorded, or after, of 10: K_u was 26 and 16 % off with +- 1.3 %."""
+    for e, truth in zip(found(1, answered=answered)[:2], theory(), strict=True):
+        if e.value is None:
+            assert "the commands and the displacement may be" in e.note
+        else:
+            assert off(e, truth) <= 1
+
+
+@pytest.mark.parametrize("noise", [50.0, 500.0])
+def test_a_displacement_that_is_late_is_a_delay_and_no_inertia(noise):
+    """A controller sees it, so that it is in the truth. 20 ms made K_u 4 % high with +- 0.1 and 0.8 %."""
+    for e, truth in zip(found(2, late=(0.02, 0.0), noise=noise)[:2], theory(0.02), strict=True):
+        assert off(e, truth) <= 1
+        assert e.parts.combined < 0.015 * truth
+
+
+@pytest.mark.parametrize(("gauge", "late"), [(0.0, 0.02), (0.05, 0.0)])
+def test_a_declared_lag_of_the_gauge_may_be_a_delay_or_a_filter(gauge, late):
+    """A delay of 20 ms made K_u 7 % low, a filter of 50 ms 6 % in the noise of 500 Pa that it raised."""
+    for e, truth in zip(found(3, gauge=gauge, late=(0.0, late), lag=gauge + late)[:2], theory(), strict=True):
+        assert off(e, truth) <= 1
+        assert e.parts.combined < 0.02 * truth
+
+
+def test_a_pressure_that_does_not_go_where_it_is_sent_or_hunts_is_named():
+    """It met a limit at 95 % of the command's steps: K_u was 5 % high with +- 1.2 %; hunting, 13 %."""
+    K, *_ = found(4, reach=0.95)
+    assert K.value is None
+    assert "5.0% off those of the command" in K.note
+    K, T, _ = found(4, hunts=1e3)
+    assert K.value is None
+    assert T.value is None
+    assert "at rest the pressure swings by" in K.note

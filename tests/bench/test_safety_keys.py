@@ -145,6 +145,27 @@ def test_wrong_valves_and_interlocks_are_refused(tmp_path, changes, says):
     assert says in str(refused(rig(tmp_path, changes)))
 
 
+TWO = "devices:\n  daq: {address: %s}\n  again: {driver: mock-realtime, address: %s}\n"
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ("channels: {supply: {input: pressure}}\n", 'the input daq.pressure is that of "pressure" ('),
+        ("outputs: {dump_valve: {output: pressure}}\n", 'the output daq.pressure is that of "pressure" ('),
+        (TWO % ("127.0.0.1:9", "127.0.0.1:9"), '127.0.0.1:9 unit 1 is that of "daq" ('),
+        (TWO % ("127.0.0.1:9", "127.0.0.1:10"), ""),
+    ],
+)
+def test_what_is_wired_or_addressed_twice_is_refused_with_both_places(tmp_path, changes, says):
+    """A second regulator with the address of the first is never vented, and its vent is confirmed by the first."""
+    path = rig(tmp_path, changes)
+    if not says:
+        assert mount(path, SPECIMEN).lacks == ()
+        return
+    assert any(says in each.message and ".yaml:" in each.message for each in refused(path).problems)
+
+
 def test_a_supply_valve_is_left_closed_and_is_open_in_a_run(tmp_path):
     path = rig(
         tmp_path,
@@ -284,6 +305,34 @@ def test_a_gauge_that_may_stand_still_unseen_is_said(tmp_path):
     (lack,) = mount(path, SPECIMEN).lacks
     assert "stands still while its device answers" in lack
     assert "remedy" in lack
+
+
+@pytest.mark.parametrize(
+    ("bench", "old", "says"),
+    [
+        ("can", r"  - \{following: displacement.*\n", "goes where it was not sent"),
+        ("can", "action: vent}   # a drive", "goes where it was not sent"),
+        ("can", ", trip_low: -3 mm, action: vent", "no lower limit of the displacement, to which a drive may stretch"),
+        ("can", r"    watchdog: 500 ms   .*\n", "no watchdog of bus: a computer that dies leaves a drive in motion"),
+        ("festo-sine", r"  - \{following: displacement.*\n", "goes where it was not sent"),
+    ],
+)
+def test_a_drive_that_may_go_anywhere_is_said(tmp_path, bench, old, says):
+    shutil.copytree(BENCHES, tmp_path / "benches")
+    path = tmp_path / "benches" / f"{bench}.yaml"
+    text = path.read_text()
+    path.write_text(re.sub(old, "action: warn}   # a drive" if old.startswith("action") else "", text))
+    assert mount(BENCHES / f"{bench}.yaml", SPECIMEN).lacks == ()
+    (lack,) = mount(path, SPECIMEN).lacks
+    assert says in lack
+    assert "remedy" in lack
+
+
+def test_a_drive_cannot_be_sent_to_where_it_trips(tmp_path):
+    shutil.copytree(BENCHES, tmp_path / "benches")
+    path = tmp_path / "benches" / "mine.yaml"
+    path.write_text("include: mock-actuator.yaml\nlimits: {displacement: {trip_low: -10 um}}\n")
+    assert "below the lowest command 0 mm (" in str(refused(path))
 
 
 def test_a_pressure_that_the_guard_cannot_read_is_said_with_its_place(tmp_path):

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 from ruamel.yaml import YAML
 
+from pmabench.bench.compile import mount
 from pmabench.bench.lab.questions import MOST, QUESTIONS
 from pmabench.cli.main import main
 
@@ -37,6 +38,7 @@ LABS = {
     "simulated": MUSCLE,
     "simulated with an actuator": MUSCLE | {"free_end": "actuator", "type": "MAS-40-300N"},
     "labjack": LABJACK,
+    "labjack with an actuator": LABJACK | {"free_end": "actuator"},
     "ni": OWN,
     "board": MUSCLE | {"daq": "board", "dump_valve": "v0 closed", "interlock": "d0", "protocol": "static-load"},
     "no dump valve": LABJACK | {"dump_valve": "none", "supply": "800 kPa, relief none"},
@@ -74,6 +76,15 @@ def test_a_lab_passes_check_and_holds_no_value_of_the_shipped_muscle(
     text = "".join(text for name, text in contents(Path()).items() if not name.startswith("schemas"))
     for word in ("MOCK", "paper0", "55.6 kg", "??"):
         assert word not in text, word
+
+
+def test_an_actuator_is_watched_to_both_sides(tmp_path: Path) -> None:
+    answered(tmp_path / "lab", LABJACK | {"free_end": "actuator"})
+    mounted = mount(tmp_path / "lab" / "bench.yaml", tmp_path / "lab" / "specimen.yaml")
+    assert not [line for line in mounted.lacks if "drive" in line], mounted.lacks
+    trips = {(trip.channel, trip.kind): trip for trip in mounted.bench.trips}
+    assert trips["displacement", "following"].action == "vent"
+    assert trips["displacement", "range"].low < mounted.bench.commanded["displacement"].low
 
 
 def test_typed_answers_and_an_answers_file_write_the_same_files(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What commands do with their output: closed pipes, full disks, closed streams, quiet; as programs of their own."""
 
+import contextlib
 import errno
 import os
 import subprocess
@@ -73,3 +74,38 @@ def test_signs_that_the_terminal_lacks_are_spelled():
         output = program.communicate()[0]
     assert program.returncode == 0
     assert rb"\u221e" in output
+
+
+UNREAD = """
+import sys
+from pathlib import Path
+from pmabench.cli import common, outcome
+from pmabench.engine.run import Outcome
+from pmabench.guard.safe import Vent
+
+common.UNREAD = 0.5
+over = Outcome("tripped", "x" * 200, 5, Vent("confirmed", ()), Path("runs/one"), 1.0, 10, (), {})
+ui = common.Ui(json=sys.argv[1] == "json", quiet=sys.argv[1] == "quiet")
+common.prepare_streams()
+outcome.show_outcome(ui, over)
+sys.exit(over.exit_code)
+"""
+
+
+@pytest.mark.parametrize("how", ["people", "json", "quiet"])
+def test_a_run_that_is_over_ends_also_where_nobody_reads_how(how):
+    """The pipe is full, as a terminal is that somebody has stopped."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, b"x" * 4096)
+    os.set_blocking(writing, True)
+    program = subprocess.Popen([sys.executable, "-c", UNREAD, how], stdout=writing, stderr=writing)
+    try:
+        assert program.wait(20.0) == 5
+    finally:
+        program.kill()
+        program.wait()
+        os.close(reading)
+        os.close(writing)

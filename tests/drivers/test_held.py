@@ -113,6 +113,14 @@ def test_what_nobody_changes_stays_as_it_was(rig):
 
 
 @pytest.mark.singly
+def test_a_board_says_who_it_is(tmp_path):
+    """Another one behind the same port has another serial number."""
+    with RIGS["line-daq"](tmp_path) as rig:
+        assert rig.held()["serial"] == "1"
+        assert "board" in rig.held()["model"]
+
+
+@pytest.mark.singly
 @pytest.mark.parametrize("rig", WATCHED, indirect=True)
 def test_the_time_is_that_of_the_device(rig):
     assert rig.held()["watchdog"] == 0.0

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from pmabench_drivers.shared.link import Pace
+from pmabench_drivers.shared.link import Flow, Pace
 
 
 def reported(pace, taken_and_now):
@@ -49,3 +49,38 @@ def test_a_rate_that_is_off_by_one_percent_is_found(error, sign):
     behind, when = reported(Pace(0.1), ((taken, taken * (1 + error)) for taken, _ in arrivals(60)))
     assert behind * sign > 0
     assert when < 40
+
+
+def lines(seconds, rate, late=lambda t: 0.0, lost=lambda number: False):
+    """When the lines of an indicator arrive [s]; they never overtake each other."""
+    return [now for number, (_, now) in enumerate(arrivals(seconds, rate, late)) if not lost(number)]
+
+
+def first_late(times, slip=0.5):
+    flow = Flow(slip)
+    return next((now for now in times if flow.behind(now)), None)
+
+
+def _busy(t):
+    return 0.01 + random.Random(round(t * 1e3)).random() * 0.02 + max(0.0, 0.4 - t % 7)
+
+
+LINES = {
+    # lines of an indicator, and from when on they are late [s]
+    "a busy computer, an indicator 0.5 % slow": (lines(1800, 49.75, _busy), None),
+    "lines that come in pieces": (lines(300, 50, lambda t: 0.2 - t % 0.2), None),
+    "a line in a hundred is lost": (lines(600, 50, lost=lambda n: n % 100 == 7), None),
+    "every seventh line is glued to the next": (lines(300, 50, lost=lambda n: n % 7 == 0), None),
+    "a buffer that is emptied at the beginning": (lines(300, 50, lambda t: max(0.0, 0.8 - t)), None),
+    "one stall of 3 s": (lines(60, 50, lambda t: max(0.0, 33.0 - t) if 30 < t < 33 else 0.0), None),
+    "10 lines a second, three lost at once": (lines(300, 10, lost=lambda n: 500 <= n < 503), None),
+    "later and later, up to 2 s": (lines(60, 50, lambda t: min(2.0, 0.5 * max(0.0, t - 30))), 30),
+    "later by a tenth": (lines(60, 10, lambda t: min(2.0, 0.1 * max(0.0, t - 30))), 30),
+}
+
+
+@pytest.mark.parametrize("what", LINES)
+def test_lines_without_a_clock_that_come_later_and_later_are_found(what):
+    times, since = LINES[what]
+    late = first_late(times)
+    assert (late is None) if since is None else (since < late < since + 10), late

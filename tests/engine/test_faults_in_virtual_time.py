@@ -2,8 +2,10 @@
 
 import math
 import os
+import re
 import signal
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,11 +13,12 @@ from pmabench.base.clock import VirtualClock
 from pmabench.bench.interface import TripRecord
 from pmabench.engine import run as run_module
 from pmabench.engine.acquire import Acquisition
+from pmabench.engine.bench_checks import await_drives
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.recorder import NoRecord
 from pmabench.engine.run import run_plan
 from pmabench.guard.guard import Guard
-from pmabench.protocol.plan import Hold, Ramp, Record, Set, WaitUntil
+from pmabench.protocol.plan import Follow, Hold, Ramp, Record, Set, WaitUntil
 from tests.engine.benches import STEPS, mounted, one_trial, plan
 
 SAMPLE = 1 / 500.0
@@ -121,6 +124,61 @@ def test_a_gap_longer_than_its_limit_trips_where_the_limit_is_shorter(monkeypatc
     assert outcome.vent.result == "commanded"
 
 
+# -- a driven end, on the shipped bench ------------------------------------------------------------------------------
+
+SINES = (Ramp("approach", "displacement", 0.0, 0.01, 0.02), Follow("s", "displacement", 0.01, 5e-3, 0.5, 4),
+         Ramp("return", "displacement", 0.01, 0.0, 0.02))  # fmt: skip
+DRIVES = {
+    # error of the displacement, what it says, and where it is stopped at the latest [m]
+    "counts the other way": ({"factor": -1.0}, "(below its limit -3 mm|further than 2 mm)", 0.009),
+    "counts twice as far": ({"factor": 2.0}, "further than 2 mm", 0.017),
+    "runs away upwards": ({"offset": 0.02, "at": 5.0}, "further than 2 mm", 0.036),
+    "runs away downwards": ({"offset": -0.03, "at": 5.0}, "below its limit -3 mm", 0.04),
+    "the encoder stands": ({"end": "low", "at": 3.0}, "below its limit -3 mm", 0.02),
+}
+"""As the encoder sees them; a runaway is a jump here."""
+
+
+def driven(*steps, **options):
+    return run_plan(plan(Record("t", True, 0), *steps, Record("t", False, 0)), mounted("mock-actuator", **options),
+                    ConfirmedBeforehand(), out=None)  # fmt: skip
+
+
+def test_a_drive_that_goes_where_it_is_sent_is_left_alone():
+    assert driven(*SINES).status == "finished"
+
+
+@pytest.mark.parametrize("what", DRIVES)
+def test_a_drive_that_goes_where_it_was_not_sent_is_stopped(what):
+    error, says, most = DRIVES[what]
+    outcome = driven(*SINES, errors={"displacement": error})
+    assert (outcome.status, outcome.exit_code) == ("tripped", 5), outcome.why
+    assert re.search(says, outcome.why), outcome.why
+    assert abs(event(outcome, "trip")[1]["value"]) < most
+
+
+@pytest.mark.parametrize("zero", [9e-3, -2.5e-3])
+def test_a_drive_that_lost_its_zero_moves_nothing_and_no_pressure_is_let_in(zero):
+    """After a power loss an incremental drive says 0 wherever it stands; only the encoder knows."""
+    outcome = driven(Set("p", "pressure", 3e5), *SINES, errors={"displacement": {"offset": zero}})
+    assert outcome.status == "tripped", outcome.why
+    assert "sent to 0 mm, and displacement stays at" in outcome.why
+    assert not [data for kind, _, data in outcome.events if kind == "command"]
+
+
+def test_a_drive_on_its_way_to_where_arming_sent_it_is_waited_for(monkeypatch):
+    places = iter((0.02, 0.012, 0.006, 0.001))
+    acquisition = SimpleNamespace(latest={"displacement": 0.03}, passed=0.0)
+
+    def pass_time(seconds):
+        acquisition.passed += seconds
+        acquisition.latest["displacement"] = next(places)
+
+    acquisition.pass_time = pass_time
+    await_drives(mounted("mock-actuator").bench, acquisition)
+    assert acquisition.passed == 2.0
+
+
 # -- a stop that is controlled --------------------------------------------------------------------------------------
 
 
@@ -138,6 +196,33 @@ def test_a_stop_takes_the_pressure_down_at_its_rate_and_is_not_cut_by_its_own_ca
     assert vented - stopped >= 3.0 - 1e-6, "the ramp takes 3 s"
     assert (outcome.status, outcome.vent.result) == ("tripped", "confirmed")
     assert sum(kind == "trip" for kind, _, _ in outcome.events) == 1
+
+
+def test_a_stop_that_the_pressure_does_not_follow_is_vented_at_once(monkeypatch):
+    """A regulator that sticks at 300 kPa, as its gauge shows; the ramp alone would take 12 s."""
+    from pmabench_drivers.mock import MockBench
+
+    real = MockBench.collect
+
+    def stuck(self):
+        block = real(self)
+        if len(block.time) and block.time[-1] * 1e-9 > stops:
+            held.append(block.columns["pressure"][0])
+            return replace(block, columns={**block.columns, "pressure": [held[0]] * len(block.time)})
+        return block
+
+    made = stoppable(limit("range", "displacement", high=0.03, action="stop"))
+    made = replace(made, bench=replace(made.bench, stop_rate=25e3))
+    free = execute(made, HOLD)
+    assert event(free, "vent")[0] - event(free, "controlled-stop")[0] >= 12.0 - 1e-6, "it follows: nothing is cut"
+    assert not [data for kind, _, data in free.events if kind == "warning"]
+    stops, held = event(free, "controlled-stop")[0], []
+    monkeypatch.setattr(MockBench, "collect", stuck)
+    outcome = execute(made, HOLD)
+    stopped, warned = event(outcome, "controlled-stop")[0], event(outcome, "warning")
+    assert 1.5 <= warned[0] - stopped < 4.0
+    assert "kPa where the stop commands" in warned[1]["reason"]
+    assert event(outcome, "vent")[0] - warned[0] < 8.0, "no longer than the vent itself takes to be given up"
 
 
 def test_a_limit_that_vents_cuts_a_controlled_stop():

@@ -1,6 +1,7 @@
 """What holds samples up is no silence of the program: it says that it lives, and no collection of garbage stops it."""
 
 import gc
+import itertools
 import threading
 import time
 from array import array
@@ -64,6 +65,41 @@ def test_while_a_device_is_waited_for_the_program_says_that_it_lives(made):
     assert executor.is_alive()
     slow.go.set()
     executor.join()
+
+
+def test_while_the_second_pair_of_eyes_waits_for_a_device_the_program_says_that_it_lives(made):
+    """The executor is at something else; whoever looks instead of it hangs in the device."""
+    _, slow, beats = made
+    of = []
+
+    def collect():
+        if threading.current_thread() is not threading.main_thread():
+            of.append(threading.current_thread())
+            slow.go.wait(20.0)
+        return Block(array("q"), {name: array("d") for name in CHANNELS}, -1)
+
+    slow.collect = collect
+    until = time.monotonic() + 1.2
+    while time.monotonic() < until:
+        time.sleep(0.01)
+    assert len(of) == 1
+    assert len(beats) > 10
+    assert max(later - earlier for earlier, later in itertools.pairwise(beats)) < 0.2
+
+
+def test_a_guard_that_is_asked_for_no_samples_hears_that_the_program_lives():
+    """All that is measured comes from devices of the engine: nothing was said, and the guard vented."""
+    bench = mounted().bench
+    (device,) = bench.devices
+    reader = replace(device, name="daq", outputs=(), valves=(), interlocks=(), watchdog=0.0)
+    bench = replace(bench, realtime=True, trips=(), devices=(replace(device, channels=()), reader))
+    acquisition = Acquisition(bench, {"daq": Slow(), device.name: object()}, RealClock(), 100.0, CHANNELS, NoRecord())
+    beats = []
+    acquisition.beat = lambda: beats.append(time.monotonic())
+    acquisition.start()
+    acquisition.pass_time(0.5)
+    acquisition.stop()
+    assert 5 <= len(beats) <= 11
 
 
 def test_nothing_that_was_there_before_is_collected_again_during_a_run_in_real_time():

@@ -162,6 +162,29 @@ def test_values_from_before_confirm_nothing():
     assert acquisition.measure()["supply"] > 1.08
 
 
+def test_while_it_vents_one_silent_device_hinders_no_other_ones_values():
+    clock = Passing()
+    other = replace(GAUGE, name="other", channels=(replace(CHANNEL, name="pressure", device="other"),))
+    bench = replace(mounted("mock-realtime").bench, devices=(other, GAUGE), trips=())
+    gone, vents = Queue(clock, lambda _now: 0.001, "pressure"), []
+
+    def collect(of=gone.collect):
+        if vents:
+            raise DeviceError("other", "no answer")
+        return of()
+
+    gone.collect = collect
+    streams = {"other": gone, "gauge": Queue(clock, lambda _now: 0.001)}
+    acquisition = Acquisition(bench, streams, clock, 500.0, (), NoRecord())
+    acquisition.start()
+    acquisition.pass_time(1.0)
+    vents.append(True)
+    with pytest.raises(DeviceError, match="no answer"):
+        acquisition.measure()
+    acquisition.begin_safe_state()
+    assert acquisition.measure().keys() == {"supply"}
+
+
 def test_a_device_that_is_not_what_it_was_ends_the_run_and_confirms_nothing():
     def changed(now):
         if now > 1.0:

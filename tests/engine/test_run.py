@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from pmabench.base.errors import RecordError
+from pmabench.base.errors import DeviceError, RecordError
+from pmabench.bench.interface import Identity
 from pmabench.engine import run as run_module
+from pmabench.engine.bench_checks import refuse_twice
 from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
 from pmabench.engine.recorder import NoRecord
 from pmabench.engine.run import run_plan
@@ -309,3 +311,18 @@ def test_the_end_of_input_at_the_prompt_is_an_interruption():
     outcome = execute(one_trial(*STEPS["hold"]), operator=AtTerminal(closed, lambda _text: None))
     assert (outcome.status, outcome.exit_code) == ("aborted", 130)
     assert outcome.vent.confirmed
+
+
+@pytest.mark.parametrize(
+    ("serial", "simulated", "refused"), [("4711", False, True), ("4712", False, False), ("", False, False), ("4711", True, False)]
+)  # fmt: skip
+def test_one_device_that_answers_as_two_of_the_bench_is_refused(serial, simulated, refused):
+    answers = {
+        name: Identity("Acme", "PR", number, "1", simulated=simulated)
+        for name, number in (("a", "4711"), ("b", serial))
+    }
+    if not refused:
+        refuse_twice(mounted().bench, answers)
+        return
+    with pytest.raises(DeviceError, match="a and b are the same device, Acme PR, serial number 4711"):
+        refuse_twice(mounted().bench, answers)

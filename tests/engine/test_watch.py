@@ -267,3 +267,30 @@ def test_the_first_that_ends_the_run_is_the_last_that_is_reported():
     watch = Watch([stop, warn, limit("range", high=6e5)], [CHANNEL])
     found = watch.look(T, {"pressure": np.linspace(0.0, 8e5, len(T))})
     assert [item.limit.action for item in found] == ["warn", "stop"]
+
+
+ABOVE = {
+    # what the pressure does while 200 kPa is commanded from 0.5 s on, and when it is vented [s]
+    "another program's command": (np.where(T < 1.0, 2e5, 5.9e5), 2.0),
+    "a valve that sticks, and leaks a little": (np.where(T < 1.0, 2e5, 5.9e5 - 2e3 * T), 2.0),
+    "a regulator that runs away": (np.interp(T, [1.0, 2.0], [2e5, 6.4e5]), 2.136),
+    "a muscle that empties slowly": (2e5 + 4e5 * np.exp(-np.maximum(T - 0.5, 0.0) / 1.0), None),
+    "a supply that is lost": (np.where(T < 1.0, 2e5, 5e4), None),
+    "for a short time": (np.where((T < 1.0) | (T > 1.9), 2e5, 5.9e5), None),
+}
+
+
+@pytest.mark.parametrize("what", ABOVE)
+@pytest.mark.parametrize("cuts", [(), range(7, 2000, 7)])
+def test_a_pressure_above_its_command_is_not_held_for(what, cuts):
+    """A bench that holds sends nothing: who waits for it to follow keeps it where it is."""
+    samples, moment = ABOVE[what]
+    watch = Watch(
+        [limit("following", high=60e3, delay=1.0, action="hold")], [CHANNEL], commands((0.0, 6e5), (0.5, 2e5))
+    )
+    ends = []
+    for first, last in itertools.pairwise(sorted({0, *cuts, len(T)})):
+        found = watch.look(T[first:last], {"pressure": samples[first:last]})
+        ends = ends or [trip for trip in found if trip.limit.action == "vent"]
+    assert [round(trip.t, 2) for trip in ends] == ([] if moment is None else [round(moment, 2)])
+    assert all("more than 60 kPa above what is commanded and does not fall" in str(trip) for trip in ends)

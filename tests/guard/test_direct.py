@@ -21,6 +21,12 @@ from tests.guard.rig import BENCH, DEVICE, Rig, bench
 SAFE_COMMANDS = [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
 
 
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """What a guard that died sent last is waited for 3 s."""
+    monkeypatch.setattr("pmabench.guard.safe.LINGERS", 0.2)
+
+
 def station(**state):
     made = Station("rig")
     made.folder.mkdir(parents=True)

@@ -9,17 +9,21 @@ import threading
 import time
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.bench.interface import DeviceRecord, Identity, InterlockRecord, ProofTest, SafeAction, ValveRecord
-from pmabench.guard import process
+from pmabench.guard import process, supervision
 from pmabench.guard.guard import State
 from pmabench.guard.remote import exchange
+from pmabench.guard.supervision import Supervision
 from pmabench.guard.wire import LONGEST, Messages, encode
-from tests.guard.rig import DEVICE, DRIVE, OUTPUT, SAFE, bench
+from tests.guard.rig import DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, Rig, armed, bench
 from tests.guard.serving import ANSWERS, ASKS, TOKEN, Serving
 from tests.reliability.cases import cases
 
@@ -110,6 +114,20 @@ def test_an_engine_that_says_goodbye_too_early_is_lost():
         ended_by(serving, "left an armed bench")
 
 
+def test_the_guard_measures_what_the_engine_does_not_ask_for():
+    """The engine may fail at one device again and again; the others must be measured all the same."""
+    gauge = DeviceRecord("gauge", DRIVER, watchdog=1.0)
+    with Serving(bench(devices=(gauge, DEVICE))) as serving:
+        link = serving.armed()
+        serving.rig.reads["pressure"] = 1e3
+        Rig.made["gauge"].wrong["collect"] = "no answer"
+        serving.ask(link, "safe", tripped=False, hurry=False, why="x")
+        until = time.monotonic() + 2.0
+        while serving.service._vent is None and time.monotonic() < until:
+            serving.ask(link, "collect", device="gauge", seen={})
+        assert serving.service._vent is not None and serving.service._vent.confirmed  # noqa: PT018
+
+
 def test_one_lost_answer_is_no_lost_device():
     with Serving() as serving:
         link = serving.armed()
@@ -118,7 +136,8 @@ def test_one_lost_answer_is_no_lost_device():
         until = time.monotonic() + 0.3
         while time.monotonic() < until:
             serving.ask(link, "status")
-            if serving.service._unwell and rig.wrong.pop("level", None):
+            call = serving.guard.supervision._asked.get("dac" + supervision.SAFE[0])
+            if call is not None and call.error is not None and rig.wrong.pop("level", None):
                 lost += 1
         assert (lost, serving.service._ended) == (1, {})
 
@@ -136,6 +155,7 @@ def test_a_ramp_does_not_go_on_in_a_guard_that_lost_time():
     with Serving(bench(safe_state=(SafeAction("ramp", "pressure", 0.0, 5.0, 100e3), *SAFE))) as serving:
         link = serving.armed()
         serving.ask(link, "set", name="pressure", value=400e3)
+        serving.rig.reads["pressure"] = 390e3
         serving.ask(link, "safe", tripped=False, hurry=False, why="x")
         assert serving.rig.values("follow")
         serving.rig.reported.clear()
@@ -143,6 +163,24 @@ def test_a_ramp_does_not_go_on_in_a_guard_that_lost_time():
         serving.service.turn()
         serving.service.turn()
         assert serving.rig.values("write")[:1] == [("write", "p", 0.0)]
+
+
+@pytest.mark.parametrize("cause", ["interlock", "lost time"])
+def test_no_ramp_begins_after_an_emergency_stop_or_lost_time(cause):
+    """The stop, or a watchdog, may have emptied the muscle: its ramp would fill it from what was commanded last."""
+    with Serving(bench(safe_state=(SafeAction("ramp", "pressure", 0.0, 5.0, 100e3), *SAFE))) as serving:
+        serving.ask(serving.armed(), "set", name="pressure", value=400e3)
+        serving.rig.reads["pressure"] = 390e3
+        serving.rig.reported.clear()
+        if cause == "interlock":
+            serving.rig.high = False
+        else:
+            serving.service._pulse.lost = 1.9
+        until = time.monotonic() + 1.0
+        while not serving.rig.values("follow", "write"):
+            serving.service.turn()
+            assert time.monotonic() < until
+        assert serving.rig.values("follow", "write")[0] == ("write", "p", 0.0)
 
 
 def test_an_open_interlock_and_a_lost_device_end_it():
@@ -219,6 +257,33 @@ def test_a_device_that_changed_by_itself_is_a_trip(change, why):
         ended_by(serving, why, how="trip")
 
 
+UPTIMES = {
+    # what a counter of milliseconds shows from the arming on, and whether it restarted
+    "goes on": ((71001, 71450, 71900, 72350), False),
+    "one torn upwards": ((71001, 136925, 71882, 72300, 72750), False),
+    "one torn downwards": ((71001, 5800, 71450, 71900), False),
+    "restarts": ((71001, 71450, 71900, 300, 330), True),
+    "restarts after one that was torn": ((71001, 71450, 136925, 71882, 300, 330), True),
+    "restarts at once": ((71001, 300, 330), True),
+}
+
+
+@pytest.mark.parametrize("what", UPTIMES)
+def test_one_torn_reading_of_an_uptime_is_no_restart(what):
+    """Two words are read while the lower one begins again: one reading is 65536 off, each 65 s of such a counter."""
+    readings, restarts = UPTIMES[what]
+    left = list(readings)
+    device = SimpleNamespace(held=lambda: {"uptime": float(left.pop(0))})
+    links = SimpleNamespace(devices={"daq": device}, call=lambda _name, act: act(), need=lambda *_what: device)
+    supervision = Supervision(None, links, VirtualClock(), None, {})
+    supervision.begin()
+    said = []
+    while left:
+        said.append(supervision._twice(lambda: supervision._held_differs("daq")))
+    assert [bool(text) for text in said if text] == [True] * restarts
+    assert not restarts or "it restarted: its uptime fell from 7" in said[-1]
+
+
 def test_a_set_point_and_a_valve_that_nobody_commanded_are_a_trip():
     with Serving(threads=True) as serving:
         link = serving.armed()
@@ -279,12 +344,59 @@ def test_one_lost_answer_is_no_lost_device_and_a_second_of_them_is():
     with Serving(threads=True) as serving:
         serving.armed()
         serving.rig.wrong |= {"held": (hangs := threading.Event()), "level": hangs}
-        serving.guard.bench = serving.guard.links._bench = replace(
+        serving.guard.bench = serving.guard.links._bench = serving.guard.supervision._bench = replace(
             serving.guard.bench, devices=(replace(DEVICE, interlocks=()),)
         )
         serving_on(serving)
         hangs.set()
         assert "whether it holds what was commanded" in serving.service._ended["why"]
+
+
+def test_an_interlock_that_cannot_be_read_any_more_ends_it():
+    with Serving(threads=True) as serving:
+        serving.armed()
+        serving.rig.wrong["level"] = hangs = threading.Event()
+        serving_on(serving)
+        hangs.set()
+        assert "has not answered for 0.5 s whether its interlocks are closed" in serving.service._ended["why"]
+
+
+def test_a_device_that_takes_long_for_each_answer_is_not_lost():
+    """60 ms for each: commands and samples wait for the question that is under way, and no question for another."""
+    with Serving(threads=True) as serving:
+        link, rig = serving.armed(), serving.rig
+        for what in ("level", "held", "read_back", "is_on", "write"):
+            answer = getattr(rig, what)
+            setattr(rig, what, lambda *how, answer=answer: (time.sleep(0.06), answer(*how))[1])
+        until, longest, rows = time.monotonic() + 2.0, 0.0, 0
+        while time.monotonic() < until:
+            begun = time.monotonic()
+            assert "error" not in serving.ask(link, "set", name="pressure", value=1e5)
+            rows += serving.ask(link, "collect", device="dac", seen={})["rows"]
+            longest = max(longest, time.monotonic() - begun)
+        assert serving.service._ended == {}
+        assert rows > 4
+        assert longest < 0.35, "a question and the command"
+        assert {call[0] for call in rig.reported} >= {"feed_watchdog", "level", "held", "read_back", "is_on"}
+
+
+def test_samples_of_a_device_that_is_busy_are_handed_over_later():
+    guard, rig = armed(threads=True)
+    rig.wrong["read_back"] = busy = threading.Event()
+    guard.links.submit("dac", partial(rig.read_back, "p"))
+    begun = time.monotonic()
+    assert len(guard.collect("dac").time) == 0
+    assert time.monotonic() - begun < 0.15
+    busy.set()
+    assert len(guard.collect("dac").time) == 1
+    rig.wrong["collect"] = hangs = threading.Event()
+    for _ in range(10):
+        assert len(guard.collect("dac").time) == 0
+    time.sleep(0.4)
+    with pytest.raises(DeviceError, match="did not answer"):
+        guard.collect("dac")
+    hangs.set()
+    guard.close()
 
 
 def serving_on(serving, within=15.0):
@@ -463,10 +575,24 @@ def test_what_the_engine_says_it_measured_counts_only_where_the_guard_cannot_mea
         assert serving.station.noted[-1][0] == "tripped", "not confirmed"
 
 
+def test_what_the_engine_measured_comes_with_its_sign_of_life_where_the_guard_has_no_channels():
+    """The vent was never confirmed: values came with the samples only that nobody collected."""
+    gauge = replace(DEVICE, channels=())
+    with Serving(bench(devices=(gauge,))) as serving:
+        link, stranger = serving.armed(), serving.link()
+        serving.ask(link, "safe", tripped=False, hurry=False, why="x")
+        serving.ask(stranger, "status", seen={"pressure": 7e5})
+        assert serving.guard.latest == {}, "a client who only asks is not believed"
+        until = time.monotonic() + 3.0
+        while serving.guard.state is State.STOPPING and time.monotonic() < until:
+            serving.ask(link, "status", seen={"pressure": 0.0})
+        assert serving.service._vent.confirmed
+
+
 def test_an_error_in_the_guard_itself_makes_the_bench_safe(monkeypatch):
     with Serving() as serving:
         serving.armed()
-        monkeypatch.setattr(serving.guard.links, "refuse_open_interlock", lambda: 1 / 0)
+        monkeypatch.setattr(serving.guard.supervision, "look", lambda _now: 1 / 0)
         ended_by(serving, "an error in the guard")
 
 

@@ -9,9 +9,10 @@ import pytest
 
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.base.system import try_lock
+from pmabench.bench.interface import place
 from pmabench.guard import station as module
 from pmabench.guard.remote import _log
-from pmabench.guard.station import UNCLEAN, Station, folder_name, place, root, stations
+from pmabench.guard.station import UNCLEAN, Station, folder_name, root, stations
 
 
 def test_a_bench_that_was_never_armed_is_not_latched():
@@ -179,6 +180,8 @@ def test_a_device_belongs_to_one_bench_at_a_time_and_a_latch_to_all_who_have_it(
     two = Station("二")
     two.take()
     two.take_device("127.0.0.1:503 unit 1")
+    with pytest.raises(DeviceError, match=r"two of its devices are one, 127.0.0.1:503 unit 1"):
+        two.take_device("127.0.0.1:503 unit 1")
     with pytest.raises(DeviceError, match=rf'is in use by the bench "one", process {holder.pid}'):
         two.take_device("127.0.0.1:502 unit 1")
     holder.kill()

@@ -178,9 +178,9 @@ BUGS = (
     ),
     Bug(
         "a watchdog that fails is not noticed",
-        "pmabench/guard/links.py",
-        "                        before.get(record.name)\n",
-        "                        pass\n",
+        "pmabench/guard/supervision.py",
+        "            self._ask(record, FED, now)\n",
+        "            pass\n",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(
@@ -200,8 +200,8 @@ BUGS = (
     Bug(
         "a measured value at its bound confirms the vent",
         "pmabench/guard/safe.py",
-        "low = value is not None and self._floors.get(action.target, -inf) < value < action.value",
-        "low = value is not None and self._floors.get(action.target, -inf) < value <= action.value",
+        "else self.floor < value < bound",
+        "else self.floor < value <= bound",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(
@@ -262,9 +262,9 @@ BUGS = (
     ),
     Bug(
         "a device without effect is fed on",
-        "pmabench/guard/safe.py",
-        "return bool(self.failed) or self.unmoved",
-        "return False",
+        "pmabench/guard/guard.py",
+        "return not (_ends(record) & (self._safe.missing",
+        "return True or not (_ends(record) & (self._safe.missing",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(

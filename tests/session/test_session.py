@@ -6,8 +6,9 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
+from pmabench_drivers.mock import MockBench
 
-from pmabench.base.errors import PmaError
+from pmabench.base.errors import DeviceError, PmaError
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.engine.run import run_plan
 from pmabench.guard.station import Station
@@ -169,6 +170,28 @@ def test_a_session_counts_until_something_changes(tmp_path):
     recalibrated = replace(bench, bench=replace(bench.bench, devices=devices))
     assert "pressure" in state.out_of_date(kept, recalibrated, now)
     assert "cannot be read" in state.out_of_date({"at": 3}, bench, now)
+
+
+@pytest.mark.parametrize(("serial", "refused"), [("4711", False), ("9999", True)])
+def test_zeros_count_for_the_device_that_gave_them(tmp_path, monkeypatch, serial, refused):
+    """A DAQ that is exchanged has other offsets: 100 N and 10 mm were taken off a force and a way that had none."""
+    answers = ["4711"]
+    opened = MockBench.open
+    monkeypatch.setattr(MockBench, "open", lambda self: replace(opened(self), serial=answers[0]))
+    ready = ensure(mounted(BENCH), ConfirmedBeforehand(), tmp_path / "runs")
+    assert ready.in_session["devices"] == {"plant": "4711"}
+    answers[0] = serial
+    ready = ensure(mounted(BENCH), Nobody(), tmp_path / "runs")
+    rest = plan(Hold("rest", 1.0), trials=0)
+    if not refused:
+        assert run_plan(rest, ready, ConfirmedBeforehand(), out=tmp_path / "runs").status == "finished"
+        return
+    with pytest.raises(
+        DeviceError, match="number 9999, and the zeros of the session were taken with 4711: .*--new-ses"
+    ):
+        run_plan(rest, ready, ConfirmedBeforehand(), out=tmp_path / "runs")
+    ensure(mounted(BENCH), ConfirmedBeforehand(), tmp_path / "runs", anew=True)
+    assert state.kept(mounted(BENCH).bench.name)["devices"] == {"plant": "9999"}
 
 
 @pytest.mark.parametrize(("what", "why"), [("tripped", "the emergency stop"), ("safe", "reset")])

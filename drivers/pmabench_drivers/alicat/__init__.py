@@ -116,7 +116,7 @@ class AlicatController(Controlled):
         return self._opened().held(monotonic() + CALL)
 
     def held(self) -> Mapping[str, float | str]:
-        """Where its set-point comes from, as it says itself over ASCII from firmware 10v05 on; else nothing.
+        """Unit and source of its set-point, as it says itself over ASCII from firmware 10v05 on; before, the unit.
 
         It has no watchdog and reports no uptime: a restart shows in its set-point, which `read_back` asks for.
         """

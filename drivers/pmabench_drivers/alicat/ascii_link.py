@@ -17,6 +17,7 @@ Hold-closed (HC) is never sent: it traps the pressure.
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 from collections.abc import Iterator, Sequence
@@ -48,6 +49,8 @@ QUIET = 0.15
 """A list of lines is at its end when nothing comes for so long [s]."""
 FIRST = 0.4
 """How long an answer may take while the port is opened [s]."""
+LISTED_EVERY, LONGEST_LIST = 2.0, 0.1
+"""Columns are listed again so often [s], where that takes no longer than so long [s]: nothing is sampled meanwhile."""
 LARGEST = 1e6
 MOST_LINES = 100
 SOURCES = {"A": "its analogue input", "U": "its knob", "S": "the serial line"}
@@ -183,7 +186,13 @@ class AsciiLink:
         """Till then the answer to what clears the line may come late [s, monotonic]."""
         self._asked_since = False
         """Whether anything was asked since."""
-        self._reports_source = False
+        self._reports_source = self._reports_unit = False
+        self._rows, self._list_takes = 0, math.inf
+        """Rows of its list of columns, and how long that takes on the line [s]."""
+        self._unit, self._unit_at = "", -math.inf
+        """In which unit it takes set-points, and when it said so last [s, monotonic]."""
+        self._vented = True
+        """Whether it was sent nothing but the set-point that vents."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -192,12 +201,11 @@ class AsciiLink:
         self._open_port()
         with self._turn(deadline):
             about = self._about(deadline)
-            try:
-                self._layout = read_layout(self._listed("??D*", deadline), self._options.letter)
-            except (sp.Wrong, sp.Unreadable) as error:
-                raise DeviceError(self._device, str(error)) from None
+            self._layout = self._read_layout(deadline)
             self._refuse_other_unit(self._layout)
             self._refuse_other_source(deadline)
+            self._reports_unit = self._unit_word(deadline, FIRST) is not None
+            self._vented, self._unit_at = True, -math.inf
             self._reading("", deadline, FIRST)
         model = about.get(4, "")
         simulated = model.startswith(EMULATED)
@@ -230,9 +238,12 @@ class AsciiLink:
     def command(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
         """Send a set-point once; what the device then holds decides. Nothing is sent if `still()` is false."""
         text = self._written(value)
+        if self._vented and self._reports_unit and still():
+            self._refuse_changed_unit(deadline)
         with self._turn(deadline):
             if not still():
                 return None
+            self._vented = False
             why = "is its set-point source the serial line?"
             try:
                 reading = self._reading(text, deadline)
@@ -248,6 +259,7 @@ class AsciiLink:
         with self._turn(deadline):
             if not still():
                 return None
+            self._vented = True
             reading: Reading | None = None
             for command in (text, "C"):
                 try:
@@ -271,16 +283,57 @@ class AsciiLink:
             return self._reading("", deadline).set_point
 
     def reported(self, deadline: float) -> dict[str, float | str]:
-        """Where its set-point comes from, where the firmware says it."""
-        if not self._reports_source:
-            return {}
+        """Unit and source of its set-point, as far as the firmware says them."""
+        found: dict[str, float | str] = {}
+        if unit := self._unit_now(deadline):
+            found["unit of the set-point"] = unit
+        if self._reports_source:
+            with self._turn(deadline):
+                if not self._clean:
+                    self._clear(deadline)
+                words = self._ask("LSS", deadline).decode("ascii", "replace").upper().split()
+            if len(words) != 2 or words[1] not in SOURCES:
+                raise DeviceError(self._device, f'answers "{" ".join(words)[:40]}" to where its set-point comes from')
+            found["source of the set-point"] = SOURCES[words[1]]
+        return found
+
+    def _unit_now(self, deadline: float) -> str:
+        """In which unit it takes set-points: another one may be chosen at its panel at any time, and 0 is 0 in all.
+
+        Older firmware can only list its columns, which takes long: every 2 s, or never on a slow line; "" then.
+        """
+        if not self._reports_unit and (self._list_takes > LONGEST_LIST or monotonic() - self._unit_at < LISTED_EVERY):
+            return self._unit
         with self._turn(deadline):
             if not self._clean:
                 self._clear(deadline)
-            words = self._ask("LSS", deadline).decode("ascii", "replace").upper().split()
-        if len(words) != 2 or words[1] not in SOURCES:
-            raise DeviceError(self._device, f'answers "{" ".join(words)[:40]}" to where its set-point comes from')
-        return {"source of the set-point": SOURCES[words[1]]}
+            if self._reports_unit:
+                unit = self._unit_word(deadline)
+                if unit is None:
+                    raise DeviceError(self._device, "does not say the unit of its set-point, which it did before")
+            else:
+                column = self._read_layout(deadline).columns[self._shape.set_point]
+                unit = f"{column.unit_code} {column.unit}"
+            self._unit, self._unit_at = unit, monotonic()
+        return unit
+
+    def _refuse_changed_unit(self, deadline: float) -> None:
+        """Before pressure is commanded after it was vented: raise DeviceError where a number means another pressure."""
+        unit = self._unit_now(deadline)
+        if int(unit.split()[0]) not in self._codes():
+            raise DeviceError(self._device, f"takes set-points in {unit} now, not in {self._options.unit}", OUTPUT)
+
+    def _unit_word(self, deadline: float, patience: float = 0.0) -> str | None:
+        """Number and name of the unit of the set-point, from firmware 10v05 on; None where it does not know that."""
+        statistic = self._shape.columns[self._shape.set_point].statistic
+        words = self._ask(f"DCU {statistic}", deadline, patience).decode("ascii", "replace").split()
+        known = len(words) == 3 and words[0].upper() == self._options.letter and words[1].isdecimal()
+        return " ".join(words[1:]) if known else None
+
+    def _codes(self) -> set[int]:
+        """The numbers by which a device calls the bench's unit."""
+        pascal = UNITS[self._options.unit][1]
+        return {known for known, size in UNITS.values() if size == pascal}
 
     def _found(self, lost: DeviceError, value: float, deadline: float) -> Reading:
         """What the device holds after a command whose answer is lost or uncertain."""
@@ -302,7 +355,7 @@ class AsciiLink:
     def _open_port(self) -> None:
         self._port = sp.open_port(self._device, self._address, baudrate=self._options.baud, timeout=PIECE)
         self._splitter, self._lines = sp.Splitter(b"\r", whole=True), []
-        self._clean, self._late_until = True, 0.0
+        self._clean, self._late_until, self._rows = True, 0.0, 0
 
     def _about(self, deadline: float) -> dict[int, str]:
         """Its answers to who it is, by their numbers."""
@@ -322,11 +375,22 @@ class AsciiLink:
             raise DeviceError(self._device, f'sends "{sp.readable(lines[0])}": another unit ID, or it sends by itself')
         return found
 
+    def _read_layout(self, deadline: float) -> Layout:
+        """Have it list its columns, as fast as the line is."""
+        rows = self._rows
+        asked = monotonic()
+        try:
+            lines = self._listed("??D*", deadline, last=f" D{rows:02d} ".encode() if rows else b"")
+            layout = read_layout(lines, self._options.letter)
+        except (sp.Wrong, sp.Unreadable) as error:
+            raise DeviceError(self._device, str(error)) from None
+        self._rows, self._list_takes = len(lines) - 1, monotonic() - asked - (0.0 if rows else QUIET)
+        return layout
+
     def _refuse_other_unit(self, layout: Layout) -> None:
         for column in (layout.columns[layout.pressure], layout.columns[layout.set_point]):
             code, _pascal = UNITS[self._options.unit]
-            same = {known for known, size in UNITS.values() if size == UNITS[self._options.unit][1]}
-            if column.unit_code not in same:
+            if column.unit_code not in self._codes():
                 given = f'gives "{column.name}" in {column.unit or "no unit"} (unit {column.unit_code})'
                 wanted = f"the bench expects {self._options.unit} (unit {code}): set the device or the bench file"
                 raise DeviceError(self._device, f"{given} and {wanted}")

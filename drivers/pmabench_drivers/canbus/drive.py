@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from time import monotonic, sleep
 
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.node import Node, Refused, Send
 
@@ -57,6 +57,7 @@ class Drive(Node):
         if self.wants_demand:
             self.transmit(1, [f.mapping(f.DEMAND, 0, 32)], self._take_demand, deadline)
         self._target_pdo = self.receive(0, [f.mapping(f.TARGET, 0, 32)], deadline)
+        self.relied = {"position mapping": (f.TPDO_MAPPING, 2), "target mapping": (f.RPDO_MAPPING, 1)}
         self._set_period(deadline)
 
     def _set_period(self, deadline: float) -> None:
@@ -205,9 +206,10 @@ class Drive(Node):
         actual = self.objects.read(f.ACTUAL, 0, "i", deadline)
         if abs(actual - origin) > room:
             message = f"is at {actual} counts and cannot jump to {origin}, where the motion begins"
-            raise self.error(f"{message} (at most {room})")
+            raise NotSent(self.device, f"{message} (at most {room})", self.name)
         if self.state(deadline) is f.State.ENABLED and not self.status & f.TARGET_REACHED and not self._cyclic:
-            raise self.error("is still on its way to its last target: a cyclic motion begins at rest")
+            message = "is still on its way to its last target: a cyclic motion begins at rest"
+            raise NotSent(self.device, message, self.name)
         self.objects.write(f.TARGET, 0, "i", actual, deadline)
         self.lead = float(actual)
         self._use(f.CYCLIC, deadline)

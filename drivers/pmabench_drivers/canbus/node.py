@@ -180,6 +180,8 @@ class Node(ABC):
         self.model = self.serial = self.firmware = ""
         self._send = send
         self._heard, self._state = 0.0, -1
+        self.relied: dict[str, tuple[int, int]] = {}
+        """Objects that give its numbers their meaning: what they are, index and sub-index."""
         self.errors = 0
         """The error register (1001h) when `held` read it last."""
         self._starts = 0
@@ -236,7 +238,9 @@ class Node(ABC):
             raise self.error(f"no heartbeat for {SILENT:g} s; is its supply or its cable off?")
         serial = self.objects.read_if_there(f.IDENTITY, 4, "I", deadline)
         self.errors = self.objects.read(f.ERROR_REGISTER, 0, "B", deadline)
+        relied = {what: self.objects.read(*at, "I", deadline) for what, at in self.relied.items()}
         return {
+            **{what: f"{value:08X}h" if "mapping" in what else float(value) for what, value in relied.items()},
             "state": f.NODE_STATES.get(self._state, str(self._state)),
             "starts": float(self._starts),
             "error register": float(self.errors),
@@ -322,8 +326,10 @@ class Transducer(Node):
         alarms = self.objects.read_if_there(ALARMS, 0, "H", deadline)
         if alarms is not None and alarms & NO_MAGNET:
             raise self.error("says that its magnet is missing")
+        self.relied = {"measuring step": (STEPS, 1), "mapping": (f.TPDO_MAPPING, 1)}
         if (step := self.objects.read_if_there(STEPS, 1, "I", deadline)) is None:
             step = self.objects.read_if_there(MEASURING_STEP, 0, "I", deadline)
+            self.relied["measuring step"] = (MEASURING_STEP, 0)
         if not step:
             raise self.error("does not report its measuring step (objects 6005h:1 and 6501h)")
         self._step = step * 1e-3

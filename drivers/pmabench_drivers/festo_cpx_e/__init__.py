@@ -191,14 +191,16 @@ class FestoCpxE(ModbusDevice):
         """All inputs of the terminal in one transaction; none are taken from a module that reports a fault."""
         if not self._streaming or not self._inputs:
             return
-        asked, deadline = self._clock.now(), monotonic() + self._map.timeout
-        words = self._opened().read("holding", t.FIRST_INPUT, self._terminal.width, deadline, "process data")
-        answered = self._clock.now()
+        line, deadline = self._opened(), monotonic() + 2 * CALL + self._map.timeout
+        words = line.read("holding", t.FIRST_INPUT, self._terminal.width, deadline, "process data", sample=True)
+        answered, took = self._clock.now(), monotonic() - line.asked
         for module in self._used:
             if status := words[module.status - t.FIRST_INPUT]:
                 message = f"reports a fault (status 0x{status:04x}): look at its LEDs and its data sheet"
                 raise self._error(message, f"module {module.position} ({module.name})")
-        self._keep([decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs], asked, answered)
+        self._keep(
+            [decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs], answered - took, answered
+        )
 
     # -- commands -------------------------------------------------------------------------------------------------
 

@@ -291,7 +291,7 @@ class LabJack(ModbusDevice):
         return {"watchdog": float(seconds) if enabled == 1 else 0.0, "registers of the watchdog": " ".join(does)}
 
     def held(self) -> Mapping[str, float | str]:
-        """Watchdog with all that it would do, and serial number; newer firmware: cause of the last restart, uptime.
+        """Watchdog with all that it would do, serial number, ranges; newer firmware: cause of the last restart, uptime.
 
         The uptime is the device's clock, which begins at 0 at power-on. A T7-Pro, or a device that sets its clock over
         the network, shows the time of day there: then it is left out.
@@ -300,6 +300,13 @@ class LabJack(ModbusDevice):
         found = self._watchdog_held(deadline)
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
         found["serial"] = str(serial)
+        if (
+            self._t7.model.ranges and not self._t7.model.streams and (inputs := self._t7.inputs)
+        ):  # a stream keeps its own
+            numbers = [item.number for item in inputs.values()]
+            first, count = min(numbers), max(numbers) - min(numbers) + 1
+            spans = r.from_f32(self.get(r.AIN_RANGE + 2 * first, 2 * count, deadline, "ranges"))
+            found["ranges"] = ", ".join(f"AIN{number} {spans[number - first]:.3g} V" for number in sorted(numbers))
         if self._firmware >= self._t7.model.restart_cause_from - FIRMWARE_STEP:
             [cause] = r.from_u32(self.get(r.RESET_CAUSE, 2, deadline, "cause of the last restart"))
             [clock] = r.from_u32(self.get(r.RTC_TIME, 2, deadline, "uptime"))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,10 @@ OPEN = 1.9
 LATE = 0.05
 """A command that was under way when its connection was cut is carried out within so long [s]."""
 
+LOOK, SUPERVISED, PART = 0.05, 0.45, 0.25
+"""A guard reads interlocks, and asks what is held, so often [s], in so much of the time at most, and twice that [1]."""
+TRIED = 4
+"""So many questions more show at opening how long an answer takes; one alone may have met a busy computer."""
 SHARE, LEAST = 0.25, 0.1
 """The polling thread waits for a sign of life of the program for this share of the watchdog's time, at least 0.1 s."""
 
@@ -53,13 +57,21 @@ class Watched(Polled):
     def _put(self, register: r.Register, value: float, deadline: float, *, checked: bool = True) -> None:
         """Write a register before a deadline [s, monotonic]; then read it back, where it is `checked`."""
 
+    def _heard(self) -> float:
+        """When it answered last [s, monotonic], as far as that is known."""
+        return -math.inf
+
+    def _called(self) -> float:
+        """When the program asked it something last, apart from the thread that polls [s, monotonic]."""
+        return self._fed
+
     def _hungry(self) -> bool:
         """Whether the watchdog is armed and has not been fed for a quarter of its time.
 
         Most devices count any communication as a sign of life, so the thread that polls must fall silent then: the
         device vents a quarter of its time (or 0.1 s) late at most, whatever hangs in the program.
         """
-        return self._armed > 0 and monotonic() - self._fed > max(SHARE * self._armed, LEAST)
+        return self._armed > 0 and monotonic() - max(self._fed, self._called()) > max(SHARE * self._armed, LEAST)
 
     def arm_watchdog(self, seconds: float) -> float:
         """Set it to `seconds` and start it; returns the time that the device holds [s]."""
@@ -79,12 +91,12 @@ class Watched(Polled):
         return self._armed
 
     def feed_watchdog(self) -> None:
-        """Write the heartbeat, or read the watchdog's time where any communication feeds it."""
+        """Write the heartbeat; where any communication feeds it, read its time unless it has just answered anyway."""
         registers, deadline = self._own_watchdog(), monotonic() + CALL
         if registers.heartbeat is not None:
             self._beat = self._beat % 1000 + 1
             self._put(registers.heartbeat, self._beat, deadline)
-        else:
+        elif monotonic() - self._heard() > max(SHARE * self._armed, LEAST) / 2:
             self._get(registers.timeout, deadline)
         self._fed = monotonic()
 
@@ -121,6 +133,10 @@ class ModbusDevice(Watched, Controlled):
         self._watchdog = self._map.watchdog
         self._seen, self._over = ("", 0.0), 0
         """Serial number and uptime as they were last, and over which of the connections that was."""
+        registers = self._watchdog
+        own = [] if registers is None else [registers.trigger, registers.timeout]
+        self._reported = r.spans(item for item in (*own, self._map.uptime) if item is not None and item.read_back)
+        """What it reports of itself, but for its serial number."""
         self._written: dict[str, float] = {}
         """What was written last to registers that cannot be read."""
 
@@ -152,11 +168,15 @@ class ModbusDevice(Watched, Controlled):
         with self._closed_on_error():
             found = {name: self._identify(item, deadline) for name, item in self._map.identity.items()}
             if not found and self._spans:
-                first = self._spans[0]
-                self._line.read(first.table, first.address, first.count, deadline, first.registers[0].name)
+                self._values(self._spans[:1], deadline)
+            for _ in range(TRIED if self._spans else 0):
+                self._values(self._spans[:1], deadline)
             self._over, self._seen = self._line.connections, self._who(deadline)
         maker, model, serial, firmware = (found.get(name, "") for name in ("maker", "model", "serial", "firmware"))
-        return Identity(maker, model, serial, firmware, simulated=model.startswith(EMULATED), clock=COMPUTER)
+        simulated, answers = model.startswith(EMULATED), self._line.quickest
+        return Identity(
+            maker, model, serial, firmware, simulated, clock=COMPUTER, answers=answers if answers < math.inf else 0.0
+        )
 
     def close(self) -> None:
         """End polling and let go of the connection."""
@@ -194,9 +214,23 @@ class ModbusDevice(Watched, Controlled):
 
     # -- samples --------------------------------------------------------------------------------------------------
 
+    def _heard(self) -> float:
+        return self._opened().heard
+
+    def _called(self) -> float:
+        return self._opened().called
+
     def _fastest(self) -> float:
-        self._opened()
-        return self._map.rate
+        """The map's rate, or what the line allows next to the guard's questions."""
+        takes, device = self._opened().quickest, self._device
+        if not self._spans or takes == math.inf:
+            return self._map.rate
+        free = 1.0
+        if device.guarded:
+            look = len(device.interlocks) + (2 if self._watchdog is not None and self._watchdog.heartbeat else 0)
+            held = len(self._reported) + len(device.outputs) + len(device.valves)
+            free -= min(PART, takes * look / LOOK) + min(2 * PART, takes * held / SUPERVISED)
+        return min(self._map.rate, free / (len(self._spans) * takes))
 
     def _tick(self) -> None:
         """One turn of the thread: the next step of each segment, then the inputs."""
@@ -212,15 +246,15 @@ class ModbusDevice(Watched, Controlled):
     def _poll(self) -> None:
         if not self._streaming or not self._spans:
             return
-        line, asked = self._opened(), self._clock.now()
-        values: list[float] = []
+        line, values, begun = self._opened(), [], math.inf
         for span in self._spans:
-            deadline = monotonic() + self._map.timeout
-            values += span.values(line.read(span.table, span.address, span.count, deadline, span.registers[0].name))
-        answered = self._clock.now()
+            deadline, name = monotonic() + 2 * CALL + self._map.timeout, span.registers[0].name
+            values += span.values(line.read(span.table, span.address, span.count, deadline, name, sample=True))
+            begun = min(begun, line.asked)
+        answered, took = self._clock.now(), monotonic() - begun
         if not self._is_the_same(line):
             return  # another device, or one that began anew: whoever supervises it asks `held`, and ends the run
-        self._keep([values[place] for place in self._places], asked, answered)
+        self._keep([values[place] for place in self._places], answered - took, answered)
 
     def _is_the_same(self, line: Line) -> bool:
         """Whether the device behind a new connection is the one before, as far as it can tell.
@@ -246,6 +280,7 @@ class ModbusDevice(Watched, Controlled):
     def read_back(self, output: str) -> float:
         """The value in the device's register; of one that cannot be read, what was written last."""
         self._output(output)
+        self._opened().let_samples()
         return self._holds(self._map.outputs[output])
 
     def switch(self, output: str, *, on: bool) -> None:
@@ -254,11 +289,13 @@ class ModbusDevice(Watched, Controlled):
 
     def is_on(self, output: str) -> bool:
         """What the coil or register holds; of one that cannot be read, what was written last."""
+        self._opened().let_samples()
         return self._holds(self._switched(output)) != 0
 
     def level(self, name: str) -> bool:
         """Whether a digital input, or the bit of a register, is set."""
         self._known("input", name, self._map.inputs)
+        self._opened().let_samples()
         return self._get(self._map.inputs[name]) != 0
 
     def rescue(self, output: str, value: float) -> None:
@@ -291,19 +328,27 @@ class ModbusDevice(Watched, Controlled):
 
     def held(self) -> Mapping[str, float | str]:
         """Its watchdog, the register `uptime` and the serial number, as far as the map has them."""
+        self._opened().let_samples()
         deadline, found = monotonic() + CALL, dict[str, float | str]()
+        values = self._values(self._reported, deadline)
         if (registers := self._watchdog) is not None:
             on = registers.on
-            if registers.trigger is not None and registers.trigger.read_back:
-                on = found["watchdog trigger"] = self._get(registers.trigger, deadline)
-            if registers.timeout.read_back:  # off: 0; a time that cannot be read is left out
-                seconds = self._get(registers.timeout, deadline) * registers.resolution
-                found["watchdog"] = seconds if on == registers.on else 0.0
-        serial, uptime = self._who(deadline)
-        if isinstance(self._map.identity.get("serial"), r.Register):
-            found["serial"] = serial
-        if self._map.uptime is not None:
-            found["uptime"] = uptime
+            if registers.trigger in values:
+                on = found["watchdog trigger"] = values[registers.trigger]
+            if registers.timeout in values:  # off: 0; a time that cannot be read is left out
+                found["watchdog"] = values[registers.timeout] * registers.resolution if on == registers.on else 0.0
+        if isinstance(serial := self._map.identity.get("serial"), r.Register):
+            found["serial"] = self._identify(serial, deadline)
+        if self._map.uptime in values:
+            found["uptime"] = values[self._map.uptime]
+        return found
+
+    def _values(self, spans: Sequence[r.Span], deadline: float) -> dict[r.Register | None, float]:
+        """What the registers of some spans hold."""
+        line, found = self._opened(), dict[r.Register | None, float]()
+        for span in spans:
+            words = line.read(span.table, span.address, span.count, deadline, span.registers[0].name)
+            found |= zip(span.registers, span.values(words), strict=True)
         return found
 
     def _who(self, deadline: float) -> tuple[str, float]:

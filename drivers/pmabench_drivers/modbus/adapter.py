@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import select
 import socket
 import struct
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from time import monotonic, sleep
 from typing import Any
@@ -34,6 +35,8 @@ for _name in ("pymodbus.logging", "pymodbus_logging"):
 
 SHOWN = 0.005
 """Pause between two looks at what a device shows after a command [s]."""
+GIVES_WAY, PATIENT, LONGEST = 0.001, 0.1, 0.3
+"""Pause between two looks whether a sample may be asked for; when it goes before questions, and before all [s]."""
 PIECE = 0.005
 """Longest wait for bytes of a serial port before the deadline is looked at again [s]."""
 EXCEPTIONS = {
@@ -151,6 +154,12 @@ class Line:
         self._lock = threading.Lock()
         self._closed = False
         self._owed: list[tuple[Signature, float]] = []
+        self._overdue = False
+        self._calls = set[object]()
+        """Calls that wait for their turn or are under way; samples wait for them."""
+        self.quickest, self.heard, self.asked, self.called = math.inf, -math.inf, -math.inf, -math.inf
+        """Shortest time that an answer took [s]; when the last one came, when a sample was asked for, and when somebody
+        called who is not the thread that polls and steps [s, monotonic]."""
         self.connections = 0
         """How often it was connected: behind a new connection there may be another device."""
         host, _, port = address.rpartition(":")
@@ -168,12 +177,18 @@ class Line:
         with self._lock:
             self._client.close()  # type: ignore[no-untyped-call]
 
-    def read(self, table: str, address: int, count: int, deadline: float, what: str = "") -> list[int]:
-        """`count` registers (or bits) of a table from `address` on, before `deadline` [s, monotonic]."""
+    def read(
+        self, table: str, address: int, count: int, deadline: float, what: str = "", *, sample: bool = False
+    ) -> list[int]:
+        """`count` registers (or bits) of a table from `address` on, before `deadline` [s, monotonic].
+
+        For a `sample` all other calls go first, and `asked` is when it was sent.
+        """
         call, unit = getattr(self._client, CALLS[table]), self._unit_id
         bits = table in BIT_TABLES
         size = (count + 7) // 8 * 8 if bits else count
-        answer = self._ask(lambda: call(address, count=count, device_id=unit), (READ[table], size), deadline, what)
+        ask = lambda: call(address, count=count, device_id=unit)  # noqa: E731
+        answer = self._ask(ask, (READ[table], size), deadline, what, sample=sample)
         return [int(bit) for bit in answer.bits[:count]] if bits else answer.registers
 
     def write(
@@ -237,11 +252,44 @@ class Line:
 
     # -- one transaction ------------------------------------------------------------------------------------------
 
+    @contextlib.contextmanager
+    def _turn(self, deadline: float, what: str, *, sample: bool) -> Iterator[None]:
+        """The line for one question: a slow line would be taken again for samples before a call got it."""
+        call = object()
+        if sample:
+            begun = monotonic()
+            while self._calls and monotonic() < min(begun + LONGEST, deadline):
+                self._overdue = monotonic() > begun + PATIENT
+                sleep(GIVES_WAY)
+        else:
+            self._calls.add(call)
+        try:
+            with turn(self._lock, deadline, self._device, what):
+                self._overdue = self._overdue and not sample
+                yield
+        finally:
+            self._calls.discard(call)
+
+    def let_samples(self) -> None:
+        """Before a question that is in no hurry: let a sample go first that has waited for long."""
+        until = monotonic() + PATIENT
+        while self._overdue and monotonic() < until:
+            sleep(GIVES_WAY)
+
     def _ask(
-        self, send: Callable[[], Any], wanted: Signature, deadline: float, what: str, still: Still = always
+        self,
+        send: Callable[[], Any],
+        wanted: Signature,
+        deadline: float,
+        what: str,
+        still: Still = always,
+        *,
+        sample: bool = False,
     ) -> Any:
         """Send one request and return its answer; the library's errors become sentences."""
-        with turn(self._lock, deadline, self._device, what):
+        if not sample and still is always:
+            self.called = monotonic()
+        with self._turn(deadline, what, sample=sample):
             if self._closed:
                 raise DeviceError(self._device, "was closed", what)
             if not self._client.connected:
@@ -255,6 +303,7 @@ class Line:
                 return None
             self._client.deadline = limit
             self._client.comm_params.timeout_connect = max(limit - now, 0.001)
+            self.asked = now if sample else self.asked
             try:
                 answer = send()
                 while not self._belongs(answer, wanted):
@@ -262,6 +311,8 @@ class Line:
             except (ModbusException, OSError, TypeError, ValueError, IndexError, struct.error) as error:
                 self._lost(wanted)
                 raise Unanswered(self._device, self._why(error, limit), what) from None
+            self.heard = monotonic()
+            self.quickest = min(self.quickest, self.heard - now)
             if answer.function_code > FAILED:
                 if any(signature[0] == wanted[0] for signature, _until in self._owed):
                     self._lost(wanted)  # it may be the answer that is owed: then this one's is still to come

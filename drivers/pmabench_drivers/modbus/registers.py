@@ -358,6 +358,7 @@ def _watchdog(
 
 def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
     """What the bench asks of the device must be in the map, and fit."""
+    _refuse_twice(device, map_, reader)
     for channel in device.channels:
         place = ("channels", channel.name, "input")
         if not reader.known(place, "the map has no input", channel.input, map_.inputs):
@@ -376,6 +377,19 @@ def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
         reader.known(("interlocks", lock.name, "input"), "the map has no input", lock.input, map_.inputs)
     if device.watchdog and map_.watchdog is None:
         reader.fault(("watchdog",), 'the bench wants a watchdog, and the map has no "watchdog"')
+
+
+def _refuse_twice(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
+    """A register that two channels or two outputs share, whatever the map calls it: a copied line of the map."""
+    uses = [(("channels", each.name, "input"), map_.inputs.get(each.input)) for each in device.channels]
+    uses += [(("outputs", each.name, "output"), map_.outputs.get(each.output)) for each in device.outputs]
+    uses += [(("outputs", valve.name, "output"), map_.outputs.get(valve.output)) for valve in device.valves]
+    used: dict[tuple[Any, ...], str] = {}
+    for place, register in uses:
+        if register is not None:
+            first = used.setdefault((place[0], register.table, register.address, register.bit), register.name)
+            if first != register.name:
+                reader.fault(place, f'is the register of "{first}" in the map, too')
 
 
 def _fits(output: OutputRecord, register: Register, place: Place, reader: Reader) -> None:

@@ -9,6 +9,7 @@ uses; the device's clock begins at the bench time of the start.
 
 from __future__ import annotations
 
+import math
 import threading
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,7 +18,7 @@ from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import Block, DeviceRecord, Identity
+from pmabench.bench.interface import Block, DeviceRecord, Identity, OutputRecord
 from pmabench_drivers.ni_daq.connection import Connection
 from pmabench_drivers.ni_daq.options import Input, Options, read_options
 from pmabench_drivers.shared.device import Led
@@ -40,6 +41,8 @@ ANSWER = 0.1
 STEP = 0.06
 """How long a step of a ramp may take, so that a command that ends the ramp still has its time [s]."""
 OPEN = 1.8
+LATE, LOOSE = 0.1, 0.02
+"""A looped output is compared so long after it was set [s]; it may be off by this share of its limits [1]."""
 
 
 class Sampling:
@@ -49,13 +52,15 @@ class Sampling:
         self, device: str, names: Sequence[str], inputs: Sequence[Input], link: Connection, rate: float, clock: Clock
     ) -> None:
         self._device, self._inputs, self._link, self._rate, self._clock = device, inputs, link, rate, clock
-        self._samples = Samples(names)
+        self._names, self._samples = tuple(names), Samples(names)
         self._cycle = Cycle(f"ni-daq {device}", self._fetch, clock)
         self._number = 0
         self._unsure = True
         """Whether the device is asked which sample comes next."""
         self._pace = Pace(SLIP)
         self._failure = self._unheard = ""
+        self.newest: tuple[float, Mapping[str, float]] = (-math.inf, {})
+        """Time of the newest sample [s, bench time], and its values by channel [V]."""
         self.lost = 0
         """Samples that were taken and never came; each is a gap in the times."""
 
@@ -121,6 +126,8 @@ class Sampling:
         origin, host = round(self.start * 1e9), round(now * 1e9)
         for number, values in enumerate(zip(*columns, strict=True), first):
             self._samples.append(origin + round(number * 1e9 / self._rate), values, host)
+        last = self.start + (self._number - 1) / self._rate
+        self.newest = last, {name: column[-1] for name, column in zip(self._names, columns, strict=True)}
 
 
 class NiDaq(Led):
@@ -137,6 +144,12 @@ class NiDaq(Led):
         self._link: Connection | None = None
         self._second: Connection | None = None
         self._held: dict[str, float] = {}
+        self._sent: dict[str, float] = {}
+        """When each output was set last [s, bench time]."""
+        measured = {channel.name: channel for channel in device.channels}
+        commands = {o.output: "{}_command{}{}".format(*o.name.partition("_")) for o in device.outputs}
+        self._loops = {output: measured[name] for output, name in commands.items() if name in measured}
+        """The channel into which each output is looped, where it is."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -224,16 +237,28 @@ class NiDaq(Led):
     """Why `read_back` answers from memory; the conformance suite then says that it was not checked."""
 
     def read_back(self, output: str) -> float:
-        """What the output was last set to [V], as NI-DAQmx acknowledged it.
+        """What the output was last set to [V], as NI-DAQmx acknowledged it; what is measured where that is another one.
 
-        A device that restarts is not seen here, but by `is_on`, `held` and the end of its samples.
+        Measured is an output that is looped into a channel (`pressure_command` of `pressure`). A device that restarts
+        is not seen here, but by `is_on`, `held` and the end of its samples.
         """
-        self._output(output)
+        record = self._output(output)
         with self._command_turn():  # a step of a ramp may be under way
             if output in self._held:
-                return self._held[output]
+                return self._measured(record, self._held[output])
         message = "what it gives is not known: nothing was set since it was opened, or the answer was lost"
         raise self._error(message, output)
+
+    def _measured(self, record: OutputRecord, sent: float) -> float:
+        """The value [V] of a looped output where another program has changed it, else `sent`."""
+        channel, sampling = self._loops.get(record.output), self._sampling
+        if channel is None or sampling is None:
+            return sent
+        t, volts = sampling.newest
+        value = channel.scale.to_si(volts.get(channel.name, math.nan))
+        slack = LOOSE * (record.high - record.low) + channel.calibration.uncertainty(value)
+        other = t > self._sent[record.output] + LATE and abs(value - record.scale.to_si(sent)) > slack
+        return float(record.scale.to_raw(value)) if other else sent
 
     def held(self) -> Mapping[str, float | str]:
         """Its serial number, which NI-DAQmx gives only while the device is there; it has no watchdog and no uptime.
@@ -279,6 +304,7 @@ class NiDaq(Led):
         except Unanswered as error:
             message = f"{error.message}; whether it took {value:g} V is not known"
             raise Unanswered(self._device.name, message, output) from None
+        self._sent[output] = self._clock.now()
         self._held[output] = value
 
     # -- ramps and sines -------------------------------------------------------------------------------------------

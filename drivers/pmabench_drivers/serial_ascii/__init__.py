@@ -22,7 +22,7 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Block, ChannelRecord, DeviceRecord, Identity
 from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.device import Polled
-from pmabench_drivers.shared.link import JOIN, opened
+from pmabench_drivers.shared.link import JOIN, Flow, opened
 from pmabench_drivers.shared.options import BAUDS, PARITIES, Reader
 
 LONGEST_PATTERN = 300
@@ -260,6 +260,7 @@ class SerialIndicator(Polled):
         self._reader = LineReader(self._options, device.channels)
         self._port: sp.SerialPort | None = None
         self._splitter = sp.Splitter(self._options.terminator)
+        self._flow = Flow(PATIENCE)
         self._heard = 0.0
         self._late_until = 0.0
         self._rate = self._options.rate
@@ -297,6 +298,7 @@ class SerialIndicator(Polled):
             self._cycle.start(self._rate)
         else:
             self._rate, self._splitter = self._options.rate, sp.Splitter(self._options.terminator)
+            self._flow = Flow(max(PATIENCE, 5 / self._rate))
             port.listen(self._listen)
         return self._rate
 
@@ -361,6 +363,9 @@ class SerialIndicator(Polled):
         for index, line in enumerate(lines):
             waiting = (len(lines) - 1 - index) / self._rate  # it has waited in a buffer for the ones after it
             self._take(line, now - waiting - len(line) * wire, now)
+            if behind := self._flow.behind(now):
+                text = "fewer come than at first: they wait in a converter or on the way, or it was set otherwise"
+                self._failure = self._error(f"its lines are {behind:.1f} s late: {text}")
 
     # -- both -----------------------------------------------------------------------------------------------------
 

@@ -459,8 +459,10 @@ class SerialLineDaq(Led):
         self._ask("T", 0)
 
     def held(self) -> Mapping[str, float | str]:
-        """The time of its watchdog [s], 0 where it is off, has fired, or the board has started again."""
-        return {"watchdog": self._ask("T") * 1e-3}
+        """The time of its watchdog [s], 0 where it is off, has fired, or the board has started again; and who it is."""
+        until = monotonic() + CALL
+        seconds, about = self._ask("T", until=until) * 1e-3, self._opened().ask(until, "I")
+        return {"watchdog": seconds, **dict(zip(("model", "serial"), about[2:4], strict=False))}
 
     # -- questions ------------------------------------------------------------------------------------------------
 

@@ -178,6 +178,8 @@ class Stepped(Driver):
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         self._following = {}
+        self.unanswered = -math.inf
+        """When a step was sent last of which nobody knows whether it was carried out [s, bench time]."""
         super().__init__(device, clock)
 
     @abstractmethod
@@ -213,6 +215,7 @@ class Stepped(Driver):
             try:
                 self._send_step(output, value, still, last=last)
             except DeviceError as error:
+                self.unanswered = self._clock.now()
                 failure = failure or (error if still() else None)
             else:
                 if last and still():

@@ -169,6 +169,44 @@ class Pace:
         return behind if behind > self._slip else 0.0
 
 
+LEARNS, SETTLES = 3.0, 1.0
+"""How often lines come is learnt from the first seconds, without the very first [s]: a buffer may be emptied then."""
+FEWER = 0.02
+"""Lines may come so much more seldom than at first, or be lost, and it is forgotten as fast [1]."""
+
+
+class Flow:
+    """Detects lines that have no clock and come later and later: fewer come than at first, by `slip` [s] of them."""
+
+    def __init__(self, slip: float) -> None:
+        self._slip = slip
+        self._arrived: list[float] = []
+        self._period = self._behind = 0.0
+        self._window: list[float] = []
+        self._begun = self._before = -math.inf
+
+    def behind(self, now: float) -> float:
+        """How far lines are behind [s] when one comes at `now` [s]; 0 while all is well."""
+        if not self._period:
+            self._arrived.append(now)
+            if now - self._arrived[0] < LEARNS:
+                return 0.0
+            settled = [t for t in self._arrived if t >= self._arrived[0] + SETTLES]
+            if len(settled) > ENOUGH:
+                self._period = (1 + FEWER) * (now - settled[0]) / (len(settled) - 1)
+                self._arrived, self._before = [], now
+            return 0.0
+        self._behind = max(0.0, self._behind + now - self._before - self._period)
+        self._before = now
+        if not self._window:
+            self._begun = now
+        self._window.append(self._behind)
+        if now - self._begun < WINDOW:
+            return 0.0
+        least, self._window = min(self._window), []
+        return least if least > self._slip else 0.0
+
+
 T = TypeVar("T")
 Still = Callable[[], bool]
 """Whether what is about to be sent is still wanted."""

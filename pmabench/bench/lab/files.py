@@ -235,8 +235,13 @@ def _limits(sheet: Sheet, answers: Answers, limits: Limits) -> None:
     sheet.add("    action: vent")
     if actuated := answers.text("free_end") == "actuator":
         most = min(answers.value("actuator")[0], 0.9 * limits.contraction * answers.value("mounted")[0])
-        line = f"  displacement: {{command: {show(most, 'length', 3)}}}"
-        sheet.guessed(line, "90 % of the highest contraction", "limits.displacement.command")
+        sheet.add("  displacement:", "    action: vent")
+        command = f"    command: {show(most, 'length', 3)}"
+        sheet.guessed(command, "90 % of the highest contraction", "limits.displacement.command")
+        scale = limits.scales["displacement"]
+        if (low := 0.6 * scale.values[0]) < -2 * UNCERTAINTY * scale.span:
+            line = f"    trip_low: {show(low, 'length')}"
+            sheet.guessed(line, "the actuator may stretch the muscle", "limits.displacement.trip_low")
     if real := answers.text("daq") != NONE_YET:
         sheet.guessed("watch:", "times of a usual regulator", "watch")
         sheet.add(
@@ -246,6 +251,9 @@ def _limits(sheet: Sheet, answers: Answers, limits: Limits) -> None:
             "  - {stale: displacement, for: 1 s, action: stop}",
             "  - {following: pressure, more_than: 60 kPa, for: 3 s, action: stop}",
         )
+    if real and actuated:
+        far = show(max(2e-3, 0.03 * answers.value("actuator")[0]), "length")
+        sheet.add(f"  - {{following: displacement, more_than: {far}, for: 500 ms, action: vent}}")
     sheet.guessed("safe_state:", "done in this order when anything goes wrong", "safe_state")
     if actuated:
         sheet.add("  - {set: displacement, to: 0 mm, within: 200 ms}")

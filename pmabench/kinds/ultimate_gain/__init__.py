@@ -15,12 +15,11 @@ RESULTS = (
 METHODS = {
     "open-loop": (
         "Steps of pressure to both sides of the operating point, no loop closed. A dead time and a lag, or two where "
-        "the steps show them, are fitted from command to pressure, a gain, a lag for each direction and the inertia "
-        "from the measured pressure to the "
-        "contraction; K_u and T_u solve the phase equation ω L + Σ atan(ω T) = π of both, with the mean of the two "
-        "directions (Ziegler and Nichols 1942). A contraction that begins before its pressure shows a filter of the "
-        "gauge, which is taken off. Where rests depend on the side they were reached from, as friction makes them, or "
-        "a valve limits the flow, neither is reported."
+        "the steps show them (which may swing), are fitted from command to pressure, a gain, a lag for each direction "
+        "and an inertia or a delay from the pressure to the contraction; K_u and T_u solve the phase equation "
+        "ω L + Σ atan(ω T) = π of both, with the mean of the two directions (Ziegler and Nichols 1942). A contraction "
+        "that begins before its pressure shows a filter of the gauge, which is taken off. Where rests depend on the "
+        "side they were reached from, as friction makes them, or a valve limits the flow, neither is reported."
     ),
     "gain-steps": (
         "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings is fitted "
@@ -28,8 +27,9 @@ METHODS = {
         "refused."
     ),
     "relay-fit": (
-        "A relay makes the loop swing at two sizes. A dead time, two lags and a gain are fitted to the harmonics of "
-        "command, pressure and contraction of the larger one; K_u and T_u solve the phase equation of that loop. Where "
+        "A relay makes the loop swing at two sizes. A gain, a dead time, one lag or two of the regulator (which may "
+        "swing) and those of the muscle are fitted to the harmonics of command, pressure and contraction of the "
+        "larger one; K_u and T_u solve the phase equation of that loop. Where "
         "period or gain change with the size, as friction makes them, neither is reported."
     ),
     "relay-describing-function": (

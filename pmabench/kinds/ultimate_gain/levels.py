@@ -12,12 +12,12 @@ from math import log, pi, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.oscillation import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
+from pmabench.kinds.ultimate_gain.relay_fit import simplest
 from pmabench.kinds.ultimate_gain.ways import Examined, lags_of, oscillating
 from pmabench.model.loop import ComplexArray, Loop, mode, ultimate
 from pmabench.store.records import Array, RunData, TrialData
@@ -28,6 +28,8 @@ MOST_LEVELS = 6
 FEWEST_LEVELS = 3
 REACHED = -log(0.95)
 """ln of the largest ratio that still counts as sustained, and how near the last level must come."""
+ONE_LAG = 0.01
+"""Distance, over the pressure, of what lags make of the command from the pressure, from which on they are others."""
 FEWEST_SWINGS = 6
 PERIOD_VARIATION = 0.05
 THIRD = {"doubt": 0.006, "fault": 0.012}
@@ -297,9 +299,10 @@ def _doubts(nearest: Level, ratios: Array, friction: float) -> list[str]:
 def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
     """The loop that these levels swing in, from the amplitudes X, P of displacement and pressure at each root s.
 
-    The law makes the command -K_p X, so P / (-K_p X) = exp(-L s)/(1 + T_r s), and X / P = k_g/(1 + tau s + beta s^2)
-    with k_g the slope of the levels' mean displacement over mean pressure, beta = M/K; sensor lags are taken off. L
-    holds the hold and all delays. None without a pressure, or where no such loop fits.
+    The law makes the command -K_p X, so P / (-K_p X) = exp(-L s)/(1 + a s + b s^2), and X / P = k_g/(1 + tau s +
+    beta s^2) with k_g the slope of the levels' mean displacement over mean pressure, beta = M/K; sensor lags are taken
+    off. L holds the hold and all delays; b is 0 where the levels are met without. None without a pressure, or where no
+    such loop fits.
     """
     roots, commands, ratios = [], [], []
     for level in used:
@@ -313,17 +316,21 @@ def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
     s, R, G = np.array(roots), np.array(commands), np.array(ratios)
     muscle = _muscle(s, G, np.array([level.means for level in used]))
 
+    period = 2 * pi / float(s.imag.mean())
+
     def misfit(p: Array) -> Array:
-        off = np.log(R * (1 + np.exp(p[0]) * s) * np.exp(p[1] * s))
+        """With a and L over the period, and the root of b."""
+        z = s * period
+        off = np.log(R * (1 + np.exp(p[0]) * z + sum(p[2:] ** 2) * z**2) * np.exp(p[1] * z))
         return np.concatenate([off.real, off.imag])
 
-    fitted = least_squares(misfit, [log(0.2 * 2 * pi / float(s.imag.mean())), 0.0]).x
-    if muscle is None or fitted[1] < 0:
+    L, regulator, _ = simplest(misfit, len(s) * ONE_LAG**2)
+    if muscle is None or L < 0:
         return None
     gain, lags = muscle
     sensor = lag.get("displacement", 0.0)
-    every = (float(np.exp(fitted[0])), *lags, *((sensor,) if sensor > 0 else ()))
-    return oscillating(gain, float(fitted[1]), every)
+    every = (*(one * period for one in regulator), *lags, *((sensor,) if sensor > 0 else ()))
+    return oscillating(gain, L * period, every)
 
 
 def _muscle(s: ComplexArray, G: ComplexArray, means: Array) -> tuple[float, tuple[complex, ...]] | None:

@@ -16,12 +16,21 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, change_over, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import STEPS, step_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
-from pmabench.kinds.ultimate_gain.open_loop_form import Flow, flow_limited, gauge_filter, read_in_steps
+from pmabench.kinds.ultimate_gain.open_loop_form import (
+    Flow,
+    better_by,
+    flow_limited,
+    gauge_filter,
+    hunting,
+    read_in_steps,
+)
 from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, described, lags_of, limit_of, oscillating
 from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
@@ -42,6 +51,13 @@ which on more than the simplest form is there."""
 OF_GAP = 7.0
 """Share by which K_u and T_u may be off where rests depend on their side, over that gap: what play and creep make of
 loops of known gain is at most that."""
+
+
+OFF = 0.01
+"""Steps of the pressure that are so far off those of the command, beyond the calibrations, do not go where they are
+sent."""
+OF_SWING = {"K_u": 5.0, "T_u": 1.0}
+"""Share by which K_u and T_u may be off, over a swing of the pressure at rest: seen with 1 to 4 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +127,11 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
     t, x, P = samples_of(trial, steps, period)
     drift = drift_of(t, x, cycles)
     x = x - drift * (t - t.mean()) if drift else x
-    lag = run.channels["pressure"].sensor_lag if "pressure" in run.channels else 0.0
-    found, late = fit(t, x, P, steps, lag), 0.0
-    if not isinstance(found, str) and (late := gauge_filter(*found[:2])):
-        found = fit(t, x, P, steps, lag + late)
+    declared = run.channels["pressure"].sensor_lag if "pressure" in run.channels else 0.0
+    found = _fitted(t, x, P, steps, declared)
     if isinstance(found, str):
         return StepsFound(refused=(found,))
-    regulator, moved, friction = found
+    regulator, moved, friction, late = found.regulator, found.moved, found.friction, found.undeclared
     refused, doubts = _against(friction, amplitude)
     if late:
         doubts.append(
@@ -141,19 +155,62 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
     if refused or loop is None:
         return known
     sizes = [step_of(trial.channels[name][trial.usable]) for name in ("displacement", "pressure")]
-    return _with_spread(known, loop, (regulator, moved), (t, x, P), cycles, lag + late, off or 0.0, sizes)
+    gains = Scales.of([run]).gains
+    apart = hypot(*(gains.get(name, 0.0) for name in ("pressure", "pressure_command")))
+    apart += sizes[1] / amplitude if isfinite(sizes[1]) else 0.0
+    return _with_spread(known, loop, found, (t, x, P), cycles, apart, off or 0.0, sizes)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Both parts of a trial, and what of them the gauge is."""
+
+    regulator: Regulator
+    moved: Moved
+    friction: Friction
+    lag: float
+    """Of the filter of the gauge [s]."""
+    undeclared: float = 0.0
+    """What of that nobody declared [s]."""
+    other: tuple[Regulator, Moved] | None = None
+    """With a delay of the gauge in place of its filter, or the other way round, where the record does not tell; with
+    the first guess of a filter that nobody declared."""
+
+
+def _fitted(t: Array, x: Array, P: Array, steps: Sequence[Step], declared: float) -> _Fitted | str:
+    """Both parts, with the declared lag of the gauge [s] as that of a filter or as a delay, whichever fits better.
+
+    A delay of the gauge needs nothing: the displacement is then as much earlier, and the loop has both.
+    """
+    found = fit(t, x, P, steps, declared)
+    if isinstance(found, str):
+        return found
+    lag, other = declared, None
+    delayed = fit(t, x, P, steps, 0.0) if declared else found
+    if declared and not isinstance(delayed, str):
+        better = better_by(delayed[:2], found[:2], len(t))
+        if better > 0:
+            lag, found, delayed = 0.0, delayed, found
+        other = delayed[:2] if abs(better) < SURE else None
+    late = gauge_filter(*found[:2])
+    if late and not isinstance(again := fit(t, x, P, steps, lag + late), str):
+        late, other = late - again[1].late, again[:2]
+        closer = fit(t, x, P, steps, lag + late)
+        found = again if isinstance(closer, str) else closer
+    return _Fitted(*found, lag + late, late, other)
 
 
 def _with_spread(
-    known: StepsFound, loop: Loop, fitted: tuple[Regulator, Moved], samples: tuple[Array, Array, Array],
-    cycles: Sequence[Sequence[Step]], lag: float, off: float, sizes: Sequence[float],
+    known: StepsFound, loop: Loop, found: _Fitted, samples: tuple[Array, Array, Array],
+    cycles: Sequence[Sequence[Step]], apart: float, off: float, sizes: Sequence[float],
 ) -> StepsFound:  # fmt: skip
-    """With its `loop` of the `fitted` parts, and what each cycle alone, each direction and other forms would say.
+    """With its `loop` of the parts `found`, and what each cycle alone, each direction and other forms would say.
 
-    `lag` is that of the gauge [s], `off` the pressure from the bias [Pa], `sizes` are the steps of displacement [m] and
-    pressure [Pa].
+    `apart` is how far rests of gauge and command may be apart [1], `off` the pressure from the bias [Pa], `sizes`
+    are the steps of displacement [m] and pressure [Pa].
     """
-    t, (regulator, moved), truth = samples[0], fitted, ultimate(loop)
+    (t, _, P), lag, truth = samples, found.lag, ultimate(loop)
+    fitted = regulator, moved = found.regulator, found.moved
     period = float(t[1] - t[0])
 
     def ends(parts: Iterable[tuple[Regulator, Moved]]) -> list[Ultimate]:
@@ -161,20 +218,44 @@ def _with_spread(
 
     during = [(t >= c[0].t - BEFORE) & (t < c[-1].t + (c[-1].t - c[-2].t)) for c in cycles]
     parts = [[y[at] for y in samples] for at in during]
-    alone = [fit(t, x, P, cycle, lag, regulator) for (t, x, P), cycle in zip(parts, cycles, strict=True)]
+    alone = [fit(t, x, P, cycle, lag, fitted) for (t, x, P), cycle in zip(parts, cycles, strict=True)]
     single = ends(part[:2] for part in alone if not isinstance(part, str))
     sides = ends(
         (replace(regulator, fill=way, vent=way), replace(moved, tau=(tau, tau)))
         for way, tau in zip((regulator.fill, regulator.vent), moved.tau, strict=True)
     )
-    flow = flow_limited(t, samples[2], known.steps, lag)
-    doubts = [] if flow is None else [_flow(flow, truth, ends([(flow.small(regulator), moved)]))]
+    flow = flow_limited(t, P, known.steps, lag)
+    doubts = _pressures(regulator, hunting(P, t, known.steps), apart)
+    doubts += [] if flow is None else [_flow(flow, truth, ends([(flow.small(regulator), moved)]))]
+    if other := ends([found.other] if found.other is not None else []):
+        doubts.append(_both(Doubt("delay or filter of the gauge", "method", 1.0, False), _apart(other[0], truth)))
     read = ends(read_in_steps(parts[0], cycles[0], lag, fitted, sizes))
     if read:
         shares = np.array([_apart(one, read[0]) for one in read[1:]])
         doubts.append(_both(Doubt(STEPS, "method", 1.0, False), 2 * np.sqrt(np.mean(shares**2, axis=0))))
     spans = np.max([_apart(end, truth) for end in sides] or [(0.0, 0.0)], axis=0).tolist()
     return replace(known, loop=loop, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
+
+
+def _pressures(regulator: Regulator, swing: float, apart: float) -> list[tuple[Doubt, Doubt]]:
+    """What a pressure is worth that does not go where it is sent, or swings by itself, by that share of the steps.
+
+    `apart` is how far rests of gauge and command may be apart, for their gains and steps [1].
+    """
+    short = abs(regulator.gain - 1)
+    reason = (
+        f"the steps of the pressure are {short:.1%} off those of the command: it meets a limit, or gauge and "
+        "command are not calibrated alike. Take a bias or steps that it reaches, or calibrate both"
+    )
+    doubts = [Doubt("pressure over command", "method", 1.0, True, reason)]
+    shares = [(short, 0.0)] if short > apart + OFF else [(0.0, 0.0)]
+    reason = (
+        f"at rest the pressure swings by {swing:.1%} of the steps (rms), as a regulator that hunts does. Take larger "
+        "steps, or settle the regulator"
+    )
+    doubts.append(Doubt("pressure that swings by itself", "method", 1.0, True, reason))
+    shares.append((OF_SWING["K_u"] * swing, OF_SWING["T_u"] * swing))
+    return [_both(doubt, share) for doubt, share in zip(doubts, shares, strict=True)]
 
 
 def drift_of(t: Array, x: Array, cycles: Sequence[Sequence[Step]]) -> float:
@@ -202,8 +283,9 @@ def _flow(flow: Flow, truth: Ultimate, small: Sequence[Ultimate]) -> tuple[Doubt
     """What a valve that may limit the flow is worth: all of it where the steps show one, or a second lag as well."""
     weight = min(1.0, max(0.0, flow.needed) / SHOWN) if flow.better > -ALIKE else 0.0
     reason = (
-        f"the pressure changes at no more than {flow.rate / 1e3:.0f} kPa/s while it is far from the "
-        "command: a valve that limits the flow, which the fitted loop has not. Take smaller steps"
+        f"the pressure changes at no more than {flow.rate / 1e3:.0f} kPa/s while it is far from the command, which "
+        "the fitted loop has not: a valve that limits the flow, filling and venting that begin after unlike times, or "
+        "a pressure that has not settled before the next step. Take smaller steps, or longer holds"
     )
     doubt = Doubt("a valve that limits the flow", "method", 1.0, weight == 1, reason if flow.better > SURE else "")
     return _both(doubt, weight * np.max([_apart(one, truth) for one in small] or [(0.0, 0.0)], axis=0))
@@ -255,7 +337,7 @@ def _loop(regulator: Regulator, moved: Moved, period: float, off: float) -> Loop
     The hold adds half a period; lags of filling and venting, and of both directions, count by their means.
     """
     gain = regulator.gain * (moved.gain + 2 * moved.curvature * off)
-    lags = ((regulator.fill + regulator.vent) / 2, regulator.second, *lags_of(sum(moved.tau) / 2, moved.beta))
+    lags = (*regulator.mean.lags(1.0), *lags_of(sum(moved.tau) / 2, moved.beta))
     dead_time = max(0.0, regulator.dead_time + moved.late) + period / 2
     return oscillating(gain, dead_time, [lag for lag in lags if lag])
 
@@ -271,6 +353,11 @@ class StepsCell(GainCell[StepsFound]):
     """All trials of steps at one operating point."""
 
     called = "trials of steps"
+
+    @property
+    def apart(self) -> float:
+        """Bound of the time between the commands and the displacement [s]: the loop's dead time holds all of it."""
+        return max(super().apart, skew.off([one.run for one in self.members], "displacement"))
 
     @cached_property
     def estimates(self) -> list[Estimate]:
@@ -319,4 +406,5 @@ class StepsCell(GainCell[StepsFound]):
         estimate = self.estimate(symbol, METHOD, self.good, values, parts, (said,), alone=ALONE)
         doubts = [found.sided for found in good] + [pair[place] for found in good for pair in found.departures]
         worst = {one.name: one for one in sorted(doubts, key=lambda one: one.half)}
-        return weighed(estimate, [replace(one, half=one.half * value) for one in worst.values()])
+        doubted = weighed(estimate, [replace(one, half=one.half * value) for one in worst.values()])
+        return skew.settled(doubted, "the commands and the displacement", self.apart)

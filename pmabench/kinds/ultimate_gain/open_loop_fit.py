@@ -6,7 +6,7 @@ Knows samples and steps; not what a controller makes of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, log
 
 import numpy as np
@@ -15,22 +15,30 @@ from scipy.optimize import least_squares
 
 from pmabench.analysis.shared.oscillation import SEEN
 from pmabench.analysis.shared.samples import noise_of
+from pmabench.kinds.ultimate_gain.ways import lags_of
 from pmabench.store.records import Array
 
 FEWEST = 100
 """Samples below which nothing is fitted."""
 SEGMENT = 0.02
 """Length of the stretches over which the balance of forces is averaged [s]."""
+SMOOTHED = 0.05
+"""Over so long is smoothed what the pressure has that the fitted regulator has not [s]; noise passes for inertia."""
 MOVING = 0.1
 """Share of the largest speed above which the sign of Coulomb friction is certain."""
 BETTER = 10.0
 """Sum of squares over the variance, by which a second lag must make the fit better to be taken."""
-LIKE_DELAY = 0.5e-3
-"""A lag below it acts on loops of up to 50 rad/s as a delay does, within 0.1 % of their gain [s]."""
+BOTH = 0.02
+"""Share of the sum of squares by which an inertia and a delay must fit better than one of them: what noise leaves in
+the fitted pressure makes 0.003."""
+DELAYED, HEAVY = (0, 1, 2), (0, 1, 3)
+"""What is free of tau in both directions, delay and inertia."""
+MOST_LATE = 0.2
+"""A displacement that is later or earlier than its pressure by more is none [s]."""
 OVER = 30.0
 """Lags after which a step response has ended."""
-SLIGHT = 1e-6
-"""Inertia over stiffness below which there is no second lag [s^2]."""
+SLIGHT = 1e-7
+"""Inertia over stiffness where there is none [s^2]."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,8 @@ class Step:
 class Regulator:
     """Command to pressure: gain [1], dead time [s], lags while filling and venting [s], and what is left [Pa].
 
-    `second` is a lag of both directions [s]; 0 where the steps do not show one.
+    `second` is a lag of both directions [s], or b [s^2] of 1 + a s + b s^2 where the pressure `swings` in, `fill` and
+    `vent` being a; 0 where the steps do not show one.
     """
 
     gain: float
@@ -55,6 +64,17 @@ class Regulator:
     vent: float
     residual: float
     second: float = 0.0
+    swings: bool = False
+
+    @property
+    def mean(self) -> Regulator:
+        """With one lag in both directions, the mean."""
+        return replace(self, fill=(self.fill + self.vent) / 2, vent=(self.fill + self.vent) / 2)
+
+    def lags(self, height: float) -> tuple[complex, ...]:
+        """Lags [s] of a step of that `height`."""
+        lag = self.fill if height > 0 else self.vent
+        return lags_of(lag, self.second) if self.swings else (lag, self.second)
 
 
 @dataclass(frozen=True)
@@ -77,12 +97,17 @@ class Moved:
     residual: float
     """Standard deviation [m]."""
     late: float = 0.0
-    """What is later than the lags say [s], in place of an inertia that noise hides; below 0 where it is earlier."""
+    """Delay [s], also in place of an inertia that noise hides; below 0 where it moves earlier than the lags say."""
+
+    @property
+    def form(self) -> tuple[int, ...]:
+        """What of it was free, as in `DELAYED` and `HEAVY`."""
+        return HEAVY if not self.late else (*DELAYED, 3) if self.beta else DELAYED
 
     def fitted(self, t: Array, P: Array, steps: Sequence[Step]) -> Array:
         """Displacement [m] at even times `t` [s], driven by the pressure `P` over the bias [Pa]; same shape."""
         drive, parts = _driven(t, P, steps)
-        made = _simulated(drive, parts, self.tau, max(self.beta, SLIGHT / 10), float(t[1] - t[0]))
+        made = _simulated(drive, parts, self.tau, max(self.beta, SLIGHT), float(t[1] - t[0]))
         return np.interp(t - self.late, t, self.x0 + made @ [self.gain, self.curvature])
 
 
@@ -111,75 +136,102 @@ class Friction:
 
 
 def fit(
-    t: Array, x: Array, P: Array, steps: Sequence[Step], lag: float, like: Regulator | None = None
+    t: Array, x: Array, P: Array, steps: Sequence[Step], lag: float, like: tuple[Regulator, Moved] | None = None
 ) -> tuple[Regulator, Moved, Friction] | str:
     """Both parts fitted to samples at even times; a sentence where something did not move. P is that over the bias.
 
-    `like` is the regulator of a longer record, with as many lags.
+    `like` are the parts of a longer record, of the same form.
     """
     if len(t) < FEWEST or np.ptp(P) <= SEEN * noise_of(P) or np.ptp(x) <= SEEN * noise_of(x):
         return "the steps are not to be seen above the noise of pressure or displacement, or not sampled"
-    regulator = _regulator(t, P, steps, lag, like)
-    P = P + lag * np.gradient(P, t)
-    moved = _moved(t, x, P, steps, balance(t, x, P, friction=False))
+    regulator, made = _regulator(t, P, steps, lag, like[0] if like else None)
+    quiet = made + beyond_noise(P - made, round(SMOOTHED / (t[1] - t[0])), noise_of(P))
+    P, quiet = (y + lag * np.gradient(y, t) for y in (P, quiet))
+    moved = _moved(t, x, quiet, steps, balance(t, x, quiet, friction=False), like[1].form if like else None)
     if moved.gain <= 0:
         return "the muscle does not contract as the pressure rises"
     return regulator, moved, _friction(t, x, P, steps)
 
 
-def response(s: Array, lags: Sequence[float]) -> Array:
-    """Unit step response at times `s` [s] of first-order lags [s] in a row, by partial fractions."""
-    lags = [lag * (1 + 1e-4 * i) for i, lag in enumerate(sorted(lags)) if lag > 0]  # two alike have no such form
+def response(s: Array, lags: Sequence[complex]) -> Array:
+    """Unit step response at times `s` [s] of lags [s] in a row, by partial fractions; two may be a complex pair."""
+    order = sorted((lag for lag in lags if lag != 0), key=abs)
+    lags = [lag * (1 + 1e-4 * i) for i, lag in enumerate(order)]  # two alike have no such form
     value = np.where(s > 0, 1.0, 0.0)
     for i, lag in enumerate(lags):
-        share = 1.0
+        share: complex = 1.0
         for j, other in enumerate(lags):
             share *= 1.0 if i == j else lag / (lag - other)
-        value -= np.where(s > 0, share * np.exp(-np.maximum(s, 0.0) / lag), 0.0)
+        value -= np.where(s > 0, (share * np.exp(-np.maximum(s, 0.0) / lag)).real, 0.0)
     return value
 
 
-def _regulator(t: Array, P: Array, steps: Sequence[Step], sensor: float, like: Regulator | None) -> Regulator:
-    """Least squares of the steps through a dead time and a lag, one for filling and one for venting.
+def beyond_noise(y: Array, width: int, noise: float) -> Array:
+    """Means of `y` over `width` samples, times what of their variance is not of white `noise`."""
+    half = max(1, width // 2)
+    whole, at = np.concatenate([[0.0], np.cumsum(y)]), np.arange(len(y))
+    low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, len(y))
+    means = (whole[high] - whole[low]) / (high - low)
+    variance = float(np.var(means))
+    return np.asarray(means * max(0.0, 1 - noise**2 / (2 * half + 1) / variance if variance else 0.0))
 
-    With a second lag where that makes the fit better than noise can (`BETTER`), or where `like` has one.
+
+def _regulator(
+    t: Array, P: Array, steps: Sequence[Step], sensor: float, like: Regulator | None
+) -> tuple[Regulator, Array]:
+    """Least squares of the steps through a dead time and a lag, one for filling and one for venting, and its pressure.
+
+    With a second lag, or a pair that swings, where that makes the fit better than noise can (`BETTER`), or where `like`
+    has one.
     """
     starts = np.searchsorted(t, [step.t for step in steps])
     shift = float(P[: max(1, starts[0])].mean())
     period = float(np.median(np.diff(t)))
 
-    def columns(p: Array) -> Array:
+    def made_of(p: Array, swings: bool) -> Regulator:
+        more = [exp(one) for one in p[1:]]
+        second = more[2] ** (2 if swings else 1) if len(more) > 2 else 0.0
+        return Regulator(1.0, float(p[0]), more[0], more[1], 0.0, second, swings)
+
+    def solved(p: Array, swings: bool) -> tuple[float, Array]:
+        regulator = made_of(p, swings)
         made = np.zeros_like(t)
         for step, k in zip(steps, starts.tolist(), strict=True):
-            lags = (exp(p[1] if step.height > 0 else p[2]), *np.exp(p[3:]), sensor)
-            over = k + int((OVER * max(lags) + max(p[0], 0.0)) / period) + 1
+            lags = [lag for lag in (*regulator.lags(step.height), sensor) if lag]
+            slowest = max(abs(lag) ** 2 / complex(lag).real for lag in lags)
+            over = k + int((OVER * slowest + max(p[0], 0.0)) / period) + 1
             made[k:over] += step.height * response(t[k:over] - step.t - p[0], lags)
             made[over:] += step.height
-        return np.column_stack([np.ones_like(t), made / steps[0].height])
+        columns = np.column_stack([np.ones_like(t), made / steps[0].height])
+        linear = np.asarray(np.linalg.solve(columns.T @ columns, columns.T @ (P - shift)), dtype=np.float64)
+        return float(linear[1]) / steps[0].height, columns @ linear - P + shift
 
-    def solved(p: Array) -> tuple[float, Array]:
-        made = columns(p)
-        linear = np.asarray(np.linalg.solve(made.T @ made, made.T @ (P - shift)), dtype=np.float64)
-        return float(linear[1]) / steps[0].height, made @ linear - P + shift
-
-    def misfit(p: Array) -> Array:
-        return solved(p)[1] / steps[0].height
-
-    def fitted(start: Sequence[float]) -> Regulator:
+    def fitted(start: Sequence[float], swings: bool = False) -> tuple[Regulator, Array]:
         more = len(start) - 1
         bounds = ([-2 * period, *[log(period / 2)] * more], [5.0, *[log(20.0)] * more])
-        found = least_squares(misfit, start, x_scale=[0.01, *[0.3] * more], bounds=bounds, xtol=1e-6).x
-        gain, residual = solved(found)
-        second = exp(found[3]) if more > 2 else 0.0
-        return Regulator(gain, float(found[0]), exp(found[1]), exp(found[2]), float(np.std(residual)), second)
+
+        def misfit(p: Array) -> Array:
+            return solved(p, swings)[1] / steps[0].height
+
+        start, scale = np.clip(start, *np.array(bounds)), [0.01, *[0.3] * more]
+        found = least_squares(misfit, start, x_scale=scale, bounds=bounds, xtol=1e-6).x
+        gain, residual = solved(found, swings)
+        return replace(made_of(found, swings), gain=gain, residual=float(np.std(residual))), P + residual
+
+    def best(one: tuple[Regulator, Array], other: tuple[Regulator, Array]) -> tuple[Regulator, Array]:
+        return other if len(t) * 2 * log(one[0].residual / other[0].residual) > BETTER else one
 
     if like is not None:
+        second = log(like.second) * (0.5 if like.swings else 1.0) if like.second else None
         begin = [like.dead_time, log(like.fill), log(like.vent)]
-        return fitted([*begin, *([log(like.second)] if like.second else [])])
-    one = fitted([0.02, log(0.05), log(0.05)])
+        return fitted(begin if second is None else [*begin, second], like.swings)
+    simple = fitted([0.02, log(0.05), log(0.05)])
+    one = simple[0]
     lag = 0.5 * (one.fill + one.vent)
-    two = fitted([max(0.0, one.dead_time - 0.1 * lag), log(one.fill), log(one.vent), log(max(0.2 * lag, period))])
-    return two if len(t) * 2 * log(one.residual / two.residual) > BETTER else one
+    two = [max(0.0, one.dead_time - 0.1 * lag), log(one.fill), log(one.vent), log(max(0.2 * lag, period))]
+    late = one.dead_time + lag
+    pair = [0.4 * late, log(0.5 * late), log(0.5 * late), log(0.4 * late)]
+    return best(best(simple, fitted(two)), fitted(pair, swings=True))
 
 
 def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:
@@ -217,43 +269,52 @@ def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:
     return Balance(1 / slope, (up / slope, down / slope), heavy / slope, c)
 
 
-def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance) -> Moved:
+def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance, form: tuple[int, ...] | None) -> Moved:
     """Least squares of a simulated displacement, driven by the measured pressure; `start` is where to begin.
 
-    An inertia cannot be below 0, so that noise alone would make it larger than it is and the loop slower. Where its lag
-    is short a delay of either sign takes its place.
+    An inertia cannot be below 0, so that noise alone would make it larger than it is and the loop slower: a delay of
+    either sign takes its place where it fits better, and both are fitted where that is better by far (`BOTH`), or
+    what `form` says.
     """
     period = float(t[1] - t[0])
     swing = float(np.ptp(P))
     drive, parts = _driven(t, P / swing, steps)
+    begin = np.array([*np.clip(np.nan_to_num(start.tau), 1e-3, 20.0), 0.0, np.clip(np.nan_to_num(start.beta), 0, 0.01)])
+
+    def whole(p: Array, free: tuple[int, ...]) -> Array:
+        """Tau in both directions, delay and inertia, of which some are `free`."""
+        values = np.array([0.0, 0.0, 0.0, SLIGHT])
+        values[list(free)] = p
+        return values
 
     def solved(p: Array) -> tuple[Array, Array]:
-        """Constant, gain, curvature, and without an inertia the gain times a delay; what is left over the swing."""
-        made = _simulated(drive, parts, (p[0], p[1]), p[2] if len(p) > 2 else SLIGHT / 10, period)
-        late = [] if len(p) > 2 else [-np.gradient(made[:, 0], period)]
-        design = np.column_stack([np.ones_like(t), made, *late])
+        """Constant, gain and curvature by the `whole` values, and what is left over the swing."""
+        made = _simulated(drive, parts, (p[0], p[1]), p[3], period)
+        late = [np.interp(t - p[2], t, column) if p[2] else column for column in made.T]
+        design = np.column_stack([np.ones_like(t), *late])
         linear = np.asarray(np.linalg.solve(design.T @ design, design.T @ x), dtype=np.float64)
         return linear, (design @ linear - x) / float(np.ptp(x))
 
-    def misfit(p: Array) -> Array:
-        return solved(p)[1]
+    def fitted(free: tuple[int, ...]) -> tuple[float, Array]:
+        at = list(free)
+        low, high = (np.array(limit)[at] for limit in ([1e-4, 1e-4, -MOST_LATE, SLIGHT], [50.0, 50.0, MOST_LATE, 1.0]))
 
-    guess = [
-        *np.clip(np.nan_to_num(start.tau), 1e-3, 20.0),
-        float(np.clip(np.nan_to_num(start.beta), 10 * SLIGHT, 0.01)),
-    ]
-    bounds = ([1e-4, 1e-4, SLIGHT / 10], [50.0, 50.0, 1.0])
-    found = least_squares(misfit, guess, x_scale=[0.1, 0.1, 1e-3], bounds=bounds, xtol=1e-5, ftol=1e-7)
-    (x0, gain, curvature), residual = solved(found.x)
-    up, down, beta = (float(value) for value in found.x)
-    late = 0.0
-    if 2 * beta < LIKE_DELAY * (up + down):
-        bounds = ([1e-4] * 2, [50.0] * 2)
-        found = least_squares(misfit, [up, down], x_scale=0.1, bounds=bounds, xtol=1e-5, ftol=1e-7)
-        (x0, gain, curvature, late), residual = solved(found.x)
-        late, beta = float(late / gain), 0.0
-        up, down = (float(value) for value in found.x)
+        def misfit(p: Array) -> Array:
+            return solved(whole(p, free))[1]
+
+        guess, scale = np.clip(begin[at], low + SLIGHT, high), np.array([0.1, 0.1, 0.01, 1e-3])[at]
+        found = least_squares(misfit, guess, x_scale=scale, bounds=(low, high), xtol=1e-5, ftol=1e-7)
+        return float(found.cost), whole(found.x, free)
+
+    if form is None:
+        cost, p = min(fitted(DELAYED), fitted(HEAVY), key=lambda one: one[0])
+        both = fitted((*DELAYED, 3))
+        p = both[1] if both[0] < (1 - BOTH) * cost else p
+    else:
+        p = fitted(form)[1]
+    (x0, gain, curvature), residual = solved(p)
     rms = float(np.std(residual)) * float(np.ptp(x))
+    up, down, late, beta = p.tolist()
     beta = beta if beta > SLIGHT else 0.0
     return Moved(float(x0), float(gain) / swing, float(curvature) / swing**2, (up, down), beta, rms, late)
 

@@ -14,9 +14,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from pmabench.analysis.shared.samples import FINE, noise_of, rounded
-from pmabench.kinds.ultimate_gain.open_loop_fit import Moved, Regulator, Step, fit, response
+from pmabench.kinds.ultimate_gain.open_loop_fit import Moved, Regulator, Step, beyond_noise, fit, response
+from pmabench.kinds.ultimate_gain.ways import lags_of
 from pmabench.store.records import Array
 
+HUM = 0.1
+"""Over so long hum of 50 and of 60 Hz averages to 0 [s]."""
 SETTLED = 0.75
 """Share of the time between steps after which the pressure has settled."""
 DITHERED = 0.5
@@ -42,6 +45,24 @@ def gauge_filter(regulator: Regulator, moved: Moved) -> float:
     return early if matches else 0.0
 
 
+def hunting(P: Array, t: Array, steps: Sequence[Step]) -> float:
+    """How far the pressure swings at rest, beyond its noise, over the largest step [1]; rms."""
+    noise, width, parts = noise_of(P), round(HUM / (t[1] - t[0])), []
+    times = [*(step.t for step in steps), 2 * steps[-1].t - steps[-2].t]
+    for begin, end in pairwise(times):
+        rest = P[(t >= (begin + end) / 2) & (t < end)]
+        place = np.arange(len(rest))
+        if len(rest) > 9:
+            parts.append(beyond_noise(rest - np.polyval(np.polyfit(place, rest, 1), place), width, noise))
+    return float(np.std(np.concatenate(parts)) / max(abs(step.height) for step in steps)) if parts else 0.0
+
+
+def better_by(one: tuple[Regulator, Moved], other: tuple[Regulator, Moved], count: int) -> float:
+    """Twice the logarithm of the likelihood of `one` over that of `other`, both fitted to `count` samples."""
+    pressure = other[0].residual / one[0].residual
+    return 2 * count * log(pressure * other[1].residual / one[1].residual)
+
+
 @dataclass(frozen=True)
 class Flow:
     """A valve that limits the flow: while the pressure is far from the command it changes at one rate."""
@@ -53,13 +74,13 @@ class Flow:
     rate: float
     """[Pa/s]."""
     better: float
-    """Twice the logarithm of its likelihood over that of a second lag."""
+    """Twice the logarithm of its likelihood over that of a second lag, or of a pair that swings."""
     needed: float
     """The same over that of a single lag."""
 
     def small(self, like: Regulator) -> Regulator:
         """The regulator `like` this for small steps."""
-        return replace(like, dead_time=self.dead_time, fill=self.fill, vent=self.vent, second=0.0)
+        return replace(like, dead_time=self.dead_time, fill=self.fill, vent=self.vent, second=0.0, swings=False)
 
 
 def flow_limited(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Flow | None:
@@ -85,6 +106,9 @@ def flow_limited(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Fl
     def lags(at: Array, p: Array, way: int) -> Array:
         return response(at, (float(p[way]), *p[2:].tolist()))
 
+    def pair(at: Array, p: Array, way: int) -> Array:
+        return response(at, lags_of(float(p[way]), float(p[2]) ** 2))
+
     def flow(at: Array, p: Array, way: int) -> Array:
         return _limited(at, float(p[way]), float(p[2 + way]))
 
@@ -92,6 +116,8 @@ def flow_limited(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Fl
     dead, lag = 0.2 * late, log(0.8 * late)
     one, single = fitted([dead, lag, lag], lags)
     double = min(fitted([one[0], *one[1:], start], lags)[1] for start in (log(period), lag - log(5.0)))
+    half = log(0.5 * late)
+    double = min(double, fitted([0.4 * late, half, half, half], pair)[1])
     found, left = fitted([one[0], one[1] - 0.3, one[2] - 0.3, one[1], one[2]], flow)
     fill, vent, *whole = np.exp(found[1:]).tolist()
     height = abs(steps[0].height)
@@ -132,8 +158,8 @@ def read_in_steps(
     (t, x, P), (regulator, moved) = samples, parts
     made = np.zeros_like(t)
     for step in cycle:
-        lags = (regulator.fill if step.height > 0 else regulator.vent, regulator.second)
-        made += step.height * regulator.gain * response(t - step.t - regulator.dead_time, lags)
+        shape = response(t - step.t - regulator.dead_time, regulator.lags(step.height))
+        made += step.height * regulator.gain * shape
     rng = np.random.default_rng(0)
     moving = np.any(
         [(t >= step.t) & (t < step.t + MOVING * (regulator.fill + regulator.vent)) for step in cycle], axis=0
@@ -146,7 +172,7 @@ def read_in_steps(
     read = [rounded(y + rng.normal(0, noise, len(t)), size, channel)
             for channel, (y, noise, size) in enumerate(zip(shown, noises, sizes, strict=True))]  # fmt: skip
     for one, other in zip(*read, strict=True):
-        found = fit(t, one, other, cycle, sensor, regulator)
+        found = fit(t, one, other, cycle, sensor, parts)
         if not isinstance(found, str):
             yield found[:2]
 

@@ -86,11 +86,13 @@ class RelayLevel:
     """Difference of the lags of both directions over their sum [1]."""
     shape: float = float("nan")
     """Third harmonic of the displacement over the first, its distance from the fitted loop's [1]."""
+    left: float = float("nan")
+    """Distance of the pressure's harmonics from what the fitted loop makes of the command's, over the first [1]."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; what is not known as None."""
         names = ("amplitude", "hysteresis", "t0", "t1", "period", "variation", "swing", "K_df", "static", "K_u", "T_u",
-                 "coulomb", "unlike", "shape")  # fmt: skip
+                 "coulomb", "unlike", "shape", "left")  # fmt: skip
         values = {name: float(getattr(self, name)) for name in names}
         return {name: value if isfinite(value) else None for name, value in values.items()}
 
@@ -208,19 +210,20 @@ def _measure(
         coulomb=balance(t, x, driving, friction=True).coulomb,
         unlike=abs(up - down) / (up + down) if min(up, down) > 0 else 1.0,
     )
-    loop = fit(t, x, P, switches, ups, lag, hold)
-    if loop is None:
+    whole = fit(t, x, P, switches, ups, lag, hold)
+    if whole is None:
         return found
+    loop, left = whole
     truth = ultimate(loop)
     single = [fit(t, x, P, switches, ups[i : i + 3], lag, hold) for i in range(0, count - 1, 2)]
-    each = [ultimate(one) for one in single if one is not None]
+    each = [ultimate(one[0]) for one in single if one is not None]
     halves = [float("nan"), float("nan")]
     if len(each) > 1:
         wide = float(student.ppf(0.975, len(each) - 1)) / sqrt(len(each))
         halves = [wide * float(np.std([getattr(one, name) for one in each], ddof=1)) for name in ("gain", "period")]
     return replace(
         found, loop=loop, K_u=truth.gain, T_u=truth.period, half_K_u=halves[0], half_T_u=halves[1],
-        shape=shape_of(t, x, switches, ups, loop),
+        shape=shape_of(t, x, switches, ups, loop), left=left,
     )  # fmt: skip
 
 
@@ -229,10 +232,16 @@ ALONE = "one trial: the repeats part is the scatter between its periods"
 OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
 """What K_u and T_u may be off, over friction as a share of the amplitude, over the distance of the third harmonic, and
 over their change between the amplitudes: play, a second lag and a slew of the regulator make less of known loops."""
+OF_LEFT = {"K_u": 9.0, "T_u": 1.0}
+"""What they may be off over the square of what is left of the pressure: venting 1.5 to 3 times as slow as filling."""
+LEFT, MOST_LEFT = 0.02, 0.1
+"""What is left of the pressure's harmonics from which on the regulator is not the fitted one, noise makes 0.006; a
+share of a value above which that withholds it."""
 FORM = {"K_u": 0.012, "T_u": 0.0045}
 """Half width, over the value, of what the form of the fitted loop is worth with damping alike in both directions."""
-UNLIKE = {"K_u": 0.08, "T_u": 0.035}
-"""The same by damping that is not, per difference of the two lags over their sum.
+UNLIKE, BEYOND = {"K_u": 0.08, "T_u": 0.035}, 0.2
+"""The same by damping that is not, per difference of the two lags over their sum, four times that beyond `BEYOND`:
+lags of 1 to 2 are worth up to 5 % of K_u, of 1 to 3 up to 6 %.
 
 Both so that 95 % of 200 simulated tests hold, without friction: two muscles at 12 to 50 mm, masses of 2 to 13 kg, dead
 times of 20 to 60 ms, lags of 50 to 250 ms, amplitudes of 10 to 60 kPa. The largest errors are 2.5 % and 1.0 %.
@@ -303,27 +312,32 @@ def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
         parts = Parts(method=_method_part(cell, best, symbol[0], method))
         described = method == DESCRIBED
         e = cell.estimate(symbol, method, trials, values, parts, (says,), alone=ALONE, by_command=described)
-        found.append(e if described else weighed(e, _doubts([one.found for one in trials], e.value or 0.0)))
+        found.append(e if described else weighed(e, _doubts([one.found for one in trials], symbol[0], e.value or 0.0)))
     return found
 
 
-def _doubts(trials: Sequence[RelayFound], value: float) -> list[Doubt]:
+def _doubts(trials: Sequence[RelayFound], symbol: str, value: float) -> list[Doubt]:
     """What friction or play in the balance of pressures, and another form of the loop, are worth of a value.
 
     Friction is alike at all amplitudes: what a bend makes of it at the largest one alone does not count.
     """
-    rubs, shape = 0.0, 0.0
+    rubs, shape, left = 0.0, 0.0, 0.0
     for trial in trials:
         known = [level for level in trial.levels if isfinite(level.coulomb)]
         least = min((level.coulomb for level in known), default=0.0)
         rubs = max(rubs, least / max((level.amplitude for level in known), default=1.0))
         if trial.best is not None and isfinite(trial.best.shape):
-            shape = max(shape, trial.best.shape)
+            shape, left = max(shape, trial.best.shape), max(left, trial.best.left)
     reason = (
         f"dry friction or play takes {rubs:.1%} of the relay's amplitude, at most {RUBS:.1%} is accepted: the loop is "
         "not linear. Take a larger amplitude"
     )
+    regulator = (
+        f"{left:.1%} of the pressure's swing is not what a regulator of two lags makes of the command: it fills "
+        "quicker than it vents, or the other way round. Take open-loop steps, or a rising gain"
+    )
     return [
+        Doubt("form of the regulator", "method", OF_LEFT[symbol] * left**2 * value, left > LEFT, regulator, MOST_LEFT),
         Doubt("friction in the balance", "method", OF_FRICTION * rubs * value, rubs > RUBS, reason),
         Doubt("form of the loop", "method", OF_SHAPE * shape * value, seen=False),
     ]
@@ -343,10 +357,10 @@ def _method_part(
         apart += [abs(value - other) for other in others if isfinite(other)]
     if not apart:
         return None
+    unlike = [min(1.0, level.unlike if isfinite(level.unlike) else 0.0) for _, level in best]
     form = max(
-        hypot(FORM[symbol], UNLIKE[symbol] * min(1.0, level.unlike if isfinite(level.unlike) else 0.0))
-        * _values(level, symbol, method)[0]
-        for _, level in best
+        hypot(FORM[symbol], UNLIKE[symbol] * (one + 3 * max(0.0, one - BEYOND))) * _values(level, symbol, method)[0]
+        for one, (_, level) in zip(unlike, best, strict=True)
     )
     shift = cell.by_clocks("gain" if symbol == "K_u" else "period")
     return sqrt((OF_SIZES * max(apart)) ** 2 + shift**2 + form**2)

@@ -5,9 +5,9 @@ Knows samples and the switching of the command; no trial.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
-from math import log, pi
+from math import exp, log, pi, sqrt
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -16,6 +16,16 @@ from pmabench.analysis.shared.oscillation import HARMONICS, mode_amplitudes
 from pmabench.kinds.ultimate_gain.ways import lags_of, oscillating
 from pmabench.model.loop import ComplexArray, Loop
 from pmabench.store.records import Array
+
+ONE_LAG = 0.003
+"""Distance of the pressure from what one lag makes of the command, over its first harmonic, from which on there may be
+two, real or as a pair that swings. Noise makes 0.001."""
+BETTER = 0.5
+"""Below this share of what one lag leaves, as a square, two are the form: they do not make lags that differ between
+filling and venting.
+"""
+ROOTS = (0.05, 0.1, 0.2)
+"""Where the root of b begins, over the period."""
 
 
 def shape_of(t: Array, x: Array, switches: Array, ups: Array, loop: Loop) -> float:
@@ -45,19 +55,19 @@ def command_over(switches: Array, t0: float, t1: float, periods: int, harmonics:
 
 def fit(
     t: Array, x: Array, P: Array, switches: Array, ups: Array, lag: Mapping[str, float], hold: float
-) -> Loop | None:
+) -> tuple[Loop, float] | None:
     """The loop behind whole periods between `ups` [s]: command to pressure, and pressure to displacement, apart.
 
-    P = exp(-L s)/(1 + T_r s) U and P = (1 + tau s) X / k_g at the harmonics of the oscillation; sensor lags are taken
-    off. `hold` [s], half a sample period, is added to L for the hold of a sampled controller. None where no such loop
-    comes out.
+    P = exp(-L s)/(1 + a s + b s^2) U and P = (1 + tau s + beta s^2) X / k_g at the harmonics of the oscillation; sensor
+    lags are taken off. `hold` [s], half a sample period, is added to L for the hold of a sampled controller. None where
+    no such loop comes out. With the loop the distance of the pressure from it, over its first harmonic [1].
     """
     t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
     at = (t >= t0) & (t < t1)
     if at.sum() < 8 * (HARMONICS + 1) * periods:
         return None
     omega = 2 * pi * periods / (t1 - t0)
-    s = 1j * omega * np.arange(1, HARMONICS + 1)
+    s = (1j * omega * np.arange(1, HARMONICS + 1)).astype(np.complex128)
     U = command_over(switches, t0, t1, periods, HARMONICS)[1:]
     X, Q = (
         mode_amplitudes(t[at] - t0, y[at], 1j * omega)[1] * (1 + lag.get(name, 0.0) * s)
@@ -65,19 +75,47 @@ def fit(
     )
     if not (np.all(np.isfinite(X)) and np.all(np.isfinite(Q))) or abs(X[0]) == 0 or abs(Q[0]) == 0:
         return None
-
-    def misfit(p: Array) -> Array:
-        off = (U * np.exp(-p[1] * s) / (1 + np.exp(p[0]) * s) - Q) / abs(Q[0])
-        return np.concatenate([off.real, off.imag])
-
-    T_r, L = least_squares(misfit, [log(0.2 * 2 * pi / omega), 0.02 * 2 * pi / omega]).x
-    muscle = _muscle(s.astype(np.complex128), X, Q)
+    L, regulator_lags, left = _regulator(s, U, Q)
+    muscle = _muscle(s, X, Q)
     if muscle is None or L < -hold:
         return None
     gain, muscle_lags = muscle
     sensor = lag.get("displacement", 0.0)
-    lags = (float(np.exp(T_r)), *muscle_lags, *((sensor,) if sensor > 0 else ()))
-    return oscillating(gain, float(max(0.0, L) + hold), lags)
+    lags = (*regulator_lags, *muscle_lags, *((sensor,) if sensor > 0 else ()))
+    loop = oscillating(gain, float(max(0.0, L) + hold), lags)
+    return None if loop is None else (loop, left)
+
+
+def _regulator(s: ComplexArray, U: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...], float]:
+    """Dead time [s] and lags [s] of the pressure Q behind the command U at the harmonics `s` [1/s], and what is left.
+
+    Q = exp(-L s) U / (1 + a s + b s^2) by least squares.
+    """
+    period = 2 * pi / float(s[0].imag)
+    z = s * period
+
+    def misfit(p: Array) -> Array:
+        """With L, a and the root of b over the period."""
+        off = (U * np.exp(-p[1] * z) / (1 + np.exp(p[0]) * z + sum(p[2:] ** 2) * z**2) - Q) / abs(Q[0])
+        return np.concatenate([off.real, off.imag])
+
+    L, lags, squares = simplest(misfit, ONE_LAG**2)
+    return L * period, tuple(lag * period for lag in lags), sqrt(squares)
+
+
+def simplest(misfit: Callable[[Array], Array], enough: float) -> tuple[float, tuple[complex, ...], float]:
+    """Dead time and lags, over the period, of the simplest regulator with so little `misfit`; and its sum of squares.
+
+    `misfit` is of (ln a, L, root of b) or of the first two, b = 0; all over the period. One lag does where its sum of
+    squares is `enough`, or where two are not much better.
+    """
+    found = least_squares(misfit, [log(0.2), 0.02])
+    if 2 * found.cost > enough:
+        tried = [least_squares(misfit, [log(2 * root), 0.02, root]) for root in ROOTS]
+        best = min(tried, key=lambda one: float(one.cost))
+        found = best if best.cost < BETTER * found.cost else found
+    a, L, *root = (float(value) for value in found.x)
+    return L, lags_of(exp(a), sum(one**2 for one in root)), 2 * float(found.cost)
 
 
 def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...]] | None:

@@ -22,6 +22,8 @@ from pmabench.store.records import Array, RunData, TrialData
 SYMBOLS = (("K_u", "Pa/m", "gain"), ("T_u", "s", "time"))
 """What every way gives: symbol, unit, quantity."""
 DESCRIBED = "relay-describing-function"
+LEAST_DEAD = 0.1
+"""Share of a dead time that is left where clocks may be further apart."""
 COLUMNS = {"t": "time", "displacement": "length", "model": "length", "pressure": "pressure",
            "pressure_command": "pressure", "gain": "gain", "log_ratio": "count", "fit": "count", "period": "time",
            "used": "count"}  # fmt: skip
@@ -179,13 +181,14 @@ class GainCell(ABC, Generic[Found]):
         return [{"trial": one.trial.name, **level.to_dict()} for one in self.members for level in levels(one.found)]
 
     def by_clocks(self, name: str) -> float:
-        """Change of the ultimate `gain` or `period` by clocks: pressure and displacement may be so far apart, and the
-        dead time holds all of it.
+        """Change of the ultimate `gain` or `period` by clocks: pressure and displacement may be so far apart, either
+        way, and the dead time holds all of it.
         """
         if self.apart <= 0 or self.loop is None:
             return 0.0
-        later = ultimate(replace(self.loop, dead_time=self.loop.dead_time + self.apart))
-        return abs(float(getattr(later, name)) - float(getattr(ultimate(self.loop), name)))
+        known, dead = float(getattr(ultimate(self.loop), name)), self.loop.dead_time
+        ends = (dead + self.apart, max(dead - self.apart, LEAST_DEAD * dead))
+        return max(abs(float(getattr(ultimate(replace(self.loop, dead_time=end)), name)) - known) for end in ends)
 
 
 def lags_of(tau: float, beta: float) -> tuple[complex, ...]:

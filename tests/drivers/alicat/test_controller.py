@@ -12,7 +12,7 @@ import time
 import tty
 
 import pytest
-from pmabench_drivers.alicat import AlicatController
+from pmabench_drivers.alicat import AlicatController, ascii_link
 from pymodbus.framer import FramerRTU
 
 from pmabench.base.clock import RealClock
@@ -544,3 +544,59 @@ def test_modbus_registers_are_those_of_the_manual_less_one(tmp_path):
     assert any(frame(bytes([1, code]), struct.pack(">HH", 1200, 4)) in terminal.data for code in (3, 4))
     for trap in (1, 2):
         assert write(1000, struct.pack(">HH", 6, trap)) not in terminal.data
+
+
+# -- somebody at its panel ------------------------------------------------------------------------------------------
+
+
+class Panel:
+    """A controller by hand whose pressures are shown in another unit from `psi` on; `knows`: firmware 10v05 or later."""
+
+    def __init__(self, *, knows):
+        self.knows, self.psi, self.set_point = knows, False, [0.0]
+
+    def reply(self, question):
+        unit = "10 PSIG" if self.psi else "4 kPaG"
+        if self.knows and question == "ADCU 38":
+            return f"A {unit}\r".encode()
+        if self.knows and question == "ALSS":
+            return b"A S\r"
+        answer = by_the_book(question, self.set_point)
+        return answer.replace(b"004 02 kPaG", b"010 02 PSIG") if self.psi else answer
+
+
+def test_a_unit_that_is_changed_at_the_panel_while_vented_is_seen_and_no_number_is_sent(tmp_path):
+    """0 is 0 in every unit: nothing else shows it, and 100 kPa would be 689 kPa."""
+    panel = Panel(knows=True)
+    with HandPeer(tmp_path / "c", panel.reply) as peer, opened(controller(tmp_path / "c")) as device:
+        assert device.held() == {"unit of the set-point": "4 kPaG", "source of the set-point": "the serial line"}
+        device.write("pressure", 50.0)
+        device.write("pressure", 0.0)
+        panel.psi = True
+        assert device.held()["unit of the set-point"] == "10 PSIG"
+        begun = len(peer.questions)
+        with pytest.raises(DeviceError, match="takes set-points in 10 PSIG now, not in kPa"):
+            device.write("pressure", 100.0)
+        assert "AS100.00" not in peer.questions[begun:]
+        device.write("pressure", 0.0)
+        panel.psi = False
+        device.write("pressure", 100.0)
+        begun = len(peer.questions)
+        device.write("pressure", 120.0)
+        assert peer.questions[begun:] == ["AS120.00"], "under pressure its set-point shows it"
+
+
+def test_older_firmware_lists_its_columns_again_now_and_then(tmp_path, monkeypatch):
+    panel = Panel(knows=False)
+    with HandPeer(tmp_path / "c", panel.reply) as peer, opened(controller(tmp_path / "c")) as device:
+        assert device.held() == {"unit of the set-point": "4 kPaG"}
+        begun, panel.psi = len(peer.questions), True
+        assert device.held() == {"unit of the set-point": "4 kPaG"}
+        assert peer.questions[begun:] == [], "asked again only after 2 s"
+        monkeypatch.setattr(ascii_link, "LISTED_EVERY", 0.0)
+        begun_at = time.monotonic()
+        assert device.held() == {"unit of the set-point": "10 PSIG"}
+        assert time.monotonic() - begun_at < 0.1, "its last row is known: no silence is waited for"
+    monkeypatch.setattr(ascii_link, "LONGEST_LIST", 0.0)
+    with HandPeer(tmp_path / "d", Panel(knows=False).reply), opened(controller(tmp_path / "d")) as device:
+        assert device.held() == {}, "a line that is too slow for it"

@@ -42,6 +42,10 @@ def test_it_is_read_anew_in_time_and_stays_as_it_is(armed):
         "transducer error register": 0.0,
         "drive serial number": "5",
         "transducer serial number": "12",
+        "transducer measuring step": 1000.0,
+        "transducer mapping": "60200120h",
+        "drive position mapping": "60640020h",
+        "drive target mapping": "607A0020h",
     }
     driver.write("drive.position", 5000.0)
     for _ in range(10):
@@ -90,6 +94,22 @@ def test_another_node_in_place_of_one_shows(armed):
     driver, served, before = armed
     served.nodes["transducer"].preset(0x1018, 4, 4711)
     assert changed(driver, before) == {"transducer serial number"}
+
+
+@pytest.mark.parametrize(
+    ("node", "index", "sub", "value", "what"),
+    [
+        ("transducer", 0x6005, 1, 500, "transducer measuring step"),
+        ("transducer", 0x1A00, 1, 0x60040020, "transducer mapping"),
+        ("drive", 0x1A00, 2, 0x60620020, "drive position mapping"),
+        ("drive", 0x1600, 1, 0x60810020, "drive target mapping"),
+    ],
+)
+def test_what_gives_its_numbers_another_meaning_shows(armed, node, index, sub, value, what):
+    """A transducer that started again in 60 ms with another step, its word of it lost, doubled every displacement."""
+    driver, served, before = armed
+    served.nodes[node].preset(index, sub, value)
+    assert changed(driver, before) == {what}
 
 
 def test_a_set_point_from_outside_is_read_back(armed):

@@ -117,6 +117,8 @@ def test_no_answer_is_taken_for_what_it_is_not():
             if name == "names":
                 assert all(isinstance(text, str) and text.isprintable() for text in outcome.values())
                 continue
+            if name == "feed" and not answers:
+                continue  # what it answered right before has fed it
             words = says(*max(answers, key=lambda pair: pair[0][:2]))  # an older connection may be served late
             assert words is not None, f"case {number}: {name} took {answers} for {outcome}"
             if name == "ao4.0":

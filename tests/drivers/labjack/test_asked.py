@@ -128,3 +128,22 @@ def test_a_silent_device_is_reported_and_a_ramp_is_stepped():
         assert until(lambda: [e["raw"] for e in emulator.log.of("set")][-1:] == [3.0], 3)
         served.faults.set("silence")
         assert until(lambda: isinstance(timed(device.collect)[1], DeviceError), 2)
+
+
+@pytest.mark.realtime
+def test_a_range_that_another_program_sets_shows():
+    """At 0.6 V an input for 10 V reads 10 kPa of any pressure, without noise: a vent would be confirmed."""
+    with rig(asked("T8")) as (_, served, device):
+        device.start(100.0)
+        before = device.held()
+        assert before["ranges"] == "AIN0 11 V, AIN1 11 V, AIN2 11 V, AIN3 11 V"
+        host, port = served.address.split(":")
+        client = ModbusTcpClient(host, port=int(port), timeout=1, retries=0)
+        try:
+            words = client.convert_to_registers(0.6, client.DATATYPE.FLOAT32, word_order="big")
+            assert not client.write_registers(40002, words).isError()
+        finally:
+            client.close()
+        after = device.held()
+        assert {name for name in after if after[name] != before[name]} - {"uptime"} == {"ranges"}
+        assert after["ranges"] == "AIN0 11 V, AIN1 0.6 V, AIN2 11 V, AIN3 11 V"

@@ -171,6 +171,45 @@ def test_what_an_output_gives_is_not_known_before_it_was_set(bench):
     assert device.read_back("ao0") == 0.0
 
 
+def test_a_set_point_of_another_program_is_measured_where_the_output_is_looped_into_an_input(bench):
+    """NI MAX sets 4.5 V in a rest: NI-DAQmx tells nobody, the looped input shows it, and within 1 s it is a trip (S11)."""
+    _emulator, served, device = bench
+    start(device, 500.0)
+    patiently(lambda: device.write("ao0", 1.0))
+    for ends in (1.0, 3.0):  # at rest, on a ramp, and after it
+        if ends > 1.0:
+            device.follow("ao0", Segment("ramp", device._clock.now(), 1.0, ends, rate=4.0))
+        stops = time.monotonic() + 1.0
+        while time.monotonic() < stops:
+            device.collect()
+            assert device.read_back("ao0") <= ends
+    assert device.read_back("ao0") == 3.0
+    with task(served, "NI MAX") as other:
+        other.ao_channels.add_ao_voltage_chan("Dev1/ao0", min_val=0.0, max_val=10.0)
+        other.write(4.5)
+        assert until(lambda: device.read_back("ao0") == pytest.approx(4.5, abs=0.05), 1.0)
+        patiently(lambda: device.write("ao0", 0.0))
+        assert device.read_back("ao0") == 0.0
+        assert not until(lambda: device.read_back("ao0") != 0.0, 0.6)
+
+
+def test_without_a_loop_what_was_acknowledged_counts(bench):
+    _emulator, served, _device = bench
+    record = daq(channels=3)
+    other = NiDaq(at(record, served.address), RealClock())
+    try:
+        patiently(other.open)
+        start(other, 500.0)
+        patiently(lambda: other.write("ao0", 1.0))
+        with task(served, "NI MAX") as foreign:
+            foreign.ao_channels.add_ao_voltage_chan("Dev1/ao0", min_val=0.0, max_val=10.0)
+            foreign.write(4.5)
+        time.sleep(0.5)
+        assert other.read_back("ao0") == 1.0
+    finally:
+        other.close()
+
+
 def test_the_emergency_stop_is_read_also_while_it_samples(bench):
     emulator, _served, device = bench
     start(device, 200.0)

@@ -67,6 +67,11 @@ WRONG_MAPS = {
         ("interlocks", "e-stop", "input"),
         'no input "e_stop"',
     ),
+    "two outputs at one register": (
+        {"outputs": {**MAP["outputs"], "pressure": MAP["outputs"]["dump"]}},
+        ("outputs", "dump_valve", "output"),
+        'is the register of "pressure" in the map, too',
+    ),
     "a watchdog without registers": ({"watchdog": None}, ("watchdog",), 'no "watchdog"'),
     "a trigger value that does not fit": (
         {"watchdog": {**MAP["watchdog"], "on": 70000}},
@@ -105,6 +110,7 @@ BEYOND_A_SCHEMA = {
     "an output without register",
     "a range that does not fit",
     "an interlock without register",
+    "two outputs at one register",
     "a watchdog without registers",
     "a trigger value that does not fit",
 }

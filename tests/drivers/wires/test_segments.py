@@ -1,13 +1,15 @@
-"""What no device follows is refused before anything is sent."""
+"""What no device follows is refused before anything is sent; of a step without an answer the guard knows."""
 
 import math
 from dataclasses import replace
 
 import pytest
-from pmabench_drivers.shared.device import refuse_nonsense
+from pmabench_drivers.shared.device import Stepped, refuse_nonsense
+from pmabench_drivers.shared.link import Unanswered
 
+from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import Segment
+from pmabench.bench.interface import DeviceRecord, OutputRecord, Scale, Segment
 
 RAMP = Segment("ramp", 1.0, 0.0, 5.0, rate=2.0)
 SINE = Segment("sine", 1.0, 5.0, amplitude=2.0, frequency=0.5, cycles=3.0)
@@ -33,3 +35,45 @@ def test_ramps_and_sines_are_followed(segment):
 def test_nonsense_is_refused(segment, why):
     with pytest.raises(DeviceError, match=f"^regulator.pressure: {why}"):
         refuse_nonsense("regulator", "pressure", segment)
+
+
+class Steps(Stepped):
+    """A device whose answers are lost while `lost`."""
+
+    lost = False
+
+    @staticmethod
+    def read_options(device, reader):
+        return None
+
+    def close(self):
+        pass
+
+    def _begin_steps(self):
+        pass
+
+    def _refuse_value(self, output, value):
+        pass
+
+    def _send_step(self, output, value, still, *, last):
+        if self.lost:
+            self.write_between()
+            raise Unanswered("regulator", "no answer within 0.1 s", output)
+
+    def write_between(self):
+        """A vent that takes over while the step is under way."""
+        self._following.clear()
+
+
+def test_a_step_that_is_not_answered_is_known_although_a_vent_took_over_meanwhile():
+    """The device may carry it out after the safe value: the guard must send that again."""
+    clock = VirtualClock()
+    output = OutputRecord("pressure", "pressure", "regulator", "p", Scale(), 0.0, 0.0, 0.0, 6e5)
+    device = Steps(DeviceRecord("regulator", "x:Y", outputs=(output,)), clock)
+    device.follow("p", RAMP)
+    clock.wait_until(1.5)
+    assert device._step() is None
+    assert device.unanswered == -math.inf
+    device.lost = True
+    assert device._step() is None, "nobody waits for the segment any more"
+    assert device.unanswered == 1.5
