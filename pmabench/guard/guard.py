@@ -120,7 +120,7 @@ class Guard:
 
     def _confirms(self, record: DeviceRecord) -> bool:
         """Whether a device that only measures is opened too: without an engine the guard needs it to confirm a vent."""
-        wanted = {action.target for action in self.bench.safe_state if action.do == "confirm"}
+        wanted = {action.target for action in self.bench.safe_state}  # pressures, and motions that must end
         return self._forgiving and any(channel.name in wanted for channel in record.channels)
 
     def _first_of(self, name: str) -> list[Act]:
@@ -385,10 +385,11 @@ class Guard:
     def keep_measuring(self, rate: float) -> None:
         """Have what confirms the vent measured at `rate` [Hz]; what gives no samples is begun again."""
         now = self.clock.now()
+        slow = {record.name: 3 / record.fastest for record in self.bench.devices if record.fastest}
         for name, device in list(self.devices.items()):
-            call = self._starting.get(name)
+            call, silent = self._starting.get(name), now - self._heard.get(name, -inf)
             failed = call is not None and call.done.is_set() and call.error is not None
-            if isinstance(device, Stream) and (failed or now - self._heard.get(name, -inf) > SILENT):
+            if isinstance(device, Stream) and (failed or silent > max(SILENT, slow.get(name, 0.0))):
                 self._heard[name], used = now, self.links.sampling.setdefault(name, rate)
                 self._starting[name] = self.links.submit(name, partial(device.start, used))
 

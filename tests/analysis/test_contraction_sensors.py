@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pmabench.analysis.shared.simulated import between_steps
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import sticks
 from pmabench.kinds.contraction_relaxation.reduction import reduce
 from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.records import Command, TrialData
@@ -201,6 +202,15 @@ def test_hysteresis_of_a_gauge_within_its_uncertainty_is_in_the_intervals(noise)
     (F_c,) = [e for e in found.estimates if (e.symbol, e.method) == ("F_c", "measured-pressure")]
     assert abs(F_c.value) < 1.5 * F_c.parts.combined
     assert 0.3 < F_c.parts.combined < 1.0
+
+
+@pytest.mark.parametrize(("bits", "noise", "half", "stuck"), [(16, 250.0, 0.0, False), (9, 25.0, 0.0, False),
+                                                              (12, 25.0, 0.0, False), (16, 250.0, 500.0, True)])  # fmt: skip
+def test_a_gauge_sticks_that_stays_and_then_moves_by_no_single_steps(bits, noise, half, stuck):
+    """Only then are B_c and B_r as wide as that makes them: of steps and noise they were up to four times."""
+    chance, step, t = np.random.default_rng(5), 1e6 / 2**bits, np.arange(0.0, 8.0, 1 / RATE)
+    P = pressed(t, 3e5) + noise * chance.standard_normal(len(t))
+    assert sticks(step * np.round(played(P, half) / step)) is stuck
 
 
 def test_zeros_that_were_taken_are_in_no_interval():

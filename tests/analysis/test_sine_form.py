@@ -112,3 +112,14 @@ def test_friction_that_builds_up_is_in_the_force_that_k_carries_to_0(
     muscle = Muscle51(B_r=1680.0, noise=NOISE, slip=(height, way))
     F_ce = value(reduced(muscle.trials(mean=mean, amplitude=amplitude)), "F_ce", "sine-mean")
     assert abs(F_ce.value - 275.0) < F_ce.parts.combined < 6.0
+
+
+def test_friction_that_takes_most_of_the_stroke_to_build_up_is_no_stiffness() -> None:
+    """5 N that slip after 12 mm of 16: the third harmonic says so, and the force at x = 0 holds what it adds to K.
+
+    K was 7.6 N/mm +- 0.06 for 6.8, F_ce 279 N +- 0.14 for 275.
+    """
+    found = reduced(Muscle51(B_c=1200.0, B_r=1200.0, noise=NOISE, slip=(5.0, 6e-3)).trials(mean=0.005, amplitude=0.008))
+    assert withheld(found) >= {"K", "F_c"}
+    F_ce = value(found, "F_ce", "sine-mean")
+    assert abs(F_ce.value - 275.0) < F_ce.parts.combined < 6.0

@@ -178,4 +178,4 @@ def test_half_a_step_of_a_converter_that_cuts_off_is_in_the_mean_force() -> None
     for trial in Muscle51(B_c=1200.0, B_r=1200.0, noise=(3e-6, 0.05, 250.0)).trials(repeats=2):
         trials.append(replace(trial, channels={**trial.channels, "force": np.floor(trial.channels["force"])}))
     F = value(reduce([as_run("sinusoidal-displacement", trials, {"discard": 1})]), "F", "sine-mean")
-    assert 0.3 < 275.0 - 67.73 - F.value < F.parts.combined < 0.7
+    assert 0.4 < 275.0 - 67.73 - F.value < 1.1 * F.parts.combined < 0.7, "half a step, as a square next to the scatter"

@@ -235,7 +235,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     def with_hidden(other: Fit, rows: NDArray[np.bool_], trust: Trust) -> Trust:
         mine, scales = segments.where(rows), Scales.of(campaign.runs)
         of_cell = of_the_cell(diagnosis.weighed, scales, mine, other)
-        sensors = of_the_sensor(sensor_known(campaign), mine, other), *of_the_gauge(scales, mine, other)
+        sensors = of_the_sensor(sensor_known(campaign), mine, other), *of_the_gauge(campaign, mine, other)
         return replace(trust, causes=(*trust.causes, *diagnosis.hidden.lines(other, rows), *of_cell, *sensors))
 
     def trust_of(other: Fit, rows: NDArray[np.bool_], seen: Array) -> Trust:

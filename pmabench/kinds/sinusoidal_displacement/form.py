@@ -46,6 +46,9 @@ REMAINS = 0.3
 """Share of a correction that is added to the interval for what it leaves."""
 WOUND = 0.4
 """Greatest third harmonic in phase, as a share of F_c, of a friction that builds up over a part of the stroke."""
+QUICKLY, SLOWLY = 2.0, 5.0
+"""What a friction that builds up on the way adds to the first harmonic in phase, over F_c, where it takes less than the
+amplitude after each turn, with a third harmonic in phase below 0; and where it takes more, with one above 0."""
 COULOMB = 0.2
 """Share by which the third harmonic in quadrature may be off that of a constant friction."""
 DIRECTIONS = 2 / (3 * pi)
@@ -171,7 +174,8 @@ class Form:
         """
         reason, r = self.doubt_of_friction(F_c), abs(self.reach)
         wound = self._wound(F_c) if self.h3 < -self.half[1] else 0.0
-        half = 2 * (abs(F_c) if reason else wound) * r + abs(self._carried(0.0, wound))
+        spring = (SLOWLY if self.h3 > 0 else QUICKLY) * abs(F_c) if reason else QUICKLY * wound
+        half = spring * r + abs(self._carried(0.0, wound))
         reason += "; it adds to K, which carries the force to x = 0" if reason else ""
         return Doubt(BUILDS_UP, "method", half, bool(reason), reason)
 
@@ -179,19 +183,22 @@ class Form:
         """The reason to withhold K; empty where the harmonics correct it."""
         if reason := self.why_no_tangent():
             return reason
-        if F_c is None or not (friction := self.doubt_of_friction(F_c)) or abs(self.h3) <= CLEAR * self.half[1]:
-            return ""
-        if 3 * abs(self.h3 / self.h1) <= LEAST:
+        if F_c is None or not self._shaped or not (friction := self.doubt_of_friction(F_c)):
             return ""
         return (
             f"the third harmonic of the force in phase with the displacement ({self.h3 / self.h1:.1%} of the first) "
             f"may be of a bent curve or of friction, and a part of K, too: {friction}"
         )
 
+    @property
+    def _shaped(self) -> bool:
+        """Whether a third harmonic in phase is found: of a bent curve, or of a friction that builds up on the way."""
+        return abs(self.h3) > max(CLEAR * self.half[1], LEAST * abs(self.h1) / 3)
+
     def doubt_of_friction(self, F_c: float) -> str:
         """The reason to withhold F_c [N]: its third harmonic is not that of a constant friction."""
         expected = 4 * F_c / (3 * pi)
-        room = COULOMB * abs(expected) + CLEAR * self.half[2] + LEAST * abs(self.h1)
+        room = COULOMB * abs(expected) + CLEAR * self.half[2] + (0.0 if self._shaped else LEAST * abs(self.h1))
         if abs(self.q3 - expected) <= room:
             return ""
         return (

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.samples import fresh, step_of
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
@@ -23,7 +24,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import shown
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import SURE, Test
 from pmabench.kinds.contraction_relaxation.intervals import Cause, Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, force_by_pressure
-from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.kinds.contraction_relaxation.values import WIDE, name_of
 from pmabench.store.records import Array
 
@@ -45,6 +46,8 @@ GAUGE = "hysteresis of the pressure gauge, a third of its uncertainty"
 BY_WAY = 1 / 3
 """Share of the uncertainty of a gauge that may be hysteresis, as data sheets have it: the rest is its zero, which may
 drift, and its line, which may be bent."""
+MOVES = 0.7
+"""A gauge with noise moves with more than this share of its samples."""
 ALONE = 1e-6
 """A column of which the coefficients leave a smaller share than this cannot be distinguished from them."""
 HARDLY = 0.01
@@ -286,20 +289,31 @@ def of_the_sensor(known: float, segments: Segments, fit: Fit) -> Cause:
     return Cause(name, "method", size * fit.change(columns.play(segments, fit)[:, None]).T)
 
 
-def of_the_gauge(scales: Scales, segments: Segments, fit: Fit) -> list[Cause]:
+def of_the_gauge(campaign: Campaign, segments: Segments, fit: Fit) -> list[Cause]:
     """Hysteresis of the pressure gauge, `BY_WAY` of the uncertainty of its zero; none where that is not declared.
 
     It shows less while the pressure rises and more while it falls. Where it stays so at rest, that looks like a
-    friction; where noise lets it catch up at rest, it is a pressure that is late by an amount.
+    friction. Where it sticks to its value behind the noise, noise lets it catch up at rest: then the pressure is late
+    by an amount while it moves.
     """
-    size = BY_WAY * scales.offsets.get("pressure", 0.0)
+    size = BY_WAY * Scales.of(campaign.runs).offsets.get("pressure", 0.0)
     if not size:
         return []
     push = size * force_by_pressure(segments, fit)
-    quarter = max(1, segments.P_mid.shape[1] // 4)
-    moved = segments.P_mid[:, -quarter:].mean(axis=1) - segments.P_mid[:, :quarter].mean(axis=1)
-    late = np.clip(moved / size, -1.0, 1.0)
-    return [Cause(GAUGE, "method", fit.change(np.column_stack([push * segments.way, push * late])).T)]
+    ways = [push * segments.way]
+    if any(sticks(trial.channels["pressure"][trial.usable]) for trial in campaign.trials):
+        quarter = max(1, segments.P_mid.shape[1] // 4)
+        moved = segments.P_mid[:, -quarter:].mean(axis=1) - segments.P_mid[:, :quarter].mean(axis=1)
+        ways.append(push * np.clip(moved / size, -1.0, 1.0))
+    return [Cause(GAUGE, "method", fit.change(np.column_stack(ways)).T)]
+
+
+def sticks(y: Array) -> bool:
+    """Whether a reading (n,) often stays as it was, and moves by no single steps when it does not."""
+    moves = np.abs(np.diff(y))
+    moved = moves[moves > 0]
+    often = len(moved) > 0 and len(moved) < MOVES * len(moves)
+    return bool(often and fresh(y).all() and np.quantile(moved, 0.25) > 1.5 * step_of(y))
 
 
 def _sizes(test: Test, known: Sequence[Departure]) -> list[Size]:
