@@ -120,7 +120,7 @@ class Guard:
 
     def _confirms(self, record: DeviceRecord) -> bool:
         """Whether a device that only measures is opened too: without an engine the guard needs it to confirm a vent."""
-        wanted = {action.target for action in self.bench.safe_state if action.do == "confirm"}
+        wanted = {action.target for action in self.bench.safe_state}  # pressures, and motions that must end
         return self._forgiving and any(channel.name in wanted for channel in record.channels)
 
     def _first_of(self, name: str) -> list[Act]:

@@ -186,9 +186,7 @@ class SafeState:
             good = [watched.lasts(now, late) for watched in self._watched]
             self.outcome += [watched.outcome(ok) for watched, ok in zip(self._watched, good, strict=True)]
             if late > -inf:
-                self.outcome.append(
-                    f"a command was not answered: one that is carried out more than {LINGERS:g} s later is not noticed"
-                )
+                self.outcome.append(f"a command was not answered; after {LINGERS:g} s nobody looks whether it comes")
             result = "failed" if self.failed else "commanded"
             self.vent = Vent("confirmed" if good and all(good) else result, tuple(self.outcome))
         return self.vent is not None

@@ -266,7 +266,8 @@ def _against(levels: Sequence[Level], nearest: Level, used: Sequence[Level], end
         reasons.append(f"the periods vary by {variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
     shape = min(level.third - 3 * level.third_noise for level in used[-2:])
     if shape > THIRD["fault"]:
-        reasons.append(f"limit cycle with stiction: third harmonic {shape:.1%} of the first (sine 0, triangle 11 %)")
+        text = f"third harmonic {shape:.1%} of the first (sine 0, triangle 11 %)"
+        reasons.append(f"limit cycle with stiction, or a muscle that relaxes much slower than it contracts: {text}")
     bent = nearest.third - 3 * nearest.third_noise
     if abs(friction) > FRICTION["doubt"] and bent > THIRD["fault"]:
         reasons.append(

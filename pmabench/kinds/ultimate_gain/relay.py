@@ -127,7 +127,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
         return RelayFound(known, refused=(str(search.get("reason") or "the relay test did not end by itself"),))
     if not known or len(known) < len(levels):
         return RelayFound(known, refused=(f"fewer than {FEWEST_PERIODS} whole periods at an amplitude",))
-    refused, doubts = _friction(known)
+    refused, doubts = _friction(known, 2 * hold)
     best = max(known, key=lambda level: level.amplitude)
     if best.variation > PERIOD_VARIATION:
         refused.append(f"the periods vary by {best.variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
@@ -141,8 +141,11 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     return RelayFound(known, refused=tuple(refused), doubts=tuple(doubts), loop=best.loop)
 
 
-def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
-    """What a change of the oscillation with its size says: a linear loop has one period and one gain at all sizes."""
+def _friction(levels: tuple[RelayLevel, ...], sample: float) -> tuple[list[str], list[str]]:
+    """What a change of the oscillation with its size says: a linear loop has one period and one gain at all sizes.
+
+    `sample` is the time between samples [s].
+    """
     ratio = [level.hysteresis / level.amplitude for level in levels]
     if len(levels) < 2 or max(ratio) > (1 + ALIKE) * min(ratio):
         return [], ["one ratio of hysteresis to amplitude at two amplitudes is needed to see friction"]
@@ -164,6 +167,9 @@ def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
             return [f"limit cycle with stiction: {reason}"], []
         return [], [f"as with friction, {reason}"] if rubs or changed["doubt"] else []
     if changed["fault"]:
+        if sample > SPREAD["period"]["doubt"] * large.period:
+            return [f"{reason}; a relay that switches at samples, every {show(sample, 'time')}, does the same: sample "
+                    "quicker, or take smaller amplitudes if the gain bends within the swing"], []  # fmt: skip
         return [f"not one linear loop, its gain bends within the swing: {reason}; take smaller amplitudes"], []
     return [], [f"as where the gain bends within the swing, {reason}"] if changed["doubt"] else []
 
