@@ -5,9 +5,12 @@ import sys
 import tempfile
 from pathlib import Path
 from time import sleep
+from unittest.mock import patch
 
 from pmabench_drivers.emulator import Emulator
+from pmabench_drivers.emulator.plant import RealPlant
 
+from pmabench.bench.interface import EMULATED
 from tests.captures.capture import FOLDER, Capture
 from tests.captures.scripts import SCRIPTS, device_of, reached, use
 
@@ -26,7 +29,8 @@ def record(name, folder):
     """The exchange of one script with the emulator of its device."""
     log = Path(folder) / f"{name}.jsonl"
     device = device_of(name, Path(folder) / name)
-    emulator = Emulator([device], preset="ideal", log=log)
+    with patch.object(RealPlant, "model", lambda _plant, shown: f"{EMULATED}{shown}"):  # it is about bytes, not scales
+        emulator = Emulator([device], preset="ideal", log=log)
     emulator.plant.quantities = lambda: SHOWN
     emulator.plant.at = lambda _moment: SHOWN
     try:

@@ -69,7 +69,7 @@ def test_a_driver_sends_these_bytes_and_reads_these_answers(name, tmp_path):
 
 DOCUMENTED = {
     "labjack": (0, "01 03 d7 3c 00 02"),  # holding 55100, which always reads 0x00112233 (T-series, register TEST)
-    "modbus-rtu": (14, "07 05 00 00 ff 00"),  # write single coil: FF00 is on (Modbus Application Protocol, 6.5)
+    "modbus-rtu": (20, "07 05 00 00 ff 00"),  # write single coil: FF00 is on (Modbus Application Protocol, 6.5)
     "alicat-ascii": (0, "41 3f 3f 4d 2a 0d"),  # "A??M*" (serial primer: manufacturing information)
     "serial-ascii": (0, "50 0d"),
     "ild1420": (0, "4f 55 54 50 55 54 20 4e 4f 4e 45 0a"),  # "OUTPUT NONE" LF (instruction manual, ASCII commands)

@@ -12,6 +12,9 @@ from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Flag, RunData, TrialData
 from pmabench.store.spikes import ALONE, FEW, spike_limit
 
+AT_ONCE = 200_000
+"""Samples whose neighbours are sorted at one time, for their memory."""
+
 
 def without_spikes(runs: Sequence[RunData]) -> tuple[list[RunData], list[Finding]]:
     """The runs with their spikes flagged as suspect, and a sentence on each measured channel that has some."""
@@ -44,6 +47,7 @@ def _spikes(trial: TrialData, name: str) -> tuple[np.ndarray[tuple[int], np.dtyp
         return rows[:0], 0.0
     values = trial.channels[name][rows]
     around = np.lib.stride_tricks.sliding_window_view(np.pad(values, ALONE, mode="edge"), 2 * ALONE + 1)
-    apart = np.abs(values - np.median(around, axis=1))  # 0 for a ramp, and for an edge
+    parts = [np.median(around[at : at + AT_ONCE], axis=1) for at in range(0, len(values), AT_ONCE)]
+    apart = np.abs(values - np.concatenate(parts))  # 0 for a ramp, and for an edge
     out = apart > spike_limit(values, apart)
     return rows[out], float(apart[out].max(initial=0.0))
