@@ -220,8 +220,8 @@ class Chooser:
             return Stop(False, f"as many trials are done as the plan has; {self._far(known, counts)}")
         if self.seconds is not None and course.spent + min(cell.seconds for cell in known.outlook.cells) > self.seconds:
             return Stop(False, f"the time is over; {self._far(known, counts)}")
-        told = known.freedom >= FEWEST_FREEDOM and not course.held
-        if told and not self._within_reach(known, course).outlook.names:
+        judged = known.freedom >= FEWEST_FREEDOM and not course.held
+        if judged and not self._within_reach(known, course).outlook.names:
             return Stop(False, f"out of reach: {self._far(known, counts)}")
         return None
 
