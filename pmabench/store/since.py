@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile
-from pmabench.base.extensions import registered
+from pmabench.base.system import registered
 from pmabench.store import folder as files
 from pmabench.store import notes
 from pmabench.store.folder import is_regular, kind_of, open_regular, read_file

@@ -1,13 +1,13 @@
-"""Text in rows and columns: CSV and its many relatives, whose layout a map describes. Read in pieces of any size."""
+"""How text in rows and columns is laid out, as a map describes it: CSV and its many relatives."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from pmabench.store.formats.record import Format, Layout
+from pmabench.store.formats.record import Layout
 
 Name = Annotated[str, Field(min_length=1, max_length=120)]
 Encoding = Literal[
@@ -75,19 +75,3 @@ class TextLayout(Layout):
         if self.delimiter == "blank" and self.quoted:
             raise ValueError('"quoted: true" needs a delimiter that is no run of blanks')
         return self
-
-
-def _reader(**question: Any) -> Any:
-    from pmabench.store.formats.shared.text_reader import TextReader
-
-    return TextReader(**question)
-
-
-FORMAT = Format(
-    name="text",
-    title="text",
-    layout=TextLayout,
-    recognise=lambda content: False,  # it is what no other format recognises
-    reader=_reader,
-    modules=("pmabench.store.formats.shared.text_reader",),
-)

@@ -15,13 +15,13 @@ from typing import Any, get_args
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
-from pmabench.base.imported import Imported
+from pmabench.base.kind import Imported
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.analyses.results import POINT_QUANTITIES
 from pmabench.store.formats.record import TIME
-from pmabench.store.formats.shared.times import Stamps
+from pmabench.store.formats.times import Stamps
 from pmabench.store.importers import map_file
 from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, MapFile, Question, Trials, made, settle
 

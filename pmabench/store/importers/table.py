@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pmabench.base.errors import invalid, reading
 from pmabench.base.text import printable
 from pmabench.store.formats.record import TIME, Layout, formats
-from pmabench.store.formats.shared.times import Clock, Stamps, step_in
+from pmabench.store.formats.times import Clock, Stamps, step_in
 from pmabench.store.importers.apart import Answer, read_apart
 from pmabench.store.records import Array
 

@@ -14,20 +14,18 @@ from pathlib import Path
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, PmaError, invalid
-from pmabench.base.imported import Imported
+from pmabench.base.kind import Imported
 from pmabench.files.shipped import shipped_folder
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import Known, read_record
-from pmabench.store.formats import text
 from pmabench.store.formats.mat import alike, is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import choose, proposal
+from pmabench.store.importers.guess.columns import SECONDS, choose, proposal, usual_step
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.proposal import Guess, Proposal
 from pmabench.store.importers.guess.shapes import is_whole
 from pmabench.store.importers.guess.signs import choose_kind, count, share
-from pmabench.store.importers.guess.times import SECONDS, usual_step
 from pmabench.store.importers.map_file import PLACE, spelled
 from pmabench.store.importers.map_rules import read_map
 from pmabench.store.importers.table import Table, content_of, read_table
@@ -41,7 +39,7 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
     """One file by itself: its format, and what each of its columns seems to be."""
     content = content_of(path, LOOKED_AT)
     form = format_of(content)
-    if form is text.FORMAT:
+    if form.layout is TextLayout:
         if len(content) == LOOKED_AT:
             content = content[: content.rfind(b"\n") + 1] or content
         return _look_at_text(path, guess_layout(str(path), content), kinds)

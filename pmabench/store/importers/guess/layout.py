@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
 from pmabench.store.formats.record import distinct
-from pmabench.store.formats.shared.times import MINUS, Stamps, seconds_of, step_in
 from pmabench.store.formats.text import MARKS, TextLayout
+from pmabench.store.formats.times import MINUS, Stamps, seconds_of, step_in
 from pmabench.store.importers.map_file import spelled
 
 ENOUGH = 0.99

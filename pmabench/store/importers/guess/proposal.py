@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.base.imported import Imported
+from pmabench.base.kind import Imported
 from pmabench.store.formats.record import Layout
 from pmabench.store.records import Array
 

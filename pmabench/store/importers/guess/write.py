@@ -13,8 +13,8 @@ from pmabench.base.text import printable
 from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked, quantity_of
+from pmabench.store.importers.guess.columns import UNLIKE_TIME
 from pmabench.store.importers.guess.proposal import Guess, Proposal
-from pmabench.store.importers.guess.times import UNLIKE_TIME
 from pmabench.store.importers.map_file import NUMBERS, OPEN, QUANTITY
 
 TRUTH = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
