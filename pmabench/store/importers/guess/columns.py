@@ -54,7 +54,7 @@ def _exported(proposal: Proposal) -> bool:
     if name in ("trial", "flags", "simulated"):
         proposal.role = name
     elif of is not None and of[1] in get_args(PointName):
-        proposal.role, proposal.extra = "point", [f"of: {of[1]}"]
+        proposal.role, proposal.extra = "point", {"of": of[1]}
     return proposal.role in ("trial", "flags", "simulated", "point")
 
 

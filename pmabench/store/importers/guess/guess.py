@@ -196,14 +196,14 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
     return True
 
 
-def _as_known(known: Known, unit: str) -> list[str]:
-    """Lines of a map for what a record knows of the calibration of a channel."""
-    lines = {
-        f"expanded_uncertainty: {known.offset_uncertainty:.9g} {unit}": known.offset_uncertainty,
-        f"gain_uncertainty: {100 * known.gain_uncertainty:.9g} %": known.gain_uncertainty,
-        f"sensor_lag: {known.sensor_lag:.9g} s": known.sensor_lag,
+def _as_known(known: Known, unit: str) -> dict[str, str]:
+    """Entries of a map for what a record knows of the calibration of a channel."""
+    entries = {
+        "expanded_uncertainty": (known.offset_uncertainty, f"{known.offset_uncertainty:.9g} {unit}"),
+        "gain_uncertainty": (known.gain_uncertainty, f"{100 * known.gain_uncertainty:.9g} %"),
+        "sensor_lag": (known.sensor_lag, f"{known.sensor_lag:.9g} s"),
     }
-    return [line for line, value in lines.items() if value]
+    return {key: text for key, (value, text) in entries.items() if value}
 
 
 _PARTS = (

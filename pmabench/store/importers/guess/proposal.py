@@ -48,8 +48,8 @@ class Proposal:
     """What its heading multiplies the unit by, as it is written: `x10`, `/10`."""
     strange: str = ""
     """What is written in place of a unit that is not known."""
-    extra: list[str] = field(default_factory=list)
-    """Further lines of the map that are known of it."""
+    extra: dict[str, str] = field(default_factory=dict)
+    """Further entries of the map that are known of it."""
 
     @property
     def good(self) -> Array:
