@@ -73,16 +73,12 @@ def try_lock(path: Path) -> int | None:
     return handle
 
 
-if sys.platform == "win32":
-
-    def _lock(handle: int) -> None:
+def _lock(handle: int) -> None:
+    if sys.platform == "win32":
         import msvcrt
 
         msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-
-else:
-
-    def _lock(handle: int) -> None:
+    else:
         import fcntl
 
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -23,7 +23,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import InvalidFile
+from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.system import registered
 from pmabench.store import folder as files
 from pmabench.store import notes
@@ -91,23 +91,22 @@ def vent_of(guard: Mapping[str, Any]) -> str:
     return str((vent.get("result") if isinstance(vent, Mapping) else None) or "no result is given")
 
 
-def since(folder: Path, seal: Mapping[str, Any] | None) -> Since:
-    """What came to a run after its seal; nothing where it has none. Raises OSError."""
-    if seal is None:
-        return Since()
-    found = tuple(added(folder, seal))
+def since(folder: Path, manifest: Mapping[str, Any], seal: Mapping[str, Any] | None) -> Since:
+    """What came to a run after its seal, and what became of kept files; raises InvalidFile where one cannot be read."""
+    hashes = {name: entry["sha256"] for name, entry in seal["files"].items()} if seal else manifest.get("snapshots", {})
+    own = (files.MANIFEST, files.EVENTS, files.PLAN, files.GUARD)  # whoever reads these refuses changed ones
+    kept = sorted(name for name in hashes if name not in own and name.split("/")[0] != files.STREAMS)
+    try:
+        faults = {name: files.fault_of(folder, name, hashes[name]) for name in kept}
+        altered = tuple(f"{name} {fault}" for name, fault in faults.items() if fault)
+        if seal is None:
+            return Since(altered=altered)
+        found = tuple(added(folder, seal))
+    except OSError as error:
+        raise invalid(error.filename or folder, f"cannot be read: {error.strerror or error}") from error
     inside = any(entry.name == files.GUARD for entry in found)
     guard = late_guard(folder) or (guard_account(folder / files.GUARD) if inside else {})
-    return Since(found, tuple(late_files(folder)), guard)
-
-
-def altered(folder: Path, hashes: Mapping[str, str]) -> tuple[str, ...]:
-    """A sentence for each kept file that is not as it was written; `hashes`: name inside the run -> sha256."""
-    own = (files.MANIFEST, files.EVENTS, files.PLAN, files.GUARD)  # whoever reads these refuses changed ones
-    kept = {
-        name: sha for name, sha in sorted(hashes.items()) if name not in own and name.split("/")[0] != files.STREAMS
-    }
-    return tuple(f"{name} {fault}" for name, sha in kept.items() if (fault := files.fault_of(folder, name, sha)))
+    return Since(found, tuple(late_files(folder)), guard, altered)
 
 
 def as_sealed(folder: Path) -> bool:

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.store.formats.record import Format
-from pmabench.store.formats.text import MARKS, TextLayout
-from pmabench.store.formats.times import MINUS, Fields, seconds_of
+from pmabench.store.formats.text import MARKS, MINUS, Fields, TextLayout, seconds_of
 from pmabench.store.records import Array
 
 PIECE = 4_000_000

@@ -21,7 +21,7 @@ from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.analyses.results import POINT_QUANTITIES
 from pmabench.store.formats.record import TIME
-from pmabench.store.formats.times import Stamps
+from pmabench.store.formats.text import Stamps
 from pmabench.store.importers import map_file
 from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, MapFile, Question, Trials, made, settle
 

@@ -28,7 +28,7 @@ from pmabench.store.importers.guess.shapes import is_whole
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_file import PLACE, spelled
 from pmabench.store.importers.map_rules import read_map
-from pmabench.store.importers.table import Table, content_of, read_table
+from pmabench.store.importers.table import content_of, read_all, read_table
 from pmabench.store.records import Array
 
 LOOKED_AT = 20_000_000
@@ -44,11 +44,11 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
             content = content[: content.rfind(b"\n") + 1] or content
         return _look_at_text(path, guess_layout(str(path), content), kinds)
     layout = form.layout.model_validate({"format": form.name})
-    table = read_table(path, layout, None)
-    owner = form.together(table.columns)
-    tests, zeros = alike(table.columns, owner)
+    found, units, left_out = read_all(path, layout)
+    owner = form.together(found)
+    tests, zeros = alike(found, owner)
     groups: dict[tuple[str, int], list[str]] = {}
-    for name, values in table.columns.items():
+    for name, values in found.items():
         groups.setdefault((owner[name], len(values)), []).append(name)
     if not groups:
         raise invalid(path, "holds no columns of numbers")
@@ -63,23 +63,23 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
         others = [name for name in others if matrix_of(name) not in tests]
     if others:
         reasons.append(f"columns of other lengths, groups or clocks are left out: {', '.join(others)[:200]}")
-    columns = [_proposal(name, table, groups[group]) for name in groups[group]]
+    columns = [_proposal(name, found[name], units[name], groups[group]) for name in groups[group]]
     if any(column.bare for column in columns):
         reasons.append("columns of a matrix have no names: they are distinguished by what they hold")
     choose(columns)
-    guess = Guess([path], layout, columns, [], [*others, *table.left_out], kinds, reasons={"file": reasons})
+    guess = Guess([path], layout, columns, [], [*others, *left_out], kinds, reasons={"file": reasons})
     if len(tests) > 1:
-        _several(guess, tests, group[0], table.columns)
+        _several(guess, tests, group[0], found)
     if guess.role("time") is None:
         guess.doubts.append('nothing in the file gives the time: say "period" if the samples are evenly apart')
     return guess
 
 
-def _proposal(name: str, table: Table, names: Sequence[str]) -> Proposal:
+def _proposal(name: str, values: Array, said: str, names: Sequence[str]) -> Proposal:
     """A column of a file with units; the columns of a matrix have no names."""
-    matrix, said = matrix_of(name), table.units.get(name, "")
+    matrix = matrix_of(name)
     bare = bool(matrix) and sum(other.startswith(f"{matrix}(:,") for other in names) > 1
-    column = proposal(name, table.columns[name], said, bare=bare)
+    column = proposal(name, values, said, bare=bare)
     column.reasons += [f"the file says its unit, {column.unit}"] if spelled(said) else []
     return column
 

@@ -213,8 +213,9 @@ def _file(guess: Guess) -> list[str]:
     for key in (*keys, "lines_below_header", "repeated_header"):
         value = getattr(layout, key)
         if key == "decimal" and guess.either:
-            text = f'is "{guess.either}" a number with decimals, or are its digits grouped? For groups write decimal: point '
-            lines += entry("decimal: ", Asked(value, f"{text}and thousands: comma; all numbers change by 1000"))
+            text = f'is "{guess.either}" a number with decimals, or are its digits grouped?'
+            text += " For groups write decimal: point and thousands: comma; all numbers change by 1000"
+            lines += entry("decimal: ", Asked(value, text))
         elif value != TextLayout.model_fields[key].default:
             lines.append(f"  {key}: {str(value).lower()}")
     if layout.comment:
