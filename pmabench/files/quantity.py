@@ -32,6 +32,7 @@ USUAL["pressure"] |= {"hPa": 100.0, "MPa": 1e6, "mbar": 100.0, "bar": 1e5}
 USUAL["length"] |= {"um": 1e-6, "cm": 1e-2}
 USUAL["time"] |= {"ms": 1e-3, "min": 60.0, "h": 3600.0}
 USUAL["force"]["kN"], USUAL["mass"]["g"], USUAL["voltage"]["mV"], USUAL["rate"]["Hz"] = 1e3, 1e-3, 1e-3, 1.0
+USUAL["frequency"]["rad/s"] = 1.0 / (2 * pi)
 USUAL["volume"]["cm3"], USUAL["volume per pressure"]["cm3/bar"] = 1.0000000000000002e-06, 1.0000000000000003e-11
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, pi
+from math import inf
 from pathlib import Path
 from typing import Any, get_args
 
@@ -381,11 +381,9 @@ class _Rules:
 
 
 def factor_of(unit: str, quantity: str) -> float:
-    """SI units in one `unit`; a frequency may also be given in rad/s, which is no Hz."""
-    if quantity == "frequency" and unit.replace(" ", "") in {"rad/s", "1/s"}:
-        if unit.startswith("1"):
-            raise ValueError('"1/s" may mean Hz or rad/s; write which')
-        return 1.0 / (2.0 * pi)
+    """SI units in one `unit`; raises ValueError where it is none, or may mean several."""
+    if quantity == "frequency" and unit.replace(" ", "") == "1/s":
+        raise ValueError('"1/s" may mean Hz or rad/s; write which')
     return unit_factor(unit, quantity)
 
 
