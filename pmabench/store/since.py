@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
@@ -230,15 +230,7 @@ def fingerprint(chain: Iterable[Path], about: str) -> str:
     digest = hashlib.sha256(about.encode())
     try:
         for run in chain:
-            names = set()
-            for name, entry in _walk(run):
-                names.add(name)
-                found = entry.stat(follow_symlinks=False)
-                digest.update(f"{name}\0{found.st_size}\0".encode())
-                if name in READ:
-                    digest.update(read_file(run, name, files.LARGEST))
-                else:
-                    digest.update(f"{found.st_mtime_ns}\0".encode())
+            names = _take(digest, run, READ)
             digest.update("\0".join(["late", *late_files(run)]).encode("utf-8", "surrogateescape"))
             if files.SEAL not in names:
                 return ""
@@ -251,12 +243,21 @@ def stamp(folder: Path) -> str:
     """Hash of the names, sizes and times of all files of a folder; empty where it cannot be read."""
     digest = hashlib.sha256()
     try:
-        for name, entry in _walk(folder):
-            found = entry.stat(follow_symlinks=False)
-            digest.update(f"{name}\0{found.st_size}\0{found.st_mtime_ns}\0".encode())
+        _take(digest, folder)
     except OSError:
         return ""
     return digest.hexdigest()
+
+
+def _take(digest: hashlib._Hash, folder: Path, read: Collection[str] = ()) -> set[str]:
+    """Add name, size and time of each file of a folder to a hash, the bytes of those to `read`; returns the names."""
+    names = set()
+    for name, entry in _walk(folder):
+        names.add(name)
+        found = entry.stat(follow_symlinks=False)
+        digest.update(f"{name}\0{found.st_size}\0".encode())
+        digest.update(read_file(folder, name, files.LARGEST) if name in read else f"{found.st_mtime_ns}\0".encode())
+    return names
 
 
 def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str]]]:
