@@ -76,7 +76,7 @@ class Report:
 
     def mark(self, where: Bools | Rows, flag: Flag, level: str, kind: str, text: str, channel: str = "") -> None:
         """Flag samples, given by rows or as True among all, and report them; nothing happens where there are none."""
-        rows = np.flatnonzero(where) if where.dtype == bool else where
+        rows: Rows = np.arange(len(self.t))[where]
         if len(rows) == 0:
             return
         self.flags[rows] |= np.uint16(flag)

@@ -68,8 +68,8 @@ def scalar(text: str) -> str:
 
 def _time(column: Proposal, guess: Guess) -> list[str]:
     """A column of time with how it is written, and what is asked about it."""
-    *others, clock = [*asked.two_clocks(guess.columns)] or ["time"]
-    keys: dict[str, Value] = {"is": clock}
+    clocks = list(asked.two_clocks(guess.columns))
+    keys: Entries = {"is": clocks[-1] if clocks else "time"}
     unit = column.unit or "s"
     if not column.written:
         text = f'are the numbers of "{column.name}" serial days of a spreadsheet, or a time in {unit}?'
@@ -82,8 +82,7 @@ def _time(column: Proposal, guess: Guess) -> list[str]:
         keys["period"] = _period(column)
     if column.order and column.written == "date and time":
         keys["order"] = _order(column)
-    asking = [Asked("", column.question)] if column.question else []
-    asking += [each for each in others if isinstance(each, Asked)]
+    asking = [*([Asked("", column.question)] if column.question else []), *clocks[:-1]]
     return [*(f"  {question(each)}" for each in asking), *entry(f"{scalar(column.name)}: ", keys)]
 
 
@@ -122,7 +121,7 @@ def _tests(guess: Guess) -> list[str]:
     """Several tests in each file, and at which contraction each was held."""
     lines = ["tests:"] if guess.tests else []
     for test in guess.tests:
-        value: dict[str, Value] = {"name": scalar(test)}
+        value: Entries = {"name": scalar(test)}
         if guess.open_point("contraction"):
             text = f'at which contraction was "{test}" held? For instance 8 mm'
             in_name = next((f"{each} mm" for each in asked.LENGTH.findall(test)), "")
@@ -323,7 +322,7 @@ def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[E
             why = f"{begin:g} to {end:g} {unit} is a usual range, {top:.4g} {unit} the highest here"
             text = f'which {quantity} is {end:g} {unit} of "{column.name}"? For instance {example}'
             upper = json.dumps(high) if span else Asked("", text)
-            points = [[f"{begin:g} {unit}", low], [f"{end:g} {unit}", upper]]
+            points: Value = [[f"{begin:g} {unit}", low], [f"{end:g} {unit}", upper]]
             return {"unit": unit, "points": points, **({"range": "[3.5 mA, 20.5 mA]"} if unit == "mA" else {})}, [why]
     ends = (float(column.good.min()), float(column.good.max())) if len(column.good) else (0.0, 0.0)
     text = f'"{column.name}" reads {ends[0]:.4g} to {ends[1]:.4g} {unit}: '
@@ -425,11 +424,11 @@ def _name_lines(guess: Guess) -> list[str]:
 
 
 def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
-    trials: dict[str, Value] = dict(guess.trials)
+    trials: Entries = dict(guess.trials)
     channel = guess.role(guess.smallest_of)
     if "smallest" in guess.trials and channel is not None:
         trials["smallest"] = _smallest(float(guess.trials["smallest"]), channel, spans.get(guess.smallest_of))
-    point: dict[str, Value] = {}
+    point: Entries = {}
     if at := "" if guess.tests else asked.contraction_of(guess):
         point["contraction"] = at
     if guess.trials["by"] == "file" and guess.open_point("frequency"):
