@@ -174,7 +174,8 @@ def read_table(
     bytes of text from its beginning that are read. Raises InvalidFile with every fault, at its line where there is one.
     """
     asked = [name for name in wanted if layout.period is None or name != TIME]
-    table = _read(path, _question(layout, asked, optional, ignored), stamps, most)
+    question = {"layout": layout.model_dump(mode="json"), "wanted": asked, "optional": optional, "ignored": ignored}
+    table = _read(path, question, stamps, most)
     if layout.period is None:
         return table
     if TIME in table.columns:
@@ -198,21 +199,10 @@ def read_all(path: Path, layout: Layout) -> tuple[dict[str, Array], dict[str, st
 
     Raises InvalidFile where it cannot be read.
     """
-    (answer,) = read_apart(layout.format, str(path), [content_of(path)], _question(layout, None))
+    question = {"layout": layout.model_dump(mode="json"), "wanted": None}
+    (answer,) = read_apart(layout.format, str(path), [content_of(path)], question)
     units = dict(zip(answer.columns, answer.head["units"], strict=True))
     return answer.columns, units, [printable(name) for name in answer.head["left_out"]]
-
-
-def _question(
-    layout: Layout, wanted: Sequence[str] | None, optional: Sequence[str] = (), ignored: Sequence[str] = ()
-) -> dict[str, Any]:
-    asked = None if wanted is None else list(wanted)
-    return {
-        "layout": layout.model_dump(mode="json"),
-        "wanted": asked,
-        "optional": list(optional),
-        "ignored": list(ignored),
-    }
 
 
 def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
