@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from io import BufferedWriter
 from pathlib import Path
 from typing import Any
 
@@ -162,10 +163,7 @@ def write_into_room(path: Path, content: bytes) -> None:
         return
     flags = os.O_WRONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
     with os.fdopen(os.open(part, flags), "wb") as file:  # which does not cut it off first
-        file.write(content)
-        file.truncate()
-        file.flush()
-        os.fsync(file.fileno())
+        _write_all(file, content)
     part.replace(path)
     files.sync_folder(path.parent)
 
@@ -173,9 +171,15 @@ def write_into_room(path: Path, content: bytes) -> None:
 def _reserve(path: Path, size: int) -> None:
     """Make a file that takes `size` bytes of the disk: zeros would take none where the file system compresses."""
     with path.open("xb") as file:
-        file.write(os.urandom(size))
-        file.flush()
-        os.fsync(file.fileno())
+        _write_all(file, os.urandom(size))
+
+
+def _write_all(file: BufferedWriter, content: bytes) -> None:
+    """Make `content` all that a file holds, on the disk."""
+    file.write(content)
+    file.truncate()
+    file.flush()
+    os.fsync(file.fileno())
 
 
 STRAY = re.compile(r"(?:.*/)?(?:\..*|.*~|Thumbs\.db|ehthumbs\.db|desktop\.ini)(?:/.*)?", re.IGNORECASE | re.DOTALL)
