@@ -125,7 +125,8 @@ class ModbusDevice(Watched, Controlled):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._map = self._options.map
-        self._inputs = [self._map.inputs[channel.input] for channel in device.channels]
+        inputs = self._map.inputs  # without those that a kind of device streams
+        self._inputs = [inputs[channel.input] for channel in device.channels if channel.input in inputs]
         self._spans = r.spans(self._inputs)
         polled = [register for span in self._spans for register in span.registers]
         self._places = [polled.index(register) for register in self._inputs]
@@ -143,9 +144,7 @@ class ModbusDevice(Watched, Controlled):
     @classmethod
     def map_schema(cls) -> dict[str, Any]:
         """The JSON Schema of the file that the option `map` names."""
-        from pmabench_drivers.modbus.registers import map_schema
-
-        return map_schema()
+        return r.map_schema()
 
     @classmethod
     def lacks(cls, device: DeviceRecord) -> Iterator[str]:
@@ -431,7 +430,11 @@ class ModbusDevice(Watched, Controlled):
             raise Unanswered(self._device.name, message, register.name) from None
         if not abs(held - wanted) <= resolution:
             what = "did not answer to the command" if lost else "was commanded"
-            raise self._error(f"{what} {wanted:g} and holds {held:g}", register.name)
+            raise self._error(f"{what} {wanted:g} and {self._shows(register, held)}", register.name)
+
+    def _shows(self, _register: r.Register, held: float) -> str:
+        """What a register holds, in words."""
+        return f"holds {held:g}"
 
     def _arrived(self, register: r.Register, _wanted: float, until: float, _resolution: float) -> float:
         """What the device holds after a command."""

@@ -33,6 +33,8 @@ from pmabench_drivers.shared.link import Still, Unanswered, always, turn
 for _name in ("pymodbus.logging", "pymodbus_logging"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)  # it prints what is raised here anyway
 
+PORT = 502
+"""Of Modbus TCP, where the address names none."""
 SHOWN = 0.005
 """Pause between two looks at what a device shows after a command [s]."""
 GIVES_WAY, PATIENT, LONGEST = 0.001, 0.1, 0.3
@@ -141,7 +143,7 @@ class _Rtu(ModbusSerialClient):
 
 
 class Line:
-    """The connection of one device at `address` (HOST:PORT, or the path of a serial port), used by any thread.
+    """The connection of one device at `address` (HOST, HOST:PORT, or the path of a serial port), used by any thread.
 
     `serial`: settings of a serial line, by the names of `serial.Serial`.
     """
@@ -162,13 +164,14 @@ class Line:
         called who is not the thread that polls and steps [s, monotonic]."""
         self.connections = 0
         """How often it was connected: behind a new connection there may be another device."""
-        host, _, port = address.rpartition(":")
-        self.is_serial = not port.isdecimal()
+        host, colon, port = address.rpartition(":")
+        self.is_serial = address.startswith("/")
         self._client: _Tcp | _Rtu
         if self.is_serial:
             self._client = _Rtu(address, timeout=timeout, retries=0, **(serial or {}))
         else:
-            self._client = _Tcp(host, port=int(port), timeout=timeout, retries=0)
+            place = (host, int(port)) if colon else (address, PORT)
+            self._client = _Tcp(place[0], port=place[1], timeout=timeout, retries=0)
 
     def close(self) -> None:
         """Let go of the connection for good; harmless when repeated. A call that still waits for its turn fails."""

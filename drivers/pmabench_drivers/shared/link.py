@@ -58,6 +58,19 @@ class Samples:
             for column, value in zip(self._columns, values, strict=True):
                 column.append(value)
 
+    def extend(self, first: int, columns: Sequence[array[float]], start: float, rate: float, host: float) -> None:
+        """Samples of a device that numbers them, from number `first` on.
+
+        Number 0 was taken at `start`, the next ones at `rate` [Hz]; they came at `host` (both [s, bench time]).
+        """
+        origin, end = round(start * 1e9), first + len(columns[0])
+        times = array("q", [origin + round(number * 1e9 / rate) for number in range(first, end)])
+        with self._lock:
+            self._time += times
+            self._host = round(host * 1e9)
+            for column, values in zip(self._columns, columns, strict=True):
+                column += values
+
     def take(self) -> Block:
         """All samples since the last call."""
         with self._lock:
