@@ -47,6 +47,8 @@ class Watched(Polled):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._armed = self._fed = 0.0
+        self._found = 0.0
+        """The time that it had when it was opened [counts], which it gets back; 0: off."""
         self._beat = 0
 
     @abstractmethod
@@ -101,9 +103,9 @@ class Watched(Polled):
         self._fed = monotonic()
 
     def disarm_watchdog(self) -> None:
-        """Stop it; outputs stay."""
+        """Stop it, or give it back the time that it had; outputs stay."""
         registers, self._armed = self._own_watchdog(), 0.0
-        off = (registers.timeout, 0.0) if registers.trigger is None else (registers.trigger, registers.off)
+        off = (registers.timeout, self._found) if registers.trigger is None else (registers.trigger, registers.off)
         self._put(*off, monotonic() + CALL)
 
     def _own_watchdog(self) -> r.WatchdogRegisters:
@@ -311,9 +313,14 @@ class ModbusDevice(Watched, Controlled):
         under_way = line is not None and line.cut()
         second = self._new_line()
         try:
-            second.overrule(function, register.address, words, deadline, output, watch=LATE if under_way else 0.0)
+            self._overrule(second, register, value, deadline, LATE if under_way else 0.0)
         finally:
             second.close()
+
+    def _overrule(self, second: Line, register: r.Register, value: float, deadline: float, watch: float) -> None:
+        """Write over a second connection, and look for `watch` [s] whether the value stays."""
+        words, function = self._words(register, value), self._function(register)
+        second.overrule(function, register.address, words, deadline, register.name, watch=watch)
 
     # -- ramps and sines ------------------------------------------------------------------------------------------
 

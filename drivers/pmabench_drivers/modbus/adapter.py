@@ -394,6 +394,15 @@ class NamedLine(Line):
                 found[number] = "".join(chr(byte) for byte in data if 32 <= byte < 127).strip()
         return found
 
+    def read_again(self, address: int, count: int, deadline: float, what: str) -> list[int]:
+        """Holding registers; asked once more where no answer came in time: that moves nothing."""
+        try:
+            return self.read("holding", address, count, deadline, what)
+        except Unanswered:
+            if monotonic() >= deadline:
+                raise
+            return self.read("holding", address, count, deadline, what)
+
     def identity(self, deadline: float) -> Identity:
         """Who answers, before `deadline` [s, monotonic]."""
         names = self.identification(deadline)
