@@ -277,9 +277,7 @@ class AsciiLink:
 
     def held(self, deadline: float) -> float:
         """The set-point that the device holds."""
-        with self._turn(deadline):
-            if not self._clean:
-                self._clear(deadline)
+        with self._turn(deadline, clean=True):
             return self._reading("", deadline).set_point
 
     def reported(self, deadline: float) -> dict[str, float | str]:
@@ -288,9 +286,7 @@ class AsciiLink:
         if unit := self._unit_now(deadline):
             found["unit of the set-point"] = unit
         if self._reports_source:
-            with self._turn(deadline):
-                if not self._clean:
-                    self._clear(deadline)
+            with self._turn(deadline, clean=True):
                 words = self._ask("LSS", deadline).decode("ascii", "replace").upper().split()
             if len(words) != 2 or words[1] not in SOURCES:
                 raise DeviceError(self._device, f'answers "{" ".join(words)[:40]}" to where its set-point comes from')
@@ -304,9 +300,7 @@ class AsciiLink:
         """
         if not self._reports_unit and (self._list_takes > LONGEST_LIST or monotonic() - self._unit_at < LISTED_EVERY):
             return self._unit
-        with self._turn(deadline):
-            if not self._clean:
-                self._clear(deadline)
+        with self._turn(deadline, clean=True):
             if self._reports_unit:
                 unit = self._unit_word(deadline)
                 if unit is None:
@@ -411,10 +405,12 @@ class AsciiLink:
         return opened(self._layout, self._device)
 
     @contextmanager
-    def _turn(self, deadline: float) -> Iterator[None]:
-        """The line for oneself; its failures become sentences."""
+    def _turn(self, deadline: float, *, clean: bool = False) -> Iterator[None]:
+        """The line for oneself, `clean` of older answers; its failures become sentences."""
         with turn(self._lock, deadline, self._device):
             try:
+                if clean and not self._clean:
+                    self._clear(deadline)
                 yield
             except (OSError, TypeError, ValueError) as error:
                 raise DeviceError(self._device, f"lost {self._address}: {reason(error)}") from None

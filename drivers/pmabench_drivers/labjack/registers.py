@@ -6,11 +6,9 @@ two registers, the high word first. Standard library only.
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.modbus import registers as modbus
@@ -46,6 +44,8 @@ LINES = {
     **{f"MIO{i}": 20 + i for i in range(3)},
 }
 """Name of a digital line -> its number."""
+LINES_BY_NAME = LINES | {f"DIO{i}": i for i in range(len(LINES))}
+"""The same by both of its names."""
 ALL_LINES = (1 << 23) - 1
 
 AINS = {f"AIN{i}": i for i in range(14)}
@@ -171,9 +171,7 @@ def from_f32(words: Iterable[int]) -> list[float]:
 
 def line_of(name: str) -> int | None:
     """The number of a digital line by its name (`FIO0`, `EIO3`, `CIO1`, `MIO2`, or `DIO11`), or None."""
-    if match := re.fullmatch(r"DIO(\d{1,2})", name):
-        return int(match[1]) if int(match[1]) < len(LINES) else None
-    return LINES.get(name)
+    return LINES_BY_NAME.get(name)
 
 
 @dataclass(frozen=True)
@@ -218,7 +216,9 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         elif key == "rate" and model.streams:
             reader.fault((*HERE, key), f"a {name} samples by itself, at the rate of the protocol")
     host, port = reader.host(device, "192.168.0.20", usual=502)
-    ranges = _ranges(given, name, reader)
+    if given.get("ranges") and not model.ranges:
+        reader.fault((*HERE, "ranges"), f"the ranges of a {name} are not set here")
+    ranges = reader.choices(given, "ranges", HERE, model.ranges) if model.ranges else {}
     differential = reader.texts(given, "differential", HERE)
     inputs: dict[str, Input] = {}
     for channel in device.channels:
@@ -274,15 +274,6 @@ def _line(name: str) -> Register:
     return Register(name, "holding", DIO + (line_of(name) or 0))
 
 
-def _ranges(given: Mapping[str, Any], model: str, reader: Reader) -> dict[str, str]:
-    place, known = (*HERE, "ranges"), MODELS[model].ranges
-    items = reader.named(given.get("ranges", {}), place)
-    if items and not known:
-        reader.fault(place, f"the ranges of a {model} are not set here")
-        return {}
-    return {name: reader.choice(items, name, place, known, next(iter(known))) for name in items}
-
-
 def _used_inputs(
     device: DeviceRecord, reader: Reader, ranges: Mapping[str, str], differential: tuple[str, ...]
 ) -> None:
@@ -316,13 +307,4 @@ def _outputs(device: DeviceRecord, name: str, reader: Reader) -> None:
             step = f'"{1e3 * model.dac_step:.3g} mV"'
             message = f"is at least the step of {model.dac_bits} bits: {step}, or the same in the unit of the scale"
             reader.fault(("outputs", output.name, "resolution"), message)
-    places = [(("outputs", valve.name, "output"), valve.output) for valve in device.valves]
-    places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
-    seen: dict[int, str] = {}
-    for place, name in places:
-        if (line := line_of(name)) is None:
-            reader.known(place, "no digital line", name, LINES, f"; known: {KNOWN_LINES}")
-        elif line in seen:
-            reader.fault(place, f"{name} is in use by {seen[line]}")
-        else:
-            seen[line] = str(place[1])
+    reader.lines(device, LINES_BY_NAME, f"; known: {KNOWN_LINES}")
