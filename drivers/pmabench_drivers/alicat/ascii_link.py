@@ -29,7 +29,7 @@ from typing import Any
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Identity
-from pmabench_drivers.alicat.options import HELD, OUTPUT, UNITS, Options, Reading
+from pmabench_drivers.alicat import HELD, OUTPUT, UNITS, Options, Reading
 from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn
 
@@ -51,7 +51,6 @@ FIRST = 0.4
 """How long an answer may take while the port is opened [s]."""
 LISTED_EVERY, LONGEST_LIST = 2.0, 0.1
 """Columns are listed again so often [s], where that takes no longer than so long [s]: nothing is sampled meanwhile."""
-LARGEST = 1e6
 MOST_LINES = 100
 SOURCES = {"A": "its analogue input", "U": "its knob", "S": "the serial line"}
 FIRMWARE = re.compile(rb"\S\s+(?:GP|\d+v\d+).*")
@@ -340,8 +339,6 @@ class AsciiLink:
             raise Unanswered(self._device, message, OUTPUT) from None
 
     def _written(self, value: float) -> str:
-        if not abs(value) < LARGEST:
-            raise DeviceError(self._device, f"{value} cannot be commanded", OUTPUT)
         return f"S{value:.{self._shape.decimals}f}"
 
     # -- opening --------------------------------------------------------------------------------------------------
