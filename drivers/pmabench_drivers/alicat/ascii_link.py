@@ -28,10 +28,10 @@ from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import COMPUTER, EMULATED, Identity
+from pmabench.bench.interface import COMPUTER, Identity
 from pmabench_drivers.alicat import HELD, OUTPUT, UNITS, Options, Reading
 from pmabench_drivers.shared import serial_port as sp
-from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn
+from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn, who
 
 HEAD = re.compile(r"\S D00 (?P<id>ID_+) (?P<name>NAME_+) (?P<type>TYPE_+) (?P<width>WIDTH_*) (?P<notes>NOTES_*)\s*")
 ROW = re.compile(r"(?P<unit_id>\S) D(?P<number>\d\d) .*")
@@ -206,11 +206,7 @@ class AsciiLink:
             self._reports_unit = self._unit_word(deadline, FIRST) is not None
             self._vented, self._unit_at = True, -math.inf
             self._reading("", deadline, FIRST)
-        model = about.get(4, "")
-        simulated = model.startswith(EMULATED)
-        return Identity(
-            "Alicat", model or "controller", about.get(5, ""), about.get(9, ""), simulated=simulated, clock=COMPUTER
-        )
+        return who("Alicat", about.get(4) or "controller", about.get(5, ""), about.get(9, ""), clock=COMPUTER)
 
     def close(self) -> None:
         """Let go of the port; harmless when repeated."""

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
+from pmabench.bench.interface import COMPUTER, DeviceRecord, Identity
 from pmabench_drivers.modbus import registers as r
 from pmabench_drivers.shared.device import Controlled, Polled
-from pmabench_drivers.shared.link import JOIN, PATIENCE, Still, Unanswered, always, opened
+from pmabench_drivers.shared.link import JOIN, PATIENCE, Still, Unanswered, always, opened, who
 from pmabench_drivers.shared.options import Reader
 
 if TYPE_CHECKING:
@@ -174,10 +174,8 @@ class ModbusDevice(Watched, Controlled):
                 self._values(self._spans[:1], deadline)
             self._over, self._seen = self._line.connections, self._who(deadline)
         maker, model, serial, firmware = (found.get(name, "") for name in ("maker", "model", "serial", "firmware"))
-        simulated, answers = model.startswith(EMULATED), self._line.quickest
-        return Identity(
-            maker, model, serial, firmware, simulated, clock=COMPUTER, answers=answers if answers < math.inf else 0.0
-        )
+        answers = self._line.quickest
+        return who(maker, model, serial, firmware, clock=COMPUTER, answers=answers if answers < math.inf else 0.0)
 
     def close(self) -> None:
         """End polling and let go of the connection."""

@@ -26,9 +26,9 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # noqa: TID253 
 from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TID253
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import COMPUTER, EMULATED, Identity
+from pmabench.bench.interface import COMPUTER, Identity
 from pmabench_drivers.modbus.registers import BIT_TABLES, READ
-from pmabench_drivers.shared.link import Still, Unanswered, always, turn
+from pmabench_drivers.shared.link import Still, Unanswered, always, turn, who
 
 for _name in ("pymodbus.logging", "pymodbus_logging"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)  # it prints what is raised here anyway
@@ -406,9 +406,7 @@ class NamedLine(Line):
     def identity(self, deadline: float) -> Identity:
         """Who answers, before `deadline` [s, monotonic]."""
         names = self.identification(deadline)
-        model = names.get(4) or names.get(1, "")
-        simulated = model.startswith(EMULATED)
-        return Identity(names.get(0, ""), model, "", names.get(2, ""), simulated=simulated, clock=COMPUTER)
+        return who(names.get(0, ""), names.get(4) or names.get(1, ""), firmware=names.get(2, ""), clock=COMPUTER)
 
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
         if wanted[0] != IDENTIFY or answer.isError():

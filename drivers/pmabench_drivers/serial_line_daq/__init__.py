@@ -21,9 +21,9 @@ from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.shared.device import Led
-from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn
+from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn, who
 from pmabench_drivers.shared.options import BAUDS, Reader
 from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
 
@@ -328,7 +328,7 @@ class SerialLineDaq(Led):
             self._index(name, letter)
         if not 0 < self._shortest <= 10_000_000:
             raise DeviceError(record.name, f"says that its shortest period is {self._shortest} us")
-        return Identity("", model, serial, f"{PROTOCOL} {version}", simulated=model.startswith(EMULATED))
+        return who("", model, serial, f"{PROTOCOL} {version}")
 
     # -- samples --------------------------------------------------------------------------------------------------
 

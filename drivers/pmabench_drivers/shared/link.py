@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import Block
+from pmabench.bench.interface import EMULATED, Block, Identity
 
 JOIN = 0.15
 """How long a thread is given to end, where that is waited for [s]."""
@@ -251,6 +251,13 @@ def turn(lock: threading.Lock, deadline: float, device: str, what: str = "", bus
         yield
     finally:
         lock.release()
+
+
+def who(
+    maker: str, model: str, serial: str = "", firmware: str = "", *, clock: str = "own", answers: float = 0.0
+) -> Identity:
+    """Who answered: simulated where its model says so."""
+    return Identity(maker, model, serial, firmware, model.startswith(EMULATED), clock, answers)
 
 
 def reason(error: Exception) -> str:
