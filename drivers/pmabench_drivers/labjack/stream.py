@@ -185,8 +185,6 @@ class StreamLink:
     def __init__(self, device: str, names: Sequence[str], address: tuple[str, int], wait: float, clock: Clock) -> None:
         self._device, self._clock = device, clock
         self._samples = Samples(names)
-        self._thread: threading.Thread | None = None
-        self._ended = False
         self._failure: str = ""
         self._last = 0.0
         where = f"{address[0]}:{address[1]}"
@@ -206,12 +204,10 @@ class StreamLink:
         self._start = self._last = self._clock.now()
         self._pace = Pace(SLIP)
         self._socket.settimeout(None)
-        self._thread = threading.Thread(target=self._receive, name=f"labjack {self._device}", daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._receive, name=f"labjack {self._device}", daemon=True).start()
 
     def close(self) -> None:
         """Receive no more; harmless when repeated."""
-        self._ended = True
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -223,10 +219,8 @@ class StreamLink:
 
     def collect(self) -> Block:
         """What came since the last call; once all of it is handed out, an error where the stream has failed."""
-        failure, silent = (
-            self._failure,
-            self._clock.now() - self._last,
-        )  # first: what came before a failure comes before it
+        # looked at before the samples: what came before a failure is handed out before it is reported
+        failure, silent = self._failure, self._clock.now() - self._last
         block = self._samples.take()
         if not block.time:
             if failure:
@@ -242,13 +236,11 @@ class StreamLink:
                 for scans in self._packets.feed(data):
                     self._keep(scans, arrived)
                 self._last = arrived
-            failure = "the device closed the connection"
+            self._failure = "the device closed the connection"
         except StreamBroken as error:
-            failure = str(error)
+            self._failure = str(error)
         except OSError as error:
-            failure = f"the connection was lost ({(error.strerror or str(error)).lower()})"
-        if not self._ended:
-            self._failure = failure
+            self._failure = f"the connection was lost ({(error.strerror or str(error)).lower()})"
 
     def _keep(self, scans: Scans, arrived: float) -> None:
         width, rate = len(self._tables), self._rate
