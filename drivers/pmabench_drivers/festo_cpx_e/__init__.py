@@ -22,7 +22,6 @@ from pmabench_drivers.festo_cpx_e.terminal import DONE, STATUS, TIMEOUT, CpxOpti
 from pmabench_drivers.modbus import CALL, LATE, OPEN, ModbusDevice
 from pmabench_drivers.modbus.registers import Register, decode
 from pmabench_drivers.shared.link import Cycle
-from pmabench_drivers.shared.link import Unanswered as Unanswered
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line, NamedLine
