@@ -15,7 +15,8 @@ import math
 from array import array
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from time import monotonic
+from time import monotonic, sleep
+from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
@@ -28,6 +29,9 @@ from pmabench_drivers.modbus.registers import Register
 from pmabench_drivers.shared.link import Unanswered
 from pmabench_drivers.shared.options import Reader
 
+if TYPE_CHECKING:
+    from pmabench_drivers.modbus.adapter import Line
+
 LATENCY = 0.01
 """Time that a packet of the stream covers [s]."""
 BLOCK = 13
@@ -36,6 +40,8 @@ FIRMWARE_STEP = 5e-5
 """Half a step between two versions of the firmware."""
 KEY = 0x504D4142
 """Feeds the watchdog."""
+AGAIN = 0.005
+"""After so long [s] a line that is rescued is written again."""
 
 
 class LabJack(ModbusDevice):
@@ -212,6 +218,18 @@ class LabJack(ModbusDevice):
         [state] = r.from_u32(self.get(r.DIO_STATE, 2, until, register.name))
         [direction] = r.from_u32(self.get(r.DIO_DIRECTION, 2, until, register.name))
         return state >> line & direction >> line & 1
+
+    def _overrule(self, second: Line, register: Register, value: float, deadline: float, watch: float) -> None:
+        """A valve's line is written again and again: a look at its own register would make it an input."""
+        if register.name not in self._lines:
+            super()._overrule(second, register, value, deadline, watch)
+            return
+        words, enough = self._words(register, value), monotonic() + watch
+        second.write(self._function(register), register.address, words, deadline, register.name)
+        while monotonic() < enough:
+            sleep(AGAIN)
+            with suppress(DeviceError):
+                second.write(self._function(register), register.address, words, deadline, register.name)
 
     def _shows(self, register: Register, held: float) -> str:
         """What a valve's terminal is, or another register holds."""
