@@ -20,7 +20,7 @@ from pmabench.analysis.shared.isometric_lines import by_repeat, spread
 from pmabench.analysis.shared.lines import PROPORTIONAL, Line, weighted_line
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.analysis.shared.trials import session_of
-from pmabench.analysis.verdict.assembly import side_by_side
+from pmabench.analysis.verdict.agreement import side_by_side
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import BEYOND, Cell
 from pmabench.model.library.contractor import corrected_force

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import lag_open, lags_of
+from pmabench.analysis.shared.signals import smooth
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
-from pmabench.analysis.shared.smoothing import smooth
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of, thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
