@@ -17,7 +17,7 @@ from typing import Any
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
-from pmabench.base.extensions import registered
+from pmabench.base.system import registered
 from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Supervised, Watchdog
 from pmabench.bench.interface import Truth as Wiring
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
