@@ -142,7 +142,7 @@ class AirPlant(Plant):
         if self._shut or self.air.fill == self.air.vent or (u.settled(t, CLOSE) and not self._leak):
             return found, math.inf
         side = 1 if fills else -1
-        fastest = max(u.omega, *(mode[1] for mode in u.modes), 0.0)
+        fastest = max((mode[1] for mode in u.modes), default=0.0)
         look = min(LOOK, 2 * math.pi / PER_SWING / fastest) if fastest else LOOK
         grid = np.linspace(t, end, int((end - t) / look) + 2)
         beyond = np.flatnonzero(side * (u.values(grid) - found.values(grid)) < -CLOSE)

@@ -125,36 +125,21 @@ class Branch(Memory):
 
 
 def turns(trace: Trace, begin: float, end: float) -> Array:
-    """When, between `begin` and `end` [s], the rate of a piece changes its sign; `end` may be infinite without sine."""
-    if trace.modes:
-        return _turns_of_modes(trace, begin, end)
-    if trace.omega == 0:
-        share = trace.decay / (trace.lag * trace.slope) if trace.slope else 0.0
-        moment = trace.start + trace.lag * math.log(share) if share > 1 else -math.inf
-        return np.array([moment]) if begin < moment < end else np.empty(0)
-    grid = np.linspace(begin, end, PERIODS * PER_PERIOD + 1)
-    faded = trace.start + FADED * trace.lag
-    if trace.decay and begin < faded:
-        early = min(end, faded)
-        grid = np.union1d(grid, np.linspace(begin, early, int(4 * (early - begin) / trace.lag) + 2))
-    return _changes(trace, grid)
+    """When, between `begin` and `end` [s], the rate of a piece changes its sign; `end` may be infinite without sine.
 
-
-def _turns_of_modes(trace: Trace, begin: float, end: float) -> Array:
-    """The same for a piece with what fades of second order; after it has faded only a sine turns."""
-    slowest, fastest = min(-mode[0] for mode in trace.modes), max(mode[1] for mode in trace.modes)
-    faded = trace.start + FADED / slowest
-    spacing = min(0.25 / slowest, 2 * math.pi / (PER_PERIOD * max(fastest, trace.omega, 1e-9)))
-    early = min(end, faded)
-    grid = np.linspace(begin, early, int((early - begin) / spacing) + 2) if begin < early else np.empty(0)
-    if trace.omega and math.isfinite(end):
+    After what fades only a sine turns. The rate is looked at on a grid of times first.
+    """
+    if trace.lag or not trace.modes:
+        return np.empty(0)
+    grid, fading = np.empty(0), [mode for mode in trace.modes if mode[0]]
+    if fading:
+        slowest, fastest = min(-mode[0] for mode in fading), max(mode[1] for mode in fading)
+        spacing = min(0.25 / slowest, 2 * math.pi / (PER_PERIOD * max(fastest, 1e-9)))
+        early = min(end, trace.start + FADED / slowest)
+        grid = np.linspace(begin, early, int((early - begin) / spacing) + 2) if begin < early else grid
+    if trace.omega:
         grid = np.union1d(grid, np.linspace(begin, end, PERIODS * PER_PERIOD + 1))
-    return _changes(trace, grid)
-
-
-def _changes(trace: Trace, grid: Array) -> Array:
-    """When the rate of a piece changes its sign, looked at on a grid of times [s] first."""
-    rates = trace.rates(grid) if grid.size else np.empty(0)
+    rates = trace.rates(grid)
     change = np.flatnonzero((rates[1:] > 0) != (rates[:-1] > 0))
     return _zeros(trace, grid[change], grid[change + 1], rates[change], rates[change + 1])
 
