@@ -74,27 +74,21 @@ class Memory(ABC):
     def along(self, path: Regulated, t: Array, x: Array) -> Array:
         """The values at rising times t [s], where `path` is at x; every piece of `path` since the last call counts."""
         result = np.empty(t.shape)
-        last, done = float(t[-1]), 0
-        while True:
-            trace, end = path.piece(self._time)
+        for trace, until, rows in path.pieces(self._time, t):
             if trace != self._trace:
                 self.turn(self._trace.value(trace.start))
                 self._trace, self._known = trace, trace.start
                 self._turns = np.empty(0)
                 self.turn(trace.value(trace.start))  # where a regulator without lag jumps
-            until = min(end, last)
+            done = rows.start
             for moment in self._turns_before(until):
-                count = int(np.searchsorted(t, moment))
+                count = max(done, int(np.searchsorted(t, moment)))
                 result[done:count] = self.at(x[done:count])
-                done = max(done, count)
+                done = count
                 self.turn(trace.value(moment))
+            result[done : rows.stop] = self.at(x[done : rows.stop])
             self._time = until
-            if end > last:
-                result[done:] = self.at(x[done:])
-                return result
-            count = int(np.searchsorted(t, end))
-            result[done:count] = self.at(x[done:count])
-            done = max(done, count)
+        return result
 
     def _turns_before(self, until: float) -> list[float]:
         """The turns of the piece that are due before `until` [s], each returned once."""
@@ -182,18 +176,14 @@ class CreepAlong:
     def along(self, path: Regulated, t: Array) -> Array:
         """The sum [as the path] at rising times t [s]; every piece of `path` since the last call counts."""
         result = np.empty(t.shape)
-        last, done = float(t[-1]), 0
-        while True:
-            trace, end = path.piece(self._time)
+        for trace, until, rows in path.pieces(self._time, t):
             if trace != self._path:
                 self._path = trace
                 self._lengths = tuple(
                     answer(trace, self._time, length.value(self._time), lag, self._creep.share)
                     for length, lag in zip(self._lengths, self._creep.times, strict=True)
                 )
-            count = len(t) if end > last else int(np.searchsorted(t, end))
-            part = t[done:count]
-            result[done:count] = sum((length.values(part) for length in self._lengths), np.zeros(part.shape))
-            done, self._time = max(done, count), min(end, last)
-            if end > last:
-                return result
+            part = t[rows]
+            result[rows] = sum((length.values(part) for length in self._lengths), np.zeros(part.shape))
+            self._time = until
+        return result

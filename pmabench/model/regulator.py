@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -82,6 +82,14 @@ def sine(start: float, origin: float, amplitude: float, frequency: float, cycles
         Wave(to_nanosecond(start), origin, amplitude=amplitude, omega=2 * math.pi * frequency),
         Wave(to_nanosecond(start + cycles / frequency), origin),
     )
+
+
+def commanded(waves: Sequence[Wave], t: float) -> float:
+    """The value at time t [s] of the wave that began last; the level of the first one before it begins."""
+    for wave in reversed(waves):
+        if wave.start <= t:
+            return wave.level if wave.steady else wave.value(t)
+    return waves[0].level
 
 
 FADED = 40.0
@@ -318,10 +326,7 @@ class Regulated:
 
     def setpoint(self, t: float) -> float:
         """The value commanded at time t [s], before the dead time."""
-        for wave in reversed(self._waves):
-            if wave.start <= t:
-                return wave.level if wave.steady else wave.value(t)
-        return self._waves[0].level
+        return commanded(self._waves, t)
 
     def setpoints(self, t: Array) -> Array:
         """The values commanded at rising times t [s], before the dead time."""
@@ -345,14 +350,18 @@ class Regulated:
     def values(self, t: Array) -> tuple[Array, Array]:
         """The output and its rate at rising times t [s]."""
         value, rate = np.empty(t.shape), np.empty(t.shape)
-        done = 0
-        while done < len(t):
-            trace, end = self.piece(float(t[done]))
-            stop = len(t) if end == math.inf else int(np.searchsorted(t, end))
-            part = t[done:stop]
-            value[done:stop], rate[done:stop] = trace.values(part), trace.rates(part)
-            done = stop
+        for trace, _, rows in self.pieces(float(t[0]), t) if len(t) else ():
+            value[rows], rate[rows] = trace.values(t[rows]), trace.rates(t[rows])
         return value, rate
+
+    def pieces(self, begin: float, t: Array) -> Iterator[tuple[Trace, float, slice]]:
+        """Each closed form from `begin` [s] to the last of rising times t [s], until when, and which of t lie there."""
+        last, done, end = float(t[-1]), 0, begin
+        while end <= last:
+            trace, end = self.piece(end)
+            count = len(t) if end > last else int(np.searchsorted(t, end))
+            yield trace, min(end, last), slice(done, count)
+            done = count
 
     def _arrival(self, wave: Wave) -> float:
         return to_nanosecond(wave.start + self.regulator.dead_time)
