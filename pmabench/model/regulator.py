@@ -44,6 +44,10 @@ class Wave(NamedTuple):
         since = t - self.start
         return np.asarray(self.level + self.slope * since + self.amplitude * np.sin(self.omega * since + self.phase))
 
+    def rate(self, t: float) -> float:
+        """Rate of the commanded value at time t [s]."""
+        return self.slope + self.amplitude * self.omega * math.cos(self.omega * (t - self.start) + self.phase)
+
     def later(self, t: float) -> Wave:
         """The same wave counted from t [s] on."""
         since = t - self.start
@@ -380,8 +384,7 @@ class Regulated:
         value = self._trace.value(t)
         if r.natural_frequency:
             rate = self._trace.rate(t)
-            steep = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start) + wave.phase)
-            falls = (wave.value(t) - value or steep) < 0
+            falls = (wave.value(t) - value or wave.rate(t)) < 0
             pace = 2 * math.pi * r.natural_frequency / (r.vent_ratio if falls else 1.0)
             self._trace, self._end = swung(wave, t, value, rate, pace, r.damping_ratio), end
             return
@@ -404,8 +407,7 @@ class Regulated:
     def _way(self, wave: Wave, t: float, value: float) -> int:
         """1 filling, -1 venting, 0 resting in the dead band; on an edge, the way that the command goes."""
         band, error = self.regulator.dead_band, wave.value(t) - value
-        rate = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start) + wave.phase)
-        rate += self.regulator.leak * value
+        rate = wave.rate(t) + self.regulator.leak * value
         near = 1e-9 * (1 + abs(value))
         if error > band + near or (error >= band - near and rate > 0):
             return 1
