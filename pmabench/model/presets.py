@@ -417,14 +417,13 @@ class Described:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data: coefficients as polynomials of P, highest power first, joined at breaks (SI)."""
-        muscle = {field.name: getattr(self.muscle, field.name) for field in fields(Muscle)}
         return {
             "source": self.source,
             "domain": list(self.domain),
             "regulator": asdict(self.regulator),
             **({} if self.air is None else {"air": asdict(self.air)}),
             **({} if self.surface is None else {"surface": self.surface.to_dict()}),
-            **{name: _plain(value) for name, value in muscle.items() if value is not None},
+            **{name: value for name, value in asdict(self.muscle).items() if value is not None},
         }
 
     @classmethod
@@ -438,15 +437,8 @@ class Described:
         return cls(muscle, Regulator(**data["regulator"]), str(data["source"]), (float(low), float(high)), air, surface)
 
 
-def _plain(value: Any) -> Any:
-    """A field of a muscle as plain data."""
-    if isinstance(value, Curve):
-        return {"pieces": [list(piece) for piece in value.pieces], "breaks": list(value.breaks)}
-    return asdict(value) if isinstance(value, Friction) else value
-
-
 def _value(name: str, data: Any) -> Any:
-    """The inverse of `_plain`."""
+    """A field of a muscle from plain data."""
     if name == "friction":
         return Friction(**data)
     if isinstance(data, Mapping):
