@@ -132,7 +132,8 @@ def turns(trace: Trace, begin: float, end: float) -> Array:
         early = min(end, trace.start + FADED / slowest)
         grid = np.linspace(begin, early, int((early - begin) / spacing) + 2) if begin < early else grid
     if trace.omega:
-        grid = np.union1d(grid, np.linspace(begin, end, PERIODS * PER_PERIOD + 1))
+        periods = np.linspace(begin, end, PERIODS * PER_PERIOD + 1)
+        grid = np.union1d(grid, periods) if grid.size else periods
     rates = trace.rates(grid)
     change = np.flatnonzero((rates[1:] > 0) != (rates[:-1] > 0))
     return _zeros(trace, grid[change], grid[change + 1], rates[change], rates[change + 1])

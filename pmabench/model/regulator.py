@@ -160,7 +160,7 @@ class Trace(NamedTuple):
         """Values at times t [s], the first of which is the earliest."""
         since = t - self.start
         value = self.level + self.slope * since if self.slope else np.full(since.shape, self.level, np.float64)
-        for rate, omega, a, b in self._left(since[0]) if len(since) else ():
+        for rate, omega, a, b in self._left(float(since[0])) if len(since) else ():
             wave = a * np.cos(omega * since) + b * np.sin(omega * since) if omega else a
             value += np.exp(rate * since) * wave if rate else wave
         return value
@@ -169,7 +169,7 @@ class Trace(NamedTuple):
         """Rates of change at times t [s], the first of which is the earliest."""
         since = t - self.start
         value = np.full(since.shape, self.slope, np.float64)
-        for rate, omega, a, b in self._left(since[0]) if len(since) else ():
+        for rate, omega, a, b in self._left(float(since[0])) if len(since) else ():
             wave: Array | float = rate * a
             if omega:
                 wave = (rate * a + omega * b) * np.cos(omega * since) + (rate * b - omega * a) * np.sin(omega * since)
@@ -206,8 +206,6 @@ class Trace(NamedTuple):
     def function(self, since: float = 0.0) -> Callable[[float], float]:
         """The value over s = t - start [s], from `since` on, made for being called some thousand times."""
         level, slope, modes, exp, cos, sin = self.level, self.slope, self._left(since), math.exp, math.cos, math.sin
-        if not modes:
-            return (lambda s: level + slope * s) if slope else lambda s: level
         if len(modes) == 1 and not slope:
             ((rate, omega, a, b),) = modes
             if not omega:
@@ -215,7 +213,15 @@ class Trace(NamedTuple):
             if not rate:
                 return lambda s: level + (a * cos(omega * s) + b * sin(omega * s))
             return lambda s: level + exp(rate * s) * (a * cos(omega * s) + b * sin(omega * s))
-        return lambda s: self.value(self.start + s)
+
+        def many(s: float) -> float:
+            value = level + slope * s
+            for rate, omega, a, b in modes:
+                wave = a * cos(omega * s) + b * sin(omega * s) if omega else a
+                value += exp(rate * s) * wave if rate else wave
+            return value
+
+        return many if modes or slope else lambda s: level
 
 
 def _fading(size: float, lag: float) -> tuple[Mode, ...]:
