@@ -60,7 +60,9 @@ def command(
     The runs and what was made of them before stay as they are; the new analyses get a folder of their own.
     """
     from pmabench.analysis.verdict.comparison import changes
-    from pmabench.cli.process import analyse, campaign_folder, load_runs, without_analyses, write
+    from pmabench.cli.process import write
+    from pmabench.cli.sources import campaign_folder, load_runs, without_analyses
+    from pmabench.kinds.reduce import reduce_runs
     from pmabench.kinds.registry import loops
     from pmabench.report.pages.comparison_page import print_changes, write_changes
     from pmabench.store.chain import open_chains
@@ -76,10 +78,10 @@ def command(
         refuse_loops(recorded, loops())
     changed = open_chains(given, anew)
     channels = _described(recorded, changed, anew)
-    before = analyse(recorded)
+    before = reduce_runs(recorded)
     now = datetime.now(UTC).isoformat(timespec="seconds")
     who = {"at": now, "operator": operator or user_name(), "because": because.strip()}
-    after = [_marked(analysis, channels) for analysis in analyse(changed)]
+    after = [_marked(analysis, channels) for analysis in reduce_runs(changed)]
     found = changes(before, after)
     after = [_with_changes(analysis, found, who) for analysis in after]
     first = next(run for run in recorded if Path(run.path).resolve() == given[0].resolve())

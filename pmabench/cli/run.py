@@ -129,8 +129,8 @@ def run_or_resume(
 
 def _reported(ui: Ui, folder: Path) -> int:
     """Process a run and write its report next to `runs`; 6 where its results are not accepted."""
-    from pmabench.cli.process import campaign_folder, place_of
     from pmabench.cli.report import characterise
+    from pmabench.cli.sources import campaign_folder, place_of
 
     found = characterise([folder], place_of(folder), campaign_folder(folder.resolve().parent) / f"{folder.name}.html")
     if not ui.json:

@@ -247,7 +247,7 @@ def command(ui: Ui, sources: tuple[Path, ...], goal: str, length: str, output: P
 
 def _runs(ui: Ui, sources: Sequence[Path]) -> tuple[list[RunData], Kind]:
     """The runs of a kind whose trials can be chosen."""
-    from pmabench.cli.process import load_runs
+    from pmabench.cli.sources import load_runs
     from pmabench.kinds import registry
     from pmabench.store.analyses.folder import runs_of
 
