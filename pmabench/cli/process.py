@@ -10,6 +10,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -35,7 +37,7 @@ from pmabench.store.catalogue import ANALYSES, holds_runs, tasks_below
 
 if TYPE_CHECKING:
     from pmabench.analysis.many import Pool
-    from pmabench.report.document.front import Verdict
+    from pmabench.report.foremost import Verdict
     from pmabench.report.many import Many
     from pmabench.store.analyses.results import Analysis
     from pmabench.store.records import RunData
@@ -118,89 +120,114 @@ def command(
     return _process_together(ui, runs, out, asked)
 
 
-def _process_together(
-    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]], form: str = ""
-) -> int | None:
-    """One analysis for each kind of test of each specimen in `runs`; `asked` are options by kind of test.
+@dataclass(frozen=True)
+class Processed:
+    """What came of runs that were processed together."""
 
-    With a `form` of all tests one analysis for each specimen, in a folder next to those of the tests.
+    given: Sequence[Path]
+    """Run folders, as they were named."""
+    runs: list[RunData]
+    analyses: list[Analysis]
+    folders: list[Path]
+    """Of the analyses."""
+    failed: list[str]
+    """Why results are not accepted."""
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """As the first page of the report has it."""
+        from pmabench.report.foremost import verdict_of
+
+        return verdict_of(self.analyses, self.runs, self.failed, accepted=bool(self._limits))
+
+    @property
+    def _limits(self) -> list[str]:
+        from pmabench.analysis.verdict.acceptance import limits_of
+
+        return list(dict.fromkeys(limit.short for run in self.runs for limit in limits_of(run)))
+
+    @property
+    def refusals(self) -> list[str]:
+        """A line for each reason why results are not accepted."""
+        return [clean(f"NOT ACCEPTED: {text}") for text in self.failed]
+
+    def glance(self) -> list[str]:
+        """The results at a glance."""
+        from pmabench.report.foremost import glance
+
+        return glance(self.analyses, self.verdict, self.failed)
+
+    def verdict_lines(self) -> list[str]:
+        """The verdict, then each reason why results are not accepted."""
+        kept = f" ({', '.join(self._limits)})" if self._limits and not self.failed else ""
+        return [clean(f"{self.verdict.word}{kept}: {self.verdict.text}"), *self.refusals]
+
+    def described_by(self) -> list[str]:
+        """The command that describes a muscle which does not follow the form of its test; empty where it does."""
+        from pmabench.kinds.reduce import FORM
+
+        facts = [analysis.facts.get("form") for analysis in self.analyses]
+        withheld = any(isinstance(fact, Mapping) and fact.get("state") == "withheld" for fact in facts)
+        if not (self.failed and withheld) or len(self.given) > MOST_RUNS:
+            return []
+        return ["pmabench", "process", *map(short, self.given), "--form", next(iter(registry.with_part(FORM)))]
+
+
+def processed(given: Sequence[Path], place: Path, asked: Mapping[str, Any] | None = None, form: str = "") -> Processed:
+    """Process runs together into `place`: an analysis for each kind of test of each specimen; `asked` as in `command`.
+
+    With a `form` of all tests one analysis for each specimen.
     """
-    ui.begin(f"processing {len(runs)} {'run' if len(runs) == 1 else 'runs'}")
     from pmabench.kinds.reduce import reduce_runs, reduce_together, verdicts
-    from pmabench.report.foremost import glance
-    from pmabench.report.many import added_to
     from pmabench.store.analyses.folder import key_of
 
-    given = without_analyses(ui, runs)
+    asked = asked or {}
     key = "" if form else key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
-    loaded = load_runs(given)
-    if asked and not any(run.kind in asked for run in loaded):
+    runs = load_runs(given)
+    if asked and not any(run.kind in asked for run in runs):
         raise UsageError(
             "--form, --bootstrap, --polish and --regulator are for runs of kind "
             f"{', '.join(asked)}; none of these is one"
         )
-    analyses = reduce_together(form, loaded) if form else reduce_runs(loaded, asked)
+    analyses = reduce_together(form, runs) if form else reduce_runs(runs, asked)
+    return Processed(given, runs, analyses, write(analyses, runs, place, key, asked), verdicts(runs, analyses))
+
+
+def _process_together(
+    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]], form: str = ""
+) -> int | None:
+    """Process runs into `out`, else next to `runs`; those of a `form` next to the analyses of the tests."""
+    ui.begin(f"processing {len(runs)} {'run' if len(runs) == 1 else 'runs'}")
+    from pmabench.report.many import added_to
+
+    given = without_analyses(ui, runs)
     place = place_of(given[0])
-    folders = write(analyses, loaded, out or (place.with_name(f"{place.name}-{form}") if form else place), key, asked)
-    failed = verdicts(loaded, analyses)
+    found = processed(given, out or (place.with_name(f"{place.name}-{form}") if form else place), asked, form)
+    folders = [str(path) for path in found.folders]
+    added = added_to(found.runs)
     data: dict[str, Any] = {
         "schema": "pmabench.process/1",
-        "folders": [str(path) for path in folders],
-        "analyses": [analysis.to_dict() for analysis in analyses] if ui.json else [],
-        "verdicts": failed,
-        **added_to(loaded),
+        "folders": folders,
+        "analyses": [analysis.to_dict() for analysis in found.analyses] if ui.json else [],
+        "verdicts": found.failed,
+        **added,
     }
 
     def human() -> None:
-        since = [
-            *since_lines(loaded),
-            *(clean("{run}: trial {trial} is left out by {operator}: {because}".format(**e)) for e in data["excluded"]),
-        ]
+        left_out = "{run}: trial {trial} is left out by {operator}: {because}"
+        since = [*since_lines(found.runs), *(clean(left_out.format(**entry)) for entry in added["excluded"])]
         if ui.verbose:
-            print_analyses(ui, analyses)
-            click.echo("".join(f"{line}\n" for line in since), nl=False)
-            click.echo("\n".join(str(path) for path in folders))
-            click.echo("\n".join(verdict_lines(analyses, loaded, failed)))
+            print_analyses(ui, found.analyses)
+            click.echo("\n".join([*since, *folders, *found.verdict_lines()]))
             return
-        place = short(folders[0].parent)
-        then = described_by(given, analyses, failed) or ["pmabench", "report", place, "-o", "report.html"]
+        place = short(found.folders[0].parent)
+        then = found.described_by() or ["pmabench", "report", place, "-o", "report.html"]
         more = [f"{len(since) - MOST_SINCE} more: -v"] if len(since) > MOST_SINCE else []
-        lines = [*glance(analyses, verdict_of_all(analyses, loaded, failed), failed), *since[:MOST_SINCE], *more]
+        lines = [*found.glance(), *since[:MOST_SINCE], *more]
         click.echo("\n".join([*lines, f"analysis  {place}", *next_lines(*then, indent=10)]))
 
-    ui.result(
-        data, human, [*(clean(f"NOT ACCEPTED: {verdict}") for verdict in failed), *(str(path) for path in folders)]
-    )
-    return 6 if failed else None
-
-
-def described_by(runs: Sequence[Path], analyses: Sequence[Analysis], failed: Sequence[str]) -> list[str]:
-    """The command that describes a muscle which does not follow the form of its test; empty where it does."""
-    from pmabench.kinds.reduce import FORM
-
-    facts = [analysis.facts.get("form") for analysis in analyses]
-    withheld = any(isinstance(fact, Mapping) and fact.get("state") == "withheld" for fact in facts)
-    if not (failed and withheld) or len(runs) > MOST_RUNS:
-        return []
-    return ["pmabench", "process", *map(short, runs), "--form", next(iter(registry.with_part(FORM)))]
-
-
-def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> list[str]:
-    """The verdict as the first page of the report has it, then each reason why results are not accepted."""
-    from pmabench.analysis.verdict.acceptance import limits_of
-
-    limits = list(dict.fromkeys(limit.short for run in runs for limit in limits_of(run)))
-    verdict = verdict_of_all(analyses, runs, failed)
-    kept = f" ({', '.join(limits)})" if limits and not failed else ""
-    return [clean(f"{verdict.word}{kept}: {verdict.text}"), *(clean(f"NOT ACCEPTED: {text}") for text in failed)]
-
-
-def verdict_of_all(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> Verdict:
-    """The verdict of the report's first page; `failed` are the reasons why results are not accepted."""
-    from pmabench.analysis.verdict.acceptance import limits_of
-    from pmabench.report.document.front import verdict_of
-
-    return verdict_of(analyses, runs, failed, accepted=any(limits_of(run) for run in runs))
+    ui.result(data, human, [*found.refusals, *folders])
+    return 6 if found.failed else None
 
 
 def write(
@@ -215,14 +242,10 @@ def write(
     With the `key` of runs and `options` they are used again as long as it is the same.
     """
     from pmabench.report.files.csv_files import write_with_tables
-    from pmabench.store.analyses.folder import keep
+    from pmabench.store.analyses.folder import file_names, keep
 
-    seen: dict[str, int] = {}
-    written = []
-    for analysis in analyses:
-        seen[analysis.kind] = number = seen.get(analysis.kind, 0) + 1
-        name = f"{analysis.kind}-{number}" if number > 1 else analysis.kind
-        written.append(write_with_tables(analysis, folder / name))
+    named = zip(analyses, file_names([analysis.kind for analysis in analyses]), strict=True)
+    written = [write_with_tables(analysis, folder / name) for analysis, name in named]
     keep(folder, key, [Path(run.path) for run in runs], options or {}, written)
     return written
 

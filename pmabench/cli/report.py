@@ -6,7 +6,7 @@ With `--overlay FILE.csv[:LABEL]` published tables, read with their units, for t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from pmabench.cli.common import Ui, common, no_pipes
 from pmabench.cli.names import FILE, RunFolder
 
 if TYPE_CHECKING:
+    from pmabench.cli.process import Processed
     from pmabench.files.table import Column
     from pmabench.report.figures.overlays import Published
     from pmabench.report.writing import KeptPage
@@ -122,46 +123,22 @@ def _written(
     return written, page
 
 
-@dataclass(frozen=True)
-class Characterised:
-    """What came of runs."""
-
-    runs: list[RunData]
-    analyses: list[Analysis]
-    folders: list[Path]
-    """Of the analyses."""
-    report: Path
-    failed: list[str]
-    """Why results are not accepted."""
-    recorded: Sequence[Path] = ()
-    """Run folders, as they were given."""
-
-    def lines(self) -> list[str]:
-        """The results at a glance, and where the report is."""
-        from pmabench.cli.outcome import next_lines
-        from pmabench.cli.process import described_by, verdict_of_all
-        from pmabench.report.foremost import glance
-
-        verdict = verdict_of_all(self.analyses, self.runs, self.failed)
-        then = described_by(self.recorded, self.analyses, self.failed)
-        lines = [*glance(self.analyses, verdict, self.failed), f"report  {self.report}"]
-        return [*lines, *(next_lines(*then) if then else [])]
-
-
-def characterise(recorded: Sequence[Path], place: Path, report: Path, title: str | None = None) -> Characterised:
-    """Process the runs in `recorded` together into `place`, and write the page `report`."""
-    from pmabench.cli.process import write
-    from pmabench.cli.sources import chains, load_runs
-    from pmabench.kinds.reduce import reduce_runs, verdicts
+def characterise(given: Sequence[Path], place: Path, report: Path, title: str | None = None) -> Processed:
+    """Process runs together into `place`, and write the page `report`."""
+    from pmabench.cli.process import processed
     from pmabench.report.document.content import content_of, write_page
-    from pmabench.store.analyses.folder import key_of
 
-    key = key_of(chains(recorded), {})
-    runs = load_runs(recorded)
-    analyses = reduce_runs(runs)
-    folders = write(analyses, runs, place, key)
-    page = write_page(content_of(analyses, runs, title=title), report)
-    return Characterised(runs, analyses, folders, page, verdicts(runs, analyses), recorded)
+    found = processed(given, place)
+    write_page(content_of(found.analyses, found.runs, title=title), report)
+    return found
+
+
+def characterised_lines(found: Processed, report: Path) -> list[str]:
+    """The results at a glance, where the report is, and what to type where they are not accepted."""
+    from pmabench.cli.outcome import next_lines
+
+    then = found.described_by()
+    return [*found.glance(), f"report  {report}", *(next_lines(*then) if then else [])]
 
 
 def read_overlays(given: Sequence[str]) -> list[Published]:
