@@ -14,7 +14,7 @@ from pmabench.base.errors import InvalidFile, RecordError, UsageError
 from pmabench.base.quantities import in_words, show
 from pmabench.base.text import clean
 from pmabench.bench.compile import Mounted
-from pmabench.cli.common import Ui, common, fields, plan_options, write_text
+from pmabench.cli.common import Ui, common, fields, no_overwriting, plan_options
 from pmabench.cli.history import ANALYSES
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
@@ -64,7 +64,12 @@ def command(
         raise UsageError("--drop-idle and -o FILE belong together")
     simulate |= muscle is not None
     one = not mounted.bench_file.muscles
-    known = _muscle(mounted, muscle, output) if one or (simulate and _replaced(mounted, muscle)) else None
+    replaced = mounted.bench.realtime or muscle is not None  # the bench's devices, or its simulated muscle
+    known = None
+    if (one or (simulate and replaced)) and (replaced or output or mounted.specimen_file.expected is not None):
+        from pmabench.cli.dry_run import muscle_of
+
+        known = muscle_of(mounted, muscle)  # of a simulated bench only what the file expects, unless asked for
     idle = idle_trials(plan, known.expected) if known is not None and known.expected is not None else None
     summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
     if output is not None:
@@ -76,7 +81,7 @@ def command(
     if simulate:
         from pmabench.cli.dry_run import findings_of, report
 
-        simulated = summary["simulated"] = _tried(ui, plan, mounted, known, replaced=_replaced(mounted, muscle))
+        simulated = summary["simulated"] = _tried(ui, plan, mounted, known, replaced=replaced)
         lines = [*findings_of(simulated), *_idle_lines(plan, idle, output), *_open(mounted), *warnings]
         then = _then(prepared, idle, output, refused=refused, done=simulated["status"] == "finished")
 
@@ -101,20 +106,6 @@ def _tried(ui: Ui, plan: Plan, mounted: Mounted, known: PredictedMuscle | None, 
     with progress_line(ui, "simulated") as progress:
         found = simulate(plan, mounted, known if replaced else None, progress)
     return found | {"intervals": expected_intervals(plan, mounted, known)}
-
-
-def _replaced(mounted: Mounted, muscle: Path | None) -> bool:
-    """Whether a predicted muscle takes the place of the bench's devices, or of its simulated muscle."""
-    return mounted.bench.realtime or muscle is not None
-
-
-def _muscle(mounted: Mounted, muscle: Path | None, output: Path | None) -> PredictedMuscle | None:
-    """What is known of the muscle; of a simulated bench only what the specimen file expects, unless asked for."""
-    if _replaced(mounted, muscle) or output is not None or mounted.specimen_file.expected is not None:
-        from pmabench.cli.dry_run import muscle_of
-
-        return muscle_of(mounted, muscle)
-    return None
 
 
 def _open(mounted: Mounted) -> list[str]:
@@ -228,12 +219,13 @@ def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refuse
 
 
 def _write_without(prepared: Prepared, idle: Idle | None, path: Path) -> None:
+    from pmabench.report.writing import write_file
+
     if idle is None:
         raise UsageError("--drop-idle: a plant file predicts no idle trials; give an analysis")
-    if path.exists():
-        raise UsageError(f"{path} is there already; give the name of a new file")
+    no_overwriting(path)
     document, model = read_protocol(Path(prepared.sources["protocol"]), prepared.sources["set"])
-    write_text(path, without(document, model.sweep, prepared.protocol_text, idle.all))
+    write_file(path, without(document, model.sweep, prepared.protocol_text, idle.all), "the protocol")
 
 
 def _print_steps(plan: Plan) -> None:

@@ -97,6 +97,7 @@ def _refuse_full(folder: Path) -> None:
 def _answers(ui: Ui, folder: Path, path: Path | None, single: tuple[str, ...]) -> Answers:
     """What was answered, in a file, in words or at the terminal; UsageError where a needed answer is missing."""
     from pmabench.bench.lab.questions import Answers, check_answers, read_answers
+    from pmabench.report.writing import write_file
 
     kept = folder / ANSWERS
     given: dict[str, str | None] = {}
@@ -107,7 +108,7 @@ def _answers(ui: Ui, folder: Path, path: Path | None, single: tuple[str, ...]) -
     answers = Answers(given, day or datetime.date.today())
     check_answers(answers)
     if path is None and not single:
-        ask(ui, answers, lambda: _keep(kept, answers))
+        ask(ui, answers, lambda: write_file(kept, answers.text_of_file(), "the answers"))
     missing = answers.missing()
     if missing:
         from pmabench.bench.lab.questions import QUESTIONS
@@ -124,14 +125,6 @@ def _pair(text: str) -> tuple[str, str | None]:
     if not equals or key not in QUESTIONS:
         raise UsageError(f'--answer {text}: "{key}" is no question{did_you_mean(key, QUESTIONS)}')
     return key, value.strip() or None
-
-
-def _keep(path: Path, answers: Answers) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(answers.text_of_file(), encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 def _lab(answers: Answers) -> dict[str, str]:
@@ -194,7 +187,7 @@ def _end(folder: Path, note: str) -> list[str]:
 BACK, EXPLAIN, UNKNOWN = "b", "?", "-"
 
 
-def ask(ui: Ui, answers: Answers, keep: Callable[[], None]) -> None:
+def ask(ui: Ui, answers: Answers, keep: Callable[[], object]) -> None:
     """Ask every question that has no answer yet; `keep` is called after each answer.
 
     Raises UsageError where the answers end too early.
