@@ -15,10 +15,10 @@ from pmabench.base.quantities import in_words, show
 from pmabench.base.text import clean
 from pmabench.bench.compile import Mounted
 from pmabench.cli.common import Ui, common, fields, no_overwriting, plan_options
-from pmabench.cli.history import ANALYSES
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
 from pmabench.cli.prepare import Prepared, needed, size, too_little
+from pmabench.cli.sources import analyses_of
 from pmabench.kinds.compile import read_protocol
 from pmabench.protocol.idle import Idle, idle_trials, without
 from pmabench.protocol.plan import Plan
@@ -293,17 +293,15 @@ def _diagnosed(runs: Path) -> Iterator[tuple[Path, Mapping[str, Any], Mapping[st
     from pmabench.store.analyses.folder import read_analysis, runs_of
     from pmabench.store.folder import read_manifest
 
-    parent = runs.resolve().parent if runs.resolve().name == "runs" else runs
-    files = {path for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}
-    for path in sorted(files, key=lambda path: path.stat().st_mtime_ns, reverse=True)[:NEWEST]:
+    for place in analyses_of(runs)[: -NEWEST - 1 : -1]:
         try:
-            facts = read_analysis(path.parent).facts
+            facts = read_analysis(place).facts
             form = facts.get("form")
             if not isinstance(form, Mapping) or not isinstance(form.get("explanations"), list):
                 continue
             if facts.get("recalibrated"):
                 continue  # what was taken off the record is still wrong at the bench
-            if folders := runs_of(path.parent):
-                yield path.parent, form, read_manifest(folders[-1])
+            if folders := runs_of(place):
+                yield place, form, read_manifest(folders[-1])
         except (InvalidFile, RecordError, OSError):
             continue  # `check` is not about analyses: who opens it learns what is wrong with it

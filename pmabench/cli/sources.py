@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui
-from pmabench.store.catalogue import ANALYSES, chain_of, holds_runs
+from pmabench.store.catalogue import ANALYSES, ANALYSIS, chain_of, holds_runs
 from pmabench.store.folder import LATE, read_manifest
 
 if TYPE_CHECKING:
@@ -146,11 +146,17 @@ def _nothing_to_process(path: Path) -> str:
 
 def holds_analyses(path: Path) -> bool:
     """Whether a folder is one of analyses, or an analysis."""
-    if not path.is_dir() or (path / "manifest.json").exists():
-        return False
-    return path.resolve().name == ANALYSES or any(
-        next(path.glob(pattern), None) for pattern in ("analysis.json", "*/analysis.json", "*/*/analysis.json")
-    )
+    from pmabench.store.analyses.folder import analyses_below
+
+    named = path.resolve().name == ANALYSES and path.is_dir() and not (path / "manifest.json").exists()
+    return named or bool(analyses_below(path))
+
+
+def analyses_of(runs: Path) -> list[Path]:
+    """Folders of the analyses next to a folder of runs, those of runs each on its own too, the newest last."""
+    patterns = [f"{'*/' * depth}{ANALYSIS}" for depth in (1, 2, 3)]
+    files = {file for pattern in patterns for file in (campaign_folder(runs.resolve()) / ANALYSES).glob(pattern)}
+    return [file.parent for file in sorted(files, key=lambda file: (file.stat().st_mtime_ns, file))]
 
 
 def load_runs(paths: Sequence[Path]) -> list[RunData]:
