@@ -67,11 +67,6 @@ class Ui:
         if not self.quiet:
             say(text)
 
-    def detail(self, text: str) -> None:
-        """A line for people who asked for more."""
-        if self.verbose and not self.quiet:
-            say(text)
-
     def result(self, data: Mapping[str, Any], human: Callable[[], None], brief: Iterable[str] | None = None) -> None:
         """The result: one JSON object, or what `human` prints, or with --quiet the lines of `brief`.
 

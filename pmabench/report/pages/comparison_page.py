@@ -161,7 +161,12 @@ HEADS = ("kind", "coefficient", "at", "unit", "as recorded", "as reduced here", 
 
 def print_changes(changes: Sequence[Change], console: Console) -> None:
     """A row for each coefficient, as in the report; the half width of the difference is that of the calibrations."""
-    rows = [{"kind": change.kind, **row} for change in changes for row in change_rows([change.to_dict()])]
+    rows = []
+    for change in changes:
+        sides = (("as recorded", change.before), ("as reduced here", change.after))
+        known = [(head, e, shown(e.quantity, e.unit)) for head, e in sides if e is not None and e.value is not None]
+        values = {head: unit.rounded(e.value, e.parts.combined) for head, e, unit in known}
+        rows += [{"kind": change.kind, **row, **values} for row in change_rows([change.to_dict()])]
     print_grid(console, HEADS, Frame(rows, HEADS).cells(), ("kind", "coefficient", "at", "unit", "method"), keys=3)
 
 
