@@ -17,7 +17,7 @@ from pmabench.bench.compile import Mounted
 from pmabench.cli.common import Ui, common, fields, no_overwriting, plan_options
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
-from pmabench.cli.prepare import Prepared, needed, size, too_little
+from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
 from pmabench.cli.sources import analyses_of
 from pmabench.kinds.compile import read_protocol
 from pmabench.protocol.idle import Idle, idle_trials, without
@@ -51,8 +51,6 @@ def command(
     **files: Any,
 ) -> int | None:
     """Check PROTOCOL against a bench and a specimen, and show the plan."""
-    from pmabench.cli.prepare import prepare
-
     prepared = prepare(**files)
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
     summary = plan_summary(plan, mounted)

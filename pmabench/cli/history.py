@@ -16,12 +16,11 @@ from pmabench.cli.names import FILE, PATH
 from pmabench.cli.sources import analyses_of
 from pmabench.files.shipped import find_file
 from pmabench.report.terminal import print_grid
-from pmabench.store.catalogue import ANALYSIS
+from pmabench.store.catalogue import ANALYSIS, Row, catalogue
 
 if TYPE_CHECKING:
     from pmabench.analysis.verdict.life import Past, References, Series, Use
     from pmabench.store.analyses.results import Analysis, Finding
-    from pmabench.store.catalogue import Row
     from pmabench.store.records import RunData
 
 
@@ -67,8 +66,6 @@ def _note(text: str) -> Finding:
 
 def _of_specimen(text: str, folder: Path) -> tuple[list[Row], list[Finding]]:
     """The runs of the specimen, sessions and calibrations too, and what was left out; InvalidFile for none."""
-    from pmabench.store.catalogue import catalogue
-
     rows = catalogue(folder)
     names = _names(text)
     mine = [row for row in rows if any(row.specimen == name or row.specimen.endswith(f" {name}") for name in names)]

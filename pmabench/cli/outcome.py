@@ -16,6 +16,7 @@ import click
 
 from pmabench.cli.common import Ui, fields, read_or_not, rewrite, say
 from pmabench.cli.names import short, typed
+from pmabench.guard.station import Station
 from pmabench.report.terminal import print_texts
 
 if TYPE_CHECKING:
@@ -51,8 +52,6 @@ def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -
     `trials`: whether a single run ended, whose rest is named; `continue` leads on from a session or a campaign.
     With --quiet only that a bench is tripped.
     """
-    from pmabench.guard.station import Station
-
     if bench.realtime and Station(bench.name).latched():
         reset = f"pmabench vent {typed(Path(bench.path), 'bench')} --reset --operator NAME --because TEXT"
         if not trials and outcome.folder is not None:
@@ -99,8 +98,6 @@ def show_end(ui: Ui, outcome: Outcome, bench: CompiledBench, kind: str, trials: 
 
 def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list[str]:
     """At most 25 lines of 80 columns: status, trials, vent, cause, record, next."""
-    from pmabench.guard.station import Station
-
     mark = "SIMULATED  " if outcome.folder is not None and "_SIMULATED_" in outcome.folder.name else ""
     seconds = outcome.bench_seconds
     length = f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
