@@ -16,7 +16,6 @@ import click
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
-from pmabench.bench.interface import UNPROVEN, ChannelRecord, DeviceRecord, Identity
 from pmabench.cli.common import Ui, common, fields, read_quantity
 from pmabench.cli.names import BENCH, FILE, PATH, SPECIMEN
 from pmabench.cli.operator import AtLines
@@ -25,6 +24,7 @@ from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
 from pmabench.report.terminal import print_grid, print_texts
 
 if TYPE_CHECKING:
+    from pmabench.bench.interface import ChannelRecord, DeviceRecord, Identity
     from pmabench.session.checks import Check
     from pmabench.session.guided import Look, Reading, Series
     from pmabench.session.jog import Jog
@@ -144,6 +144,8 @@ def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequen
 
 def _proven(identity: dict[str, Any]) -> str:
     """Whether a device is simulated, and its scales not proven by that, or what its driver was verified on."""
+    from pmabench.bench.interface import UNPROVEN
+
     if identity["simulated"]:
         return "SIMULATED, scales not proven" if identity["model"].startswith(UNPROVEN) else "SIMULATED"
     return f"verified: {identity['doubt'] or identity['verified']}"
@@ -192,6 +194,7 @@ def who_answers(driver: str, address: str, options: Sequence[str]) -> dict[str, 
     `options` are those of a bench file, as name=value. Raises UsageError where they cannot be read, DeviceError where
     the driver refuses them or nobody answers.
     """
+    from pmabench.bench.interface import DeviceRecord
     from pmabench.bench.registry import driver_class, verified
     from pmabench.guard.links import OPENS_WITHIN, load_driver
     from pmabench.guard.owner import Owner

@@ -18,7 +18,6 @@ from pmabench.cli.common import Ui, common, fields, no_overwriting, plan_options
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
 from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
-from pmabench.cli.sources import analyses_of
 from pmabench.kinds.compile import read_protocol
 from pmabench.protocol.idle import Idle, idle_trials, without
 from pmabench.protocol.plan import Plan
@@ -288,6 +287,7 @@ def _sentence(text: Any) -> str:
 
 def _diagnosed(runs: Path) -> Iterator[tuple[Path, Mapping[str, Any], Mapping[str, Any]]]:
     """Folder, diagnosis, and manifest of the last run, of analyses that have one, the newest first."""
+    from pmabench.cli.sources import analyses_of
     from pmabench.store.analyses.folder import read_analysis, runs_of
     from pmabench.store.folder import read_manifest
 

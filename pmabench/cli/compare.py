@@ -14,7 +14,6 @@ import click
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common, fields, no_pipes, read_quantity
 from pmabench.cli.names import FILE, RunFolder
-from pmabench.cli.sources import load_runs, read_all, stored
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -117,6 +116,7 @@ def _is_table(text: str) -> bool:
 def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path]]:
     """The analyses in a path, and the folders of their runs as far as they are at hand."""
     from pmabench.analysis.verdict.comparison import Side
+    from pmabench.cli.sources import load_runs, read_all, stored
     from pmabench.kinds.reduce import reduce_runs
     from pmabench.store.analyses.folder import analyses_below, read_analysis, runs_of
 
@@ -191,6 +191,7 @@ def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) ->
     """A table as the reference, and how its points compare with the curves of figures."""
     from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.report import read_overlays
+    from pmabench.cli.sources import load_runs
     from pmabench.report.figures.overlays import length_of, with_published
 
     tables = read_overlays([text])

@@ -9,7 +9,6 @@ import click
 
 from pmabench.base.errors import UsageError, VerdictFailed, did_you_mean
 from pmabench.base.kind import load
-from pmabench.bench.registry import drivers, verified
 from pmabench.cli.common import Ui, common, say
 from pmabench.cli.names import BENCH
 from pmabench.files.shipped import find_file
@@ -41,6 +40,8 @@ def command() -> None:
 @common
 def list_(ui: Ui) -> None:
     """List the drivers that are installed, what each can do, and on what it was verified."""
+    from pmabench.bench.registry import drivers
+
     rows = [_driver(name, target) for name, target in sorted(drivers().items())]
     table = [[row["name"], row["verified"], row["problem"] or ", ".join(row["can"])] for row in rows]
     data = {"schema": "pmabench.drivers/1", "drivers": rows}
@@ -49,6 +50,7 @@ def list_(ui: Ui) -> None:
 
 def _driver(name: str, target: str) -> dict[str, Any]:
     from pmabench.bench import interface
+    from pmabench.bench.registry import verified
 
     try:
         made = load(target)

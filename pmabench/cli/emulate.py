@@ -22,7 +22,6 @@ import click
 from pmabench.base.errors import InvalidFile, Problem, RecordError, UsageError, did_you_mean
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import BENCH, FILE
-from pmabench.files.quantity import parse_mass_or_force, parse_quantity
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
@@ -131,6 +130,8 @@ def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path |
 
 def _in_si(text: str) -> str:
     """An entry of `--wrong` with its value in SI."""
+    from pmabench.files.quantity import parse_quantity
+
     head, equals, value = text.partition("=")
     if not head.startswith("offset:") or not equals or value.lstrip("+-").replace(".", "").isdigit():
         return text
@@ -247,6 +248,8 @@ class Faults:
 
     def of_line(self, line: str) -> list[Happening]:
         """The requests of a typed line; raises ValueError for one that cannot be understood."""
+        from pmabench.files.quantity import parse_mass_or_force, parse_quantity
+
         given = {key: value.strip() for key, value in OPTION.findall(line)}
         word, _, rest = OPTION.sub("", line).strip().partition(" ")
         after = parse_quantity(given["after"], "time") if "after" in given else 0.0
@@ -294,6 +297,8 @@ class Faults:
 
 def _value(kind: Any, fault: str, value: Any) -> float | None:
     """The size of a fault, in SI where it has a unit."""
+    from pmabench.files.quantity import parse_quantity
+
     if value is None:
         return None
     if not kind.takes:

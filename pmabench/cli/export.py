@@ -11,7 +11,6 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import PATH, RunFolder
-from pmabench.cli.sources import Sources, apart
 from pmabench.report.publishing.about import LICENCES, About, Author, Place
 
 FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control", "mujoco")
@@ -31,6 +30,7 @@ def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path, fresh: b
     A folder of analyses means all in it. For latex, json, python-control and mujoco runs are processed first,
     unless `process` did that and nothing has changed since. Units are in the heads of columns.
     """
+    from pmabench.cli.sources import Sources, apart
     from pmabench.notebook import Results, open_run
     from pmabench.report.files.export import export_results, export_run
 
@@ -90,6 +90,7 @@ def publish(
     people, place = tuple(map(Author.read, authors)), Place.read(publisher)
     about = About(people, publisher=place, published=published or today, **facts)
     ui.begin("putting the publication together")
+    from pmabench.cli.sources import Sources
     from pmabench.plotting.svg import import_what_draws
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.document.provenance import operators

@@ -13,14 +13,13 @@ import click
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common, fields, no_pipes
 from pmabench.cli.names import FILE, PATH
-from pmabench.cli.sources import analyses_of
 from pmabench.files.shipped import find_file
 from pmabench.report.terminal import print_grid
-from pmabench.store.catalogue import ANALYSIS, Row, catalogue
 
 if TYPE_CHECKING:
     from pmabench.analysis.verdict.life import Past, References, Series, Use
     from pmabench.store.analyses.results import Analysis, Finding
+    from pmabench.store.catalogue import Row
     from pmabench.store.records import RunData
 
 
@@ -66,6 +65,8 @@ def _note(text: str) -> Finding:
 
 def _of_specimen(text: str, folder: Path) -> tuple[list[Row], list[Finding]]:
     """The runs of the specimen, sessions and calibrations too, and what was left out; InvalidFile for none."""
+    from pmabench.store.catalogue import catalogue
+
     rows = catalogue(folder)
     names = _names(text)
     mine = [row for row in rows if any(row.specimen == name or row.specimen.endswith(f" {name}") for name in names)]
@@ -131,6 +132,7 @@ def _cycles_before(manifest: Mapping[str, Any]) -> int:
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
     """The analyses of these runs that lie where `process` leaves them, in the order in which they were written."""
+    from pmabench.cli.sources import analyses_of
     from pmabench.store.analyses.folder import read_analysis
 
     for place in analyses_of(folder):
@@ -144,7 +146,7 @@ def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
 def _is_of(place: Path, runs: set[str]) -> bool:
     """Whether the analysis is of one of these runs; its figures' numbers are read for no other. True where damaged."""
     try:
-        analysed = json.loads((place / ANALYSIS).read_bytes())["runs"]
+        analysed = json.loads((place / "analysis.json").read_bytes())["runs"]
         return any(run in runs for run in analysed)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return True

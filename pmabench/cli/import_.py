@@ -17,7 +17,6 @@ from pmabench.base.text import printable, sparkline
 from pmabench.cli.common import Ui, common, fields, no_overwriting
 from pmabench.cli.names import PATH
 from pmabench.files.shipped import find_file
-from pmabench.kinds.registry import importable
 
 if TYPE_CHECKING:
     from pmabench.store.importers.guess.proposal import Guess
@@ -62,6 +61,7 @@ def command(
     if guessing or map_name is None:
         guess(ui, files, span, output)
         return
+    from pmabench.kinds.registry import importable
     from pmabench.store.importers.importing import import_files
 
     if any("=" not in text for text in answers):
@@ -104,6 +104,7 @@ SECONDS = 10.0
 def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> None:
     """Report what the files seem to hold, and write the map where `output` says."""
     from pmabench.files.document import Document
+    from pmabench.kinds.registry import importable
     from pmabench.report.writing import write_file
     from pmabench.store.importers.guess.guess import guess_files
     from pmabench.store.importers.guess.write import map_text, still_open

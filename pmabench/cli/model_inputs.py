@@ -15,7 +15,6 @@ import click
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.cli.common import Ui
-from pmabench.files.quantity import parse_quantity
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -91,6 +90,8 @@ def _value(parameter: Parameter, text: str) -> float | str:
 
 def number_of(text: str, quantity: str) -> float:
     """One number [SI]; ValueError that says what is expected."""
+    from pmabench.files.quantity import parse_quantity
+
     if quantity == "count":
         try:
             return float(text)

@@ -14,7 +14,6 @@ from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui
 from pmabench.cli.model_inputs import column_of, show_columns
-from pmabench.files.quantity import parse_quantity
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,6 +56,8 @@ def columns_of(
 
 def within(text: str, quantity: str, least: float, most: float) -> float:
     """What was typed [SI]; ValueError where it is outside, with room for rounding of units."""
+    from pmabench.files.quantity import parse_quantity
+
     value = parse_quantity(text.strip(), quantity)
     if not least <= value <= most * (1 + 1e-9):
         raise ValueError(f'"{text.strip()}" is outside {show(least, quantity)} to {show(most, quantity)}')

@@ -16,7 +16,6 @@ from pmabench.cli.common import Ui, common
 from pmabench.cli.model_inputs import column_of, show_columns
 from pmabench.cli.model_plants import DRIVE, PLANTS, columns_of, described_by, next_to, within
 from pmabench.cli.names import RunFolder
-from pmabench.files.quantity import parse_mass_or_force, parse_quantity
 
 if TYPE_CHECKING:
     from pmabench.model.driven import Actuator, DrivenPlant
@@ -317,6 +316,8 @@ def _course(steps: tuple[str, ...], sine: str | None) -> tuple[Wave, ...]:
 
 def _load(text: str | None) -> tuple[float, float]:
     """Force [N] and moving mass [kg]."""
+    from pmabench.files.quantity import parse_mass_or_force
+
     kind, value = parse_mass_or_force(text or "0 N")
     if not 0 <= value <= 1e5:
         raise ValueError(f'"{text}" is no load of a muscle; expected is 0 N or more')
@@ -336,6 +337,7 @@ def _drive(text: str | None) -> tuple[float, float, float] | None:
 
 def _overrides(settings: tuple[str, ...]) -> Overrides:
     """The changes by name; ValueError with a line for each that is wrong."""
+    from pmabench.files.quantity import parse_quantity
     from pmabench.model.overrides import Overrides
 
     found: dict[str, Any] = {}

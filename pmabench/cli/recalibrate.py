@@ -15,7 +15,6 @@ from pmabench.base.errors import UsageError
 from pmabench.base.system import user_name
 from pmabench.cli.common import Ui, common, fields, read_quantity
 from pmabench.cli.names import PATH, RunFolder
-from pmabench.cli.sources import campaign_folder, load_runs, without_analyses
 
 if TYPE_CHECKING:
     from pmabench.analysis.verdict.comparison import Change
@@ -62,6 +61,7 @@ def command(
     """
     from pmabench.analysis.verdict.comparison import changes
     from pmabench.cli.process import write
+    from pmabench.cli.sources import campaign_folder, load_runs, without_analyses
     from pmabench.kinds.reduce import reduce_runs
     from pmabench.kinds.registry import loops
     from pmabench.report.pages.comparison_page import print_changes, write_changes

@@ -16,7 +16,6 @@ from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
 from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.common import Ui, common, no_pipes
 from pmabench.cli.names import FILE, RunFolder
-from pmabench.cli.sources import Sources, chains, since_lines
 
 if TYPE_CHECKING:
     from pmabench.cli.process import Processed
@@ -62,6 +61,7 @@ def command(
     Two pages that print on A4, then appendices that fold out, in one file that needs nothing else.
     Runs are processed now, unless `process` did that and nothing has changed since.
     """
+    from pmabench.cli.sources import Sources, chains
     from pmabench.report.writing import keep, kept, page_key, write_file
     from pmabench.store.analyses.folder import runs_of
     from pmabench.store.since import as_sealed
@@ -99,6 +99,7 @@ def _written(
     *, long: bool, **about: Any,
 ) -> tuple[dict[str, str], KeptPage]:  # fmt: skip
     """Write the report in each format that is wanted, `about` as in `content_of`; what was written, and the page."""
+    from pmabench.cli.sources import since_lines
     from pmabench.plotting.svg import import_what_draws
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.many import added_to

@@ -22,7 +22,6 @@ from pmabench.cli.common import Ui, common, plan_options, rewrite, say, session_
 from pmabench.cli.names import PATH, RunFolder, short, typed
 from pmabench.cli.operator import AtDisplay, Confirmed, InLines
 from pmabench.cli.outcome import WIDTH, print_checks, progress_line, show_end, show_next
-from pmabench.cli.runs import ENDED_EARLY, going_on, trials_left, vented
 from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody, Operator
 
 if TYPE_CHECKING:
@@ -306,6 +305,8 @@ def _newest(out: Path) -> Path:
 
 def _left(folder: Path, data: RunData) -> tuple[int, str]:
     """How many trials are left, and the command to type where none can be done by going on."""
+    from pmabench.cli.runs import ENDED_EARLY, going_on, trials_left
+
     after = going_on(folder, data)
     if after["continued_by"]:
         later = folder.resolve().parent / after["continued_by"]
@@ -318,6 +319,7 @@ def _left(folder: Path, data: RunData) -> tuple[int, str]:
 
 
 def _happened(data: RunData, left: int, tripped: Any) -> str:
+    from pmabench.cli.runs import vented
 
     planned = int(data.manifest.get("trials_planned") or 0)
     why = str(data.manifest.get("why") or "")

@@ -16,9 +16,6 @@ from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.names import PATH, RunFolder
 from pmabench.report.terminal import print_grid
-from pmabench.store.catalogue import catalogue, folders_in
-from pmabench.store.folder import EVENTS, LATE, MANIFEST, decode_lines, plain, read_file
-from pmabench.store.since import Added, Since, late_files
 
 if TYPE_CHECKING:
     from pmabench.store.records import RunData
@@ -39,6 +36,8 @@ def command() -> None:
 @common
 def list_runs(ui: Ui, folder: Path) -> None:
     """Every run in FOLDER, by date."""
+    from pmabench.store.catalogue import catalogue
+
     if not folder.is_dir():
         raise invalid(folder, "there is no such folder")
     rows = sorted(({**vars(row)} for row in catalogue(folder)), key=lambda row: (row["date"], row["folder"]))
@@ -48,6 +47,7 @@ def list_runs(ui: Ui, folder: Path) -> None:
         row["resume"] = "" if row["id"] in continued else _resume(folder / row["folder"], row["status"], left)
 
     def human() -> None:
+        from pmabench.store.since import Added, Since
 
         table = []
         for row in rows:
@@ -78,6 +78,7 @@ def _resume(run: Path, status: str, left: int) -> str:
 @common
 def show_run(ui: Ui, run: Path) -> None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
+    from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
 
     data = open_run(run)
@@ -214,6 +215,10 @@ def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
     Exit 3 where something is wrong, also where one of RUNS is no run; the others are checked all the same. What was
     added to a closed run is named; its sealed part is whole all the same.
     """
+    from pmabench.store.catalogue import folders_in
+    from pmabench.store.folder import LATE, MANIFEST
+    from pmabench.store.since import late_files
+
     given = [run for run in runs if not (run.name.endswith(LATE) and run.is_dir() and not (run / MANIFEST).exists())]
     folders = [folder for run in given for folder in (folders_in(run) or [run])]
     found = {str(folder): _verified(folder) for folder in folders}
@@ -281,6 +286,7 @@ def note(
 def _trial(run: Path, index: int) -> str:
     """A trial in words, so that a wrong number is seen."""
     from pmabench.display.wording import point_text
+    from pmabench.store.folder import EVENTS, decode_lines, read_file
 
     lines = decode_lines(read_file(run, EVENTS)).lines
     data = next(line["data"] for line in lines if line["kind"] == "trial-begin" and line["data"].get("trial") == index)

@@ -28,7 +28,6 @@ from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import in_words, show
 from pmabench.cli.common import Ui, common, no_overwriting, read_quantity
 from pmabench.cli.names import FILE, RunFolder
-from pmabench.cli.sources import load_runs
 from pmabench.engine.resume import CHANGED, Chosen, NoMore
 from pmabench.files.quantity import parse_quantity
 from pmabench.protocol.plan import TrialRecord
@@ -247,6 +246,7 @@ def command(ui: Ui, sources: tuple[Path, ...], goal: str, length: str, output: P
 
 def _runs(ui: Ui, sources: Sequence[Path]) -> tuple[list[RunData], Kind]:
     """The runs of a kind whose trials can be chosen."""
+    from pmabench.cli.sources import load_runs
     from pmabench.kinds import registry
     from pmabench.store.analyses.folder import runs_of
 
