@@ -5,6 +5,7 @@ What goes wrong meanwhile comes from a file or from typed lines, each thing at i
 
 from __future__ import annotations
 
+import heapq
 import re
 import signal
 import sys
@@ -12,9 +13,9 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import groupby
-from operator import attrgetter
+from itertools import count
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -191,20 +192,28 @@ class Happening:
 
 
 class Schedule:
-    """Carries out requests at their times, in threads; those of one time in the order in which they were given."""
+    """Carries out requests at their times, in a thread."""
 
     def __init__(self, act: Callable[[Mapping[str, Any]], object], report: Callable[[str], None]) -> None:
         self._act, self._report = act, report
+        self._due: list[tuple[float, int, Happening]] = []
+        self._number, self._changed = count(), threading.Condition()
+        threading.Thread(target=self._run, name="what happens", daemon=True).start()
 
     def add(self, happenings: list[Happening]) -> None:
         """Schedule them, their times counted from now."""
-        for after, together in groupby(sorted(happenings, key=attrgetter("after")), key=attrgetter("after")):
-            timer = threading.Timer(after, self._carry_out, [list(together)])
-            timer.daemon = True
-            timer.start()
+        with self._changed:
+            now = monotonic()
+            for item in happenings:
+                heapq.heappush(self._due, (now + item.after, next(self._number), item))
+            self._changed.notify()
 
-    def _carry_out(self, happenings: list[Happening]) -> None:
-        for item in happenings:
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while not self._due or self._due[0][0] > monotonic():
+                    self._changed.wait(self._due[0][0] - monotonic() if self._due else None)
+                item = heapq.heappop(self._due)[2]
             try:
                 self._act(item.wanted)
             except ValueError as error:
