@@ -173,10 +173,13 @@ class Processed:
         return ["pmabench", "process", *map(short, self.given), "--form", next(iter(registry.with_part(FORM)))]
 
 
-def processed(given: Sequence[Path], place: Path, asked: Mapping[str, Any] | None = None, form: str = "") -> Processed:
-    """Process runs together into `place`: an analysis for each kind of test of each specimen; `asked` as in `command`.
+def processed(
+    given: Sequence[Path], out: Path | None, asked: Mapping[str, Any] | None = None, form: str = ""
+) -> Processed:
+    """Process runs together into `out`, else next to them; `asked` are options by kind of test.
 
-    With a `form` of all tests one analysis for each specimen.
+    An analysis for each kind of test of each specimen; with a `form` of all tests one for each specimen, in a folder
+    next to those of the tests.
     """
     from pmabench.kinds.reduce import reduce_runs, reduce_together, verdicts
     from pmabench.store.analyses.folder import key_of
@@ -190,19 +193,21 @@ def processed(given: Sequence[Path], place: Path, asked: Mapping[str, Any] | Non
             f"{', '.join(asked)}; none of these is one"
         )
     analyses = reduce_together(form, runs) if form else reduce_runs(runs, asked)
-    return Processed(given, runs, analyses, write(analyses, runs, place, key, asked), verdicts(runs, analyses))
+    if out is None:
+        out = place_of(given[0])
+        out = out.with_name(f"{out.name}-{form}") if form else out
+    return Processed(given, runs, analyses, write(analyses, runs, out, key, asked), verdicts(runs, analyses))
 
 
 def _process_together(
     ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]], form: str = ""
 ) -> int | None:
-    """Process runs into `out`, else next to `runs`; those of a `form` next to the analyses of the tests."""
+    """Process runs as `processed` does, and show what came of them; the exit code."""
     ui.begin(f"processing {len(runs)} {'run' if len(runs) == 1 else 'runs'}")
     from pmabench.report.many import added_to
 
     given = without_analyses(ui, runs)
-    place = place_of(given[0])
-    found = processed(given, out or (place.with_name(f"{place.name}-{form}") if form else place), asked, form)
+    found = processed(given, out, asked, form)
     folders = [str(path) for path in found.folders]
     added = added_to(found.runs)
     data: dict[str, Any] = {
