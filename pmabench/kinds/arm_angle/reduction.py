@@ -68,20 +68,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     if estimates and (lacking := Scales.of(runs).lack((channel_of(settings), "pressure"))):
         findings.append(Finding("note", lacking))
+    traces = [figures.trace(one, compare=compare) for one in fits]
+    trials, rms = sum(len(one.stairs) for one in loads), None if matrix is None else matrix.residual_rms
+    facts = {"options": dict(options or {}), "trials": trials, "loads": len(loads), "residual_rms": rms}
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=findings,
-        traces=[figures.trace(one, compare=compare) for one in fits],
-        facts={
-            "options": dict(options or {}),
-            "trials": sum(len(one.stairs) for one in loads),
-            "loads": len(loads),
-            "residual_rms": None if matrix is None else matrix.residual_rms,
-        },
+        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
     )
 
 

@@ -1,7 +1,7 @@
 """A filled muscle, shut off and contracted slowly: its volume over contraction.
 
-- `reduction`, made of `stroke`
-- protocol files: `protocol`; figures and one trial on the display: `figures`
+- `reduction`, made of `stroke`, with the figure and one trial on the display
+- protocol files: `protocol`
 """
 
 from pmabench.base.imported import Imported
@@ -32,11 +32,9 @@ KIND = Kind(
     reduction="pmabench.kinds.closed_volume.reduction:reduce",
     papers=("paper 3, closed muscle",),
     protocol="pmabench.kinds.closed_volume.protocol:ClosedVolume",
-    live="pmabench.kinds.closed_volume.figures:measure",
+    live="pmabench.kinds.closed_volume.reduction:one_trial",
     moves="displacement",
     methods=METHODS,
-    figures={
-        "volume": "pmabench.kinds.closed_volume.figures:volumes",
-    },
+    figures={"volume": "pmabench.kinds.closed_volume.reduction:volumes"},
     imported=Imported(),
 )

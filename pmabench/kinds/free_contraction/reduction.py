@@ -112,22 +112,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     if estimates and (missing := scales.lack(CHANNELS)):
         findings.append(Finding("note", missing))
+    traces = [figures.trace(points, fit, length, compare=compare)] if points else []
+    facts = {
+        "options": dict(options or {}),
+        "nominal_length": length,
+        "measured": [point.pressure for point in points],
+        "trials": sum(len(point.rests) for point in points),
+        "pressures": len(points),
+        "residual_rms": None if fit is None else fit.residual_rms,
+    }
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=findings,
-        traces=[figures.trace(points, fit, length, compare=compare)] if points else [],
-        facts={
-            "options": dict(options or {}),
-            "nominal_length": length,
-            "measured": [point.pressure for point in points],
-            "trials": sum(len(point.rests) for point in points),
-            "pressures": len(points),
-            "residual_rms": None if fit is None else fit.residual_rms,
-        },
+        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
     )
 
 

@@ -1,7 +1,7 @@
 """A driven end moved as a sine at constant pressure: K, B, F_c, loops.
 
-- `reduction`, made of `fit`, `mean_force`, `form` (what harmonics and creep correct and
-  contradict), `sensors` (what filters, steps and a swing of the pressure leave open), `pressure`
+- `reduction`, with what filters, steps and a swing of the pressure leave open; made of `fit`, `mean_force`, `form`
+  (what harmonics and creep correct and contradict), `pressure`
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

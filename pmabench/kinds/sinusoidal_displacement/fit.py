@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import hypot, pi
 from typing import Any
 
@@ -17,7 +18,7 @@ from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, Swing, measure, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.analysis.shared.trials import Point, grouped
-from pmabench.kinds.sinusoidal_displacement.form import lost, pressure_of
+from pmabench.kinds.sinusoidal_displacement.form import Form, lost, pressure_of
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -174,6 +175,11 @@ class Fitted:
     def sines(self) -> list[Sine]:
         """All trials."""
         return [member.sine for member in self.group]
+
+    @cached_property
+    def form(self) -> Form:
+        """Harmonics of their force."""
+        return Form.of(self.sines, self.replayed.B)
 
     def estimates(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
         """K, B, F_c over all frequencies, then all of each frequency; `slopes` over pressure, None where not known.
