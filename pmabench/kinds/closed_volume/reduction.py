@@ -55,8 +55,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, facts=facts)
     scales, gas, length = Scales.of(runs), Gas.of(settings), float(settings["length"])
     cells = grouped(members, lambda stroke: round(stroke.trial.point["pressure"], 6))
-    estimates: list[Estimate] = []
-    findings: list[Finding] = []
+    estimates, findings = list[Estimate](), list[Finding]()
     form = form_of(cells, gas)
     for pressure, group in sorted(cells.items()):
         for leak, method in ((True, TIGHT), (False, PRINTED)):

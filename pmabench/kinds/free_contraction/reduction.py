@@ -351,31 +351,29 @@ def _leverage(fit: ModelFit) -> tuple[Array, Shape]:
     return np.linalg.pinv((slopes / size[:, None]).T) / size[:, None], computed
 
 
-def _scaled(fit: ModelFit, length: float) -> dict[tuple[str, str], Array]:
-    """Change of a to e, shape (5,), by a relative change (`gain`) or an offset of 1 [SI] of each channel."""
-    P = fit.columns["pressure"]
+def _errors(fit: ModelFit, points: Sequence[Point], length: float) -> tuple[dict[str, dict[str, Array]], Array, Array]:
+    """What moves a to e, shape (5,) each: scales of the channels, scatter, and the steps of the displacement.
+
+    By a relative change (`gain`) or an offset of 1 [SI] of each channel. Half widths by the scatter of the repeats and
+    the noise of the pressure at each length, which grow with the contraction: where few lengths make a coefficient,
+    their errors are not those of all residuals. Half widths by the steps.
+    """
     leverage, computed = _leverage(fit)
+    P, x = fit.columns["pressure"], length - fit.measured
     below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, highest(fit.model))
     rises = (computed(above) - computed(below)) / (above - below)
-    x = length - fit.measured
-    moved = {("pressure", "offset"): -rises, ("pressure", "gain"): -rises * P,
-             ("displacement", "offset"): -np.ones_like(x), ("displacement", "gain"): -x}  # fmt: skip
-    return {name: STEEPER * leverage @ by for name, by in moved.items()}
-
-
-def _scattered(fit: ModelFit, points: Sequence[Point]) -> Array:
-    """Half widths of a to e, shape (5,), by the scatter of the repeats and the noise of the pressure at each length.
-
-    They grow with the contraction: where few lengths make a coefficient, their errors are not those of all residuals.
-    """
+    moved = {"gain": {"pressure": -rises * P, "displacement": -x},
+             "offset": {"pressure": -rises, "displacement": -np.ones_like(x)}}  # fmt: skip
+    scaled = {kind: {c: STEEPER * leverage @ by for c, by in each.items()} for kind, each in moved.items()}
+    stepped = np.linalg.norm(leverage * [point.coarse for point in points], axis=1)
     freedom = sum(len(point.repeats) - 1 for point in points)
     if not freedom:
-        return np.zeros(len(UNKNOWN))
-    leverage, computed = _leverage(fit)
-    P, noise = fit.columns["pressure"], np.array([point.pressure_noise for point in points])
+        return scaled, np.zeros(len(UNKNOWN)), stepped
+    noise = np.array([point.pressure_noise for point in points])
     by_noise = computed(P) - computed(np.maximum(P - noise, 0.0))
     errors = [np.std(p.repeats, ddof=1) / np.sqrt(len(p.repeats)) if len(p.repeats) > 1 else 0.0 for p in points]
-    return np.asarray(student.ppf(0.975, freedom) * np.sqrt(leverage**2 @ (np.square(errors) + by_noise**2)))
+    scattered = student.ppf(0.975, freedom) * np.sqrt(leverage**2 @ (np.square(errors) + by_noise**2))
+    return scaled, scattered, stepped
 
 
 def _coefficients(
@@ -384,17 +382,16 @@ def _coefficients(
 ) -> list[Estimate]:  # fmt: skip
     """The coefficients a to e, those without an interval as not identifiable, withheld for the reason `other`.
 
-    What they differ by from those of `shifted` is in the interval, and what a scale does to them (`_scaled`).
+    What they differ by from those of `shifted` is in the interval, and what a scale does to them (`_errors`).
     """
     quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
-    scaled = {} if fit is None else _scaled(fit, length)
-    scattered = np.zeros(len(UNKNOWN)) if fit is None else _scattered(fit, points)
-    stepped = scattered if fit is None else np.abs(_leverage(fit)[0] * [point.coarse for point in points])
+    none = np.zeros(len(UNKNOWN))
+    scaled, scattered, stepped = ({}, none, none) if fit is None else _errors(fit, points, length)
     found = []
     for place, name in enumerate(UNKNOWN):
         quantity = quantities[name]
         value, half, note = (None, None, why) if fit is None else fit.identified(name, UNITS[quantity])
-        by = {kind: {c: float(scaled[c, kind][place]) for c in CHANNELS} for kind in ("gain", "offset") if scaled}
+        by = {kind: {c: float(change[place]) for c, change in each.items()} for kind, each in scaled.items()}
         half = None if half is None else max(half, float(scattered[place]))
         parts = Parts(repeats=half, calibration=scales.part(by["gain"], by["offset"]) if by else None)
         n = 0 if fit is None else len(fit.measured)
@@ -404,7 +401,7 @@ def _coefficients(
             Doubt(way, PART.get(way, "method"), abs(one.values[name] - (value or 0.0)), seen=True)
             for way, one in shifted.items()
         ]
-        doubts.append(Doubt(STEPS, "method", float(np.linalg.norm(stepped[place])), seen=False))
+        doubts.append(Doubt(STEPS, "method", float(stepped[place]), seen=False))
         found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found
 

@@ -282,9 +282,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
     scales = Scales.of(runs)
     cells = _cells(members)
-    estimates: list[Estimate] = []
-    findings: list[Finding] = []
-    traces: list[Trace] = []
+    estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
     for cell, creep in zip(cells, creeps_of(cells), strict=True):
         near = _next_to(cell, cells)
         estimates += judged(cell, [*of_curve(cell, scales, near), *of_gap(cell, scales, near)], creep)

@@ -20,7 +20,7 @@ from pmabench.kinds.sinusoidal_displacement.fit import Muscle
 from pmabench.plotting import pictures, time_plots
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Trace
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import RunData, TrialData
 
 
 def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: Muscle | None) -> list[Trace]:
@@ -54,7 +54,10 @@ def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], mu
         )
 
     marks = {} if muscle is None else {"K": muscle.K, "B": muscle.B, "F_c": muscle.F_c}
-    columns = _bode(groups)
+    columns = {
+        name: np.array([float(np.mean([of(sine) for sine in members])) for _, members in groups])
+        for name, (_, of) in BODE.items()
+    }
     quantities = {name: quantity for name, (quantity, _) in BODE.items()}
     return [*traces, Trace(f"bode-{name}", "bode", f"Force over displacement, {where}", columns, quantities, marks)]
 
@@ -68,15 +71,7 @@ BODE: Mapping[str, tuple[str, Callable[[Sine], float]]] = {
     "speed": ("speed", lambda sine: sine.speed),
     "width": ("force", lambda sine: sine.width),
 }
-"""Column of the Bode table -> its quantity, and its value of one driven sine."""
-
-
-def _bode(groups: Sequence[tuple[float, Sequence[Sine]]]) -> dict[str, Array]:
-    """Means over the sines of each frequency."""
-    return {
-        name: np.array([float(np.mean([of(member) for member in members])) for _, members in groups])
-        for name, (_, of) in BODE.items()
-    }
+"""Column of the Bode table, a mean over the sines of each frequency -> its quantity, and its value of one sine."""
 
 
 SINES = 4

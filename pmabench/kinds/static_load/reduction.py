@@ -55,9 +55,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     runs = [on_time_run(run) for run in runs]
     plain, dropped = points_of(runs)
     plain = replace(plain, step=step, zero=zero_moved(runs))
-    estimates: list[Estimate] = []
-    curves: list[Curve] = []
-    findings: list[Finding] = []
+    estimates, curves, findings = list[Estimate](), list[Curve](), list[Finding]()
     sides = {method: line for method in (LIFT, SET_DOWN) if (line := fit_side(plain, method)) is not None}
     stiffness = Stiffness.of((options or {}).get("stiffness"))
     mean = mean_of(runs, plain, sides[SET_DOWN].s, stiffness) if SET_DOWN in sides else None
@@ -74,25 +72,20 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     if lines and (lack := scales.lack(["pressure"])):
         findings.append(Finding("note", lack))
     findings += _of_both_ways(lines, mean, plain.zero)
+    facts = {
+        "options": dict(options or {}),
+        "trials": sum(len(run.trials) for run in runs),
+        "trials_used": len(plain.names),
+        "loads": len(np.unique(plain.load)),
+        "residual_rms": lines[MEAN].rms if MEAN in lines else None,
+        "hysteresis": mean.kept is not None if mean is not None and mean.raised else None,
+        "table": figures.table(plain),
+    }
+    traces = figures.traces(runs, plain)
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        curves=curves,
-        dropped=dropped,
-        findings=findings,
-        traces=figures.traces(runs, plain),
-        facts={
-            "options": dict(options or {}),
-            "trials": sum(len(run.trials) for run in runs),
-            "trials_used": len(plain.names),
-            "loads": len(np.unique(plain.load)),
-            "residual_rms": lines[MEAN].rms if MEAN in lines else None,
-            "hysteresis": mean.kept is not None if mean is not None and mean.raised else None,
-            "table": figures.table(plain),
-        },
-    )
+        KIND, runs, results=RESULTS, estimates=estimates, curves=curves, dropped=dropped, findings=findings,
+        traces=traces, facts=facts,
+    )  # fmt: skip
 
 
 def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None, zero: float) -> list[Finding]:
