@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.calibration import Scales, changes, sentences
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, Swing, measure, replay
 from pmabench.analysis.shared.skew import courses, settled
@@ -77,12 +77,9 @@ class Lines:
         known = {name: getattr(getattr(self, line), f"half_{of}") for name, (line, of, _) in NUMBERS.items()}
         return {name: None if half is None else NUMBERS[name][2] * half for name, half in known.items()}
 
-    def largest_changes(self, others: Iterable[Lines]) -> dict[str, float]:
-        """The largest change of each of `NUMBERS` to those of other lines."""
-        most, mine = dict.fromkeys(NUMBERS, 0.0), self.values
-        for other in others:
-            most = {name: max(most[name], abs(value - mine[name])) for name, value in other.values.items()}
-        return most
+    def largest_changes(self, others: Iterable[Sequence[Swing]]) -> dict[str, float]:
+        """The largest change of each of `NUMBERS` to those of the lines through other swings."""
+        return changes(self.values, *(Lines.of(swings).values for swings in others))
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,19 +223,19 @@ class Fitted:
     def _crept(self) -> dict[str, float]:
         """What creep may do to each of `NUMBERS`: half of what it does to K, the lines without its loss."""
         creeps = lost(self.sines, [cycle for sine in self.sines for cycle in sine.cycles])
-        lines = [
-            Lines.of([sine.less(part * sine.amplitude) for sine, part in zip(self.sines, loss, strict=True)])
-            for loss, _ in creeps
-        ]
         softer = max((0.5 * float(np.ptp(change)) for _, change in creeps), default=0.0)
-        return self.lines.largest_changes(lines) | {"K": softer}
+        others = (
+            [sine.less(part * sine.amplitude) for sine, part in zip(self.sines, loss, strict=True)]
+            for loss, _ in creeps
+        )
+        return self.lines.largest_changes(others) | {"K": softer}
 
     def skewed(self) -> dict[str, float]:
         """What the time between displacement and force may do to each of `NUMBERS`: the lines once more."""
         both = self.skew * courses([member.trial for member in self.group])
+        ways = (*both.tolist(), *(-both).tolist()) if self.skew else ()
         return self.lines.largest_changes(
-            Lines.of([sine.turned(by) for sine, by in zip(self.sines, course, strict=True)])
-            for course in ((*both.tolist(), *(-both).tolist()) if self.skew else ())
+            [sine.turned(by) for sine, by in zip(self.sines, course, strict=True)] for course in ways
         )
 
     def halves(self) -> dict[str, float | None]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from math import nan
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.lines import mean_half
@@ -21,7 +22,7 @@ from pmabench.analysis.shared.sine_loop import without_lag
 from pmabench.analysis.shared.trials import grouped, point_by, thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import Member, Muscle, of_cycles
-from pmabench.kinds.sinusoidal_displacement.form import cycle_of
+from pmabench.kinds.sinusoidal_displacement.form import rows_of_cycles
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
 
@@ -63,14 +64,13 @@ class Along:
         P, F = (without_lag(sine.t, trial.channels[name][rows], sine.frequency, lags[name]) for name in PULLS)
         return cls(member, x, v, F, P, float(wanted))
 
-    def side(self, name: str) -> Array:
+    def side(self, name: str) -> NDArray[np.bool_]:
         """Rows that move in a direction, shape (n,)."""
         return np.asarray(self.v > 0 if name == "contracting" else self.v < 0)
 
-    def by_cycle(self, values: Array, rows: Array) -> list[Array]:
+    def by_cycle(self, values: Array, rows: NDArray[np.bool_]) -> list[Array]:
         """`values` of these rows, cycle by cycle."""
-        cycle = cycle_of(self.member.sine)
-        return [values[rows & (cycle == c)] for c in range(int(cycle.max()) + 1) if (rows & (cycle == c)).any()]
+        return [values[rows & one] for one in rows_of_cycles(self.member.sine) if (rows & one).any()]
 
 
 @dataclass(frozen=True, eq=False)
