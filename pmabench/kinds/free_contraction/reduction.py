@@ -48,8 +48,8 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "free-contraction"
 FREE, SIGMOID = "free-length", "sigmoid"
-FORM, PAPER = "sigmoid-length-coefficients", "sigmoid-length"
-"""Models of the library: with fitted coefficients, and with those that paper 2 derives from the length."""
+FORM = "sigmoid-length-coefficients"
+"""Model of the library, with fitted coefficients."""
 UNKNOWN = ("a", "b", "c", "d", "e")
 UNITS = {"length": "m", "pressure": "Pa", "count": "1", "ratio": "1"}
 RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is not carried into the coefficients"

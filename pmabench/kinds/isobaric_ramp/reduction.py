@@ -75,16 +75,15 @@ def first_cycle(runs: Sequence[RunData], cells: Sequence[Cell], options: Mapping
     for cell in cells:
         if cell.upside_down or not (members := [m for m in cell.members if m.trial.name in firsts]):
             continue
+        found = [_wider(member, options) for member in members]
+        known = [one for one in found if isinstance(one, Wider)]
         # whether the gap at speed 0 is known well enough to be what another one is a share of
         sure = cell.gap.half_start is not None and cell.gap.half_start < FADED * cell.gap.start
         lacks = ONE_SPEED if cell.one_speed else "" if sure else NO_HYSTERESIS
-        try:
-            known = [_wider(member, options) for member in members]
-        except NotUsable as reason:
-            lacks = str(reason)
-        if lacks:
+        if len(known) < len(found) or lacks:
+            why = next((one for one in found if isinstance(one, str)), lacks)
             trials = tuple(m.trial.name for m in members)
-            yield Estimate(SYMBOL, None, "1", "ratio", GAP, dict(cell.at), n=len(members), note=lacks, trials=trials)
+            yield Estimate(SYMBOL, None, "1", "ratio", GAP, dict(cell.at), n=len(found), note=why, trials=trials)
         else:
             yield _estimate(cell, known)
 
@@ -94,28 +93,25 @@ def _rest(run: RunData) -> float:
     return float(settings_of(run).get("rest", 0.0))
 
 
-def _wider(member: Member, options: Mapping[str, Any]) -> Wider:
-    """What the first gap of a trial is wider by; raises `NotUsable` where that is not known."""
+def _wider(member: Member, options: Mapping[str, Any]) -> Wider | str:
+    """What the first gap of a trial is wider by, or why that is not known."""
     run = member.run
     rest, first = _rest(run), int(settings_of(run, options).get("discard", 1))
     if rest < LONG:
-        raise NotUsable(
-            f"the muscle rested for {show(rest, 'time')} only: let it rest for {show(LONG, 'time')} or more"
-        )
+        return f"the muscle rested for {show(rest, 'time')} only: let it rest for {show(LONG, 'time')} or more"
     try:
         loop = measure_as_planned(run, member.trial, {**options, "discard": 0})
     except NotUsable as reason:
-        raise NotUsable(f"of all cycles: {reason}") from reason
+        return f"of all cycles: {reason}"
     gaps, grown = _at_middle(loop)
     later = gaps[first:]
     if first < 1 or len(later) < FEWEST_LATER:
-        text = f"it needs `discard` of 1 or more cycles, and {FEWEST_LATER} after them; there are {len(later)}"
-        raise NotUsable(text)
+        return f"it needs `discard` of 1 or more cycles, and {FEWEST_LATER} after them; there are {len(later)}"
     gap, fades = float(gaps[0] - later.mean()), float(np.ptp(later))
     scatter = float(student.ppf(0.975, len(later) - 1) * later.std(ddof=1) * sqrt(1 + 1 / len(later)))
     if fades > FADED * abs(gap) and fades > 2 * loop.noise:
         change = f"{show(fades, 'force', 2)} of {show(gap, 'force', 2)}"
-        raise NotUsable(f"the loops after `discard` still change by {change}: more cycles, and a larger `discard`")
+        return f"the loops after `discard` still change by {change}: more cycles, and a larger `discard`"
     return Wider(member.trial.name, rest, gap, scatter, hypot(fades, grown))
 
 
