@@ -235,18 +235,15 @@ def judged(cell: Cell, found: list[Estimate], creep: Creep | None) -> list[Estim
     late, falls = _late(cell), _falls(cell)
     half = half_steps([(member.run, member.trial) for member in cell.members], ("force", "displacement"))
     level = cut_off(half, {"force": 1.0, "displacement": cell.straight})
-
-    def doubts(e: Estimate) -> list[Doubt]:
-        at_level = [level] if e.symbol in ("F", "F_ce") else []
-        return [*_doubts(cell, e, late, creep), *_of_falls(e, *falls), *at_level]
-
-    return [weighed(e, doubts(e)) for e in _without_creep(cell, found)]
+    return [weighed(e, _doubts(cell, e, late, creep, falls, level)) for e in _without_creep(cell, found)]
 
 
-def _doubts(cell: Cell, e: Estimate, late: Doubt, creep: Creep | None) -> list[Doubt]:
-    """What a late force, backlash and a drift do to an estimate; `late` and `creep` are of the cell."""
+def _doubts(
+    cell: Cell, e: Estimate, late: Doubt, creep: Creep | None, falls: tuple[float, float, bool], level: Doubt
+) -> list[Doubt]:
+    """What a late force, backlash, a drift and so on do to an estimate; all but that are of the cell."""
     K, stroke = abs(cell.straight), cell.stroke  # K turns times into forces
-    slowest, _ = cell.speeds
+    slowest, still = cell.speeds[0], e.at.get("speed") == 0
     gap = 2 * K * (e.at.get("speed", 0.0) or slowest) * late.half
     # the zero of a displacement with play is anywhere within it: half of it either way, and turns show a part of it
     play = gap / 3 if late.seen else 0.0
@@ -269,13 +266,16 @@ def _doubts(cell: Cell, e: Estimate, late: Doubt, creep: Creep | None) -> list[D
         by_creep = {
             "K": creep.stiffness, "F": float(np.interp(place, cell.x, creep.force)), "F_c": creep.gap / 2,
             "F_ce": float(np.interp(place, cell.x, creep.force)), "B": creep.damping,
-            "H": creep.gap if e.at.get("speed") == 0 else 0.0,
+            "H": creep.gap if still else 0.0,
         }.get(e.symbol, 0.0)  # fmt: skip
         # values at a place have wide intervals, and any that is wider without creep holds it, too
         withheld = e.method in (CURVE, RAW) and by_creep > (e.parts.combined or 0.0)
         reason = creep.reason if withheld else ""
         found.append(Doubt("creep", "method", by_creep, creep.seen, reason))
-    return found
+    friction, damping, seen = falls
+    by_fall = {"F_c": friction, "H": 2 * friction if still else 0.0, "B": damping}.get(e.symbol, 0.0)
+    found.append(Doubt("friction that falls with the speed", "method", by_fall, seen))
+    return [*found, *([level] if e.symbol in ("F", "F_ce") else [])]
 
 
 def _late(cell: Cell) -> Doubt:
@@ -318,16 +318,8 @@ def _shrinks_by_creep(cell: Cell) -> bool:
     return dome.slope > max(dome.half_slope or 0.0, -UNIFORM * cell.gap.slope)
 
 
-def _of_falls(e: Estimate, friction: Doubt, damping: Doubt) -> list[Doubt]:
-    if e.symbol == "B":
-        return [damping]
-    if e.symbol == "F_c" or (e.symbol == "H" and e.at.get("speed") == 0):
-        return [friction if e.symbol == "F_c" else replace(friction, half=2 * friction.half)]
-    return []
-
-
-def _falls(cell: Cell) -> tuple[Doubt, Doubt]:
-    """What a friction that falls with the speed does to F_c [N] and B [N.s/m], as far as the gaps allow.
+def _falls(cell: Cell) -> tuple[float, float, bool]:
+    """What a friction that falls with the speed does to F_c [N] and B [N.s/m], as far as the gaps allow; if it is seen.
 
     F_c is that of a muscle in motion: it is off by the start of a line through the most of c exp(-v/u) that is allowed.
     """
@@ -347,5 +339,4 @@ def _falls(cell: Cell) -> tuple[Doubt, Doubt]:
     for unit, most in found:
         start, slope = most * np.linalg.lstsq(design, unit, rcond=None)[0]
         friction, damping = max(friction, start), max(damping, abs(slope))
-    text = "friction that falls with the speed"
-    return Doubt(text, "method", friction, seen), Doubt(text, "method", damping, seen)
+    return friction, damping, seen

@@ -3,6 +3,7 @@
 Paper 3's validation: a model with an ideal source of pressure is off where the regulator is, and not with the pressure
 that was measured. The model here is what the slowest sines say: at each contraction F = f(x) + s(x) P, through their
 branches at all pressures (paper 3 eq. 6 is of that form, and so are three elements), and B and F_c of the harmonics.
+With the figure of both.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from pmabench.analysis.shared.trials import grouped, point_by, thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import Member, Muscle, of_cycles
 from pmabench.kinds.sinusoidal_displacement.form import rows_of_cycles
-from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
+from pmabench.plotting import pictures, time_plots
+from pmabench.plotting.wording import shown
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
 
 ERROR, SET, MEASURED = "pressure error", "modelled with set pressure", "modelled with measured pressure"
@@ -229,3 +232,31 @@ def _sentences(
         text += "; run them at two pressures to see what of the force that is"
         return [Finding("note", text)]
     return []
+
+
+SINES = 4
+"""Most panels."""
+
+
+def sine_pressure(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
+    """Force along sines, measured and modelled with set and measured pressure, above the error of the pressure."""
+    able = [t for t in traces if pictures.has(t, "displacement", "force", "set", "measured", "error")]
+    able = [t for t in able if "frequency" in t.marks]
+    chosen = pictures.spread(sorted(able, key=lambda t: (t.marks.get("pressure", 0.0), t.marks["frequency"])), SINES)
+    if not chosen:
+        return []
+    names = {"x": "displacement", "y": "force", "set": "set", "model": "measured", "error": "error"}
+    panels = [pictures.panel(t, names, pictures.head(t)) for t in chosen]
+    error = shown("pressure").label("P − set P")
+    labels = {"x": pictures.label(chosen[0], "displacement"), "y": pictures.label(chosen[0], "force"), "error": error}
+    worst = [float(np.nanmax(np.abs(p.columns["error"]))) for p in panels]
+    caption = (
+        "Above: the last cycle, and the static model of the slowest sines with the set pressure as input and with the "
+        "measured one, damping and friction of the harmonics added. Below: error of the pressure, at most "
+        f"{pictures.reach(worst)} {shown('pressure').unit}.{pictures.how_many(chosen, able)}"
+    )
+    alt = f"Force and pressure error over contraction along sines at {'; '.join(p.title for p in panels)}."
+    draw = pictures.bound(time_plots.sine_pressure, panels, labels)
+    table = pictures.numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
+    title = "Force with set and with measured pressure"
+    return [pictures.picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]

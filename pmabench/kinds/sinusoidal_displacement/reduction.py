@@ -2,14 +2,15 @@
 
 Knows the samples and the protocol's settings; not how the bench is built. One trial is measured in `sine_loop`, the
 lines through those of one cell are in `fit`. What filters that nobody declared, steps of channels and a pressure that
-swings leave open is put into the samples, and evaluated again.
+swings leave open is put into the samples, and evaluated again. `one_trial`: what one trial says by itself, for the
+display.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
-from math import nan
+from math import nan, pi
 from typing import Any
 
 import numpy as np
@@ -19,18 +20,18 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed, without_negative_friction
 from pmabench.analysis.shared.ramp_loop import LATE
-from pmabench.analysis.shared.samples import PLACES, STEPS, lag_open, noise_of, rounded, settings_of
-from pmabench.analysis.shared.sine_loop import along, evaluate
-from pmabench.analysis.shared.trials import Point, grouped, measured_trials, point_by
+from pmabench.analysis.shared.samples import PLACES, STEPS, NotUsable, lag_open, noise_of, rounded, settings_of
+from pmabench.analysis.shared.sine_loop import Sine, along, evaluate, measure
+from pmabench.analysis.shared.trials import Point, grouped, measured_trials, point_by, thinned
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
-from pmabench.kinds.sinusoidal_displacement.figures import traces_of
-from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle, of_like_motion
+from pmabench.kinds.sinusoidal_displacement.fit import DISTORTED, HARMONIC, Fitted, Member, Muscle, of_like_motion
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged, pressure_of
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
-from pmabench.store.records import Array, RunData
+from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "sinusoidal-displacement"
 CHANNELS = ("displacement", "force")
@@ -75,7 +76,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings += [*fitted.findings(at), *form.findings(at)]
         lines.append({"at": at, **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
         symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == at and e.value is not None}
-        traces += traces_of(at, fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
+        traces += _traces(at, fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
         if slopes is None:
             text = "is not in the calibration parts: one pressure does not show how K, B and F_c change over it"
             findings.append(Finding("note", f"at {pressure_of(at)}: what an error of the pressure adds {text}"))
@@ -300,6 +301,57 @@ def _by_steps(fitted: Fitted, cell: Cell) -> Effects:
     }
 
 
+def _traces(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: Muscle | None) -> list[Trace]:
+    """One loop per frequency (the last cycle of its first trial), and the Bode table.
+
+    `sines` by frequency [Hz]; `muscle` is None where K, B and F_c are not all known: no model is drawn with the loops.
+    """
+    where = ", ".join(
+        show(at[name], quantity) for name, quantity in (("pressure", "pressure"), ("mean", "length")) if name in at
+    )
+    where += f" ± {show(at['amplitude'], 'length')}" if "amplitude" in at else ""
+    name = "-".join(f"{at[key]:g}" for key in at)
+    held = {key: at[key] for key in ("pressure",) if key in at}
+    traces = []
+    groups = sorted(sines.items())
+    for frequency, members in groups:
+        sine = members[0]
+        last = sine.t >= sine.t[-1] - 1 / frequency
+        columns = {"displacement": sine.x, "force": sine.F}
+        if muscle is not None:
+            columns["model"] = along(sine, muscle.K, muscle.B, muscle.F_c)[1]
+        traces.append(
+            Trace(
+                f"loop-{name}-{frequency:g}",
+                "loop",
+                f"Loop at {frequency:g} Hz, {where}",
+                thinned({name: values[last] for name, values in columns.items()}),
+                {"displacement": "length", "force": "force", "model": "force"},
+                {"frequency": frequency, "width": sine.width, "area": sine.area} | held,
+            )
+        )
+
+    marks = {} if muscle is None else {"K": muscle.K, "B": muscle.B, "F_c": muscle.F_c}
+    columns = {
+        name: np.array([float(np.mean([of(sine) for sine in members])) for _, members in groups])
+        for name, (_, of) in BODE.items()
+    }
+    quantities = {name: quantity for name, (quantity, _) in BODE.items()}
+    return [*traces, Trace(f"bode-{name}", "bode", f"Force over displacement, {where}", columns, quantities, marks)]
+
+
+BODE: Mapping[str, tuple[str, Callable[[Sine], float]]] = {
+    "frequency": ("frequency", lambda sine: sine.frequency),
+    "gain": ("stiffness", lambda sine: abs(sine.ratio)),
+    "phase": ("angle", lambda sine: sine.phase),
+    "stiffness": ("stiffness", lambda sine: sine.stiffness),
+    "loss": ("force", lambda sine: sine.loss),
+    "speed": ("speed", lambda sine: sine.speed),
+    "width": ("force", lambda sine: sine.width),
+}
+"""Column of the Bode table, a mean over the sines of each frequency -> its quantity, and its value of one sine."""
+
+
 def offers(analysis: Analysis) -> Iterator[Offer]:
     """K and F at the mean contraction of each cell, F_ce at x = 0, and B and F_c, which do not depend on it."""
     for symbol in ("K", "B", "F_c"):
@@ -310,3 +362,32 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
             yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})
     for e in values_of(analysis, "F_ce", mean_force.SINE_CENTRES):
         yield exactly("F", {(e.at["pressure"], 0.0): e})
+
+
+def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """K, and B at this frequency, with what Coulomb friction adds to it: -Im(F/x)/omega = B + 4 F_c/(pi omega A)."""
+    settings = run.plan.get("settings") or {}
+    P = trial.point.get("pressure")
+    try:
+        sine = measure(run, trial, float(settings.get("discard", 1)))
+    except NotUsable as reason:
+        return [Measured("K", "stiffness", None), Measured("B", "damping", None)], [str(reason)]
+    K_e = B_e = None
+    if expected is not None and P is not None:
+        K_e = expected.at("K", P)
+        B_c, B_r = expected.at("B_c", P), expected.at("B_r", P)
+        if B_c is not None and B_r is not None:
+            B_e = 0.5 * (B_c + B_r) + 4 * expected.F_c / (pi * sine.speed)
+    doubts = []
+    if sine.distortion > DISTORTED:
+        doubts.append(f"the displacement is no sine: {sine.distortion:.0%} of it is something else")
+    asked = trial.point.get("amplitude", settings.get("amplitude"))
+    if isinstance(asked, int | float) and asked > 0 and abs(sine.amplitude / asked - 1) > 0.05:
+        doubts.append(f"amplitude {show(sine.amplitude, 'length', 3)}, asked for {show(float(asked), 'length', 3)}")
+    pressure = None if np.isnan(sine.pressure) else sine.pressure
+    return [
+        Measured("K", "stiffness", sine.stiffness, K_e),
+        Measured("B", "damping", sine.loss / sine.speed, B_e, tolerance=0.25 * B_e if B_e else 0.0),
+        Measured("P", "pressure", pressure, P),
+        Measured("A", "length", sine.amplitude),
+    ], doubts
