@@ -391,14 +391,11 @@ def _loop(sine: Sine) -> Trace:
     t, P, x = sine.t[last], sine.P[last], sine.x[last]
     X = sine.amplitudes["displacement"]
     model = float(np.mean(sine.x)) + np.real(X * np.exp(1j * sine.omega * t))
-    return Trace(
-        name=f"pressure-loop-{sine.frequency:.3g}Hz",
-        figure="pressure-loop",
-        title=f"Contraction over pressure at {show(sine.frequency, 'frequency', 3)}, the last cycle",
-        columns={"pressure": P, "displacement": x, "model": model},
-        quantities={"pressure": "pressure", "displacement": "length", "model": "length"},
-        marks={"frequency": sine.frequency},
-    )
+    title = f"Contraction over pressure at {show(sine.frequency, 'frequency', 3)}, the last cycle"
+    columns = {"pressure": P, "displacement": x, "model": model}
+    quantities = {"pressure": "pressure", "displacement": "length", "model": "length"}
+    name, marks = f"pressure-loop-{sine.frequency:.3g}Hz", {"frequency": sine.frequency}
+    return Trace(name, "pressure-loop", title, columns, quantities, marks)
 
 
 def _bode(sines: Sequence[Sine]) -> Trace:
@@ -407,14 +404,11 @@ def _bode(sines: Sequence[Sine]) -> Trace:
         s.amplitudes["displacement"] / s.amplitudes["pressure"] * np.exp(1j * s.turn("displacement", "pressure"))
         for s in sines
     ]
-    return Trace(
-        name="pressure-bode",
-        figure="pressure-bode",
-        title="Pressure per contraction, and phase of contraction against pressure",
-        columns={
-            "frequency": np.array([s.frequency for s in sines]),
-            "gain": np.array([1 / abs(ratio) for ratio in ratios]),
-            "phase": np.array([float(np.angle(ratio)) for ratio in ratios]),
-        },
-        quantities={"frequency": "frequency", "gain": "gain", "phase": "angle"},
-    )
+    columns = {
+        "frequency": np.array([s.frequency for s in sines]),
+        "gain": np.array([1 / abs(ratio) for ratio in ratios]),
+        "phase": np.angle(ratios),
+    }
+    title = "Pressure per contraction, and phase of contraction against pressure"
+    quantities = {"frequency": "frequency", "gain": "gain", "phase": "angle"}
+    return Trace("pressure-bode", "pressure-bode", title, columns, quantities)
