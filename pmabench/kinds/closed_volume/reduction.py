@@ -66,9 +66,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     curve = [weighed(e, form.of_curve(index, length)) for index, e in enumerate(_curve(members, settings, scales))]
     if lacking := next((e.note for e in estimates if e.withheld and e.method == TIGHT), ""):
         curve = [withhold(e, f"a volume that it goes through is withheld: {lacking}") for e in curve]
-    if lack := scales.lack(("pressure",), ("pressure",)):
-        findings.append(Finding("note", lack))
-    findings.append(_made_of(float(members[0].x[0]), settings))
+    findings += [*scales.findings(estimates, ("pressure",), ("pressure",)), _made_of(float(members[0].x[0]), settings)]
     share = max((m.lost / (m.before + gas.atmosphere) for m in members), key=abs)
     estimates.sort(key=lambda e: e.method != TIGHT)
     return Analysis.of(

@@ -110,8 +110,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *(figures.of_fit(fit, why, other) if points else []),
         *(figures.of_paper(points, length) if points and compare else []),
     ]
-    if estimates and (missing := scales.lack(CHANNELS)):
-        findings.append(Finding("note", missing))
+    findings += scales.findings(estimates, CHANNELS)
     traces = [figures.trace(points, fit, length, compare=compare)] if points else []
     facts = {
         "options": dict(options or {}),

@@ -297,8 +297,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings += _sentences(cells)
     estimates = without_negative_friction(estimates)
     findings += skew.findings(runs, CHANNELS, max((cell.skew for cell in cells), default=0.0), estimates)
-    if estimates and (lack := scales.lack(("force", "displacement"))):
-        findings.append(Finding("note", lack))
+    findings += scales.findings(estimates, ("force", "displacement"))
     facts = {"options": dict(options), "trials": len(members), "cells": len(cells)}
     facts["loops"] = [cell.facts() for cell in cells]
     estimates.sort(key=lambda e: e.method != CURVE)

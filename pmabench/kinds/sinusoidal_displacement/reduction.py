@@ -85,8 +85,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     pressed = pressure_and_force(members, muscles, scales)
     estimates, findings, traces = estimates + pressed[0], findings + pressed[1], traces + pressed[2]
     findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
-    if estimates and (lack := scales.lack(("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])):
-        findings.append(Finding("note", lack))
+    findings += scales.findings(estimates, ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])
     facts = {"options": dict(options), "trials": len(members), "lines": lines}
     facts["cells"] = len(_cells(members, (*CELL, "frequency")))
     return Analysis.of(

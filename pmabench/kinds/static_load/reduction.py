@@ -69,8 +69,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves.append(through)
         findings += figures.line_findings(line) if mean is not None and method == MEAN and not mean.why else []
     estimates += _half_differences(points, lines)
-    if lines and (lack := scales.lack(["pressure"])):
-        findings.append(Finding("note", lack))
+    findings += scales.findings(lines, ["pressure"])
     findings += _of_both_ways(lines, mean, plain.zero)
     facts = {
         "options": dict(options or {}),
