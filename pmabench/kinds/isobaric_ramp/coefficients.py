@@ -241,7 +241,7 @@ def judged(cell: Cell, found: list[Estimate], creep: Creep | None) -> list[Estim
 def _doubts(
     cell: Cell, e: Estimate, late: Doubt, creep: Creep | None, falls: tuple[float, float, bool], level: Doubt
 ) -> list[Doubt]:
-    """What a late force, backlash, a drift and so on do to an estimate; all but that are of the cell."""
+    """What a late force, backlash, a drift and so on do to an estimate `e`; the other arguments are of its cell."""
     K, stroke = abs(cell.straight), cell.stroke  # K turns times into forces
     slowest, still = cell.speeds[0], e.at.get("speed") == 0
     gap = 2 * K * (e.at.get("speed", 0.0) or slowest) * late.half

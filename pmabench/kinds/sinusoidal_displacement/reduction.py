@@ -49,7 +49,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A +
     4 F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 where the two directions differ. The width of the loop
     at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag. F_ce is
-    what the mean force gives where the stroke holds x = 0 (`mean_force`), or sines about several means (`centres`).
+    what the mean force gives where the stroke holds x = 0 (`mean_force`), or sines about several means.
     The higher harmonics of the force correct K and F to those at the mean, and withhold what they contradict (`form`).
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time

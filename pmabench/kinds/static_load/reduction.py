@@ -49,7 +49,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     A load that was lifted hangs above its support when it breaks away again: the mean is of pressures carried to x = 0
     along the load's own way down, or with the option `stiffness` (K over pressure from another test of the specimen,
     `points.option_of`) where that is too short; the sides by themselves are the paper's, as they were found. What a
-    load that was raised shows of hysteresis is taken off, and without that the interval holds it (`loops`).
+    load that was raised shows of hysteresis is taken off, and without that the interval holds it (`line`).
     """
     step = step_in(runs)
     runs = [on_time_run(run) for run in runs]
