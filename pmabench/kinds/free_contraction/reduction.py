@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.model_fit import ModelFit, fit_model
+from pmabench.analysis.model_problem import Problem
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
@@ -337,14 +338,13 @@ def _shifted(points: Sequence[Point], length: float, shape: Shape, zero: float) 
 
 def _leverage(fit: ModelFit) -> tuple[Array, Shape]:
     """Change of a to e by that of each length, shape (5, n), and the fitted length over pressure."""
-    P, known = fit.columns["pressure"], fit.values
 
-    def computed(P: Array, **changed: float) -> Array:
-        return np.asarray(fit.model.evaluate({**fit.fixed, "pressure": P, **known, **changed})["length"])
+    def computed(P: Array) -> Array:
+        return np.asarray(fit.model.evaluate({**fit.fixed, "pressure": P, **fit.values})["length"])
 
-    steps = {name: 1e-5 * max(abs(value), 1e-6) for name, value in known.items()}
-    slopes = np.array([computed(P, **{n: known[n] + h}) - computed(P, **{n: known[n] - h}) for n, h in steps.items()])
-    slopes /= 2 * np.array(list(steps.values()))[:, None]
+    inputs = {**fit.fixed, "pressure": fit.columns["pressure"]}
+    problem = Problem(fit.model, "length", tuple(fit.values), inputs, None)
+    slopes = problem.slopes(np.array(list(fit.values.values()))).T
     size = np.linalg.norm(slopes, axis=1)
     size = np.where(size > 0, size, 1.0)
     return np.linalg.pinv((slopes / size[:, None]).T) / size[:, None], computed
