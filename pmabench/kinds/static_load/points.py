@@ -339,5 +339,5 @@ def by_stiffness(trial: TrialData, found: Mapping[str, float], slope: float, sti
 def _way(trial: TrialData, phase: str, times: Mapping[str, float]) -> tuple[Array, Array] | None:
     """Pressure and displacement along the slow ramp that ended at the crossing, smoothed; None where not recorded."""
     ramps = [c.t for c in trial.commands if c.kind == "ramp" and c.phase == phase and c.t < times[phase]]
-    begin = max(ramps, default=float(trial.t[0]) if phase == "lift" else times["lift"])
+    begin = max(ramps, default=-np.inf if phase == "lift" else times["lift"])
     return smoothed(trial, times, begin, times[phase])
