@@ -140,7 +140,7 @@ def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path
     manifests = [_manifest(run) for run in runs]
     about = [str(path), *dict.fromkeys(filter(None, map(_bench_and_day, manifests)))]
     if (count := _side_by_side(text, manifests)) > 1:
-        from pmabench.analysis.verdict.assembly import of_one
+        from pmabench.analysis.verdict.agreement import of_one
 
         analyses = [of_one(analysis, count) for analysis in analyses]
         about.append(f"{count} muscles side by side: forces and volumes are divided by {count}")
@@ -159,7 +159,7 @@ def _manifest(run: Path) -> Mapping[str, Any]:
 
 def _side_by_side(name: str, manifests: Sequence[Mapping[str, Any]]) -> int:
     """How many muscles side by side the specimen of all runs is; 1 where nothing says more."""
-    from pmabench.analysis.verdict.assembly import side_by_side
+    from pmabench.analysis.verdict.agreement import side_by_side
 
     counts = {side_by_side(manifest.get("specimen")) for manifest in manifests}
     if len(counts) > 1:

@@ -177,8 +177,8 @@ class Supervision:
         def look() -> str:
             since = self._clock.now()
             held = self._links.read_back(output)
-            moments = [*(since + LAG * part / 8 for part in range(-8, 9)), inf]  # some drives hold the end of a ramp
-            ends = [float(output.scale.to_raw(course(moment))) for moment in moments]
+            moments = [since - LAG, since, since + LAG, *(t for t in course.crests(since) if abs(t - since) < LAG), inf]
+            ends = [float(output.scale.to_raw(course(moment))) for moment in moments]  # inf: some drives hold the end
             slack = output.resolution + 1e-6 * max(map(abs, (*ends, output.scale.to_raw(output.high))))
             if min(ends) - slack <= held <= max(ends) + slack:
                 return ""

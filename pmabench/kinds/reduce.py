@@ -8,13 +8,19 @@ from dataclasses import replace
 from typing import Any
 
 from pmabench.analysis.imported import in_time, without_doubtful
-from pmabench.analysis.shared.alone import without_spikes
 from pmabench.analysis.shared.samples import with_motion
+from pmabench.analysis.shared.signals import without_spikes
 from pmabench.analysis.shared.trials import grouped, repeat_traces
 from pmabench.analysis.verdict.acceptance import Pairs, not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
-from pmabench.analysis.verdict.agreement import Offer, against_static, agreement, offers_of
-from pmabench.analysis.verdict.assembly import side_by_side, without_diameter
+from pmabench.analysis.verdict.agreement import (
+    Offer,
+    against_static,
+    agreement,
+    offers_of,
+    side_by_side,
+    without_diameter,
+)
 from pmabench.analysis.verdict.checks import with_checks, with_record
 from pmabench.base.errors import UsageError, did_you_mean, invalid
 from pmabench.base.kind import Result, load

@@ -76,6 +76,21 @@ def test_courses_are_the_closed_forms():
     assert [ramp(t) for t in (10.0, 11.0, 12.0, 99.0)] == [1.0, 3.0, 5.0, 5.0]
     sine = course.sine(10.0, 1.0, 2.0, 0.25, 2)
     assert [sine(t) for t in (9.0, 10.0, 11.0, 13.0, 18.0, 30.0)] == pytest.approx([1.0, 1.0, 3.0, -1.0, 1.0, 1.0])
+    assert sine.crests(12.9) == pytest.approx([11.0, 13.0, 15.0])
+
+
+@pytest.mark.parametrize(("crest", "value"), [(0.5, 15e-3), (1.5, 5e-3)])
+def test_a_drive_that_holds_the_crest_of_a_sine_holds_what_was_commanded(crest, value):
+    """Looked at every 37 ms the command never comes to its crest, and a good run ended by "it restarted"."""
+    guard, rig = armed()
+    guard.set("displacement", 10e-3)
+    guard.sine("displacement", 10e-3, 5e-3, 0.5, 6)
+    guard.clock.wait_until(guard.clock.now() + crest + 0.022)
+    differs = guard.supervision.output_differs(DRIVE)
+    rig.at["x"] = lambda _now: DRIVE.scale.to_raw(value)
+    assert differs() == ""
+    rig.at["x"] = lambda _now: DRIVE.scale.to_raw(value + 1e-6 * (1 if crest < 1 else -1))
+    assert "the device holds" in differs()
 
 
 def test_a_ramp_is_waited_for_and_a_hold_too():

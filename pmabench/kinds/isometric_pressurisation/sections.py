@@ -22,7 +22,7 @@ from pmabench.analysis.shared.isometric_lines import Pooled, Test, by_repeat, sp
 from pmabench.analysis.shared.lines import PROPORTIONAL, Line, weighted_line
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.analysis.shared.trials import session_of
-from pmabench.analysis.verdict.assembly import side_by_side
+from pmabench.analysis.verdict.agreement import side_by_side
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import Mean
 from pmabench.model.library.contractor import corrected_force

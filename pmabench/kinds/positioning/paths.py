@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
 from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of, noise_of
+from pmabench.analysis.shared.signals import SURE, Smooth, smooth
 from pmabench.analysis.shared.skew import late
-from pmabench.analysis.shared.smoothing import SURE, Smooth, smooth
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.model.reference_path import ReferencePath

@@ -17,9 +17,9 @@ from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
 from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of
+from pmabench.analysis.shared.signals import smooth
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.analysis.shared.skew import late
-from pmabench.analysis.shared.smoothing import smooth
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS

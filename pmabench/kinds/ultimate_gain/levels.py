@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.oscillation import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.signals import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.relay_fit import simplest
 from pmabench.kinds.ultimate_gain.ways import Examined, lags_of, oscillating

@@ -19,8 +19,8 @@ import numpy as np
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.oscillation import SEEN, extremes
 from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.signals import SEEN, extremes
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
 from pmabench.kinds.ultimate_gain.relay_fit import command_over, fit, shape_of

@@ -17,8 +17,8 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import lag_open, lags_of
+from pmabench.analysis.shared.signals import smooth
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
-from pmabench.analysis.shared.smoothing import smooth
 from pmabench.analysis.shared.trials import grouped, point_of
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
