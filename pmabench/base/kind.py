@@ -138,7 +138,7 @@ class Kind:
     loop: bool = False
     """Its loop acts on calibrated values: runs do not show what it would have done with another calibration."""
     also: tuple[Kind, ...] = ()
-    """Other kinds of test in its folder, or other ways to reduce its runs, with results of their own."""
+    """Other ways to reduce its runs, with results of their own."""
 
     def part(self, what: str) -> Any:
         """The object that a field of "module:name" names; AttributeError or ImportError where it is not there."""
