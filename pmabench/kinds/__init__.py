@@ -4,7 +4,7 @@
 - muscles that lift weights: `static_load`, `contraction_relaxation`, `validation`
 - the free end is moved: `isobaric_ramp`, `step_displacement`, `sinusoidal_displacement`, `closed_volume`,
   `relaxation`
-- two muscles against each other: `joint`
+- two muscles against each other: `joint_sweep`, `joint_torque`; in closed loop `joint_step`
 - three muscles that tilt a platform: `platform_step`
 - at rest: `isometric_pressurisation`, `free_contraction`, `arm_angle`
 - in closed loop: `ultimate_gain`, `positioning`

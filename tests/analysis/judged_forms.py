@@ -15,9 +15,9 @@ from pmabench.kinds.closed_volume import reduction as closed_volume
 from pmabench.kinds.free_contraction import reduction as free_contraction
 from pmabench.kinds.isobaric_ramp import reduction as isobaric_ramp
 from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
-from pmabench.kinds.joint import step as joint_step
-from pmabench.kinds.joint import sweep as joint_sweep
-from pmabench.kinds.joint import torque as joint_torque
+from pmabench.kinds.joint_step import reduction as joint_step
+from pmabench.kinds.joint_sweep import reduction as joint_sweep
+from pmabench.kinds.joint_torque import reduction as joint_torque
 from pmabench.kinds.platform_step import reduction as platform_step
 from pmabench.kinds.positioning import reduction as positioning
 from pmabench.kinds.recorded_sine import reduction as recorded_sine

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from pmabench.kinds.joint.step import reduce
+from pmabench.kinds.joint_step.reduction import reduce
 from pmabench.store.records import ChannelInfo, ClockInfo, Flag, RunData, TrialData
 
 DEG = math.pi / 180

@@ -1,4 +1,4 @@
-"""A joint with both muscles at pressures that regulators hold: torques at locked angles, and slow sweeps both ways."""
+"""Torque of a joint at locked angles, from both sides, for pairs of pressures that regulators hold."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import MUSCLES, at_pressures, not_faster, vented
 from pmabench.protocol.plan import Hold, Plan, Ramp, Step
-from pmabench.protocol.sweep import AngularSpeedAxis, Point, PressureAxis, Sweep, expand
+from pmabench.protocol.sweep import PressureAxis, Sweep, expand
 
 
 class TorqueAxes(Strict):
@@ -61,9 +61,11 @@ class JointTorque(ProtocolHead):
         c.within("angle", lowest, ("trial", "overrun"))
         c.within("angle", highest, ("trial", "overrun"))
         for point in expand(self.sweep, c.document):
-            held = _held(c, point)
+            for name in MUSCLES:
+                c.within(name, point.values[name], point.places[name])
             if c.problems or c.too_long():
                 continue
+            held = {name: point.values[name] for name in MUSCLES}
             ends = {"lowest_angle": lowest, "highest_angle": highest, "cycles": float(trial.cycles)}
             index = c.add_trial(held | ends, point.repeat)
             there = self._branch("rise", [lowest, *trial.angles, highest])
@@ -78,69 +80,3 @@ class JointTorque(ProtocolHead):
         for here, there in pairwise(places):
             steps += [Ramp(phase, "angle", here, there, self.trial.speed), Hold(phase, self.trial.rest)]
         return steps[:-1]
-
-
-def _held(c: Compilation, point: Point) -> dict[str, float]:
-    """Both pressures of a point, checked."""
-    for name in MUSCLES:
-        c.within(name, point.values[name], point.places[name])
-    return {name: point.values[name] for name in MUSCLES}
-
-
-class SweepAxes(Strict):
-    """What is swept."""
-
-    pressure_1: PressureAxis
-    pressure_2: PressureAxis
-    speed: AngularSpeedAxis
-
-
-class SweepTrial(Strict):
-    """One loop: cycles of a ramp of the angle from `lower` to `upper` and one back."""
-
-    lower: Angle
-    upper: Angle
-    cycles: Annotated[int, Field(ge=2, le=1000)]
-    discard: Annotated[int, Field(ge=0)] = 1
-    """Cycles at the start that do not enter the reduction."""
-    settle: Time
-    """Time at pressure before the first motion."""
-    approach: AngularSpeed
-    """Speed from 0 to the lower end and back."""
-
-
-class JointSweep(ProtocolHead):
-    """Protocol of kind joint-sweep."""
-
-    cannot_do_without: ClassVar[tuple[str, ...]] = (*MUSCLES, "angle", "torque")
-    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
-    kind: Literal["joint-sweep"]
-    sweep: Sweep[SweepAxes]
-    trial: SweepTrial
-
-    def compile(self, c: Compilation) -> Plan:
-        """The plan: both muscles to pressure at angle 0, to the lower end, one recorded loop, back to 0."""
-        trial = self.trial
-        c.positive(trial.settle, ("trial", "settle"))
-        not_faster(c, trial.approach, ("trial", "approach"))
-        if trial.discard >= trial.cycles:
-            c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
-        if not trial.upper > trial.lower:
-            c.fault(("trial", "upper"), "must lie above the lower end")
-        for name in ("lower", "upper"):
-            c.within("angle", getattr(trial, name), ("trial", name))
-        for point in expand(self.sweep, c.document):
-            pressures, speed = _held(c, point), point.values["speed"]
-            not_faster(c, speed, point.places["speed"])
-            if speed <= 0 or trial.approach <= 0 or c.too_long():
-                continue
-            held = {**pressures, "angular_speed": speed}
-            ends = {"lowest_angle": trial.lower, "highest_angle": trial.upper, "cycles": float(trial.cycles)}
-            index = c.add_trial(held | ends, point.repeat)
-            cycle = (
-                Ramp("rise", "angle", trial.lower, trial.upper, speed),
-                Ramp("fall", "angle", trial.upper, trial.lower, speed),
-            )
-            c.steps += at_pressures(held, trial.settle, trial.lower, trial.approach, index, cycle * trial.cycles)
-        c.steps += vented()
-        return c.plan("joint-sweep", {"discard": trial.discard})

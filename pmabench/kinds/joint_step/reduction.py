@@ -27,7 +27,7 @@ from pmabench.analysis.shared.samples import (
 from pmabench.analysis.shared.skew import late, off
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
 from pmabench.base.quantities import show
-from pmabench.kinds.joint import OF_STEP
+from pmabench.kinds.joint_step import RESULTS
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -220,7 +220,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings += scales.findings(estimates, ("angle",), ("angle",))
     facts = {"options": dict(options or {}), "trials": len(courses)}
     return Analysis.of(
-        "joint-step", runs, results=OF_STEP, estimates=estimates, dropped=dropped, findings=findings, traces=traces,
+        "joint-step", runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces,
         facts=facts,
     )  # fmt: skip
 
