@@ -1,7 +1,7 @@
 """A filled muscle, shut off and contracted slowly: its volume over contraction.
 
-- `reduction`, made of `stroke`, with the figure and one trial on the display
-- protocol files: `protocol`
+- `reduction`, made of `stroke`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Imported, Kind, Result
@@ -31,9 +31,11 @@ KIND = Kind(
     reduction="pmabench.kinds.closed_volume.reduction:reduce",
     papers=("paper 3, closed muscle",),
     protocol="pmabench.kinds.closed_volume.protocol:ClosedVolume",
-    live="pmabench.kinds.closed_volume.reduction:one_trial",
+    live="pmabench.kinds.closed_volume.figures:measure",
     moves="displacement",
     methods=METHODS,
-    figures={"volume": "pmabench.kinds.closed_volume.reduction:volumes"},
+    figures={
+        "volume": "pmabench.kinds.closed_volume.figures:volumes",
+    },
     imported=Imported(),
 )

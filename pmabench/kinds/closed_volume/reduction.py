@@ -1,14 +1,13 @@
 """Reduction of closed volumes: V over contraction at each start pressure, whether they agree, and V(eps) through all.
 
-Knows the samples. One trial, the curve, and what departures do to it are in `stroke`. With the figure, and `one_trial`:
-what one trial says by itself, for the display.
+Knows the samples. One trial, the curve, and what departures do to it are in `stroke`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import degrees, hypot, isfinite
+from math import hypot, isfinite
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,9 @@ from pmabench.analysis.shared.form import weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
-from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, form_of, measure, volume_at
-from pmabench.plotting import plots
-from pmabench.plotting.pictures import Picture, bound, column, has, how_many, numbers, picture, spread, unit_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -55,7 +51,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, facts=facts)
     scales, gas, length = Scales.of(runs), Gas.of(settings), float(settings["length"])
     cells = grouped(members, lambda stroke: round(stroke.trial.point["pressure"], 6))
-    estimates, findings = list[Estimate](), list[Finding]()
+    estimates: list[Estimate] = []
+    findings: list[Finding] = []
     form = form_of(cells, gas)
     for pressure, group in sorted(cells.items()):
         for leak, method in ((True, TIGHT), (False, PRINTED)):
@@ -66,14 +63,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     curve = [weighed(e, form.of_curve(index, length)) for index, e in enumerate(_curve(members, settings, scales))]
     if lacking := next((e.note for e in estimates if e.withheld and e.method == TIGHT), ""):
         curve = [withhold(e, f"a volume that it goes through is withheld: {lacking}") for e in curve]
-    findings += [*scales.findings(estimates, ("pressure",), ("pressure",)), _made_of(float(members[0].x[0]), settings)]
+    if lack := scales.lack(("pressure",), ("pressure",)):
+        findings.append(Finding("note", lack))
+    findings.append(_made_of(float(members[0].x[0]), settings))
     share = max((m.lost / (m.before + gas.atmosphere) for m in members), key=abs)
-    estimates.sort(key=lambda e: e.method != TIGHT)
     return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
-        estimates=[*estimates, *curve],
+        estimates=[*sorted(estimates, key=lambda e: e.method != TIGHT), *curve],
         dropped=dropped,
         findings=findings,
         traces=list(_traces(estimates, curve, length)),
@@ -232,57 +230,3 @@ def _traces(estimates: Sequence[Estimate], curve: Sequence[Estimate], length: fl
         marks = {"pressure": pressure} | (values if len(values) == 3 else {})
         title = f"{show(pressure, 'pressure')}: volume over contraction"
         yield Trace(f"volume-{pressure:g}", "volume", title, columns, quantities, marks)
-
-
-SHOWN = ("contraction", "volume", "half")
-PRESSURES = 4
-
-
-def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """One figure with the volumes of all start pressures."""
-    able = [t for t in traces if has(t, "contraction", "volume")]
-    chosen = spread(able, PRESSURES)
-    if not chosen:
-        return []
-    points = [_points(trace, i) for i, trace in enumerate(chosen)]
-    labels = (unit_of(chosen[0], "contraction").label("contraction ε"), unit_of(chosen[0], "volume").label("V"))
-    marks = chosen[0].marks
-    curve = ""
-    if {"D_0", "theta_0", "alpha"} <= set(marks):
-        curve = (
-            "; line: V(ε) of paper 3 through all of them, "
-            f"D0 {show(marks['D_0'], 'length', 4)}, θ0 {degrees(marks['theta_0']):.4g}°, α {marks['alpha']:.4g}"
-        )
-    caption = (
-        "Marks: volumes from the absolute pressure of the air shut in, what leaked taken out, with 95 % intervals, "
-        f"from each pressure at which the valve shut{curve}. The pressures share volume at the start, dead volume and "
-        f"room, so the marks differ by less than the intervals.{how_many(chosen, able)}"
-    )
-    every = np.concatenate([p.y for p in points])
-    least, most = float(np.nanmin(every)), float(np.nanmax(every))
-    alt = f"{labels[1]} over {labels[0]} from {len(points)} start pressures, {least:.4g} to {most:.4g}."
-    draw = bound(plots.coefficients, points, *labels)
-    table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)], SHOWN)
-    return [picture(draw, "Volume over contraction", caption, alt, table, wide=False, simulated=analysis.simulated)]
-
-
-def _points(trace: Trace, i: int) -> plots.Points:
-    x, y = column(trace, "contraction"), column(trace, "volume")
-    half = column(trace, "half") if "half" in trace.columns else np.full(len(x), np.nan)
-    curve = (x, column(trace, "curve"), np.zeros(len(x))) if i == 0 and "curve" in trace.columns else None
-    name = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
-    return plots.Points(f"from {name}", x, y, half, half, primary=i == 0, group=i, mark=i, curve=curve)
-
-
-def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """The volume at the end of the stroke, and the pressure that leaks away over the trial."""
-    settings = settings_of(run)
-    try:
-        stroke = measure(run, trial, settings)
-    except NotUsable as reason:
-        return [Measured("V", "volume", None)], [str(reason)]
-    gas = Gas.of(settings)
-    V = stroke.volumes(gas, leak=True)[:, -1]
-    share = stroke.lost / (stroke.before + gas.atmosphere)
-    found = [Measured("V", "volume", float(V.mean())), Measured("leak", "pressure", stroke.lost, noise=stroke.noise)]
-    return found, [f"{share:.1%} of the air is lost over the trial"] if share > LEAKS else []
