@@ -35,6 +35,8 @@ FEWEST_CYCLES = 3
 GAP = {"doubt": 0.002, "fault": 0.04}
 """Distance between the rests reached from both sides, over the swing between the outer rests: 0 without friction."""
 FILTERED = "the displacement moves before the measured pressure does: the gauge has a filter"
+FILTER_LEAVES = 0.5
+"""Where the displacement is still early by this share without the filter, the gauge has a delay and no filter."""
 LEAST_DRIFT = 1e-3
 """Drifts over all cycles that are smaller, as a share of the swing, change nothing."""
 SURE, ALIKE, SHOWN = 10.0, 4.0, 2.0
@@ -195,11 +197,12 @@ def _fitted(t: Array, x: Array, P: Array, steps: Sequence[Step], declared: float
             lag, found, delayed = 0.0, delayed, found
         other = delayed[:2] if abs(better) < SURE else None
     late = form.gauge_filter(*found[:2])
-    if late and not isinstance(again := fit(t, x, P, steps, lag + late), str):
-        late, other = late - again[1].late, again[:2]
-        closer = fit(t, x, P, steps, lag + late)
-        found = again if isinstance(closer, str) else closer
-    return _Fitted(*found, lag + late, late, other)
+    again = fit(t, x, P, steps, lag + late) if late else ""
+    if isinstance(again, str) or abs(again[1].late) > FILTER_LEAVES * late:
+        return _Fitted(*found, lag, 0.0, other)
+    late, other = late - again[1].late, again[:2]
+    closer = fit(t, x, P, steps, lag + late)
+    return _Fitted(*(again if isinstance(closer, str) else closer), lag + late, late, other)
 
 
 def _with_spread(
