@@ -178,6 +178,7 @@ def test_a_series_is_more_than_its_ends():
     scatter = 0.001 * np.random.default_rng(0).standard_normal(20)
     falls = campaigns(7000.0 * (1 - 0.015 * np.arange(20) / 19 + scatter))
     assert (falls.level, "it falls steadily, by 0.1" in falls.text) == ("doubt", True)
+    assert falls.text.endswith("the muscle changed, or the sensor or its mounting")
     sags = campaigns(7000.0 * (1 - 0.08 * np.sin(np.pi * np.arange(20) / 19)))
     assert (sags.level, "from 2026-01-01 to 2026-01-10 -8 %, more than the intervals of 20 values" in sags.text) == (
         "doubt",

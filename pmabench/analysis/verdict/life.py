@@ -45,6 +45,8 @@ FIRST = 12
 """Most values from the beginning that make the limits; those that come later are judged by them."""
 NORMAL = 1.959964
 """95 % of a normal distribution lie within so many standard deviations."""
+CHANGED = "the muscle changed, or the sensor or its mounting"
+"""What a change over the runs of a life may be: the values do not tell."""
 ROW = 8
 """So many in a row on one side of the centre are a shift, and one more ..."""
 LONGER = 40
@@ -433,7 +435,7 @@ def _change(one: Series) -> Finding:
     over = f"{_size(change)} over {cycles:,} cycles, {len(one.moments)} values"
     between = "; ".join(filter(None, (_furthest(one), _steadily(one.values, one.first.quantity))))
     level = "doubt" if between or change.agrees is False else "note"
-    between = between and f"; {between}"
+    between = between and f"; {between}: {CHANGED}"
     if change.score is None:
         return Finding(level, f"{one.title}: {over}; it has no interval, so this may be chance{between}")
     relation = "within their interval" if change.agrees else "more than their interval"
@@ -484,14 +486,13 @@ def _reference(one: References) -> Finding:
     text = f"{one.title}: {len(values)} times, {ends}"
     if limits is None:
         return Finding("note", f"{text}; too few days for control limits: {len(one.days)}")
-    changed = "the muscle changed, or the sensor or its mounting"
     if (alarm := limits.first_alarm) is None:
         steadily = _steadily(limits.values, "length", 1.5 * one.step)  # a line through a step of 1 changes by 1.5
         if steadily:
-            return Finding("doubt", f"{text}; all within the control limits, but {steadily}: {changed}")
+            return Finding("doubt", f"{text}; all within the control limits, but {steadily}: {CHANGED}")
         return Finding("note", f"{text}; all within the control limits")
     date, cycles, _, trial = one.days[alarm]
     what = f"{len(limits.beyond)} beyond the control limits" if limits.beyond else "a row on one side of the centre"
     when = f"first on {date[:10]} after {cycles:,} cycles ({trial})"
     by_chance = "of charts of an unchanged muscle about 1 in 20 says so"
-    return Finding("doubt", f"{text}; {what}, {when}: {changed}; {by_chance}")
+    return Finding("doubt", f"{text}; {what}, {when}: {CHANGED}; {by_chance}")
