@@ -136,7 +136,7 @@ class Use:
     highest: float = 0.0
     """[Pa]"""
     led: float = 0.0
-    """Time in which a closed loop led the pressure away from the command before [s]: counted in none of these."""
+    """Time in which a closed loop led the pressure away from the command before [s], as which it is counted."""
 
 
 LED = 1e3
@@ -423,7 +423,7 @@ def findings(life: Sequence[Past], series: Sequence[Series], references: Sequenc
         what = "commands no pressure" if silent == 1 else "command no pressure"
         yield Finding("note", f"{silent} of them {what}: what was done to the muscle there (imports) is not counted")
     if led := sum(past.use.led for past in life):
-        text = f"for {in_words(led)} a closed loop led the pressure, which neither cycles nor time at pressure count"
+        text = f"for {in_words(led)} a closed loop led the pressure, counted as if it had stayed as commanded before"
         yield Finding("note", text)
     yield from (_change(one) for one in series if len(one.moments) > 1)
     yield from map(_reference, references)
