@@ -39,7 +39,7 @@ from pmabench.guard.limits import (
 )
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
-from pmabench.guard.safe import AT_ONCE, TWICE, SafeState, Vent
+from pmabench.guard.safe import AT_ONCE, SafeState, Vent
 from pmabench.guard.supervision import Supervision
 
 __all__ = ["Guard", "Measure", "State", "Vent"]
@@ -349,7 +349,7 @@ class Guard:
         """Whether a device gets a sign of life: not one that the safe state has no effect on, or no answer of (S13)."""
         if self._safe is None:
             return True
-        return not (_ends(record) & (self._safe.missing | self._safe.refusing) or self._without_effect(record))
+        return not (_ends(record) & self._safe.unsettled or self._without_effect(record))
 
     def _without_effect(self, record: DeviceRecord) -> bool:
         """Whether what a device commands does not go down or come to rest: of valves, which are nobody's, any."""
@@ -367,19 +367,18 @@ class Guard:
         assert self._safe is not None  # noqa: S101
         for record in self.bench.devices:
             ends = _ends(record)
-            missed = max((self._safe.misses.get(end, 0) for end in ends), default=0) >= TWICE
-            if record.name not in self.devices:
-                self._safe.misses |= dict.fromkeys(ends, 0)
-            elif (
+            if (
                 record.watchdog
+                and record.name in self.devices
                 and record.name not in self._given_up
                 and (ends & self._safe.refusing or self._without_effect(record))
             ):
                 self._given_up.add(record.name)
                 self.links.hang_up(record.name, 1.5 * record.watchdog + 0.2)
                 self._safe.outcome.append(f"{record.name}: its line is closed, so that its watchdog takes over")
-            elif missed and self.links.free(record.name):
+            elif ends & self._safe.away:
                 self.links.hang_up(record.name, 0.0)
+        self._safe.away.clear()
         self.links.open_again(self._first_of)
 
     def keep_measuring(self, rate: float) -> None:

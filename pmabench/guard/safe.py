@@ -22,12 +22,17 @@ Without one the command counts as not carried out; over the second way, whose li
 """
 REPEAT = 0.5
 """While a confirmation is waited for, the commands are sent again so often [s]; they are absolute."""
+RETRY = 0.1
+"""A command that no device has acknowledged is sent again so often [s], whatever else is waited for."""
+AWAY = 0.8
+"""A device that acknowledges none for so long [s] is opened anew: some links never come back by themselves."""
 STAYS = 0.5
 """All values must stay low together for so long [s] after the last command: a valve may be about to open for that."""
 LINGERS = 3.0
 """A command that was not answered may be carried out so much later [s]; those of the safe state are sent until then."""
 TWICE = 2
-"""A device that misses so many commands in a row is opened anew: some links never come back by themselves."""
+"""One lost answer is no lost device, and one false reading no empty muscle."""
+LEFT = "what it holds is not known, and may be what it held before"
 EMPTIER = 20e3
 """A ramp that is so far [Pa] above the measured pressure, and at twice of it, would fill the muscle."""
 
@@ -54,10 +59,9 @@ class _Sent:
     look: Call | None = None
     """Whether the device holds what it acknowledged: an empty text, or a sentence."""
 
-    def held(self) -> bool | None:
-        """Whether the device has it: it said so when it was asked, else it acknowledged; None: no answer yet."""
-        answer = self.look or self.call
-        return (not answer.result or answer is self.call) if answer.done.is_set() and answer.error is None else None
+    def acknowledged(self) -> bool:
+        """Whether the device took it, by either way."""
+        return any(call is not None and call.done.is_set() and call.error is None for call in (self.call, self.rescue))
 
 
 @dataclass
@@ -150,17 +154,22 @@ class SafeState:
         self.outcome: list[str] = []
         self.failed: set[str] = set()
         """Targets of commands that failed or were not carried out when they were sent first."""
-        self.missing: set[str] = set()
-        """Targets of which the last command was not answered, or was refused."""
+        self.missing: dict[str, float] = {}
+        """Targets that have not acknowledged their command, and since when [s]."""
+        self.away: set[str] = set()
+        """Those of them whose device is to be opened anew."""
         self.refusing: set[str] = set()
-        """Targets whose device answers, and holds something else than what was commanded."""
+        """Targets that acknowledged it, and hold something else."""
         self.unmoved: set[str] = set()
         """Channels that have not fallen, or not come to rest, after all commands."""
-        self.misses: dict[str, int] = {}
-        """How many commands in a row were missed by a target."""
         self.commands: list[SafeAction] = []
         """What is commanded again, a ramp by its end."""
         self._again: dict[SafeAction, _Sent] = {}
+        """How it was sent last."""
+        self._repeats: list[_Sent] = []
+        """Those under way."""
+        self._settled = -inf
+        """When a target that was missing or refusing has held its command first [s]."""
         self.vent: Vent | None = None
         """What came of it, when it is over."""
 
@@ -176,20 +185,34 @@ class SafeState:
     def step(self, now: float, latest: Mapping[str, float]) -> bool:
         """Do what can be done now, with the `latest` measured values [SI]; whether it is over."""
         self._gather(now)
+        for command, sent in list(self._again.items()):
+            if command.target in self.unsettled and now - sent.since >= RETRY:
+                self._send_again(command, now)
         while self._todo and self._advance(self._todo[0], now, latest):
             self._todo.pop(0)
             self._gather(now)
             self._since = self._repeated = now
             self._ramp, self._watched = None, []
         if self.vent is None and not self._todo and self._looked_at(self._finals, now, latest) and not self._sent:
-            late = self._unanswered() + LINGERS
+            late = self._late()
             good = [watched.lasts(now, late) for watched in self._watched]
             self.outcome += [watched.outcome(ok) for watched, ok in zip(self._watched, good, strict=True)]
-            if late > -inf:
+            if self._unanswered() > -inf:
                 self.outcome.append(f"a command was not answered; after {LINGERS:g} s nobody looks whether it comes")
-            result = "failed" if self.failed else "commanded"
-            self.vent = Vent("confirmed" if good and all(good) else result, tuple(self.outcome))
+            low = bool(good) and all(good)
+            self.outcome += [f"{name}: {LEFT}" for name in sorted(self.unsettled) if low]
+            result = "failed" if self.failed and not low else "commanded"
+            self.vent = Vent("confirmed" if low and not self.unsettled else result, tuple(self.outcome))
         return self.vent is not None
+
+    def _late(self) -> float:
+        """Since when nothing can come any more that was sent before [s]."""
+        return max(self._unanswered() + LINGERS, self._settled)
+
+    @property
+    def unsettled(self) -> set[str]:
+        """Targets that have not acknowledged a safe command, or do not hold it."""
+        return self.missing.keys() | self.refusing
 
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
         """Whether the next action may begin."""
@@ -222,18 +245,19 @@ class SafeState:
         """Whether a ramp may not go on: its device is away or began anew, and would be filled when it is back."""
         if sent.action.target in self._motions:
             return False
-        held = sent.held() if sent.look is not None else True
+        answer = sent.look
+        known = answer is None or (answer.done.is_set() and answer.error is None)
         if now - self._repeated >= REPEAT:
-            self._repeated, self._doubts = now, 0 if held else self._doubts + 1
+            self._repeated, self._doubts = now, 0 if known else self._doubts + 1
             sent.look = self._look(sent.action)
         emptier = latest.get(sent.action.target, inf) < min(expected / 2, expected - EMPTIER)
-        return emptier or held is False or self._doubts >= TWICE
+        return emptier or bool(known and answer and answer.result) or self._doubts >= TWICE
 
     def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
         """Whether all values are good together, or their time is over; meanwhile the commands are sent again."""
         if not self._watched:
             self._watched = [_Watched(action, self._floors.get(action.target, -inf)) for action in actions]
-        late, back = self._unanswered() + LINGERS, False
+        late, back = self._late(), False
         for watched in self._watched:
             value = latest.get(watched.action.target)
             back = (value is not None and watched.look(value, now)) or back
@@ -241,10 +265,10 @@ class SafeState:
             if watched.unmoved(now):
                 self.unmoved.add(watched.action.target)
         since = [watched.since for watched in self._watched if watched.since is not None]
-        whole = len(since) == len(self._watched)
+        whole = len(since) == len(self._watched) and not self.unsettled
         until = self._since + max((action.within for action in actions), default=0.0)
         over = now >= (max(until, max([late, *since]) + 2 * STAYS) if whole else until)
-        if over or all(watched.lasts(now, late) for watched in self._watched):
+        if over or (whole and all(watched.lasts(now, late) for watched in self._watched)):
             return True
         if back or (now - self._repeated >= REPEAT and (not whole or now < late)):
             self._repeated = now
@@ -254,53 +278,61 @@ class SafeState:
 
     def _send_again(self, command: SafeAction, now: float) -> None:
         before = self._again.get(command)
-        if before is None or before.call.done.is_set():
-            if before is not None:
-                self.misses[command.target] = 0 if before.held() else self.misses.get(command.target, 0) + 1
-            self._again[command] = _Sent(command, self._begin(command), now)
+        if before is None or (before.call.done.is_set() and before not in self._repeats):
+            if now - self.missing.get(command.target, now) >= AWAY:
+                self.away.add(command.target)
+                self.missing[command.target] = now
+            self._again[command] = sent = _Sent(command, self._begin(command), now)
+            self._repeats.append(sent)
 
     def _gather(self, now: float) -> None:
-        """Note the results of the commands under way; one without success is repeated over the second way."""
+        """Note the results of the commands under way."""
         self._sent = [again for sent in self._sent if (again := self._follow_up(sent, now)) is not None]
-        for sent in self._again.values():
-            self._judge(sent)
+        self._repeats = [sent for sent in self._repeats if self._follow_up(sent, now, again=True) is not None]
 
-    def _judge(self, sent: _Sent) -> None:
-        """What a command that failed, or was sent again, says of its device; one that fails is asked what it holds."""
-        target = sent.action.target
-        if sent.look is None and sent.call.error is not None:
-            sent.look = self._look(sent.action)
-        if not sent.call.done.is_set() and sent.action.target not in self.failed:
-            return  # sent again, and under way
-        held = sent.held()
-        (set.discard if held else set.add)(self.missing, target)
-        (set.add if held is False else set.discard)(self.refusing, target)
+    def _follow_up(self, sent: _Sent, now: float, *, again: bool = False) -> _Sent | None:
+        """The command as it is waited for further, or None where it is over; one that fails first goes the second way.
 
-    def _follow_up(self, sent: _Sent, now: float) -> _Sent | None:
-        """The command as it is waited for further, or None where it is settled."""
-        way = sent.rescue or sent.call
-        name = f"{sent.action.do} {sent.action.target}"
-        acknowledged = any(call.done.is_set() and call.error is None for call in (sent.call, way))
-        if acknowledged:
-            wrong = self._not_held(sent, now)
-            if wrong is None:
-                return sent
-            if not wrong:
-                at_once = " at once" if way.result == 0 else ""  # a ramp that is none
-                self.outcome.append(f"{name}: sent{at_once if sent.rescue is None else ' over the second way'}")
-                return None
-        else:
-            wrong = str(way.error or "no answer")
-        over = acknowledged or way.done.is_set() or now - sent.since >= PATIENCE
-        second = self._rescue(sent.action) if sent.rescue is None and (over or sent.call.behind) else None
-        if second is not None:
-            return _Sent(sent.action, second if acknowledged else sent.call, now, second)
+        One that is sent `again` is asked for only where its target is not known to hold it.
+        """
+        way, target = sent.rescue or sent.call, sent.action.target
+        name = f"{sent.action.do} {target}"
+        taken = sent.acknowledged()
+        wrong: str | None = str(way.error or "no answer")
+        if taken:
+            wrong = "" if again and target not in self.unsettled else self._not_held(sent, now)
+        if wrong is None:
+            return sent
+        over = taken or way.done.is_set() or now - sent.since >= PATIENCE
+        if wrong and not again:
+            second = self._rescue(sent.action) if sent.rescue is None and (over or sent.call.behind) else None
+            if second is not None:
+                return _Sent(sent.action, second if taken else sent.call, now, second)
         if not over:
             return sent
-        self.failed.add(sent.action.target)
-        self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
-        self.outcome.append(f"{name}: failed ({wrong})")
+        if again and target in self.unsettled and not wrong:
+            self.outcome.append(f"{name}: sent again")
+            self._settled = now
+            for watched in self._watched:
+                watched.bad = None  # what it does begins now
+        elif not again and not wrong:
+            ramp_that_is_none = sent.action.do == "ramp" and (way is sent.rescue or way.result == 0)
+            how = (" at once" if ramp_that_is_none else "") + (" over the second way" if way is sent.rescue else "")
+            self.outcome.append(f"{name}: sent{how}")
+        elif not again:
+            self.failed.add(target)
+            self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
+            self.outcome.append(f"{name}: failed ({wrong})")
+        self._note(target, wrong, now, answered=sent.look is not None and sent.look.error is None)
         return None
+
+    def _note(self, target: str, wrong: str, now: float, *, answered: bool) -> None:
+        """What is known of a target by its last command: held, held not (its device answered), or not acknowledged."""
+        if wrong and not answered:
+            self.missing.setdefault(target, now)
+        else:
+            self.missing.pop(target, None)
+        (self.refusing.add if wrong and answered else self.refusing.discard)(target)
 
     def _not_held(self, sent: _Sent, now: float) -> str | None:
         """Why the device does not hold what it acknowledged; empty where it does or cannot say; None: not known yet."""

@@ -284,8 +284,8 @@ def test_a_drive_that_fails_does_not_end_the_regulators_ramp():
     for step in range(25):
         guard.step_safe({"pressure": 300e3 - step * 10e3})
         assert guard.feeds(REGULATOR)
+        assert not (guard.feeds(OTHER) and step < 8), "until it is opened anew"
         guard.clock.wait_until(guard.clock.now() + 0.1)
-    assert not guard.feeds(OTHER)
     assert rig.values("write") == [("write", "p", OUTPUT.scale.to_raw(300e3))]
 
 
@@ -412,3 +412,62 @@ def test_samples_that_end_while_it_vents_are_begun_again():
     guard.keep_measuring(20.0)
     assert len(rig.values("start")) == 2
     guard.close()
+
+
+# -- what is confirmed was acknowledged -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("watchdog", [0.0, 5.0])
+@pytest.mark.parametrize("lost", ["write", "switch"])
+def test_a_command_that_was_missed_is_sent_again_as_soon_as_its_device_answers(lost, watchdog):
+    """One lost request: nothing was sent again, or the line was closed, as it held what it held before."""
+    guard, rig = armed(bench(replace(DEVICE, watchdog=watchdog), safe_state=PATIENT.safe_state))
+    guard.set("pressure", 300e3)
+    rig.wrong |= {lost: "did not answer", "rescue": "did not answer"}
+    rig.reported.clear()
+    guard.begin_safe()
+    for _ in range(4):
+        guard.step_safe({"pressure": 0.0})
+        guard.clock.wait_until(guard.clock.now() + 0.05)
+    rig.wrong.clear()
+    took, vent = over(guard, lambda _: {"pressure": 0.0})
+    assert rig.values(lost)[0] in {("write", "p", 0.0), ("switch", "v", False)}
+    assert took < 0.1 + STAYS + 0.2
+    assert vent.confirmed
+    assert any(text.endswith("sent again") for text in vent.actions)
+    assert rig.values("close") == []
+
+
+def test_a_ramp_that_was_missed_is_sent_again_as_a_step():
+    guard, rig = armed(RAMPED)
+    guard.set("pressure", 300e3)
+    rig.wrong |= {"follow": "did not answer", "rescue": "did not answer"}
+    rig.reported.clear()
+    guard.begin_safe()
+    _, vent = over(guard, lambda _: {"pressure": 0.0})
+    assert ("write", "p", 0.0) in rig.values("write")
+    assert vent.confirmed
+
+
+def test_an_empty_muscle_whose_regulator_never_took_the_command_is_not_confirmed():
+    Deaf.deaf = False
+    guard, _ = armed(bench(replace(DEVICE, driver=f"{__name__}:Deaf"), safe_state=PATIENT.safe_state))
+    guard.set("pressure", 300e3)
+    Deaf.deaf = True
+    guard.begin_safe()
+    took, vent = over(guard, lambda _: {"pressure": 0.0})
+    assert (vent.result, took >= LOOK.within) == ("commanded", True)
+    assert vent.actions[-1].startswith("pressure: what it holds is not known")
+    guard.close()
+    assert Rig.made["dac"].values("disarm_watchdog") == []
+
+
+class Deaf(Rig):
+    """It answers, and no command reaches it, by any connection."""
+
+    deaf = False
+
+    def _note(self, what, *how):
+        if self.deaf and what in {"write", "rescue"}:
+            raise DeviceError(self.device.name, "did not answer")
+        super()._note(what, *how)

@@ -263,8 +263,8 @@ BUGS = (
     Bug(
         "a device without effect is fed on",
         "pmabench/guard/guard.py",
-        "return not (_ends(record) & (self._safe.missing",
-        "return True or not (_ends(record) & (self._safe.missing",
+        "return not (_ends(record) & self._safe.unsettled",
+        "return True or not (_ends(record) & self._safe.unsettled",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(
