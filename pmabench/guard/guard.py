@@ -8,6 +8,7 @@ In virtual time it lives in the engine's process, at a real bench in the guard p
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from enum import Enum
 from functools import partial
 from itertools import takewhile
@@ -15,7 +16,7 @@ from math import inf, isfinite
 from typing import Any
 
 from pmabench.base.clock import Clock, DeviceClock
-from pmabench.base.errors import DeviceError, LimitRefused, NotSent
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, NotSent, PmaError
 from pmabench.bench.interface import (
     Block,
     CompiledBench,
@@ -39,7 +40,7 @@ from pmabench.guard.limits import (
 )
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
-from pmabench.guard.safe import AT_ONCE, SafeState, Vent
+from pmabench.guard.safe import AT_ONCE, EMPTIER, SafeState, Vent
 from pmabench.guard.supervision import Supervision
 
 __all__ = ["Guard", "Measure", "State", "Vent"]
@@ -91,7 +92,7 @@ class Guard:
         self._floors = {name: end for name, end in sorted(ends) if end < 0}
         """Lower end of a channel's range, or low trip limit, below zero [SI]: a reading beyond it confirms nothing."""
         self._safe: SafeState | None = None
-        self._tripped = False
+        self._tripped = self._hurried = False
         self.run = self.why = ""
         """Name of the run folder for which it is armed, and what began the safe state."""
         self._courses: dict[str, course.Course] = {}
@@ -305,13 +306,23 @@ class Guard:
             )
             self._safe = SafeState(
                 (*self.bench.safe_state, *rests), self._begin, self._rescue, self._look, self.clock.now(),
-                self._floors, self._last_unanswered, motions.keys(),
+                self._floors, self._last_unanswered, motions.keys(), self._expected,
             )  # fmt: skip
         elif self._safe.vent is not None:
             for action in self._safe.commands:
                 self._begin(action)
+        self._hurried = self._hurried or hurry
         if hurry:
             self._safe.hurry()
+
+    def _expected(self, name: str) -> tuple[float, float]:
+        """Where an output is commanded to be now, infinite where nobody knows, and how far it may be from there [SI]."""
+        output = self._outputs.get(name)
+        if output is None or name not in self._courses:
+            return inf, 0.0
+        pressure = output.quantity == "pressure"
+        slack = max(EMPTIER, 0.1 * self._measured.get(name, 0.0)) if pressure else 0.05 * (output.high - output.low)
+        return self._now_at(output), slack
 
     def _last_unanswered(self) -> float:
         """When a command was sent last whose outcome is not known [s], also a step of a driver's own ramp or sine."""
@@ -380,6 +391,20 @@ class Guard:
                 self.links.hang_up(record.name, 0.0)
         self._safe.away.clear()
         self.links.open_again(self._first_of)
+
+    def attend(self, moment: float, rate: float) -> None:
+        """At this moment [s] of the safe state: feed watchdogs, have measured what confirms, look at interlocks."""
+        for record in filter(self.feeds, self.bench.devices):
+            with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
+                self.supervision.feed(record, moment)
+        if self._safe is None or self._safe.vent is None:
+            self.keep_measuring(rate)
+            try:
+                if not (self._tripped and self._hurried):
+                    self.supervision.interlocks(moment)
+            except LimitTripped as error:  # whoever opened it waits for no ramp
+                self.begin_safe(tripped=True, hurry=True)
+                self._safe.outcome.append(str(error))
 
     def keep_measuring(self, rate: float) -> None:
         """Have what confirms the vent measured at `rate` [Hz]; what gives no samples is begun again."""

@@ -51,7 +51,7 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
 
     def measure() -> Mapping[str, float]:
         guard.latest.clear()
-        guard.keep_measuring(RATE)  # asked again each time: what is late on a busy computer may confirm the vent
+        guard.attend(guard.clock.now(), RATE)  # each time: what is late on a busy computer may confirm the vent
         guard.clock.wait_until(guard.clock.now() + 0.05)
         for name in list(guard.devices):
             with suppress(PmaError):

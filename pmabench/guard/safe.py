@@ -34,7 +34,10 @@ TWICE = 2
 """One lost answer is no lost device, and one false reading no empty muscle."""
 LEFT = "what it holds is not known, and may be what it held before"
 EMPTIER = 20e3
-"""A ramp that is so far [Pa] above the measured pressure, and at twice of it, would fill the muscle."""
+"""A ramp that is so far [Pa] above the measured pressure, and at twice of it, would fill the muscle.
+
+A pressure so far above what is commanded does not follow, where a tenth of what it was is not more.
+"""
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,8 @@ class _Watched:
         self.value, self.seen = value, now
         if good:
             self.since, self.bad, self.most = now if before is None else before, None, -inf
+        elif value != value:
+            self.since = None  # a gauge that fails is no high value
         else:
             self.since, self.bad = None, now if self.bad is None else self.bad
             self.most, self.place = max(self.most, value), value
@@ -117,6 +122,25 @@ class _Watched:
         return f"{name}: {measured}, not below {_shown(action)} {within}"
 
 
+@dataclass
+class _Way:
+    """How far a pressure is from its safe value, or a motion from its place, while a ramp or a hold goes on."""
+
+    since: float
+    """Since when it has come no nearer [s]."""
+    farthest: float = -inf
+    nearest: float = inf
+    away: int = 0
+
+    def fails(self, far: float, expected: float, slack: float, now: float) -> bool:
+        """Whether it stays, or goes away, although it is expected to be nearer."""
+        self.farthest = max(self.farthest, expected) if self.nearest < inf else max(far, expected)
+        if far <= expected + slack or far < 0.98 * self.nearest:
+            self.nearest, self.since = far, now
+        self.away = self.away + 1 if far > self.farthest + 2 * slack else 0
+        return self.away > TWICE or now - self.since >= NO_EFFECT
+
+
 class SafeState:
     """One pass through the actions.
 
@@ -125,7 +149,8 @@ class SafeState:
     at once. Commands that follow each other go out together; `ramp`, `hold` and `confirm` are waited for until they
     are done or their time is over, and in the end all that is looked at must be good at the same time. A value at or
     below its entry in `floors` [SI] confirms nothing, nor does any within `LINGERS` after `unanswered` [s]. `motions`
-    are outputs that move: in a hurry they stop where they are, while a pressure is let go.
+    are outputs that move: in a hurry they stop where they are, while a pressure is let go. `expected` says where an
+    output is commanded to be now, and how far a measured value may be from there [SI].
     """
 
     def __init__(
@@ -138,8 +163,12 @@ class SafeState:
         floors: Mapping[str, float],
         unanswered: Callable[[], float],
         motions: Collection[str],
+        expected: Callable[[str], tuple[float, float]],
     ) -> None:
-        self._floors, self._motions, self._unanswered = floors, motions, unanswered
+        self._floors, self._motions, self._unanswered, self._expected = floors, motions, unanswered, expected
+        self._ends: dict[str, float] = {}
+        """Where motions are sent by a ramp [SI]; they are not told to stop yet."""
+        self._ways: dict[str, _Way] = {}
         self._todo = list(actions)
         self._finals = [action for action in actions if action.do in LOOKS]
         while self._todo and self._todo[-1].do in LOOKS:
@@ -148,8 +177,8 @@ class SafeState:
         self._sent: list[_Sent] = []
         self._since = self._repeated = now
         self._ramp: _Sent | None = None
-        self._doubts = 0
-        """How often in a row the device of a ramp did not say where it is."""
+        self._doubts = self._emptier = 0
+        """How often in a row the device of a ramp did not say where it is, and its muscle was measured emptier."""
         self._watched: list[_Watched] = []
         self.outcome: list[str] = []
         self.failed: set[str] = set()
@@ -188,6 +217,8 @@ class SafeState:
         for command, sent in list(self._again.items()):
             if command.target in self.unsettled and now - sent.since >= RETRY:
                 self._send_again(command, now)
+        if self._todo:
+            self._heed(now, latest)
         while self._todo and self._advance(self._todo[0], now, latest):
             self._todo.pop(0)
             self._gather(now)
@@ -214,6 +245,28 @@ class SafeState:
         """Targets that have not acknowledged a safe command, or do not hold it."""
         return self.missing.keys() | self.refusing
 
+    def _heed(self, now: float, latest: Mapping[str, float]) -> None:
+        """End ramps and holds where a pressure does not follow them, and stop a motion that does not go to its place."""
+        for name, value in latest.items():
+            motion, end = name in self._motions, self._ends.get(name)
+            if value != value or (motion and end is None):
+                continue
+            expected, slack = self._expected(name)
+            far, near = (abs(value - end), abs(expected - end)) if end is not None else (value, expected)
+            if self._ways.setdefault(name, _Way(now)).fails(far, near, slack, now):
+                del self._ways[name]
+                self.outcome.append(f"{name}: does not follow what the safe state commands")
+                if end is None:
+                    self.hurry()
+                else:
+                    self._halt(name, now)
+
+    def _halt(self, name: str, now: float) -> None:
+        """Stop a motion that was sent to a place."""
+        del self._ends[name]
+        self._todo = [action for action in self._todo if (action.do, action.target) != ("ramp", name)]
+        self._send(SafeAction("stop", name, 0.0, PATIENCE), now)
+
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
         """Whether the next action may begin."""
         if action.do in LOOKS:
@@ -223,12 +276,14 @@ class SafeState:
             return True
         if action.do == "ramp" and self._ramp is None:
             self._ramp = self._send(action, now)
+            if action.target in self._motions:
+                self._ends[action.target] = action.value
         if self._ramp is None:
             return now - self._since >= action.within
         lasts, failed = self._ramp.call.result, self._ramp.call.error is not None
         if lasts and self._astray(self._ramp, now, latest, action.value + action.rate * (self._since + lasts - now)):
             self._todo[0] = self._at_once(action)
-            return False
+            return self._advance(self._todo[0], now, latest)
         over = failed or now - self._since >= min(action.within, action.within if lasts is None else lasts)
         if over and (failed or action.target not in self._motions):
             self.commands.append(self._at_once(action))
@@ -250,8 +305,10 @@ class SafeState:
         if now - self._repeated >= REPEAT:
             self._repeated, self._doubts = now, 0 if known else self._doubts + 1
             sent.look = self._look(sent.action)
-        emptier = latest.get(sent.action.target, inf) < min(expected / 2, expected - EMPTIER)
-        return emptier or bool(known and answer and answer.result) or self._doubts >= TWICE
+        value = latest.get(sent.action.target)
+        if value is not None:
+            self._emptier = self._emptier + 1 if value < min(expected / 2, expected - EMPTIER) else 0
+        return self._emptier >= TWICE or bool(known and answer and answer.result) or self._doubts >= TWICE
 
     def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
         """Whether all values are good together, or their time is over; meanwhile the commands are sent again."""
@@ -262,7 +319,10 @@ class SafeState:
             value = latest.get(watched.action.target)
             back = (value is not None and watched.look(value, now)) or back
             watched.since = None if self._sent else watched.since
-            if watched.unmoved(now):
+            if watched.unmoved(now) and watched.action.target in self._ends:
+                self._halt(watched.action.target, now)
+                watched.bad = None
+            elif watched.unmoved(now):
                 self.unmoved.add(watched.action.target)
         since = [watched.since for watched in self._watched if watched.since is not None]
         whole = len(since) == len(self._watched) and not self.unsettled

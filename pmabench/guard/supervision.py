@@ -8,6 +8,7 @@ at a time, so that a command waits for at most one of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from math import inf
 from typing import Any
@@ -91,13 +92,20 @@ class Supervision:
                 for kind in sorted(KINDS, key=lambda kind: self._since.get(record.name + kind[0], -inf)):
                     self._ask(record, kind, now)  # what was asked longest ago first: a device may be free but seldom
 
-    def feed(self, record: DeviceRecord, now: float) -> None:
+    def feed(self, record: DeviceRecord, now: float, kind: Kind = FED) -> None:
         """Send a device with a watchdog a sign of life where it is due; raises DeviceError where that fails."""
         try:
-            self._ask(record, FED, now)
+            self._ask(record, kind, now)
         except DeviceError:
-            self._asked.pop(record.name + FED[0])  # it may come back: it is asked again
+            self._asked.pop(record.name + kind[0])  # it may come back: it is asked again
             raise
+
+    def interlocks(self, now: float) -> None:
+        """Read those that are due; raises LimitTripped where one is open, and passes over devices that do not answer."""
+        for record in self._bench.devices:
+            if record.name in self._links.devices:
+                with suppress(DeviceError):
+                    self.feed(record, now, SAFE)
 
     def _ask(self, record: DeviceRecord, kind: Kind, now: float) -> None:
         """Ask a device that is free the next one of the questions of a kind."""

@@ -685,8 +685,8 @@ def test_a_ramp_and_a_hold_that_go_on_are_fed():
     guard, _ = armed(bench(safe_state=(RAMP, SafeAction("hold", "", 0.0, 2.0), *SAFE)))
     guard.set("pressure", 300e3)
     guard.begin_safe()
-    for _ in range(45):
-        advance(guard, 0.1, HIGH)
+    for step in range(45):
+        advance(guard, 0.1, {"pressure": max(1e3, 3e5 - step * 10e3)})
         assert guard.feeds(DEVICE)
 
 

@@ -7,7 +7,7 @@ import pytest
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, Scale
-from pmabench.guard.guard import Guard
+from pmabench.guard.guard import Guard, State
 from pmabench.guard.remote import vent_directly
 from pmabench.guard.safe import LINGERS, NO_EFFECT, REPEAT, STAYS
 from pmabench.guard.station import Station
@@ -471,3 +471,113 @@ class Deaf(Rig):
         if self.deaf and what in {"write", "rescue"}:
             raise DeviceError(self.device.name, "did not answer")
         super()._note(what, *how)
+
+
+# -- what a ramp or a hold waits for must happen ----------------------------------------------------------------------
+
+SLOW = replace(RAMP, rate=30e3, within=20.0)
+HOLD = SafeAction("hold", "", 0.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "pressure", "until"),
+    [
+        (SLOW, lambda t: 300e3 - 30e3 * max(t - 1.0, 0.0), 9.9),  # late by 30 kPa, as behind a long tube
+        (SLOW, lambda t: max(300e3 - 30e3 * t, 280e3), 0.7 + 30 / 30 + 0.7),  # stuck
+        (SLOW, lambda t: 300e3 - 30e3 * t if t < 0.5 else 680e3, 0.6),  # fills
+        (HOLD, lambda _: 310e3, 4.9),
+        (HOLD, lambda t: 300e3 if t < 0.5 else 340e3, 0.5 + NO_EFFECT),
+        (HOLD, lambda t: 300e3 if t < 0.5 else 680e3, 0.6),
+        (HOLD, lambda t: 680e3 if 0.5 < t < 0.6 else 300e3, 4.9),  # two readings
+    ],
+)
+def test_a_ramp_or_a_hold_ends_where_the_pressure_does_not_follow(first, pressure, until):
+    """A valve that stuck kept 287 kPa for 9.5 s, and a regulator that drove to its supply was waited for."""
+    guard, rig = armed(bench(safe_state=(first, *SAFE[1:])))
+    rig.reads["pressure"] = 300e3
+    guard.collect("dac")
+    guard.set("pressure", 300e3)
+    guard.begin_safe()
+    begun = guard.clock.now()
+    while not rig.values("switch"):
+        guard.step_safe({"pressure": pressure(guard.clock.now() - begun)})
+        guard.clock.wait_until(guard.clock.now() + 0.05)
+    assert guard.clock.now() - begun == pytest.approx(until, abs=0.2)
+
+
+def test_one_reading_of_nothing_makes_no_step_of_a_ramp():
+    guard, rig = armed(RAMPED)
+    guard.set("pressure", 300e3)
+    rig.reported.clear()
+    guard.begin_safe()
+    for step in range(28):
+        guard.step_safe({"pressure": 0.0 if step % 5 == 0 else 300e3 - step * 10e3})
+        guard.clock.wait_until(guard.clock.now() + 0.1)
+    assert rig.values("write") == []
+
+
+@pytest.mark.parametrize(("speed", "within"), [(30e-3, 0.5), (0.0, 1.3), (-20e-3, None)])
+def test_a_drive_that_does_not_go_to_its_place_is_told_to_stop(speed, within):
+    """It ran the other way to the end of its stroke, and nobody told it to stop."""
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, _ = of_both(ramp, SAFE[1], LOOK)
+    drive = Rig.made["other"]
+    guard.set("displacement", 20e-3)
+    drive.reported.clear()
+    guard.begin_safe()
+    begun = guard.clock.now()
+    while not drive.values("halt") and guard.clock.now() < begun + 2.0:
+        x = 20e-3 + speed * (guard.clock.now() - begun)
+        guard.step_safe({"pressure": 1e3, "displacement": max(x, 0.0)})
+        guard.clock.wait_until(guard.clock.now() + 0.05)
+    assert bool(drive.values("halt")) == (within is not None)
+    assert within is None or guard.clock.now() - begun <= within
+
+
+def test_a_drive_that_moves_on_after_its_ramp_is_told_to_stop_before_it_is_given_up():
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, _ = of_both(ramp, SAFE[1], LOOK)
+    drive = Rig.made["other"]
+    guard.set("displacement", 3e-3)
+    guard.begin_safe()
+    begun = guard.clock.now()
+
+    def measure(t):
+        halted = [1 for kind, *_ in drive.reported if kind == "halt"]
+        place.append(place[-1] + (0.0 if halted else 1e-3))
+        return {"pressure": 1e3, "displacement": place[-1]}
+
+    place = [3e-3]
+    _, vent = over(guard, measure)
+    assert guard.clock.now() > begun
+    assert drive.values("halt")
+    assert vent.confirmed
+
+
+# -- while it vents ---------------------------------------------------------------------------------------------------
+
+
+def test_a_gauge_that_gives_no_number_is_no_high_value():
+    """The line of its regulator was closed for longer than the confirmation was waited for."""
+    guard, rig = armed(bench(replace(DEVICE, watchdog=5.0), safe_state=PATIENT.safe_state))
+    guard.begin_safe()
+    _, vent = over(guard, lambda t: {"pressure": float("nan") if t < 2.0 else 1e3})
+    assert vent.confirmed
+    assert rig.values("close") == []
+
+
+def test_an_emergency_stop_while_it_vents_waits_for_no_ramp_and_latches():
+    guard, rig = armed(RAMPED)
+    guard.set("pressure", 300e3)
+    guard.begin_safe()
+    for step in range(9):
+        guard.step_safe({"pressure": 300e3 - step * 5e3})
+        guard.attend(guard.clock.now(), 20.0)
+        assert guard.state is State.STOPPING
+        guard.clock.wait_until(guard.clock.now() + 0.06)
+        rig.high = step < 5
+    assert rig.values("write")[-1] == ("write", "p", 0.0)
+    assert rig.values("feed_watchdog")
+    _, vent = over(guard, lambda _: {"pressure": 1e3})
+    assert 'dac: the interlock "e-stop" is open (dac.in0)' in vent.actions
+    assert guard.state is State.TRIPPED
