@@ -8,7 +8,6 @@ In virtual time it lives in the engine's process, at a real bench in the guard p
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from enum import Enum
 from functools import partial
 from itertools import takewhile
@@ -16,7 +15,7 @@ from math import inf, isfinite
 from typing import Any
 
 from pmabench.base.clock import Clock, DeviceClock
-from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, NotSent, PmaError
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, NotSent
 from pmabench.bench.interface import (
     Block,
     CompiledBench,
@@ -40,8 +39,8 @@ from pmabench.guard.limits import (
 )
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
-from pmabench.guard.safe import AT_ONCE, EMPTIER, SafeState, Vent
-from pmabench.guard.supervision import Supervision
+from pmabench.guard.safe import AT_ONCE, EMPTIER, LINGERS, UNANSWERED, SafeState, Vent
+from pmabench.guard.supervision import FED, SAFE, Kind, Supervision
 
 __all__ = ["Guard", "Measure", "State", "Vent"]
 
@@ -133,7 +132,12 @@ class Guard:
 
     def close(self) -> None:
         """Let go of every device, its watchdog off where the bench is safe; harmless when repeated."""
-        self.links.close(disarm=self._safe is not None and self._safe.vent is not None and self._safe.vent.confirmed)
+        vent = self._safe.vent if self._safe is not None else None
+        self.links.close(disarm=vent is not None and vent.confirmed and UNANSWERED not in self.faults())
+
+    def faults(self) -> list[str]:
+        """What went wrong in the safe state, besides its result."""
+        return self._safe.faults if self._safe is not None else []
 
     # -- arming -------------------------------------------------------------------------------------------------
 
@@ -295,6 +299,7 @@ class Guard:
         self.why = self.why or why
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED
         if self._safe is None:
+            sent_late = self.state in {State.SETUP, State.RUNNING} and self.clock.now() - self.unanswered < LINGERS
             self.state, self._measured = State.STOPPING, dict(self.latest)
             motions = {output.name: output for output in self._outputs.values() if output.quantity in MOTIONS}
             moved = {action.target for action in self.bench.safe_state} & motions.keys()
@@ -308,6 +313,7 @@ class Guard:
                 (*self.bench.safe_state, *rests), self._begin, self._rescue, self._look, self.clock.now(),
                 self._floors, self._last_unanswered, motions.keys(), self._expected,
             )  # fmt: skip
+            self._safe.faults += [UNANSWERED] if sent_late else []
         elif self._safe.vent is not None:
             for action in self._safe.commands:
                 self._begin(action)
@@ -316,7 +322,7 @@ class Guard:
             self._safe.hurry()
 
     def _expected(self, name: str) -> tuple[float, float]:
-        """Where an output is commanded to be now, infinite where nobody knows, and how far it may be from there [SI]."""
+        """Where an output is commanded to be now, infinite where nobody knows, and how far off it may be [SI]."""
         output = self._outputs.get(name)
         if output is None or name not in self._courses:
             return inf, 0.0
@@ -338,7 +344,7 @@ class Guard:
         self._give_up()
         if not over:
             return None
-        self.state = State.TRIPPED if self._tripped or self._safe.failed else State.SAFE
+        self.state = State.TRIPPED if self._tripped or self._safe.faults else State.SAFE
         return self._safe.vent
 
     def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
@@ -394,17 +400,22 @@ class Guard:
 
     def attend(self, moment: float, rate: float) -> None:
         """At this moment [s] of the safe state: feed watchdogs, have measured what confirms, look at interlocks."""
-        for record in filter(self.feeds, self.bench.devices):
-            with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
-                self.supervision.feed(record, moment)
-        if self._safe is None or self._safe.vent is None:
-            self.keep_measuring(rate)
+        waits = self._safe is not None and self._safe.waits and not (self._tripped and self._hurried)
+        stopped = {action.target for action in self._safe.commands if action.do == "stop"} if self._safe else set()
+        for record in self.bench.devices:
+            kinds: list[Kind] = (
+                [FED] if self.feeds(record) else []
+            )  # a watchdog must not end a ramp or a hold of the safe state
+            if waits and not _ends(record) & stopped:  # a drive that was told to stop is not ready
+                kinds.append(SAFE)
             try:
-                if not (self._tripped and self._hurried):
-                    self.supervision.interlocks(moment)
+                self.supervision.attend(record, moment, kinds)
             except LimitTripped as error:  # whoever opened it waits for no ramp
                 self.begin_safe(tripped=True, hurry=True)
-                self._safe.outcome.append(str(error))
+                self._safe.fault(str(error))  # type: ignore[union-attr]
+                waits = False
+        if self._safe is None or self._safe.vent is None:
+            self.keep_measuring(rate)
 
     def keep_measuring(self, rate: float) -> None:
         """Have what confirms the vent measured at `rate` [Hz]; what gives no samples is begun again."""

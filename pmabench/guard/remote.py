@@ -67,8 +67,7 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
         guard.close()
     latched = bool(station.latched()) or not vent.confirmed or guard.state is State.TRIPPED
     why = UNCLEAN if unclean else why
-    if not vent.confirmed:
-        why = f"{why}; safe state {vent.result}"
+    why = "; ".join([why, *(guard.faults() if vent.confirmed else [f"safe state {vent.result}"])])
     with suppress(RecordError):
         station.note("tripped" if latched else "safe", why=why, vent=vars(vent))
     return vent

@@ -32,6 +32,7 @@ LINGERS = 3.0
 """A command that was not answered may be carried out so much later [s]; those of the safe state are sent until then."""
 TWICE = 2
 """One lost answer is no lost device, and one false reading no empty muscle."""
+UNANSWERED = f"a command was not answered; after {LINGERS:g} s nobody looks whether it comes"
 LEFT = "what it holds is not known, and may be what it held before"
 EMPTIER = 20e3
 """A ramp that is so far [Pa] above the measured pressure, and at twice of it, would fill the muscle.
@@ -181,8 +182,8 @@ class SafeState:
         """How often in a row the device of a ramp did not say where it is, and its muscle was measured emptier."""
         self._watched: list[_Watched] = []
         self.outcome: list[str] = []
-        self.failed: set[str] = set()
-        """Targets of commands that failed or were not carried out when they were sent first."""
+        self.faults: list[str] = []
+        """What went wrong, although all may be low in the end; the bench is looked at before anything runs on it."""
         self.missing: dict[str, float] = {}
         """Targets that have not acknowledged their command, and since when [s]."""
         self.away: set[str] = set()
@@ -217,8 +218,7 @@ class SafeState:
         for command, sent in list(self._again.items()):
             if command.target in self.unsettled and now - sent.since >= RETRY:
                 self._send_again(command, now)
-        if self._todo:
-            self._heed(now, latest)
+        self._heed(now, latest)
         while self._todo and self._advance(self._todo[0], now, latest):
             self._todo.pop(0)
             self._gather(now)
@@ -229,12 +229,17 @@ class SafeState:
             good = [watched.lasts(now, late) for watched in self._watched]
             self.outcome += [watched.outcome(ok) for watched, ok in zip(self._watched, good, strict=True)]
             if self._unanswered() > -inf:
-                self.outcome.append(f"a command was not answered; after {LINGERS:g} s nobody looks whether it comes")
+                self.outcome.append(UNANSWERED)
             low = bool(good) and all(good)
             self.outcome += [f"{name}: {LEFT}" for name in sorted(self.unsettled) if low]
-            result = "failed" if self.failed and not low else "commanded"
+            result = "failed" if self.faults and not low else "commanded"
             self.vent = Vent("confirmed" if low and not self.unsettled else result, tuple(self.outcome))
         return self.vent is not None
+
+    @property
+    def waits(self) -> bool:
+        """Whether actions are left that wait for others."""
+        return bool(self._todo)
 
     def _late(self) -> float:
         """Since when nothing can come any more that was sent before [s]."""
@@ -246,20 +251,25 @@ class SafeState:
         return self.missing.keys() | self.refusing
 
     def _heed(self, now: float, latest: Mapping[str, float]) -> None:
-        """End ramps and holds where a pressure does not follow them, and stop a motion that does not go to its place."""
+        """End ramps and holds that a pressure does not follow, and stop a motion that does not go to its place."""
         for name, value in latest.items():
-            motion, end = name in self._motions, self._ends.get(name)
-            if value != value or (motion and end is None):
+            end = self._ends.get(name)
+            if value != value or (end is None and (name in self._motions or not self._todo)):
                 continue
             expected, slack = self._expected(name)
             far, near = (abs(value - end), abs(expected - end)) if end is not None else (value, expected)
             if self._ways.setdefault(name, _Way(now)).fails(far, near, slack, now):
                 del self._ways[name]
-                self.outcome.append(f"{name}: does not follow what the safe state commands")
+                self.fault(f"{name}: does not follow what the safe state commands")
                 if end is None:
                     self.hurry()
                 else:
                     self._halt(name, now)
+
+    def fault(self, text: str) -> None:
+        """Note what went wrong."""
+        self.outcome.append(text)
+        self.faults.append(text)
 
     def _halt(self, name: str, now: float) -> None:
         """Stop a motion that was sent to a place."""
@@ -380,9 +390,8 @@ class SafeState:
             how = (" at once" if ramp_that_is_none else "") + (" over the second way" if way is sent.rescue else "")
             self.outcome.append(f"{name}: sent{how}")
         elif not again:
-            self.failed.add(target)
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
-            self.outcome.append(f"{name}: failed ({wrong})")
+            self.fault(f"{name}: failed ({wrong})")
         self._note(target, wrong, now, answered=sent.look is not None and sent.look.error is None)
         return None
 

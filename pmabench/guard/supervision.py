@@ -89,8 +89,15 @@ class Supervision:
         """Ask what is due at `now` [s]; LimitTripped: an interlock, LimitRefused: a change, DeviceError: silence."""
         for record in self._bench.devices:
             if record.name in self._links.devices:
-                for kind in sorted(KINDS, key=lambda kind: self._since.get(record.name + kind[0], -inf)):
-                    self._ask(record, kind, now)  # what was asked longest ago first: a device may be free but seldom
+                for kind in self._by_age(record, KINDS):
+                    self._ask(record, kind, now)
+
+    def attend(self, record: DeviceRecord, now: float, kinds: list[Kind]) -> None:
+        """Ask a device while it vents: raises LimitTripped where an interlock is open; no answer is passed over."""
+        if record.name in self._links.devices:
+            for kind in self._by_age(record, kinds):
+                with suppress(DeviceError):
+                    self.feed(record, now, kind)
 
     def feed(self, record: DeviceRecord, now: float, kind: Kind = FED) -> None:
         """Send a device with a watchdog a sign of life where it is due; raises DeviceError where that fails."""
@@ -100,12 +107,9 @@ class Supervision:
             self._asked.pop(record.name + kind[0])  # it may come back: it is asked again
             raise
 
-    def interlocks(self, now: float) -> None:
-        """Read those that are due; raises LimitTripped where one is open, and passes over devices that do not answer."""
-        for record in self._bench.devices:
-            if record.name in self._links.devices:
-                with suppress(DeviceError):
-                    self.feed(record, now, SAFE)
+    def _by_age(self, record: DeviceRecord, kinds: Sequence[Kind]) -> list[Kind]:
+        """What was asked longest ago first: a device may be free but seldom."""
+        return sorted(kinds, key=lambda kind: self._since.get(record.name + kind[0], -inf))
 
     def _ask(self, record: DeviceRecord, kind: Kind, now: float) -> None:
         """Ask a device that is free the next one of the questions of a kind."""

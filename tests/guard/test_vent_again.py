@@ -161,9 +161,12 @@ def test_a_pressure_that_comes_back_is_commanded_down_at_once_and_its_line_stays
 
     took, vent = over(guard, measure)
     assert vent.confirmed
+    assert guard.state is State.TRIPPED, "whether it comes later still, nobody knows"
+    guard.close()
+    assert rig.values("disarm_watchdog") == []
     assert took >= LINGERS
     assert len(rig.values("write")) > last[0]
-    assert rig.values("close") == []
+    assert len(rig.values("close")) == 1
 
 
 def test_a_late_step_of_a_drivers_own_ramp_is_overruled_too():
@@ -578,6 +581,22 @@ def test_an_emergency_stop_while_it_vents_waits_for_no_ramp_and_latches():
         rig.high = step < 5
     assert rig.values("write")[-1] == ("write", "p", 0.0)
     assert rig.values("feed_watchdog")
+    rig.reported.clear()
     _, vent = over(guard, lambda _: {"pressure": 1e3})
+    guard.attend(guard.clock.now(), 20.0)
+    assert rig.values("level") == [], "nothing waits any more"
     assert 'dac: the interlock "e-stop" is open (dac.in0)' in vent.actions
     assert guard.state is State.TRIPPED
+
+
+def test_a_drive_that_was_told_to_stop_is_not_ready_and_that_is_no_emergency_stop():
+    guard, rig = armed(bench(safe_state=(SAFE[0], RAMP, LOOK)))
+    guard.set("pressure", 100e3)
+    rig.high = False
+    guard.begin_safe()
+    for step in range(4):
+        guard.step_safe({"pressure": 100e3 - step * 10e3})
+        guard.attend(guard.clock.now(), 20.0)
+        guard.clock.wait_until(guard.clock.now() + 0.1)
+    assert rig.values("level") == []
+    assert rig.values("follow")
