@@ -302,16 +302,18 @@ class Guard:
             sent_late = self.state in {State.SETUP, State.RUNNING} and self.clock.now() - self.unanswered < LINGERS
             self.state, self._measured = State.STOPPING, dict(self.latest)
             motions = {output.name: output for output in self._outputs.values() if output.quantity in MOTIONS}
-            moved = {action.target for action in self.bench.safe_state} & motions.keys()
+            targets = {action.target for action in self.bench.safe_state}
+            confirms = [channel for channel in self.bench.channels if channel.name in targets]
             longest = max((action.within for action in self.bench.safe_state if action.do == "confirm"), default=0.0)
             rests = tuple(
                 SafeAction("rest", name, AT_REST * (motions[name].high - motions[name].low), longest)
-                for name in (channel.name for channel in self.bench.channels)
-                if name in moved
+                for name in (channel.name for channel in confirms)
+                if name in motions
             )
             self._safe = SafeState(
                 (*self.bench.safe_state, *rests), self._begin, self._rescue, self._look, self.clock.now(),
                 self._floors, self._last_unanswered, motions.keys(), self._expected,
+                partial(self.supervision.compare_readings, {channel.device for channel in confirms}),
             )  # fmt: skip
             self._safe.faults += [UNANSWERED] if sent_late else []
         elif self._safe.vent is not None:

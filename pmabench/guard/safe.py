@@ -151,7 +151,8 @@ class SafeState:
     are done or their time is over, and in the end all that is looked at must be good at the same time. A value at or
     below its entry in `floors` [SI] confirms nothing, nor does any within `LINGERS` after `unanswered` [s]. `motions`
     are outputs that move: in a hurry they stop where they are, while a pressure is let go. `expected` says where an
-    output is commanded to be now, and how far a measured value may be from there [SI].
+    output is commanded to be now, and how far a measured value may be from there [SI]; `compare` asks devices that
+    confirm whether they measure as they did when the bench was armed.
     """
 
     def __init__(
@@ -165,7 +166,11 @@ class SafeState:
         unanswered: Callable[[], float],
         motions: Collection[str],
         expected: Callable[[str], tuple[float, float]],
+        compare: Callable[[], list[Call]],
     ) -> None:
+        self._compare = compare
+        self._asked: list[Call] | None = None
+        """What devices that confirm say of the way they measure."""
         self._floors, self._motions, self._unanswered, self._expected = floors, motions, unanswered, expected
         self._ends: dict[str, float] = {}
         """Where motions are sent by a ramp [SI]; they are not told to stop yet."""
@@ -224,13 +229,22 @@ class SafeState:
             self._gather(now)
             self._since = self._repeated = now
             self._ramp, self._watched = None, []
-        if self.vent is None and not self._todo and self._looked_at(self._finals, now, latest) and not self._sent:
+        if self.vent is not None or self._todo:
+            return self.vent is not None
+        over = self._looked_at(self._finals, now, latest)
+        if self._asked is None and not self._sent:
+            self._asked = self._compare()
+        asked = self._asked or []
+        heard = all(call.done.is_set() for call in asked) or now - self._since >= ANSWERS
+        if over and not self._sent and heard:
             late = self._late()
             good = [watched.lasts(now, late) for watched in self._watched]
             self.outcome += [watched.outcome(ok) for watched, ok in zip(self._watched, good, strict=True)]
             if self._unanswered() > -inf:
                 self.outcome.append(UNANSWERED)
-            low = bool(good) and all(good)
+            differs = [f"{call.result}; its values confirm nothing" for call in asked if call.result]
+            self.outcome += differs
+            low = bool(good) and all(good) and not differs
             self.outcome += [f"{name}: {LEFT}" for name in sorted(self.unsettled) if low]
             result = "failed" if self.faults and not low else "commanded"
             self.vent = Vent("confirmed" if low and not self.unsettled else result, tuple(self.outcome))

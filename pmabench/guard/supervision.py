@@ -7,7 +7,7 @@ at a time, so that a command waits for at most one of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from math import inf
@@ -48,6 +48,8 @@ SAFE = ("whether its interlocks are closed", LOOK, 0.0, 4.0)
 Samples need the line of a slow device, too.
 """
 KINDS: tuple[Kind, ...] = (FED, SAFE, HELD)
+READS = ("range", "unit", "format", "mapping", "step", "forced", "modules")
+"""Words of what devices report that gives their samples a meaning; the rest may change by a restart or a watchdog."""
 UNANSWERED = "has not answered whether it is as it was when the bench was armed"
 ELSEWHERE = "it restarted, or something else commands it"
 
@@ -138,6 +140,19 @@ class Supervision:
             known = self._links.devices.get(name)  # its line may be closed before it is its turn
             self._compared[name] = self._links.submit(name, partial(self._held_differs, name, known))
 
+    def compare_readings(self, names: Collection[str]) -> list[Call]:
+        """Have these devices asked whether what gives their values a meaning is as it was when the bench was armed."""
+        told = {name: [key for key in self._held[name] if any(word in key for word in READS)] for name in self._held}
+        return [
+            self._links.submit(name, partial(self._readings_differ, name, keys))
+            for name, keys in told.items()
+            if keys and name in names
+        ]
+
+    def _readings_differ(self, name: str, keys: list[str]) -> str:
+        text = self._held_differs(name, keys=keys)
+        return f"{name}: {text}" if text else ""
+
     def differences(self) -> list[str]:
         """What came of `compare` so far, for each device that changed or has not answered; failed questions again."""
         found = []
@@ -167,10 +182,12 @@ class Supervision:
         self._clock.wait_until(self._clock.now() + AGAIN)
         return look()
 
-    def _held_differs(self, name: str, known: Any = None) -> str:
+    def _held_differs(self, name: str, known: Any = None, keys: Collection[str] = ()) -> str:
         device = known or self._links.need(name, Supervised, "reports nothing of itself")
         now, before = device.held(), self._held[name]
         for key, was in before.items():
+            if keys and key not in keys:
+                continue
             value = now.get(key, "not reported")
             if key == "uptime" and not isinstance(value, str) and not isinstance(was, str):
                 if value < was:

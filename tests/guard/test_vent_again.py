@@ -1,5 +1,6 @@
 """A vent goes on until it is over: what comes back, what is missed, what fills, what moves (S3, S13)."""
 
+import threading
 from dataclasses import replace
 
 import pytest
@@ -11,7 +12,7 @@ from pmabench.guard.guard import Guard, State
 from pmabench.guard.remote import vent_directly
 from pmabench.guard.safe import LINGERS, NO_EFFECT, REPEAT, STAYS
 from pmabench.guard.station import Station
-from tests.guard.rig import BENCH, DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, VALVE, Rig, armed, bench
+from tests.guard.rig import BENCH, DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, VALVE, Rig, armed, bench, opened
 from tests.guard.test_muscles import PAIR
 
 RAMP = SafeAction("ramp", "pressure", 0.0, 5.0, 100e3)
@@ -600,3 +601,31 @@ def test_a_drive_that_was_told_to_stop_is_not_ready_and_that_is_no_emergency_sto
         guard.clock.wait_until(guard.clock.now() + 0.1)
     assert rig.values("level") == []
     assert rig.values("follow")
+
+
+@pytest.mark.parametrize(
+    ("changed", "result"),
+    [({"range of in0": "1 V"}, "commanded"), ({"watchdog": 0.0, "uptime": 0.1}, "confirmed"), ({}, "confirmed")],
+)
+def test_a_gauge_whose_range_was_changed_confirms_nothing(changed, result):
+    """It read 10 kPa of 300, and a restart or a watchdog that fired meanwhile changes no reading."""
+    guard, rig = opened(PATIENT)
+    rig.reports["range of in0"] = "10 V"
+    guard.arm("run")
+    guard.set("pressure", 300e3)
+    rig.reports |= changed
+    guard.begin_safe()
+    took, vent = over(guard, lambda _: {"pressure": 10e3})
+    assert (vent.result, took < 0.7) == (result, True), vent.actions
+    assert any("its range of in0 was 10 V" in text for text in vent.actions) == (result == "commanded")
+
+
+def test_a_gauge_that_does_not_say_how_it_measures_is_waited_for_and_believed():
+    guard, rig = opened(PATIENT, threads=True)
+    rig.reports["range of in0"] = "10 V"
+    guard.arm("run")
+    rig.wrong["held"] = hangs = threading.Event()
+    guard.begin_safe()
+    _, vent = over(guard, lambda _: {"pressure": 10e3}, step=0.02)
+    hangs.set()
+    assert vent.confirmed
