@@ -223,12 +223,10 @@ class SafeState:
         for command, sent in list(self._again.items()):
             if command.target in self.unsettled and now - sent.since >= RETRY:
                 self._send_again(command, now)
-        self._heed(now, latest)
+        self._check_ways(now, latest)
         while self._todo and self._advance(self._todo[0], now, latest):
-            self._todo.pop(0)
+            self._go_on(now)
             self._gather(now)
-            self._since = self._repeated = now
-            self._ramp, self._watched = None, []
         if self.vent is not None or self._todo:
             return self.vent is not None
         over = self._looked_at(self._finals, now, latest)
@@ -264,11 +262,12 @@ class SafeState:
         """Targets that have not acknowledged a safe command, or do not hold it."""
         return self.missing.keys() | self.refusing
 
-    def _heed(self, now: float, latest: Mapping[str, float]) -> None:
+    def _check_ways(self, now: float, latest: Mapping[str, float]) -> None:
         """End ramps and holds that a pressure does not follow, and stop a motion that does not go to its place."""
         for name, value in latest.items():
             end = self._ends.get(name)
-            if value != value or (end is None and (name in self._motions or not self._todo)):
+            waits = self._todo and self._todo[0].do in {"ramp", "hold"}
+            if value != value or (end is None and (name in self._motions or not waits)):
                 continue
             expected, slack = self._expected(name)
             far, near = (abs(value - end), abs(expected - end)) if end is not None else (value, expected)
@@ -285,10 +284,16 @@ class SafeState:
         self.outcome.append(text)
         self.faults.append(text)
 
+    def _go_on(self, now: float) -> None:
+        """To the next action."""
+        self._todo.pop(0)
+        self._since = self._repeated = now
+        self._ramp, self._watched = None, []
+
     def _halt(self, name: str, now: float) -> None:
         """Stop a motion that was sent to a place."""
-        del self._ends[name]
-        self._todo = [action for action in self._todo if (action.do, action.target) != ("ramp", name)]
+        if self._ramp is not None and self._ramp.action.target == name:
+            self._go_on(now)
         self._send(SafeAction("stop", name, 0.0, PATIENCE), now)
 
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
@@ -314,11 +319,16 @@ class SafeState:
         return over
 
     def _send(self, action: SafeAction, now: float) -> _Sent:
-        sent = _Sent(action, self._begin(action), now)
+        sent = self._command(action, now)
         self._sent.append(sent)
         if action.do in AT_ONCE:
             self.commands.append(action)
         return sent
+
+    def _command(self, action: SafeAction, now: float) -> _Sent:
+        if action.do == "stop":
+            self._ends.pop(action.target, None)
+        return _Sent(action, self._begin(action), now)
 
     def _astray(self, sent: _Sent, now: float, latest: Mapping[str, float], expected: float) -> bool:
         """Whether a ramp may not go on: its device is away or began anew, and would be filled when it is back."""
@@ -366,7 +376,7 @@ class SafeState:
             if now - self.missing.get(command.target, now) >= AWAY:
                 self.away.add(command.target)
                 self.missing[command.target] = now
-            self._again[command] = sent = _Sent(command, self._begin(command), now)
+            self._again[command] = sent = self._command(command, now)
             self._repeats.append(sent)
 
     def _gather(self, now: float) -> None:
@@ -406,16 +416,13 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        self._note(target, wrong, now, answered=sent.look is not None and sent.look.error is None)
-        return None
-
-    def _note(self, target: str, wrong: str, now: float, *, answered: bool) -> None:
-        """What is known of a target by its last command: held, held not (its device answered), or not acknowledged."""
-        if wrong and not answered:
+        refuses = wrong and sent.look is not None and sent.look.done.is_set() and sent.look.error is None
+        (self.refusing.add if refuses else self.refusing.discard)(target)
+        if wrong and not refuses:
             self.missing.setdefault(target, now)
         else:
             self.missing.pop(target, None)
-        (self.refusing.add if wrong and answered else self.refusing.discard)(target)
+        return None
 
     def _not_held(self, sent: _Sent, now: float) -> str | None:
         """Why the device does not hold what it acknowledged; empty where it does or cannot say; None: not known yet."""

@@ -142,12 +142,11 @@ class Supervision:
 
     def compare_readings(self, names: Collection[str]) -> list[Call]:
         """Have these devices asked whether what gives their values a meaning is as it was when the bench was armed."""
-        told = {name: [key for key in self._held[name] if any(word in key for word in READS)] for name in self._held}
-        return [
-            self._links.submit(name, partial(self._readings_differ, name, keys))
-            for name, keys in told.items()
-            if keys and name in names
-        ]
+        calls = []
+        for name in self._held.keys() & names:
+            if keys := [key for key in self._held[name] if any(word in key for word in READS)]:
+                calls.append(self._links.submit(name, partial(self._readings_differ, name, keys)))
+        return calls
 
     def _readings_differ(self, name: str, keys: list[str]) -> str:
         text = self._held_differs(name, keys=keys)

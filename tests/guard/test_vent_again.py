@@ -521,7 +521,7 @@ def test_one_reading_of_nothing_makes_no_step_of_a_ramp():
 
 
 @pytest.mark.parametrize(("speed", "within"), [(30e-3, 0.5), (0.0, 1.3), (-20e-3, None)])
-def test_a_drive_that_does_not_go_to_its_place_is_told_to_stop(speed, within):
+def test_a_drive_that_does_not_go_to_its_place_is_stopped(speed, within):
     """It ran the other way to the end of its stroke, and nobody told it to stop."""
     ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
     guard, _ = of_both(ramp, SAFE[1], LOOK)
@@ -538,7 +538,36 @@ def test_a_drive_that_does_not_go_to_its_place_is_told_to_stop(speed, within):
     assert within is None or guard.clock.now() - begun <= within
 
 
-def test_a_drive_that_moves_on_after_its_ramp_is_told_to_stop_before_it_is_given_up():
+def test_a_drive_that_was_stopped_in_a_hurry_is_at_rest_and_not_astray():
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, _ = of_both(ramp, SAFE[1], LOOK)
+    guard.set("displacement", 20e-3)
+    guard.begin_safe()
+    guard.step_safe({"displacement": 20e-3})
+    guard.begin_safe(hurry=True)
+    _, vent = over(guard, lambda t: {"pressure": 300e3 if t < 2.0 else 1e3, "displacement": 20e-3})
+    assert vent.confirmed
+    assert guard.state is State.SAFE
+
+
+def test_what_comes_after_a_ramp_of_a_drive_that_was_stopped_takes_its_time():
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, rig = of_both(ramp, replace(HOLD, within=2.0), SAFE[1], LOOK)
+    guard.set("displacement", 20e-3)
+    guard.set("pressure", 300e3)
+    rig.reported.clear()
+    guard.begin_safe()
+    while not Rig.made["other"].values("halt"):
+        guard.step_safe({"pressure": 300e3, "displacement": 20e-3})
+        guard.clock.wait_until(guard.clock.now() + 0.05)
+    stopped = guard.clock.now()
+    while not rig.values("write"):
+        guard.step_safe({"pressure": 300e3, "displacement": 20e-3})
+        guard.clock.wait_until(guard.clock.now() + 0.05)
+    assert guard.clock.now() - stopped == pytest.approx(2.0, abs=0.15)
+
+
+def test_a_drive_that_moves_on_after_its_ramp_is_stopped_before_it_is_given_up():
     ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
     guard, _ = of_both(ramp, SAFE[1], LOOK)
     drive = Rig.made["other"]
@@ -590,7 +619,7 @@ def test_an_emergency_stop_while_it_vents_waits_for_no_ramp_and_latches():
     assert guard.state is State.TRIPPED
 
 
-def test_a_drive_that_was_told_to_stop_is_not_ready_and_that_is_no_emergency_stop():
+def test_a_drive_that_was_stopped_is_not_ready_and_that_is_no_emergency_stop():
     guard, rig = armed(bench(safe_state=(SAFE[0], RAMP, LOOK)))
     guard.set("pressure", 100e3)
     rig.high = False
