@@ -496,8 +496,9 @@ class Guard:
     def _look(self, action: SafeAction) -> Call | None:
         """Ask whether the device holds what a safe action commanded; None for a stop, whose place nobody knows."""
         target = self._target(action)
-        if target is None or action.do == "stop":
+        if action.do == "stop":
             return None
+        assert target is not None  # noqa: S101 - it was commanded
         if isinstance(target, OutputRecord):
             return self._submit(target.device, lambda: self.supervision.output_differs(target))
         closed = action.do == "close"

@@ -63,6 +63,11 @@ class _Sent:
     look: Call | None = None
     """Whether the device holds what it acknowledged: an empty text, or a sentence."""
 
+    def said(self) -> str | None:
+        """What the device answered whether it holds it; None: nothing, or not yet."""
+        look = self.look
+        return (look.result or "") if look is not None and look.done.is_set() and look.error is None else None
+
     def acknowledged(self) -> bool:
         """Whether the device took it, by either way."""
         return any(call is not None and call.done.is_set() and call.error is None for call in (self.call, self.rescue))
@@ -334,15 +339,14 @@ class SafeState:
         """Whether a ramp may not go on: its device is away or began anew, and would be filled when it is back."""
         if sent.action.target in self._motions:
             return False
-        answer = sent.look
-        known = answer is None or (answer.done.is_set() and answer.error is None)
+        said = "" if sent.look is None else sent.said()
         if now - self._repeated >= REPEAT:
-            self._repeated, self._doubts = now, 0 if known else self._doubts + 1
+            self._repeated, self._doubts = now, 0 if said is not None else self._doubts + 1
             sent.look = self._look(sent.action)
         value = latest.get(sent.action.target)
         if value is not None:
             self._emptier = self._emptier + 1 if value < min(expected / 2, expected - EMPTIER) else 0
-        return self._emptier >= TWICE or bool(known and answer and answer.result) or self._doubts >= TWICE
+        return self._emptier >= TWICE or bool(said) or self._doubts >= TWICE
 
     def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
         """Whether all values are good together, or their time is over; meanwhile the commands are sent again."""
@@ -416,7 +420,7 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        refuses = wrong and sent.look is not None and sent.look.done.is_set() and sent.look.error is None
+        refuses = bool(wrong and sent.said())
         (self.refusing.add if refuses else self.refusing.discard)(target)
         if wrong and not refuses:
             self.missing.setdefault(target, now)
@@ -434,8 +438,8 @@ class SafeState:
             sent.look = self._look(sent.action)  # again where it failed: the second way may have made a new connection
         if sent.look is None:
             return ""
-        if sent.look.done.is_set() and sent.look.error is None:
-            return sent.look.result or ""
+        if (said := sent.said()) is not None:
+            return said
         if now - sent.since < ANSWERS:
             return None
         return "" if sent.rescue is not None else "acknowledged, and no answer whether it is held"

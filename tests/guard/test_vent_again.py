@@ -520,6 +520,34 @@ def test_one_reading_of_nothing_makes_no_step_of_a_ramp():
     assert rig.values("write") == []
 
 
+def test_a_hold_of_a_guard_that_comes_later_is_not_cut_short():
+    """Nobody knows what was commanded."""
+    guard, rig = opened(bench(safe_state=(HOLD, *SAFE[1:])), threads=False)
+    guard.begin_safe()
+    for _ in range(48):
+        guard.step_safe({"pressure": 300e3, "force": 50.0})
+        guard.clock.wait_until(guard.clock.now() + 0.1)
+    assert rig.values("write") == []
+
+
+def test_a_drive_that_runs_away_while_a_pressure_is_let_down_ends_no_ramp():
+    ramp = SafeAction("ramp", "displacement", 0.0, 1.0, 10e-3)
+    guard, rig = of_both(ramp, RAMP, SAFE[1], LOOK)
+    drive = Rig.made["other"]
+    guard.set("pressure", 300e3)
+    guard.set("displacement", 5e-3)
+    guard.begin_safe()
+    begun = guard.clock.now()
+    while not drive.values("halt"):
+        t = guard.clock.now() - begun
+        guard.step_safe({"pressure": 300e3 - 100e3 * max(t - 0.5, 0), "displacement": 30e-3 * max(t - 0.5, 0)})
+        guard.clock.wait_until(guard.clock.now() + 0.05)
+    assert guard.clock.now() - begun < 1.5
+    rig.reported.clear()
+    guard.step_safe({})
+    assert rig.values("write") == []
+
+
 @pytest.mark.parametrize(("speed", "within"), [(30e-3, 0.5), (0.0, 1.3), (-20e-3, None)])
 def test_a_drive_that_does_not_go_to_its_place_is_stopped(speed, within):
     """It ran the other way to the end of its stroke, and nobody told it to stop."""
@@ -567,7 +595,8 @@ def test_what_comes_after_a_ramp_of_a_drive_that_was_stopped_takes_its_time():
     assert guard.clock.now() - stopped == pytest.approx(2.0, abs=0.15)
 
 
-def test_a_drive_that_moves_on_after_its_ramp_is_stopped_before_it_is_given_up():
+@pytest.mark.parametrize("moves", [lambda t: 3e-3 + 20e-3 * t, lambda t: 6e-3 * max(t - 0.3, 0.0)])
+def test_a_drive_that_moves_on_after_its_ramp_is_stopped_before_it_is_given_up(moves):
     ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
     guard, _ = of_both(ramp, SAFE[1], LOOK)
     drive = Rig.made["other"]
@@ -576,8 +605,7 @@ def test_a_drive_that_moves_on_after_its_ramp_is_stopped_before_it_is_given_up()
     begun = guard.clock.now()
 
     def measure(t):
-        halted = [1 for kind, *_ in drive.reported if kind == "halt"]
-        place.append(place[-1] + (0.0 if halted else 1e-3))
+        place.append(place[-1] if drive.values("halt") else moves(t))
         return {"pressure": 1e3, "displacement": place[-1]}
 
     place = [3e-3]
