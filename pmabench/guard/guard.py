@@ -137,7 +137,8 @@ class Guard:
 
     def faults(self) -> list[str]:
         """What went wrong in the safe state, besides its result."""
-        return self._safe.faults if self._safe is not None else []
+        assert self._safe is not None  # noqa: S101
+        return self._safe.faults
 
     # -- arming -------------------------------------------------------------------------------------------------
 
