@@ -15,7 +15,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
 from pmabench_drivers.modbus import registers as r
 from pmabench_drivers.shared.device import Controlled, Polled
@@ -430,8 +430,9 @@ class ModbusDevice(Watched, Controlled):
             message = f"{lost.message}; whether it took {wanted:g} is not known ({error})"
             raise Unanswered(self._device.name, message, register.name) from None
         if not abs(held - wanted) <= resolution:
-            what = "did not answer to the command" if lost else "was commanded"
-            raise self._error(f"{what} {wanted:g} and holds {held:g}", register.name)
+            if lost is None:
+                raise NotSent(self._device.name, f"was commanded {wanted:g} and holds {held:g}", register.name)
+            raise self._error(f"did not answer to the command {wanted:g} and holds {held:g}", register.name)
 
     def _arrived(self, register: r.Register, _wanted: float, until: float, _resolution: float) -> float:
         """What the device holds after a command."""
