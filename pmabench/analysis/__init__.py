@@ -6,6 +6,6 @@
 - a library model fitted to a table: `model_fit`, made of `model_problem`
 - what speaks for or against a result, and results next to each other: `verdict`
 - a muscle with hysteresis and creep, from all its slow tests: `surface`
-- what further trials would add: `design`; which to do next: `next_trial`
+- what further trials would add, and which to do next: `next_trial`
 - parts of reductions: `shared`
 """

@@ -175,7 +175,7 @@ def fit_model(
     computed = problem.output_at(best[1])
     at_end = _at_ends(problem, best[1])
     findings = identifiability(unknown, spread, intervals, at_end)
-    findings += _other_minima(unknown, ends, best, spread, problem, freedom)
+    findings += _other_minima(unknown, ends, best, spread, freedom)
     findings += _of_residuals(computed - measured, exact=exact, freedom=freedom)
     if not best[2]:
         findings.insert(0, Finding("fault", "the fit did not converge; give start values with --start or fix some"))
@@ -315,9 +315,7 @@ def _at_ends(problem: Problem, at: Array) -> list[str]:
     return words
 
 
-def _other_minima(
-    names: Sequence[str], ends: Sequence[End], best: End, spread: Spread, problem: Problem, freedom: int
-) -> list[Finding]:
+def _other_minima(names: Sequence[str], ends: Sequence[End], best: End, spread: Spread, freedom: int) -> list[Finding]:
     """A doubt where another start ended elsewhere, nearly as well."""
     if freedom < 1 or any(e is None for e in spread.errors):
         return []

@@ -37,9 +37,6 @@ class Spread:
     covariance: Array
     """NaN in rows and columns that are not identifiable."""
     correlation: Array
-    rank: int
-    condition: float
-    """Of the Jacobian with columns of length 1."""
     tied: tuple[tuple[int, ...], ...]
     """Unknowns that the data determine in combination only: for each combination left open, their places."""
 
@@ -66,8 +63,7 @@ def spread_of(slopes: Array, squares: float, freedom: int) -> Spread:
     if freedom > 0:
         covariance[part] = (squares / freedom * shape)[part]
     errors = tuple(None if j in lost or freedom < 1 else sqrt(max(float(covariance[j, j]), 0.0)) for j in range(count))
-    condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
-    return Spread(errors, covariance, correlation, int(kept.sum()), condition, tuple(tied))
+    return Spread(errors, covariance, correlation, tuple(tied))
 
 
 def identifiability(

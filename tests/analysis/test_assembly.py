@@ -14,7 +14,7 @@ import yaml
 from click.testing import CliRunner
 from pmabench_drivers.mock.options import read_options
 
-from pmabench.analysis.verdict.assembly import adds_up, of_one, without_diameter
+from pmabench.analysis.verdict.agreement import adds_up, of_one, without_diameter
 from pmabench.analysis.verdict.comparison import Side, compare
 from pmabench.base.errors import DeviceError
 from pmabench.bench.compile import mount

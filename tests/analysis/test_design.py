@@ -7,17 +7,18 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from pmabench.analysis.design import Design, scatter_like
 from pmabench.analysis.next_trial import (
     MOST_IN_CELL,
     RANDOM,
     REFERENCE,
     Aim,
+    Design,
     Field,
     choose,
     fewest,
     out_of_reach,
     propose,
+    scatter_like,
 )
 
 

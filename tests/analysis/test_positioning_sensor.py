@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pmabench.analysis.shared.smoothing import smooth
+from pmabench.analysis.shared.signals import smooth
 from pmabench.kinds.positioning.reduction import reduce
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import Array, TrialData

@@ -125,8 +125,4 @@ def mean_half(values: Array, by_cycle: Sequence[Array]) -> float | None:
         power = float(off @ off)
         rho = min(max(float(off[1:] @ off[:-1]) / power, 0.0), 0.9) if n > 3 and power > 0 else 0.0
         halves.append(float(student.ppf(0.975, n - 1)) * sqrt(power / (n - 1) / n * (1 + rho) / (1 - rho)))
-    within = sqrt(float(np.mean(np.square(halves))) / len(values)) if halves else None
-    if len(values) < 2:
-        return within
-    between = float(student.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / sqrt(len(values))
-    return between if within is None else max(between, within)
+    return student.half_of_trials(values, halves or [nan])

@@ -12,9 +12,8 @@ from math import hypot, pi, sqrt
 
 import numpy as np
 
-from pmabench.analysis.shared.oscillation import SEEN
 from pmabench.analysis.shared.samples import Held, left, noise_of
-from pmabench.analysis.shared.smoothing import SMOOTHED, SURE, smooth
+from pmabench.analysis.shared.signals import SEEN, SMOOTHED, SURE, smooth
 from pmabench.store.records import Array
 
 SMALLEST = 1e-4

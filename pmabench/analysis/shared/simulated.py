@@ -117,28 +117,30 @@ class Stretches:
     dt: float
 
 
+def as_columns(courses: Sequence[Array]) -> Array:
+    """Courses of unlike length next to each other, shape (n, m); the shorter ones go on at their last value."""
+    most = max(map(len, courses))
+    return np.column_stack([np.pad(one, (0, most - len(one)), mode="edge") for one in courses])
+
+
 def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> Stretches:
     """Pieces of trials as columns; the shorter ones go on at their last pressure.
 
     Each begins at rest at the mean contraction of the `rest` samples before it.
     """
-    most = max(rows.stop - rows.start for _, rows in pieces)
-    P = np.empty((most, len(pieces)))
-    source: list[Samples] = []
-    start = np.empty(len(pieces))
-    for column, (samples, rows) in enumerate(pieces):
+    courses, source, start = list[Array](), list[Samples](), list[float]()
+    for samples, rows in pieces:
         size, whole = rows.stop - rows.start, samples.P
         if samples.ok.any() and not samples.ok.all():  # what drives a replay has no gap
             whole = np.interp(samples.t, samples.t[samples.ok], samples.P[samples.ok])
-        P[:size, column] = whole[rows]
-        P[size:, column] = P[size - 1, column]
+        courses.append(whole[rows])
         before = slice(max(0, rows.start - rest), rows.start + 1)
         still = samples.x[before][samples.ok[before]]
-        start[column] = max(0.0, float(np.mean(still))) if len(still) else 0.0
+        start.append(max(0.0, float(np.mean(still))) if len(still) else 0.0)
         t, ok = dt * np.arange(size), samples.ok[rows]
-        source.append(replace(samples, t=t, P=P[:size, column], x=samples.x[rows], force=None, ok=ok))
+        source.append(replace(samples, t=t, P=whole[rows], x=samples.x[rows], force=None, ok=ok))
     load, mass = (np.array([getattr(samples, name) for samples, _ in pieces]) for name in ("load", "mass"))
-    return Stretches(tuple(source), P, load, mass, start, dt)
+    return Stretches(tuple(source), as_columns(courses), load, mass, np.array(start), dt)
 
 
 def measured(
@@ -264,11 +266,8 @@ def from_measured_pressure(
             for trial, known, origin in zip(trials, driving, origins, strict=True)
         ]
     grids = [np.arange(trial.t[0], trial.t[-1] + 0.5 * period, period) for trial in trials]
-    P = np.empty((max(map(len, grids)), len(trials)))
     width = round(CALMED / period) if model.muscle.friction.F_c > 0 else 1
-    for column, (known, grid) in enumerate(zip(driving, grids, strict=True)):
-        P[: len(grid), column] = _calm(np.interp(grid, *known), width)
-        P[len(grid) :, column] = P[len(grid) - 1, column]
+    P = as_columns([_calm(np.interp(grid, *known), width) for known, grid in zip(driving, grids, strict=True)])
     loads, masses = np.array([load_of(trial) for trial in trials]).T
     x = run(_Coefficients(model), P, period, loads, masses, np.maximum(0.0, origins)).x
     return [

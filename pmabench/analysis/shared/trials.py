@@ -87,20 +87,14 @@ def session_of(run: RunData) -> str:
     return run.id
 
 
-def by_session(values: Sequence[float] | Array, sessions: Sequence[str]) -> Array:
-    """The mean of each session; with one session the values themselves."""
-    names = list(dict.fromkeys(sessions))
-    if len(names) < 2:
-        return np.asarray(values, dtype=np.float64)
-    return np.array([np.mean([v for v, s in zip(values, sessions, strict=True) if s == name]) for name in names])
-
-
 def mean_over_sessions(values: Sequence[float] | Array, sessions: Sequence[str]) -> tuple[float, float | None]:
     """Mean of the sessions' means and its 95 % half width by Student's t over sessions; over values where there is one.
 
     None in place of the half width where there are fewer than two values.
     """
-    return mean_with_half([float(value) for value in by_session(values, sessions)])
+    groups = grouped(zip(map(float, values), sessions, strict=True), lambda one: one[1]).values()
+    means = [float(np.mean([value for value, _ in group])) for group in groups]
+    return mean_with_half(means if len(means) > 1 else [float(value) for value in values])
 
 
 def mean_of_trials(
@@ -165,10 +159,9 @@ def reference_findings(runs: Sequence[RunData]) -> list[Finding]:
     ]
     if planned := [one for one in every if not one.trial.again]:
         widest = max(planned, key=lambda one: abs(one.off))
-        what = f"of {len(planned)} further reference trials the one that differs most ({widest.trial.name})"
-        lines.append(
-            _finding(widest, what if len(planned) > 1 else f"the second reference trial ({widest.trial.name})")
-        )
+        furthest = f"of {len(planned)} further reference trials the one that differs most"
+        what = furthest if len(planned) > 1 else "the second reference trial"
+        lines.append(_finding(widest, f"{what} ({widest.trial.name})"))
     return lines
 
 

@@ -1,8 +1,7 @@
 """Checks of results, their acceptance, and results compared with each other.
 
 - next to its residual, and open questions of its runs: `checks`; limits of a protocol: `acceptance`
-- independent tests of one specimen against each other, by what each kind offers: `agreement`
+- independent tests of one specimen against each other, by what each kind offers, several muscles as one: `agreement`
 - two analyses coefficient by coefficient (`compare`), and what a recalibration changed: `comparison`
-- several muscles side by side, as one of them: `assembly`
 - a specimen over its runs (`history`): `life`
 """

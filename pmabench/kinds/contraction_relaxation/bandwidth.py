@@ -26,7 +26,7 @@ import numpy as np
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import sentences
-from pmabench.analysis.shared.student import half_width
+from pmabench.analysis.shared.student import half_width, mean_with_half
 from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.verdict.agreement import weighted
 from pmabench.base.quantities import show
@@ -348,17 +348,15 @@ def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
     made = []
     common, freedom = _scatter(groups)
     for target, rows in sorted(groups.items()):
-        values = np.array([row[2] for row in rows])
-        se = float(values.std(ddof=1)) / sqrt(len(values)) if len(values) > 1 else None
-        pooled = half_width(common * float(values.mean()) / sqrt(len(values)), freedom)
-        half = max((one for one in (half_width(se, len(values) - 1), pooled) if one is not None), default=None)
+        mean, own = mean_with_half([row[2] for row in rows])
+        pooled = half_width(common * mean / sqrt(len(rows)), freedom)
+        half = max((one for one in (own, pooled) if one is not None), default=None)
         steps = sorted({round(row[1], -2) for row in rows})
         size = " and ".join(show(abs(by), "pressure", 3) for by in steps)
         note = sentences("" if half is not None else "no repeats part: no step was repeated", f"relaxing by {size}")
         parts = Parts(half, float(np.mean([row[3] for row in rows])), 0.0)
         names = tuple(dict.fromkeys(row[0] for row in rows))
         at = {"pressure": target, "load": load}
-        mean = float(values.mean())
         made.append(Estimate("f_b", mean, "Hz", "frequency", STEP, at, parts, len(rows), note=note, trials=names))
     return made
 

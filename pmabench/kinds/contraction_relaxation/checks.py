@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared import simulated
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import Samples
+from pmabench.analysis.shared.trials import grouped, thinned
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled, bootstrap
@@ -153,9 +154,7 @@ def check(campaign: Campaign, runs: Sequence[FreeRun]) -> Check | None:
 
 def table(campaign: Campaign, runs: Sequence[FreeRun]) -> list[dict[str, Any]]:
     """For each operating point pressure [Pa], load [N], trials, NRMSE as a whole and by phase, rms [m]."""
-    cells: dict[int, list[FreeRun]] = {}
-    for run in runs:
-        cells.setdefault(int(campaign.cells[run.number]), []).append(run)
+    cells = grouped(runs, lambda run: int(campaign.cells[run.number]))
     return [
         {
             "pressure": campaign.trials[members[0].number].point["pressure"],
@@ -243,8 +242,10 @@ def checks(campaign: Campaign, pooled: Pooled) -> list[dict[str, Any]]:
     return [asdict(check) for check in found if check is not None]
 
 
-def _level(error: float, residual: float, size: float) -> str:
-    return "doubt" if error > WORSE * residual and error > NOTABLE * size else "note"
+def _judged(name: str, error: float, residual: float, size: float, text: str, means: str) -> Check:
+    """The check of an error [N] of what a fit with this `residual` [N] predicts; a doubt says what it `means`."""
+    doubt = error > WORSE * residual and error > NOTABLE * size
+    return Check(name, error / size, "ratio", "doubt" if doubt else "note", f"{text}: {means}" if doubt else text)
 
 
 def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
@@ -273,10 +274,7 @@ def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
         f"{100 * errors[worst] / size:.2g} % of the largest; "
         f"the residual of the fit to all is {show(fit.rms, 'force', 2)}"
     )
-    level = _level(errors[worst], fit.rms, size)
-    if level == "doubt":
-        text += ": the fit does not carry over to other loads"
-    return Check("held_out", errors[worst] / size, "ratio", level, text)
+    return _judged("held_out", errors[worst], fit.rms, size, text, "the fit does not carry over to other loads")
 
 
 def _other_direction(pooled: Pooled, size: float) -> Check | None:
@@ -302,15 +300,13 @@ def _other_direction(pooled: Pooled, size: float) -> Check | None:
     design = fit.design[np.ix_(rows, own)]
     free = least_squares(design, target, prior[:, own])
     error = rms_of(target - design @ free)
-    level = _level(error, fit.rms, size)
     text = (
         f"relaxation with K and F_ce of contraction alone: missed by {show(error, 'force', 2)} rms, "
         f"{100 * error / size:.2g} % of the largest load; "
         f"the residual of the fit to both is {show(fit.rms, 'force', 2)}"
     )
-    if level == "doubt":
-        text += ": the two directions do not have one K and F_ce, as with hysteresis they have not"
-    return Check("other_direction", error / size, "ratio", level, text)
+    means = "the two directions do not have one K and F_ce, as with hysteresis they have not"
+    return _judged("other_direction", error, fit.rms, size, text, means)
 
 
 def _friction(pooled: Pooled, size: float) -> Check | None:
@@ -352,7 +348,6 @@ MISFIT = 3.0
 UNEVEN = 2.0
 """Variance between trials by that of noise, from which on it is said that trials differ."""
 SHOWN = 6
-LONGEST_TRACE = 1500
 
 
 def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[str, Any]:
@@ -479,14 +474,7 @@ def overlay(
 
     `columns` are time [s], pressure [Pa], measured and modelled contraction [m], all samples.
     """
-    thin = slice(None, None, -(-len(columns[0]) // LONGEST_TRACE))
     t, *others = columns
-    names = ("pressure", "displacement", "model")
-    return Trace(
-        name=name,
-        figure=figure,
-        title=title,
-        columns={"t": (t - t[0])[thin], **{one: values[thin] for one, values in zip(names, others, strict=True)}},
-        quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
-        marks={"pressure": P, "load": load},
-    )
+    quantities = {"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"}
+    shown = thinned(dict(zip(quantities, (t - t[0], *others), strict=True)))
+    return Trace(name, figure, title, shown, quantities, {"pressure": P, "load": load})

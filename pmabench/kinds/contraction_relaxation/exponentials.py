@@ -239,8 +239,10 @@ def _at(
     campaign: Campaign, P: float, steps: Sequence[Step], options: Mapping[str, Any], known: tuple[float, float] | None
 ) -> list[_Raw]:
     """All of the papers' coefficients at one pressure [Pa]; `known`: F_ce from elsewhere, with what is open [N]."""
-    contract = [step for step in steps if step.phase == "contract"]
-    relax = [step for step in steps if step.phase == "relax"]
+    contract, relax = ([step for step in steps if step.phase == phase] for phase in ("contract", "relax"))
+    loads, x = np.array([(step.load, step.fit.end) for step in contract]).reshape(-1, 2).T
+    regression = regress(loads, x)
+    half_K: float | None = None
     result: list[_Raw] = []
 
     def add(
@@ -252,12 +254,6 @@ def _at(
         found = Estimate(symbol, value, unit, quantity, method, {"pressure": P}, parts, len(names), trials=names)
         result.append(_Raw(replace(found, note=note), gains, offsets))
 
-    regression: Regression | None = None
-    half_K: float | None = None
-    if contract:
-        loads = np.array([step.load for step in contract])
-        x = np.array([step.fit.end for step in contract])
-        regression = regress(loads, x)
     if contract and known is not None:
         F_ce, is_open = known
         one = stiffness(loads, x, F_ce)

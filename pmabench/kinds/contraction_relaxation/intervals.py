@@ -27,7 +27,6 @@ from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import more_than_squares
 from pmabench.analysis.shared.samples import LEAST_MOTION, Noise
-from pmabench.analysis.shared.simulated import Stretches
 from pmabench.analysis.shared.trials import compared
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, rms_of
@@ -73,27 +72,6 @@ class Cause:
         return Source(self.name, self.part, self.kind, half, self.note)
 
 
-def at_rest(campaign: Campaign, channel: str, known: float) -> Array:
-    """What a channel reads before the first command of each trial, less the first, and less the median [SI], as far as
-    noise and a zero that its calibration leaves open, `known` [SI], do not make it; shape (2, trials), 0 where nothing
-    was recorded then.
-    """
-    found, noise = np.full((2, len(campaign.trials)), np.nan)
-    for i, (trial, one) in enumerate(zip(campaign.trials, campaign.samples, strict=True)):
-        rest = resting(one, trial)
-        if rest.sum() > 1:
-            values = one.channels[channel][rest]
-            found[i], noise[i] = float(np.mean(values)), float(np.var(values, ddof=1)) / len(values)
-    read = np.flatnonzero(np.isfinite(found))
-    if len(read) < 2:
-        return np.zeros((2, len(found)))
-    seen = float(np.var(found[read], ddof=1))
-    share = np.sqrt(max(0.0, 1.0 - float(np.mean(noise[read])) / max(seen, 1e-300)))
-    first = read[np.argmin([float(campaign.samples[i].t[0]) for i in read.tolist()])]
-    off = share * np.nan_to_num(found - np.array([[found[first]], [np.median(found[read])]]))
-    return np.asarray(off - np.clip(off, -known, known))
-
-
 AT_REST = "zero of {}, by what it reads at rest"
 READS = {
     "pressure": "vented, the gauge reads {}: its zero, or a regulator that does not vent. The intervals hold both. "
@@ -105,46 +83,56 @@ SEEN = 4.0
 """Standard errors from which on a reading at rest is no noise."""
 
 
-def level_at_rest(campaign: Campaign, channel: str, known: float) -> float:
-    """What a channel reads before the first command of each vented trial [SI], the nearest to 0; 0 where noise, or what
-    its calibration leaves open, `known`, may be all. Of a displacement only where a cell says that the load lies.
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """What a channel reads before the first command of each trial, as far as noise and calibration do not make it."""
+
+    off: Array
+    """Less the first, and less the median [SI], shape (2, trials); 0 where nothing was recorded then."""
+    level: float
+    """In trials that begin vented, the one nearest to 0 [SI]; 0 where noise, or what is known, may be all. Of a
+    displacement only where a cell says that the load lies.
     """
-    means, errors = [], []
-    for trial, one in zip(campaign.trials, campaign.samples, strict=True):
-        rest = resting(one, trial)
-        first = min((c for c in trial.commands if c.output == "pressure"), key=lambda c: c.t, default=None)
-        if first is None or first.before != 0 or rest.sum() < 2:
-            continue
-        if channel == "displacement" and (one.force is None or abs(one.force[rest].mean()) > LIES * one.load):
-            continue
-        values = one.channels[channel][rest]
-        means.append(float(np.mean(values)))
-        errors.append(float(np.std(values, ddof=1)) / sqrt(len(values)))
-    if len(means) < 2 or min(means) <= 0 <= max(means):
-        return 0.0
-    level = min(means, key=abs)
-    return level if abs(level) > max(known, SEEN * max(errors), LEAST_MOTION.get(channel, 0.0)) else 0.0
+    known: float
+    """What its calibration leaves open [SI]."""
+
+    @classmethod
+    def of(cls, campaign: Campaign, channel: str) -> Rest:
+        """Of a channel of the campaign."""
+        known = Scales.of(campaign.runs).offsets.get(channel, 0.0)
+        mean, variance = np.full((2, len(campaign.trials)), np.nan)
+        vented, off = np.zeros(len(mean), bool), np.zeros((2, len(mean)))
+        for i, (trial, one) in enumerate(zip(campaign.trials, campaign.samples, strict=True)):
+            rest = resting(one, trial)
+            if rest.sum() < 2:
+                continue
+            values = one.channels[channel][rest]
+            mean[i], variance[i] = float(np.mean(values)), float(np.var(values, ddof=1)) / len(values)
+            first = min((c for c in trial.commands if c.output == "pressure"), key=lambda c: c.t)
+            lies = one.force is not None and abs(one.force[rest].mean()) <= LIES * one.load
+            vented[i] = first.before == 0 and (lies or channel != "displacement")
+        read = np.flatnonzero(np.isfinite(mean))
+        if len(read) > 1:
+            seen = float(np.var(mean[read], ddof=1))
+            share = np.sqrt(max(0.0, 1.0 - float(np.mean(variance[read])) / max(seen, 1e-300)))
+            begun = read[np.argmin([float(campaign.samples[i].t[0]) for i in read.tolist()])]
+            off = share * np.nan_to_num(mean - np.array([[mean[begun]], [np.median(mean[read])]]))
+        level = 0.0
+        if vented.sum() > 1 and not mean[vented].min() <= 0 <= mean[vented].max():
+            level = float(min(mean[vented], key=abs))
+        least = max(known, SEEN * sqrt(np.max(variance[vented], initial=0.0)), LEAST_MOTION.get(channel, 0.0))
+        return cls(off - np.clip(off, -known, known), level if abs(level) > least else 0.0, known)
 
 
-def zeros_of(
-    segments: Segments, fit: Fit, noise: float, levels: Mapping[str, float], known: Mapping[str, float]
+def causes_of(
+    campaign: Campaign, segments: Segments, fit: Fit, noise: float, rests: Mapping[str, Rest]
 ) -> Iterator[Cause]:
-    """What the fit changes by where `levels` (`level_at_rest`) are zeros, as far as `known` [SI] does not hold it."""
-    for channel, level in levels.items():
-        if level:
-            beyond = level - float(np.sign(level)) * known.get(channel, 0.0)
-            change = _off(segments, fit, channel, 0.0, -beyond, noise) - fit.theta
-            said = READS[channel].format(show(level, "pressure" if channel == "pressure" else "length", 2))
-            yield Cause(AT_REST.format(channel), "calibration", change[None], said, seen=True)
+    """All causes of drift of a fit to `segments`, and zeros that are off; `noise` [N] as in `again`, `rests` by channel
+    what is read at rest.
+    """
 
-
-def drifts_of(
-    campaign: Campaign, segments: Segments, fit: Fit, noise: float, rests: Mapping[str, Array]
-) -> Iterator[Cause]:
-    """All causes of drift of a fit to `segments`; `noise` [N] as in `again`, `rests` what channels read `at_rest`."""
-
-    def zeros(channel: str, each: Iterable[Array]) -> Array:
-        """Change by a zero that is off by each of these [SI], (n,)."""
+    def zeros(channel: str, each: Iterable[Array | float]) -> Array:
+        """Change by a zero that is off by each of these [SI], one or (n,)."""
         ways = [_off(segments, fit, channel, 0.0, by, noise) - fit.theta for by in each]
         return np.array(ways).reshape(-1, len(fit.theta))
 
@@ -160,13 +148,18 @@ def drifts_of(
         changes = [fit.again(other, noise).theta - fit.theta for other in (shrunk, weaker)]
         yield Cause(SPECIMEN, "drift", np.array(changes))
     for channel, rest in rests.items():
-        ways = zeros(channel, (by for by in -rest[:, segments.trial] if by.any()))
+        ways = zeros(channel, (by for by in -rest.off[:, segments.trial] if by.any()))
         yield Cause(f"zero of {channel} from trial to trial", "drift", ways)
     for channel in campaign.channels:
         if channel != "displacement":  # nobody knows of its zero: the specimen keeps it
             ends = _zero_ends(campaign.runs, campaign.trials, channel)
             ways_of = None if ends is None else zeros(channel, (-by[segments.trial] for by in ends))
             yield Cause(f"drift of the zero of {channel}", "drift", ways_of, NO_CHECK if ends is None else "")
+    for channel, rest in rests.items():
+        if rest.level:
+            change = zeros(channel, [float(np.sign(rest.level)) * rest.known - rest.level])
+            said = READS[channel].format(show(rest.level, "pressure" if channel == "pressure" else "length", 2))
+            yield Cause(AT_REST.format(channel), "calibration", change, said, seen=True)
 
 
 def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | None:
@@ -315,8 +308,6 @@ class Pooled:
     trust: Trust
     trust_of: Callable[[Fit, NDArray[np.bool_], Array], Trust]
     """How far another fit to some rows of the segments can be trusted, whose rows have this noise each [N]."""
-    work: Stretches
-    """The strokes that were replayed."""
     diagnosis: Diagnosis
     """Whether the data have the form of the fit, and what was corrected where they had not."""
 
@@ -328,7 +319,7 @@ class Pooled:
 
 def assess(
     campaign: Campaign, segments: Segments, fit: Fit, noise: Array, replays: Sequence[Array], skews: Array,
-    drifts: Iterable[Cause],
+    causes: Iterable[Cause],
 ) -> Trust:  # fmt: skip
     """All parts for a fit to segments of a campaign.
 
@@ -340,8 +331,8 @@ def assess(
         Theta of fits to replays of `fit`.
     skews
         As in `Trust`.
-    drifts
-        See `drifts_of`.
+    causes
+        See `causes_of`.
     """
     off = np.array(replays).reshape(-1, len(fit.theta)) - fit.theta
     spread = off.std(axis=0, ddof=1) if len(off) > 1 else np.zeros(len(fit.theta))
@@ -374,7 +365,7 @@ def assess(
             Cause("how few replays tell the bias", "method", np.diag(unsure), "", np.ones(len(unsure)), kind="A"),
             Cause("straight lines between pressures", "method", fit.bends(segments, expected)[None], seen=True),
             *_calibration(segments, fit, expected, Scales.of(campaign.runs)),
-            *drifts,
+            *causes,
         ),
         skews=skews,
         excess=excess,

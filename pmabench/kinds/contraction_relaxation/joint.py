@@ -127,9 +127,8 @@ def _scores(
         n, p = len(segments), len(kept) + 1
         (_, theta), *others = without_each(design, segments.force, weak, [np.zeros(n, bool), *trials])
         power = float(np.sum((segments.force - design @ theta) ** 2))
-        missed = 0.0
-        for rows, (_, without) in zip(trials, others, strict=True):
-            missed += float(np.sum((segments.force[rows] - design[rows] @ without) ** 2))
+        left_out = zip(trials, others, strict=True)
+        missed = sum(float(np.sum((segments.force[mine] - design[mine] @ one) ** 2)) for mine, (_, one) in left_out)
         found[order] = {"aicc": aicc(max(power, 1e-300) / n, n, p), "held_out": sqrt(missed / n)}
     return found
 

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.design import FEWEST, NORMAL, SCATTER, scatter_like
-from pmabench.analysis.next_trial import SWEEP, Aim, Goal
+from pmabench.analysis.next_trial import FEWEST_FREEDOM, NORMAL, SCATTER, SWEEP, Aim, Goal, scatter_like
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.kinds.contraction_relaxation import predicted
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
 from pmabench.kinds.contraction_relaxation.pooled import design_of, rms_of
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, withheld
 from pmabench.kinds.contraction_relaxation.segments import Gate, cut, gather
-from pmabench.store.analyses.results import Estimate
+from pmabench.store.analyses.results import Estimate, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
 NOISE = 1e-3
@@ -49,9 +49,17 @@ class Known:
         """How many of the trials are in each cell of the outlook, shape (cells,)."""
         return self.outlook.counts(trials)
 
-    def narrowed(self, kept: Sequence[int]) -> Known:
-        """The same for some of the wanted values."""
-        rows, aim = list(kept), self.aim
+    def parts(self, name: tuple[str, float]) -> Parts:
+        """Interval parts of a value as it is reported; none where it is not."""
+        return self.reported[name].parts if name in self.reported else Parts()
+
+    def halves(self, counts: Array) -> Array:
+        """Predicted half width [SI] of each wanted value after `counts` (cells,) trials, shape (m,)."""
+        return self.aim.halves(self.outlook.design.variances(counts))
+
+    def without(self, numbers: Collection[int]) -> Known:
+        """The same for the wanted values but these."""
+        rows, aim = [n for n in range(len(self.outlook.names)) if n not in numbers], self.aim
         fewer = Aim(aim.goal[rows], aim.factor[rows], aim.rest[rows])
         return replace(self, outlook=self.outlook.of_values(rows), aim=fewer)
 
@@ -60,7 +68,7 @@ class Known:
         """Whether a misfit of what was recorded is no chance of the few repeats that scatter is estimated from: by the
         distribution of a variance that they give (its cube root is nearly normal, Wilson and Hilferty 1931).
         """
-        if self.pooled is None or self.freedom < FEWEST:
+        if self.pooled is None or self.freedom < FEWEST_FREEDOM:
             return False
         test, few = self.pooled.diagnosis.rounds.before.test, 2 / (9 * self.freedom)
         least = max(0.0, 1 - few - BY_CHANCE * sqrt(few)) ** 3
@@ -68,16 +76,12 @@ class Known:
 
     def reached(self, counts: Array) -> bool:
         """Whether `counts` (cells,) trials reach every goal, and the values are reported so."""
-        if not self.outlook.names or not self.aim.reached(self.outlook.design.variances(counts)).all():
+        if not self.outlook.names or not (self.halves(counts) <= self.aim.goal).all():
             return False
         if not self.as_reported:
             return self.pooled is not None and not self.misfit
-        for name, goal in zip(self.outlook.names, self.aim.goal, strict=True):
-            one = self.reported.get(name)
-            half = None if one is None or one.value is None else one.parts.combined
-            if half is None or half > goal:
-                return False
-        return True
+        halves = (self.parts(name).combined for name in self.outlook.names)
+        return all(half is not None and half <= goal for half, goal in zip(halves, self.aim.goal, strict=True))
 
 
 def finished(runs: Sequence[RunData]) -> list[TrialData]:
@@ -100,11 +104,8 @@ def known_after(
     """
     campaign, _ = gather(runs) if finished(runs) else (None, [])
     pooled = None
-    if campaign is not None:
-        try:
-            pooled = pool(campaign, {})
-        except NotUsable:
-            pooled = None
+    with suppress(NotUsable):
+        pooled = pool(campaign, {}) if campaign is not None else None
     if pooled is not None:
         return _measured(cells, goals, pooled)
     if expected is None:
@@ -126,10 +127,12 @@ def _measured(cells: Sequence[predicted.Cell], goals: Sequence[Goal], pooled: Po
     seen = predicted.outlook(pooled.fit, cells, pooled.expected)
     moved = {predicted.cell_key(trial.point) for trial in trials}
     seen = seen.without({predicted.cell_key(trial.point) for trial in campaign.trials} - moved)
-    halves = np.array([_repeats(reported.get(name)) for name in seen.names])
-    whole = predicted.scattered(pooled.fit, 1.0)
-    alike = replace(seen.design, wanted=seen.design.wanted[halves > 0], between=whole)
-    share = scatter_like(alike, seen.counts(trials), halves[halves > 0], SCATTER) if freedom >= FEWEST else SCATTER
+    repeats = {name: e.parts.repeats or 0.0 for name, e in reported.items()}
+    halves = np.array([repeats.get(name, 0.0) for name in seen.names])
+    whole, share = predicted.scattered(pooled.fit, 1.0), SCATTER
+    if freedom >= FEWEST_FREEDOM:
+        alike = replace(seen.design, wanted=seen.design.wanted[halves > 0], between=whole)
+        share = scatter_like(alike, seen.counts(trials), halves[halves > 0], SCATTER)
     design = replace(seen.design, between=share**2 * whole)
     found = _with_goals(replace(seen, design=design), goals, reported, pooled)
     gone = [e for e in reported.values() if e.withheld and (e.symbol, e.at.get("pressure", 0.0)) in found.outlook.names]
@@ -137,17 +140,10 @@ def _measured(cells: Sequence[predicted.Cell], goals: Sequence[Goal], pooled: Po
     return replace(found, freedom=freedom, misfit=misfit)
 
 
-def _repeats(estimate: Estimate | None) -> float:
-    """The part of a half width that noise and scatter make; 0 without a value."""
-    return 0.0 if estimate is None or estimate.value is None else estimate.parts.repeats or 0.0
-
-
 def _with_goals(
-    seen: predicted.Outlook,
-    goals: Sequence[Goal],
-    reported: Mapping[tuple[str, float], Estimate],
+    seen: predicted.Outlook, goals: Sequence[Goal], reported: Mapping[tuple[str, float], Estimate],
     pooled: Pooled | None,
-) -> Known:
+) -> Known:  # fmt: skip
     """The outlook on the values that have a goal, and how their intervals follow from the design."""
     wanted: dict[int, float] = {}
     whole_sweep = np.array([len(cell.trials) for cell in seen.cells], float)
@@ -166,12 +162,11 @@ def _with_goals(
     trials = [pooled.campaign.trials[number] for number in np.unique(pooled.segments.trial)]
     spread = np.sqrt(seen.design.variances(found.counts(trials)))
     for number, name in enumerate(seen.names):
-        one = reported.get(name)
-        if one is None or one.value is None or not one.parts.combined:
-            continue
-        fixed = sum((part or 0.0) ** 2 for part in (one.parts.calibration, one.parts.skew))
-        rest[number] = sqrt(min(fixed, one.parts.combined**2))
-        factor[number] = sqrt(one.parts.combined**2 - rest[number] ** 2) / spread[number]
+        parts = found.parts(name)
+        if half := parts.combined:
+            fixed = sum((part or 0.0) ** 2 for part in (parts.calibration, parts.skew))
+            rest[number] = sqrt(min(fixed, half**2))
+            factor[number] = sqrt(half**2 - rest[number] ** 2) / spread[number]
     return found
 
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.design import FEWEST as FEWEST_FREEDOM
 from pmabench.analysis.next_trial import (
     CONFIRM,
+    FEWEST_FREEDOM,
     RANDOM,
     REFERENCE,
     REPEAT,
@@ -83,19 +83,17 @@ class Proposal:
 
     why: str
     """Why there are none: `reached`, `out of reach`, or a sentence; empty where there are some."""
-    known: Known | None = None
-    """About the values whose goals can be reached."""
-    counts: Array = field(default_factory=lambda: np.empty(0))
-    """Trials in each cell so far."""
     beyond: tuple[str, ...] = ()
-    """The other values, in words."""
+    """Values whose goals cannot be reached, in words."""
     steps: tuple[Step, ...] = ()
     lines: tuple[tuple[str, Mapping[str, Any]], ...] = ()
     """Of each step why it is done, in words and as data."""
+    cells: tuple[Cell, ...] = ()
+    """That the steps choose from."""
 
     def trials(self) -> list[int]:
         """Index of a trial of the plan in the cell of each step."""
-        return [] if self.known is None else [self.known.outlook.cells[s.choice.cell].trials[0] for s in self.steps]
+        return [self.cells[step.choice.cell].trials[0] for step in self.steps]
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,7 @@ class Chooser:
         known = self._known(runs, fitted)
         if not isinstance(known, Stop) and not course.held and len(fitted) < len(course.done):
             counts = self._confirmed_counts(known, course, fitted)
-            if known.aim.reached(known.outlook.design.variances(counts)).all():
+            if (known.halves(counts) <= known.aim.goal).all():
                 fitted = course.done  # the goal should be reached: see
                 known = self._known(runs, fitted)
         if isinstance(known, Stop):
@@ -161,22 +159,22 @@ class Chooser:
             return Proposal(known.why)
         counts = known.counts(done)
         if known.misfit and known.sure:
-            return Proposal(f"nothing is promised: {known.misfit}", known, counts)
+            return Proposal(f"nothing is promised: {known.misfit}")
         beyond = out_of_reach(known.outlook.design, known.aim, counts)
         if known.freedom < FEWEST_FREEDOM:  # an assumed scatter says of no goal that trials cannot reach it
             beyond = [n for n in beyond if known.aim.rest[n] > known.aim.goal[n]]
         far = (*(self._of(known, n, counts) for n in beyond), *self._unidentified(known))
-        near = known.narrowed([n for n in range(len(known.outlook.names)) if n not in beyond])
+        near = known.without(beyond)
         if near.freedom >= FEWEST_FREEDOM and near.reached(counts):
-            return Proposal("reached", near, counts, far)
+            return Proposal("reached", far)
         if not near.outlook.names:
-            return Proposal("out of reach", near, counts, far)
+            return Proposal("out of reach", far)
         cells, load = near.outlook.cells, done[-1].point.get("load") if done else None
         field = replace(self.field(cells), reference=None)
         seconds = np.inf if self.seconds is None else self.seconds
         steps = propose(near.outlook.design, near.aim, field, counts, len(done), load, most=most, seconds=seconds)
         lines = tuple(described(near, step.choice) for step in steps)
-        return Proposal("", near, counts, far, tuple(steps), lines)
+        return Proposal("", far, tuple(steps), lines, cells)
 
     def _fitted(self, course: Course) -> list[TrialData]:
         """The trials that the fit is made of."""
@@ -222,10 +220,8 @@ class Chooser:
             return Stop(False, f"as many trials are done as the plan has; {self._far(known, counts)}")
         if self.seconds is not None and course.spent + min(cell.seconds for cell in known.outlook.cells) > self.seconds:
             return Stop(False, f"the time is over; {self._far(known, counts)}")
-        if known.freedom < FEWEST_FREEDOM or course.held:
-            return None
-        near = self._within_reach(known, course)
-        if not near.outlook.names:
+        judged = known.freedom >= FEWEST_FREEDOM and not course.held
+        if judged and not self._within_reach(known, course).outlook.names:
             return Stop(False, f"out of reach: {self._far(known, counts)}")
         return None
 
@@ -235,18 +231,16 @@ class Chooser:
         """
         if known.misfit:
             return known
-        beyond = set(out_of_reach(known.outlook.design, known.aim, known.counts(course.done)))
-        return known.narrowed([n for n in range(len(known.outlook.names)) if n not in beyond])
+        return known.without(out_of_reach(known.outlook.design, known.aim, known.counts(course.done)))
 
     def _of(self, known: Known, number: int, counts: Array) -> str:
         """A value, its interval and its goal, in words."""
         goal, rest = float(known.aim.goal[number]), float(known.aim.rest[number])
-        half = float(known.aim.halves(known.outlook.design.variances(counts))[number])
+        half = float(known.halves(counts)[number])
         size, wanted, by_rest = (_size(one, float(known.outlook.values[number])) for one in (half, goal, rest))
         fixed = f", {by_rest} of it by calibration or skew" if rest > goal else ""
         symbol, P = known.outlook.names[number]
-        e = known.reported.get((symbol, P))
-        has = "has" if e is not None and e.parts.combined else "is expected to have"
+        has = "has" if known.parts((symbol, P)).combined else "is expected to have"
         return f"{name_of(symbol, P or None)} {has} {size} where {wanted} is wanted{fixed}"
 
     def _unidentified(self, known: Known) -> list[str]:
@@ -262,8 +256,7 @@ class Chooser:
 
     def _far(self, known: Known, counts: Array) -> str:
         """The value that is farthest from its goal, in words."""
-        halves = known.aim.halves(known.outlook.design.variances(counts))
-        return self._of(known, int(np.argmax(halves / known.aim.goal)), counts)
+        return self._of(known, int(np.argmax(known.halves(counts) / known.aim.goal)), counts)
 
     def _confirmed(self, before: Known, runs: Sequence[RunData], course: Course) -> Known | Stop:
         """The end where the trials that were held out confirm it; else what is known by all trials."""

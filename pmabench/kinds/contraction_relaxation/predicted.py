@@ -5,6 +5,7 @@ The muscle is that of `expected` in a specimen file, or a fit. Knows the plan as
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from math import sqrt
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.design import NORMAL, SCATTER, Design
+from pmabench.analysis.next_trial import NORMAL, SCATTER, Design
 from pmabench.analysis.shared import simulated
 from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.kinds.contraction_relaxation.pooled import (
@@ -124,11 +125,10 @@ def simulated_trials(fit: Fit, cells: Sequence[Cell]) -> Segments:
             course.append(lagged)
             begin = float(lagged[-1]) if len(lagged) else begin
         courses.append(np.concatenate(course))
-    most = max(map(len, courses))
-    P = np.array([np.pad(course, (0, most - len(course)), mode="edge") for course in courses]).T
+    P = simulated.as_columns(courses)
     load, mass = np.array([[cell.load, cell.mass] for cell in cells]).T
     moved = simulated.run(fit, P, 1 / RATE, load, mass, np.zeros(len(cells)))
-    t, good = np.arange(most) / RATE, np.ones(most, bool)
+    t, good = np.arange(len(P)) / RATE, np.ones(len(P), bool)
     samples = [
         Samples(n, t, P[:, n], moved.x[:, n], moved.force[:, n], good, cell.load, cell.mass)
         for n, cell in enumerate(cells)
@@ -142,7 +142,6 @@ class Outlook:
 
     cells: tuple[Cell, ...]
     """Those that are expected to move."""
-    idle: tuple[Cell, ...]
     names: tuple[tuple[str, float], ...]
     """Symbol and pressure [Pa] of each value that all trials of the plan together determine."""
     values: Array
@@ -157,20 +156,15 @@ class Outlook:
         return replace(self, names=tuple(self.names[n] for n in rows), values=self.values[rows], design=design)
 
     def without(self, keys: Set[tuple[float, float]]) -> Outlook:
-        """The same with the cells of these keys among the idle ones."""
+        """The same without the cells of these keys."""
         kept = [number for number, cell in enumerate(self.cells) if cell.key not in keys]
-        idle = (*self.idle, *(cell for cell in self.cells if cell.key in keys))
         design = replace(self.design, cells=self.design.cells[kept])
-        return replace(self, cells=tuple(self.cells[n] for n in kept), idle=idle, design=design)
+        return replace(self, cells=tuple(self.cells[n] for n in kept), design=design)
 
     def counts(self, trials: Sequence[TrialData]) -> Array:
         """How many of the trials are in each cell, shape (cells,)."""
-        place = {cell.key: number for number, cell in enumerate(self.cells)}
-        counts = np.zeros(len(place))
-        for trial in trials:
-            if (number := place.get(cell_key(trial.point))) is not None:
-                counts[number] += 1
-        return counts
+        done = Counter(cell_key(trial.point) for trial in trials)
+        return np.array([done[cell.key] for cell in self.cells], float)
 
 
 def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
@@ -207,13 +201,7 @@ def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
     if moves:
         counts = np.array([len(cells[n].trials) for n in moves], float)
         known = known & (NORMAL * np.sqrt(whole.variances(counts)) <= WIDE * _size(names, values))
-    found = Outlook(
-        tuple(cells[n] for n in moves),
-        tuple(cell for n, cell in enumerate(cells) if n not in moves),
-        tuple(names),
-        values,
-        whole,
-    )
+    found = Outlook(tuple(cells[n] for n in moves), tuple(names), values, whole)
     return found.of_values(np.flatnonzero(known).tolist() if moves else [])
 
 
@@ -259,8 +247,8 @@ def row_noise(fit: Fit, cells: Sequence[Cell], noise: Noise, rate: float) -> flo
 def intervals_of_plan(plan: Mapping[str, Any], expected: Mapping[str, Any], noise: Noise) -> list[Predicted]:
     """The 95 % intervals that a whole plan is expected to give for F_ce, K, B_c, B_r over pressure and for F_c.
 
-    By C = N^-1 (sum S_i) N^-1 of `pmabench.analysis.design`, with a scatter between trials of 2 %: what the noise and
-    the scatter make; calibration, drift and what the muscle does beyond the form come on top. Values that the plan
+    By C = N^-1 (sum S_i) N^-1 of `pmabench.analysis.next_trial`, with a scatter between trials of 2 %: what the noise
+    and the scatter make; calibration, drift and what the muscle does beyond the form come on top. Values that the plan
     does not determine (no motion near their pressure) are left out.
 
     Parameters

@@ -15,26 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import simulated, skew
-from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable, Samples
 from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials, output_error
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
-from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_gauge, of_the_sensor
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_sensors
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
 from pmabench.kinds.contraction_relaxation.intervals import (
     Cause,
     Pooled,
+    Rest,
     Trust,
     assess,
-    at_rest,
-    drifts_of,
-    level_at_rest,
-    zeros_of,
+    causes_of,
 )
 from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
 from pmabench.kinds.contraction_relaxation.joint import compare
@@ -92,7 +88,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     asked = (("joint", joint.facts), ("output_error", polished.facts), ("bootstrap", resampled))
-    every = (*estimates, *joint.estimates, *polished.estimates, *stepwise.estimates)
+    others = (joint, polished, stepwise)
+    every = (*estimates, *(e for other in others for e in other.estimates))
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
     return Analysis.of(
@@ -100,15 +97,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         runs,
         results=RESULTS,
         estimates=(*reported, *response),
-        curves=[curve for curve in (*curves, *joint.curves, *stepwise.curves) if curve.symbol not in gone],
+        curves=[c for c in (*curves, *(c for other in others for c in other.curves)) if c.symbol not in gone],
         dropped=dropped,
         findings=(
             *checks.findings(campaign, pooled, estimates),
             *skew.findings(runs, campaign.channels, campaign.skew, every),
             *([checks.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
-            *joint.findings,
-            *polished.findings,
-            *stepwise.findings,
+            *(finding for other in others for finding in other.findings),
             *described,
             *reference_findings(runs),
         ),
@@ -194,9 +189,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
     slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # what rests show of it is corrected
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
-    offsets = Scales.of(campaign.runs).offsets
-    rests = {channel: at_rest(campaign, channel, offsets.get(channel, 0.0)) for channel in rested}
-    levels = {channel: level_at_rest(campaign, channel, offsets.get(channel, 0.0)) for channel in rested}
+    rests = {channel: Rest.of(campaign, channel) for channel in rested}
     stepless = replace(campaign, samples=_stepless(campaign))
     work = simulated.stretches(_moving(stepless, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
@@ -214,8 +207,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         again_seen = _replays(campaign, segments_of, work, other, int(options.get("replays", REPLAYS)))
         replays = [other.again(one, rms_of(seen)).theta for one in again_seen]
         skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
-        causes = list(drifts_of(campaign, mine, other, rms_of(seen), rests))
-        causes += zeros_of(mine, other, rms_of(seen), levels, offsets)
+        causes = list(causes_of(campaign, mine, other, rms_of(seen), rests))
         if campaign.pressure_step:
             between = again(diagnosis.corrected(segments_of(stepless.samples))) - other.theta
             causes.append(Cause("where the pressure is between its steps", "method", between[None]))
@@ -233,16 +225,14 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     diagnosis = replace(diagnosis, hidden=departures)
 
     def with_hidden(other: Fit, rows: NDArray[np.bool_], trust: Trust) -> Trust:
-        mine, scales = segments.where(rows), Scales.of(campaign.runs)
-        of_cell = of_the_cell(diagnosis.weighed, scales, mine, other)
-        sensors = of_the_sensor(sensor_known(campaign), mine, other), *of_the_gauge(campaign, mine, other)
-        return replace(trust, causes=(*trust.causes, *diagnosis.hidden.lines(other, rows), *of_cell, *sensors))
+        sensors = of_the_sensors(campaign, diagnosis.weighed, segments.where(rows), other)
+        return replace(trust, causes=(*trust.causes, *diagnosis.hidden.lines(other, rows), *sensors))
 
     def trust_of(other: Fit, rows: NDArray[np.bool_], seen: Array) -> Trust:
         unit = rms_of(seen)
         return with_hidden(other, rows, trusted(other, rows, seen, unit, lambda late: other.again(late, unit).theta))
 
-    return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, work, diagnosis)
+    return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, diagnosis)
 
 
 def _stepless(campaign: Campaign) -> tuple[Samples, ...]:

@@ -11,7 +11,7 @@ A `Campaign` holds the trials of all runs that can be reduced together, with the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
@@ -25,6 +25,8 @@ from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
 CHANNELS = ("pressure", "displacement", "force")
+FIELDS = ("P", "x", "force")
+"""Of `Samples`, in the same order."""
 ASSUMED_MASS = 0.5
 """Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
 FEWEST_STILL = 8
@@ -247,21 +249,18 @@ def noise_seen(
     `every` is for channels whose own samples come at every k-th row only and are interpolated between: a mean of n
     rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
     """
-    runs = [_unbroken(samples.ok, rows) for samples, rows in zip(stretches, still, strict=True)]
 
-    def typical(name: str) -> tuple[float, ...]:
+    def typical(name: str) -> tuple[float, float]:
         values, widths, k = [], [], (every or {}).get(name, 1)
-        for samples, rows in zip(stretches, runs, strict=True):
-            column = getattr(samples, name)
-            if column is None or not samples.ok.any():
-                continue
-            widths.append(np.sqrt(k / 12.0) * _step(column if samples.ok.all() else column[samples.ok]))
-            if rows.stop - rows.start >= FEWEST_STILL * k:
-                seen = max(noise_of(column[rows][first::k]) for first in range(k))
-                values.append(max(np.sqrt(k) * seen, widths[-1]))
-        return tuple(float(np.median(found)) if found else 0.0 for found in (values, widths))
+        for samples, column, rows in _at_rest(stretches, still, name):
+            if samples.ok.any():
+                widths.append(np.sqrt(k / 12.0) * _step(column if samples.ok.all() else column[samples.ok]))
+                if len(rows) >= FEWEST_STILL * k:
+                    seen = max(noise_of(rows[first::k]) for first in range(k))
+                    values.append(max(np.sqrt(k) * seen, widths[-1]))
+        return _median(values), _median(widths)
 
-    noise, steps = zip(*map(typical, ("P", "x", "force")), strict=True)
+    noise, steps = zip(*map(typical, FIELDS), strict=True)
     return Noise(*noise), Noise(*steps)
 
 
@@ -271,19 +270,24 @@ def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: i
     More than `noise_seen` where noise is smooth from sample to sample, as that of a filter or between interpolated
     samples.
     """
-    runs = [_unbroken(samples.ok, rows) for samples, rows in zip(stretches, still, strict=True)]
 
     def typical(name: str) -> float:
-        values = []
-        for samples, rows in zip(stretches, runs, strict=True):
-            column = getattr(samples, name)
-            if column is not None:
-                whole = column[rows]
-                means = whole[: len(whole) // over * over].reshape(-1, over).mean(axis=1)
-                values.append(np.sqrt(over) * noise_of(means))
-        return float(np.median(values)) if values else 0.0
+        each = [rows[: len(rows) // over * over].reshape(-1, over) for _, _, rows in _at_rest(stretches, still, name)]
+        return _median([np.sqrt(over) * noise_of(rows.mean(axis=1)) for rows in each])
 
-    return Noise(*map(max, vars(least).values(), map(typical, ("P", "x", "force"))))
+    return Noise(*map(max, vars(least).values(), map(typical, FIELDS)))
+
+
+def _at_rest(stretches: Sequence[Samples], still: Sequence[slice], name: str) -> Iterator[tuple[Samples, Array, Array]]:
+    """Each stretch that has a channel, all samples of that, and its longest usable run in the rows `still`."""
+    for samples, rows in zip(stretches, still, strict=True):
+        column = getattr(samples, name)
+        if column is not None:
+            yield samples, column, column[_unbroken(samples.ok, rows)]
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if values else 0.0
 
 
 def _unbroken(ok: NDArray[np.bool_], rows: slice) -> slice:
@@ -452,7 +456,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
 def _every(runs: Sequence[RunData], between: Mapping[str, float]) -> dict[str, int]:
     """Field of `Samples` -> how many rows lie between two samples that it comes from: of a slower stream, or held."""
     found: dict[str, int] = {}
-    for name, channel in zip(("P", "x", "force"), CHANNELS, strict=True):
+    for name, channel in zip(FIELDS, CHANNELS, strict=True):
         infos = [(run.rate, run.channels[channel].rate) for run in runs if channel in run.channels]
         apart = [rate / own for rate, own in infos if own > 0] + [runs[0].rate * between[channel]]
         found[name] = max(map(round, apart)) or 1

@@ -20,7 +20,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
-from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, without_value
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, Source, without_value
 from pmabench.store.records import Array
 
 METHOD = "measured-pressure"
@@ -81,7 +81,8 @@ def values(solution: Solution) -> list[Estimate]:
     ]
     friction = _blank(solution, "F_c", np.ones(len(solution.segments), bool))
     if solution.fit.friction:
-        friction = _given(solution, friction, solution.fit.row("F_c", 0.0), 0.0)
+        row = solution.fit.row("F_c", 0.0)
+        friction = _given(solution, friction, row, solution.trust.budget(row))
     else:
         note = "not identifiable: the samples move one way only, and F_ce carries the friction"
         friction = replace(friction, note=note)
@@ -131,9 +132,9 @@ def _blank(solution: Solution, symbol: str, rows: NDArray[np.bool_], at: Mapping
     return Estimate(symbol, None, *QUANTITY[symbol], solution.method, at, n=len(names), note=note, trials=names)
 
 
-def _given(solution: Solution, blank: Estimate, row: Array, extra_method: float) -> Estimate:
-    """A combination of the unknowns with its interval; without a value where the clocks do not allow one."""
-    parts, bias, budget = solution.trust.budget(row, extra_method)
+def _given(solution: Solution, blank: Estimate, row: Array, known: tuple[Parts, float, tuple[Source, ...]]) -> Estimate:
+    """A combination of the unknowns with its parts, bias and budget; without a value where the clocks allow none."""
+    parts, bias, budget = known
     value = float(row @ solution.fit.theta) - bias
     found = replace(blank, value=value, parts=parts, bias=bias, corrected=True, budget=budget)
     return skew.settled(found, "the channels", solution.campaign.skew)
@@ -149,11 +150,11 @@ def _at(solution: Solution, symbol: str, P: float) -> Estimate:
         return replace(blank, note=f"not identifiable: no {moving} samples near this pressure")
     row = solved.row(symbol, P)
     value = float(row @ solved.theta)
-    parts, _, _ = solution.trust.budget(row, NUMERICS * abs(value))
+    known = solution.trust.budget(row, NUMERICS * abs(value))
     size = float(np.median(np.abs(solved.values(symbol, solution.knots))))
-    if (parts.repeats or 0.0) > WIDE * max(abs(value), size):
+    if (known[0].repeats or 0.0) > WIDE * max(abs(value), size):
         return replace(blank, note=f"not identifiable: the {moving} samples near this pressure leave it open")
-    return _given(solution, blank, row, NUMERICS * abs(value))
+    return _given(solution, blank, row, known)
 
 
 ASKED = {METHOD: "", "joint": "joint fit", "output-error": "output-error fit"}

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg import solve_banded
 from scipy.optimize import least_squares
 
-from pmabench.analysis.shared.oscillation import SEEN
 from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.signals import SEEN
 from pmabench.kinds.ultimate_gain.ways import lags_of
 from pmabench.store.records import Array
 

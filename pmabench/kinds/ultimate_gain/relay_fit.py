@@ -12,7 +12,7 @@ from math import exp, log, pi, sqrt
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.shared.oscillation import HARMONICS, mode_amplitudes
+from pmabench.analysis.shared.signals import HARMONICS, mode_amplitudes
 from pmabench.kinds.ultimate_gain.ways import lags_of, oscillating
 from pmabench.model.loop import ComplexArray, Loop
 from pmabench.store.records import Array

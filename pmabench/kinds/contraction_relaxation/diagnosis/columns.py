@@ -213,26 +213,19 @@ def hysteresis_by_way(followed: Followed, segments: Segments, fit: Fit) -> Array
     return np.hstack(found)
 
 
-def creep_parts(followed: Followed, segments: Segments, fit: Fit) -> Array:
-    """The muscle goes on contracting by its whole contraction in a decade of time, of each of `TIMES`; shape (n, 8)."""
-    K = fit.values("K", segments.pressure)
-    return np.asarray(0.5 * K[:, None] * followed.slow(segments))
-
-
-def creep_decades(followed: Followed, segments: Segments, fit: Fit) -> Array:
-    """The same of each decade, two of `TIMES`; shape (n, 4)."""
-    parts = creep_parts(followed, segments, fit)
-    return np.asarray(parts[:, 0::2] + parts[:, 1::2])
-
-
-def creep(followed: Followed, segments: Segments, fit: Fit) -> Array:
-    """The same in every decade; shape (n, 1)."""
-    return np.asarray(creep_parts(followed, segments, fit).sum(axis=1, keepdims=True))
+def creep(which: str, followed: Followed, segments: Segments, fit: Fit) -> Array:
+    """The muscle goes on contracting by its whole contraction in a decade of time, shape (n, sizes): `by time` of each
+    of `TIMES`, `by decade` of two of them at a time, `even` in every decade.
+    """
+    parts = 0.5 * fit.values("K", segments.pressure)[:, None] * followed.slow(segments)
+    if which == "by decade":
+        parts = parts[:, 0::2] + parts[:, 1::2]
+    return np.asarray(parts.sum(axis=1, keepdims=True) if which == "even" else parts)
 
 
 def creep_by_load(followed: Followed, segments: Segments, fit: Fit) -> Array:
-    """The same as `creep_parts` at every load, and in proportion to the load; shape (n, 16)."""
-    even = creep_parts(followed, segments, fit)
+    """The same by time at every load, and in proportion to the load; shape (n, 16)."""
+    even = creep("by time", followed, segments, fit)
     return np.hstack((even, even * (segments.force / LOADED)[:, None]))
 
 
@@ -240,7 +233,7 @@ OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Fit], Array]]
     "bend": {which: partial(bend, which) for which in ("as K", "line", "steep")},
     "sensor": {"": bent_sensor},
     "hysteresis": {"": hysteresis, BY_WAY: hysteresis_by_way},
-    "creep": {"even": creep, "by decade": creep_decades, "by time": creep_parts, BY_LOAD: creep_by_load},
+    "creep": {which: partial(creep, which) for which in ("even", "by decade", "by time")} | {BY_LOAD: creep_by_load},
 }
 """Property of a muscle -> variant -> its columns; `sensor` is either the muscle or the displacement sensor."""
 

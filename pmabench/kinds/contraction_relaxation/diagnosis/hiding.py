@@ -6,7 +6,7 @@ size that could be there, is a line of the budget.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, sqrt
 from statistics import NormalDist
@@ -125,86 +125,68 @@ class Size:
 
 def causes(test: Test, followed: Followed) -> tuple[Departure, ...]:
     """All causes that the channels of the campaign allow."""
-    makes = (_drift, _scales, _slip, _late, _bend, _hysteresis, _creep, _crooked, _play)
-    return tuple(cause for make in makes if (cause := make(test, followed)).ways)
+    every = (*_over_time(test), *_of_the_muscle(test, followed), *_of_the_displacement(test))
+    return tuple(cause for cause in every if cause.ways)
 
 
-def _drift(test: Test, followed: Followed) -> Departure:
-    text, name = "the zero of the force cell drifted by {size} over the campaign", "drift of the force cell"
-    column = columns.drift(test.campaign, test.segments) - 0.5  # its mean is a zero, which `of_the_cell` has
-    own = (Way(text, "force", column, columns.zero_known(test.campaign)),) if test.campaign.cell else ()
-    return Departure(f"{name} that weights and fit do not exclude", "drift", own)
+def _over_time(test: Test) -> Iterator[Departure]:
+    """Drifts over the campaign, slips between two of its trials, and channels that are late."""
+    campaign, segments, fit, P = test.campaign, test.segments, test.fit, test.segments.pressure
+    course = columns.drift(campaign, segments) - 0.5  # its mean is a zero, which `of_the_sensors` has
+    text = "the zero of the force cell drifted by {size} over the campaign"
+    own = (Way(text, "force", course, columns.zero_known(campaign)),) if campaign.cell else ()
+    yield Departure("drift of the force cell that weights and fit do not exclude", "drift", own)
 
+    text = "the scale of the {}, or the {} of the muscle, drifted by {{size}} over the campaign"
+    scales = (
+        ("pressure", "force", force_by_pressure(segments, fit) * P),
+        ("displacement", "stiffness", fit.values("K", P) * segments.contraction),
+    )
+    ways = tuple(Way(text.format(name, of), "ratio", -force * course) for name, of, force in scales)
+    yield Departure("drift of a scale, or of the muscle, that the fit does not exclude", "drift", ways, RARELY)
 
-def _scales(test: Test, followed: Followed) -> Departure:
-    """Scale of a channel that drifts evenly, from the begin of the campaign on: the muscle changing looks the same."""
-    segments, P = test.segments, test.segments.pressure
-    course = columns.drift(test.campaign, segments) - 0.5
-    push = force_by_pressure(segments, test.fit) * P
-    pull = test.fit.values("K", P) * segments.contraction
-    ways = (
-        Way("the scale of the pressure, or the force of the muscle, drifted by {size} over the campaign", "ratio",
-            -push * course),
-        Way("the scale of the displacement, or the stiffness of the muscle, drifted by {size} over the campaign",
-            "ratio", -pull * course),
-    )  # fmt: skip
-    return Departure("drift of a scale, or of the muscle, that the fit does not exclude", "drift", ways, RARELY)
-
-
-def _slip(test: Test, followed: Followed) -> Departure:
-    """The end of the muscle, or its sensor, slipped between two trials: all later contractions are off by as much."""
     text = "the mount or the displacement sensor slipped by {{size}} before trial {}"
-    ways = tuple(
-        Way(text.format(test.campaign.name(place)), "length",
-            columns.slip(test.campaign, test.segments, test.fit, place))
-        for place in columns.slip_places(test.campaign, test.segments)
-    )  # fmt: skip
-    return Departure("slip of the mount that the fit does not exclude", "drift", ways)
+    ways = tuple(  # all later contractions are off by as much
+        Way(text.format(campaign.name(place)), "length", columns.slip(campaign, segments, fit, place))
+        for place in columns.slip_places(campaign, segments)
+    )
+    yield Departure("slip of the mount that the fit does not exclude", "drift", ways)
 
-
-def _late(test: Test, followed: Followed) -> Departure:
-    """A channel shifted in time, or behind a first-order filter: the same at first order."""
-    bounds = columns.clock_bounds(test.campaign)
+    bounds, late = columns.clock_bounds(campaign), columns.late(segments, fit, campaign.cell)
     text = "{} is late by {{size}} against the other channels, or filtered with that time constant"
-    ways = tuple(
-        Way(text.format(name), "time", column, bounds.get(name, 0.0))
-        for name, (column, _) in columns.late(test.segments, test.fit, test.campaign.cell).items()
+    ways = tuple(  # a delay and a first-order filter are the same at first order
+        Way(text.format(name), "time", column, bounds.get(name, 0.0)) for name, (column, _) in late.items()
     )
-    return Departure("delay or filter of a channel that the fit does not exclude", "method", ways)
+    yield Departure("delay or filter of a channel that the fit does not exclude", "method", ways)
 
 
-def _bend(test: Test, followed: Followed) -> Departure:
-    """K changes with x. A straight line's K is the slope at the middle of those tested."""
+def _of_the_muscle(test: Test, followed: Followed) -> Iterator[Departure]:
+    """What a muscle does beyond the straight form. Of a bend, K of a straight line is the slope at the middle of the
+    contractions tested; of hysteresis, what F_c holds of it is taken off.
+    """
+    both, grows = (followed, test.segments, test.fit), ", in proportion to pressure"
     text = "the force over contraction is bent: K changes by {size} over the contractions tested"
-    both = columns.bend("line", followed, test.segments, test.fit).T
-    kinds = zip(both, ("", ", in proportion to pressure"), strict=True)
-    ways = tuple(Way(text + more, "stiffness", column) for column, more in kinds)
-    return Departure("bend of the force over contraction that the fit does not exclude", "method", ways)
+    bends = columns.bend("line", *both).T
+    ways = tuple(Way(text + more, "stiffness", column) for column, more in zip(bends, ("", grows), strict=True))
+    yield Departure("bend of the force over contraction that the fit does not exclude", "method", ways)
+
+    text = "there is hysteresis of {{size}} that turns over {:g} mm of contraction{}"
+    kinds = [(1e3 * radius, more) for radius in RADII for more in ("", grows)]
+    turns = zip(kinds, columns.hysteresis(*both).T, strict=True)
+    ways = tuple(Way(text.format(*kind), "force", column) for kind, column in turns)
+    yield Departure("hysteresis that the fit does not exclude", "method", ways)
+
+    decades = columns.creep("by decade", *both).T
+    texts = ["in a decade of time", *(f"within about {time:g} s" for time in TIMES[1::2])]
+    creeps = zip(texts, (np.sum(decades, axis=0), *decades), strict=True)
+    ways = tuple(Way(f"the muscle creeps by {{size}} of its contraction {when}", "ratio", one) for when, one in creeps)
+    yield Departure("creep that the fit does not exclude", "method", ways)
 
 
-def _hysteresis(test: Test, followed: Followed) -> Departure:
-    """A friction that needs some contraction after each turn to reach its size; what F_c holds of it is taken off."""
-    ways = []
-    for number, column in enumerate(columns.hysteresis(followed, test.segments, test.fit).T):
-        more = ", in proportion to pressure" if number % 2 else ""
-        radius = f"{1e3 * RADII[number // 2]:g} mm of contraction"
-        ways.append(Way(f"there is hysteresis of {{size}} that turns over {radius}{more}", "force", column))
-    return Departure("hysteresis that the fit does not exclude", "method", tuple(ways))
-
-
-def _creep(test: Test, followed: Followed) -> Departure:
-    """The muscle goes on contracting: a share of x per decade of time (two time constants)."""
-    parts = columns.creep_decades(followed, test.segments, test.fit).T
-    every = Way("the muscle creeps by {size} of its contraction in a decade of time", "ratio", np.sum(parts, axis=0))
-    some = (
-        Way(f"the muscle creeps by {{size}} of its contraction within about {time:g} s", "ratio", column)
-        for time, column in zip(TIMES[1::2], parts, strict=True)
-    )
-    return Departure("creep that the fit does not exclude", "method", (every, *some))
-
-
-def _crooked(test: Test, followed: Followed) -> Departure:
-    """The displacement sensor is not straight: then its slope over the stroke is not known either."""
+def _of_the_displacement(test: Test) -> Iterator[Departure]:
+    """A displacement sensor that is not straight, whose slope over the stroke is not known then either; and one that
+    follows late after each turn, by a length: nearly a friction that grows with K.
+    """
     known = columns.sensor_known(test.campaign)
     text = "the displacement sensor is off its straight line by {{size}}, as on a wheel of {:g} mm off its middle"
     ways = tuple(
@@ -213,16 +195,12 @@ def _crooked(test: Test, followed: Followed) -> Departure:
         for radius in columns.WHEELS
         for phase in columns.PHASES
     )  # fmt: skip
-    return Departure("error of the displacement sensor that the fit does not exclude", "method", ways)
+    yield Departure("error of the displacement sensor that the fit does not exclude", "method", ways)
 
-
-def _play(test: Test, followed: Followed) -> Departure:
-    """The displacement sensor follows late after each turn, by a length: nearly a friction that grows with K."""
     text = "the displacement sensor lags by {size} behind the motion, either way (backlash)"
-    known = columns.sensor_known(test.campaign)
     column = columns.play(test.segments, test.fit)
-    way = Way(text, "length", column, known or columns.UNDECLARED, known or inf)
-    return Departure("backlash of the displacement sensor that the fit does not exclude", "method", (way,))
+    play = Way(text, "length", column, known or columns.UNDECLARED, known or inf)
+    yield Departure("backlash of the displacement sensor that the fit does not exclude", "method", (play,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,46 +244,38 @@ def hidden(
     return Hidden(tuple(sizes), tuple(found), moved)
 
 
-def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Fit) -> list[Cause]:
-    """The cell against the weights, as far as its calibration does not hold the difference: either may be right."""
-    cell = np.where(segments.mass > 0, 0.0, 1.0)
+def of_the_sensors(campaign: Campaign, weights: Weighed, segments: Segments, fit: Fit) -> Iterator[Cause]:
+    """What sensors may do that no fit can show.
+
+    The cell against the weights, as far as its calibration does not hold the difference: either may be right. Backlash
+    of the displacement sensor, what its calibration allows, else an assumed one: it looks like Coulomb friction of K
+    times its size, and where K is the same at all pressures, no data can separate them. Hysteresis of the pressure
+    gauge, `BY_WAY` of the uncertainty of its zero; none where that is not declared. It shows less while the pressure
+    rises and more while it falls. Where it stays so at rest, that looks like a friction. Where it sticks to its value
+    behind the noise, noise lets it catch up at rest: then the pressure is late by an amount while it moves.
+    """
+    scales, cell = Scales.of(campaign.runs), np.where(segments.mass > 0, 0.0, 1.0)
     kinds = ((GAIN, weights.gain, scales.gains, segments.force * cell), (ZERO, weights.offset, scales.offsets, cell))
-    lines = []
     for name, found, known, column in kinds:
         if found is not None:
             size = max(0.0, abs(found[0]) + HIDES * found[1] - known.get("force", 0.0))
             seen = abs(found[0]) > known.get("force", 0.0) + SURE * found[1]
-            lines.append(Cause(name, "calibration", size * fit.change(column[:, None]).T, seen=seen))
-    return lines
+            yield Cause(name, "calibration", size * fit.change(column[:, None]).T, seen=seen)
 
+    declared = columns.sensor_known(campaign)
+    size = declared or columns.UNDECLARED
+    assumed = f"{REVERSAL}, assumed {show(size, 'length', 2)}: the record gives no uncertainty"
+    change = size * fit.change(columns.play(segments, fit)[:, None])
+    yield Cause(REVERSAL if declared else assumed, "method", change.T)
 
-def of_the_sensor(known: float, segments: Segments, fit: Fit) -> Cause:
-    """Backlash of the displacement sensor: what its calibration allows, `known` [m], else an assumed one.
-
-    It looks like Coulomb friction of K times its size: where K is the same at all pressures, no data can separate them.
-    """
-    size = known or columns.UNDECLARED
-    name = REVERSAL if known else f"{REVERSAL}, assumed {show(size, 'length', 2)}: the record gives no uncertainty"
-    return Cause(name, "method", size * fit.change(columns.play(segments, fit)[:, None]).T)
-
-
-def of_the_gauge(campaign: Campaign, segments: Segments, fit: Fit) -> list[Cause]:
-    """Hysteresis of the pressure gauge, `BY_WAY` of the uncertainty of its zero; none where that is not declared.
-
-    It shows less while the pressure rises and more while it falls. Where it stays so at rest, that looks like a
-    friction. Where it sticks to its value behind the noise, noise lets it catch up at rest: then the pressure is late
-    by an amount while it moves.
-    """
-    size = BY_WAY * Scales.of(campaign.runs).offsets.get("pressure", 0.0)
-    if not size:
-        return []
-    push = size * force_by_pressure(segments, fit)
-    ways = [push * segments.way]
-    if any(sticks(trial.channels["pressure"][trial.usable]) for trial in campaign.trials):
-        quarter = max(1, segments.P_mid.shape[1] // 4)
-        moved = segments.P_mid[:, -quarter:].mean(axis=1) - segments.P_mid[:, :quarter].mean(axis=1)
-        ways.append(push * np.clip(moved / size, -1.0, 1.0))
-    return [Cause(GAUGE, "method", fit.change(np.column_stack(ways)).T)]
+    if size := BY_WAY * scales.offsets.get("pressure", 0.0):
+        push = size * force_by_pressure(segments, fit)
+        ways = [push * segments.way]
+        if any(sticks(trial.channels["pressure"][trial.usable]) for trial in campaign.trials):
+            quarter = max(1, segments.P_mid.shape[1] // 4)
+            moved = segments.P_mid[:, -quarter:].mean(axis=1) - segments.P_mid[:, :quarter].mean(axis=1)
+            ways.append(push * np.clip(moved / size, -1.0, 1.0))
+        yield Cause(GAUGE, "method", fit.change(np.column_stack(ways)).T)
 
 
 def sticks(y: Array) -> bool:

@@ -294,22 +294,12 @@ class Search:
             if one.which == variant:
                 continue
             rest = tuple(other for other in now.explanations if other is not one)
-            state = self._with_more(now, rest, [Explanation(one.kind, variant)])
+            state = self.with_more(now, rest, [Explanation(one.kind, variant)])
             if plausible(state.last):
                 found.append(state)
         return min(found, key=lambda state: state.excess, default=None)
 
-    def all_of_muscle(self, now: State) -> State:
-        """`now` with all properties of the muscle that it has not."""
-        known = {one.family for one in now.explanations}
-        more = [one for one in ALL_OF_MUSCLE if one.family not in known]
-        return self._with_more(now, now.explanations, more) if more else now
-
-    def finest(self, before: State, now: State) -> State:
-        """`before` with all properties of the muscle in their finest forms, at the knots of `now`."""
-        return self._with_more(now, before.explanations, FINEST)
-
-    def _with_more(self, now: State, kept: tuple[Explanation, ...], more: Sequence[Explanation]) -> State:
+    def with_more(self, now: State, kept: tuple[Explanation, ...], more: Sequence[Explanation]) -> State:
         """`now` with the explanations that are `kept` and more properties of the muscle."""
         test = now.test
         sizes = [self.columns(one, test.campaign, test.segments, test.fit).shape[1] for one in more]
@@ -321,13 +311,12 @@ def _promising(tried: Sequence[Explanation], ratios: Sequence[float], now: State
     """Those worth to be tried in whole: by first order they explain something; streams that are late always."""
     slips = sorted((r, i) for i, (one, r) in enumerate(zip(tried, ratios, strict=True)) if one.kind == "slip")
     best_slips = {i for _, i in slips[:PLACES]}
-    found = []
-    for i, (one, ratio) in enumerate(zip(tried, ratios, strict=True)):
-        if one.kind == "slip" and i not in best_slips:
-            continue
-        if one.kind in ("late", "lag") or ratio**2 - 1 < WORTH * now.excess:
-            found.append(one)
-    return found
+    return [
+        one
+        for i, (one, ratio) in enumerate(zip(tried, ratios, strict=True))
+        if one.kind in ("late", "lag")
+        or (ratio**2 - 1 < WORTH * now.excess and (one.kind != "slip" or i in best_slips))
+    ]
 
 
 def sizes_of(solved: Fit, forces: Array) -> Array:
@@ -424,9 +413,11 @@ def _together(search: Search, before: State, now: State, limit: float) -> State 
     """`now` with all properties of the muscle, in finest forms where one is found already and coarser ones fail; None
     where no muscle can be so, or the excess is not below a limit.
     """
-    together, mine = search.all_of_muscle(now), now.explanations[len(before.explanations) :]
+    known, mine = {one.family for one in now.explanations}, now.explanations[len(before.explanations) :]
+    more = [one for one in ALL_OF_MUSCLE if one.family not in known]
+    together = search.with_more(now, now.explanations, more) if more else now
     if mine and all(one.of_muscle for one in mine) and together.test.ratio >= STILL_APART * together.test.most_ratio:
-        finest = search.finest(before, now)
+        finest = search.with_more(now, before.explanations, FINEST)
         together = finest if ALONE * finest.excess < together.excess else together
     sound = together.excess < limit and all(plausible(one) for one in together.explanations)
     return together if sound else None

@@ -26,6 +26,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     named,
     shown,
 )
+from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Spread
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, HARDLY, MOST_HIDDEN, ZERO, Hidden, Size
 from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     EXPLAINS,
@@ -36,7 +37,6 @@ from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     State,
     explained,
 )
-from pmabench.kinds.contraction_relaxation.diagnosis.spread import Spread
 from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segments
@@ -245,11 +245,9 @@ class Diagnosis:
     @property
     def between(self) -> str:
         """`undecided between A and B`; empty where it is decided."""
-        found = []
-        for one, rival in zip(self.of_fit, self.rounds.rivals, strict=True):
-            if not rival.alone:
-                found.append(f"undecided between {TITLES[one.key]} and {_title(rival.others[0])}")
-        return "; ".join(found)
+        pairs = zip(self.of_fit, self.rounds.rivals, strict=True)
+        found = [(TITLES[one.key], _title(rival.others[0])) for one, rival in pairs if not rival.alone]
+        return "; ".join(f"undecided between {one} and {other}" for one, other in found)
 
     def effect(self, fit: Fit, P: float) -> str:
         """Each coefficient at a pressure [Pa] before and after all corrections, for people."""
