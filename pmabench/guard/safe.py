@@ -245,8 +245,7 @@ class SafeState:
             self.outcome += [watched.outcome(ok) for watched, ok in zip(self._watched, good, strict=True)]
             if self._unanswered() > -inf:
                 self.outcome.append(UNANSWERED)
-            differs = [f"{call.result}; its values confirm nothing" for call in asked if call.result]
-            self.outcome += differs
+            self.outcome += (differs := [f"{call.result}; its values confirm nothing" for call in asked if call.result])
             low = bool(good) and all(good) and not differs
             self.outcome += [f"{name}: {LEFT}" for name in sorted(self.unsettled) if low]
             result = "failed" if self.faults and not low else "commanded"
@@ -255,8 +254,8 @@ class SafeState:
 
     @property
     def waits(self) -> bool:
-        """Whether actions are left that wait for others."""
-        return bool(self._todo)
+        """Whether a ramp or a hold is waited for."""
+        return bool(self._todo) and self._todo[0].do in {"ramp", "hold"}
 
     def _late(self) -> float:
         """Since when nothing can come any more that was sent before [s]."""
@@ -271,8 +270,7 @@ class SafeState:
         """End ramps and holds that a pressure does not follow, and stop a motion that does not go to its place."""
         for name, value in latest.items():
             end = self._ends.get(name)
-            waits = self._todo and self._todo[0].do in {"ramp", "hold"}
-            if value != value or (end is None and (name in self._motions or not waits)):
+            if value != value or (end is None and (name in self._motions or not self.waits)):
                 continue
             expected, slack = self._expected(name)
             far, near = (abs(value - end), abs(expected - end)) if end is not None else (value, expected)
