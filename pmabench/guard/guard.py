@@ -91,7 +91,7 @@ class Guard:
         self._floors = {name: end for name, end in sorted(ends) if end < 0}
         """Lower end of a channel's range, or low trip limit, below zero [SI]: a reading beyond it confirms nothing."""
         self._safe: SafeState | None = None
-        self._tripped = self._hurried = False
+        self._tripped = False
         self.run = self.why = ""
         """Name of the run folder for which it is armed, and what began the safe state."""
         self._courses: dict[str, course.Course] = {}
@@ -320,7 +320,6 @@ class Guard:
         elif self._safe.vent is not None:
             for action in self._safe.commands:
                 self._begin(action)
-        self._hurried = self._hurried or hurry
         if hurry:
             self._safe.hurry()
 
@@ -403,12 +402,10 @@ class Guard:
 
     def attend(self, moment: float, rate: float) -> None:
         """At this moment [s] of the safe state: feed watchdogs, have measured what confirms, look at interlocks."""
-        waits = self._safe is not None and self._safe.waits and not (self._tripped and self._hurried)
+        waits = self._safe is not None and self._safe.waits
         stopped = {action.target for action in self._safe.commands if action.do == "stop"} if self._safe else set()
         for record in self.bench.devices:
-            kinds: list[Kind] = (
-                [FED] if self.feeds(record) else []
-            )  # a watchdog must not end a ramp or a hold of the safe state
+            kinds: list[Kind] = [FED] if self.feeds(record) else []  # a watchdog must end no ramp and no hold
             if waits and not _ends(record) & stopped:  # a drive that was told to stop is not ready
                 kinds.append(SAFE)
             try:
