@@ -30,6 +30,16 @@ def over(guard, measure, step=0.05):
     return guard.clock.now() - begun, vent
 
 
+def until(guard, happened, measure, step=0.05):
+    """Step the safe state until something happened; when [s]."""
+    begun = guard.clock.now()
+    while not happened():
+        guard.step_safe(measure(guard.clock.now() - begun))
+        guard.clock.wait_until(guard.clock.now() + step)
+        assert guard.clock.now() < begun + 12.0
+    return guard.clock.now() - begun
+
+
 def si(segment):
     return segment.origin * OUTPUT.scale.slope
 
@@ -484,7 +494,7 @@ HOLD = SafeAction("hold", "", 0.0, 5.0)
 
 
 @pytest.mark.parametrize(
-    ("first", "pressure", "until"),
+    ("first", "pressure", "ends"),
     [
         (SLOW, lambda t: 300e3 - 30e3 * max(t - 1.0, 0.0), 9.9),  # late by 30 kPa, as behind a long tube
         (SLOW, lambda t: max(300e3 - 30e3 * t, 280e3), 0.7 + 30 / 30 + 0.7),  # stuck
@@ -495,18 +505,15 @@ HOLD = SafeAction("hold", "", 0.0, 5.0)
         (HOLD, lambda t: 680e3 if 0.5 < t < 0.6 else 300e3, 4.9),  # two readings
     ],
 )
-def test_a_ramp_or_a_hold_ends_where_the_pressure_does_not_follow(first, pressure, until):
+def test_a_ramp_or_a_hold_ends_where_the_pressure_does_not_follow(first, pressure, ends):
     """A valve that stuck kept 287 kPa for 9.5 s, and a regulator that drove to its supply was waited for."""
     guard, rig = armed(bench(safe_state=(first, *SAFE[1:])))
     rig.reads["pressure"] = 300e3
     guard.collect("dac")
     guard.set("pressure", 300e3)
     guard.begin_safe()
-    begun = guard.clock.now()
-    while not rig.values("switch"):
-        guard.step_safe({"pressure": pressure(guard.clock.now() - begun)})
-        guard.clock.wait_until(guard.clock.now() + 0.05)
-    assert guard.clock.now() - begun == pytest.approx(until, abs=0.2)
+    took = until(guard, lambda: rig.values("switch"), lambda t: {"pressure": pressure(t)})
+    assert took == pytest.approx(ends, abs=0.2)
 
 
 def test_one_reading_of_nothing_makes_no_step_of_a_ramp():
@@ -537,12 +544,11 @@ def test_a_drive_that_runs_away_while_a_pressure_is_let_down_ends_no_ramp():
     guard.set("pressure", 300e3)
     guard.set("displacement", 5e-3)
     guard.begin_safe()
-    begun = guard.clock.now()
-    while not drive.values("halt"):
-        t = guard.clock.now() - begun
-        guard.step_safe({"pressure": 300e3 - 100e3 * max(t - 0.5, 0), "displacement": 30e-3 * max(t - 0.5, 0)})
-        guard.clock.wait_until(guard.clock.now() + 0.05)
-    assert guard.clock.now() - begun < 1.5
+
+    def measure(t):
+        return {"pressure": 300e3 - 100e3 * max(t - 0.5, 0), "displacement": 30e-3 * max(t - 0.5, 0)}
+
+    assert until(guard, lambda: drive.values("halt"), measure) < 1.5
     rig.reported.clear()
     guard.step_safe({})
     assert rig.values("write") == []
@@ -585,14 +591,12 @@ def test_what_comes_after_a_ramp_of_a_drive_that_was_stopped_takes_its_time():
     guard.set("pressure", 300e3)
     rig.reported.clear()
     guard.begin_safe()
-    while not Rig.made["other"].values("halt"):
-        guard.step_safe({"pressure": 300e3, "displacement": 20e-3})
-        guard.clock.wait_until(guard.clock.now() + 0.05)
-    stopped = guard.clock.now()
-    while not rig.values("write"):
-        guard.step_safe({"pressure": 300e3, "displacement": 20e-3})
-        guard.clock.wait_until(guard.clock.now() + 0.05)
-    assert guard.clock.now() - stopped == pytest.approx(2.0, abs=0.15)
+
+    def measure(_t):
+        return {"pressure": 300e3, "displacement": 20e-3}
+
+    until(guard, lambda: Rig.made["other"].values("halt"), measure)
+    assert until(guard, lambda: rig.values("write"), measure) == pytest.approx(2.0, abs=0.15)
 
 
 @pytest.mark.parametrize("moves", [lambda t: 3e-3 + 20e-3 * t, lambda t: 6e-3 * max(t - 0.3, 0.0)])
