@@ -81,7 +81,7 @@ class DeviceError(PmaError):
 
 
 class NotSent(DeviceError):
-    """A driver refused a command before anything of it was sent: it will not be carried out later."""
+    """A command that is not carried out later: the driver refused to send it, or the device answered otherwise."""
 
 
 class LimitRefused(PmaError):

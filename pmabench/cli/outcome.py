@@ -111,8 +111,10 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
         numbers = ", ".join(str(index + 1) for index in outcome.trials_failed)
         lines.append(shorten(f"   trials that failed: {numbers}", 80, placeholder=" …"))
     lines += _unconfirmed(outcome, 8)
-    if bench.realtime and Station(bench.name).latched():
+    if bench.realtime and (latched := Station(bench.name).latched()):
         lines.append("   the bench is now tripped, and nothing runs on it: look at it first")
+        if outcome.vent is not None and outcome.vent.confirmed and not latched.startswith(f"{outcome.why},"):
+            lines += wrap(latched, 80, initial_indent="   ", subsequent_indent="   ", max_lines=4, placeholder=" …")
     if outcome.folder is not None:
         place = short(outcome.folder)
         lines.append(f"record  {place}   {outcome.rows:,} rows")

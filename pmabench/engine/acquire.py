@@ -76,8 +76,8 @@ class Acquisition:
         self.check: Callable[[], None] = lambda: None
         self._recorder = recorder
         self.commanded = Commanded()
-        self.on_trip: Callable[[str, bool], None] = lambda _why, _latches: None
-        """Begins the safe state, from whatever thread finds its cause; whether that is one that latches the bench."""
+        self.on_trip: Callable[[str, bool, bool], None] = lambda _why, _latches, _hurry: None
+        """Begins the safe state, from whatever thread finds its cause; whether that latches, and waits for no ramp."""
         self.question: Callable[[float], None] = lambda _now: None
         """Asks devices whether they are as they were when the bench was armed, and does not wait; at bench time [s]."""
         self.beat: Callable[[], None] = lambda: None
@@ -309,7 +309,7 @@ class Acquisition:
         if self._tripped is None:
             self._tripped = error
             why = str(error) if isinstance(error, PmaError) else f"{type(error).__name__}: {error}"
-            self.on_trip(why, isinstance(error, LimitTripped))
+            self.on_trip(why, isinstance(error, LimitTripped), False)
 
     def _take(self, source: Source, block: Block) -> None:
         """Scale, watch, flag and record a block; notes when the stop rule ends it. Raises Tripped."""
@@ -375,7 +375,7 @@ class Acquisition:
             if trip.limit.action in ENDS:
                 self._tripped = Tripped(trip)
                 if trip.limit.action == "vent":
-                    self.on_trip(str(trip), True)
+                    self.on_trip(str(trip), True, trip.too_high(self.commanded))
                 limit = trip.limit
                 about = {"limit": limit.kind, "channel": limit.channel, "value": trip.value, "low": limit.low}
                 about |= {"high": limit.high, "action": limit.action, "source": limit.source}

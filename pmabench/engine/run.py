@@ -285,7 +285,7 @@ class _Run:
         """Run it; every way out leads through the safe state."""
         acquisition, executor = self.acquisition, self.executor
         acquisition.check = self._check
-        acquisition.on_trip = lambda why, latches: self.guard.begin_safe(tripped=latches, why=why)
+        acquisition.on_trip = lambda why, latches, hurry: self.guard.begin_safe(tripped=latches, hurry=hurry, why=why)
         if isinstance(self.guard, RemoteGuard):
             acquisition.beat = self.guard.beat
         cause: BaseException | None = None

@@ -34,6 +34,13 @@ class Trip:
     over: bool = False
     """Whether this is the end of a crossing, not its beginning."""
 
+    def too_high(self, commanded: Commanded) -> bool:
+        """Whether a pressure is above limit or command, or its line is open: no safe ramp or hold is for that."""
+        limit = self.limit
+        asked = commanded.at(limit.channel, self.t) if limit.kind == "following" else limit.high
+        above = limit.kind in {"range", "following"} and asked is not None and self.value >= asked
+        return CHANNEL_QUANTITY[limit.channel] == "pressure" and (above or limit.kind in {"above", "burst"})
+
     def __str__(self) -> str:
         """The sentence for operator and record."""
         limit, name = self.limit, self.limit.channel

@@ -15,7 +15,7 @@ from math import inf, isfinite
 from typing import Any
 
 from pmabench.base.clock import Clock, DeviceClock
-from pmabench.base.errors import DeviceError, LimitRefused, NotSent
+from pmabench.base.errors import DeviceError, LimitRefused, LimitTripped, NotSent
 from pmabench.bench.interface import (
     Block,
     CompiledBench,
@@ -39,8 +39,8 @@ from pmabench.guard.limits import (
 )
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
-from pmabench.guard.safe import AT_ONCE, TWICE, SafeState, Vent
-from pmabench.guard.supervision import Supervision
+from pmabench.guard.safe import AT_ONCE, EMPTIER, LINGERS, UNANSWERED, SafeState, Vent
+from pmabench.guard.supervision import FED, SAFE, Kind, Supervision
 
 __all__ = ["Guard", "Measure", "State", "Vent"]
 
@@ -132,7 +132,13 @@ class Guard:
 
     def close(self) -> None:
         """Let go of every device, its watchdog off where the bench is safe; harmless when repeated."""
-        self.links.close(disarm=self._safe is not None and self._safe.vent is not None and self._safe.vent.confirmed)
+        vent = self._safe.vent if self._safe is not None else None
+        self.links.close(disarm=vent is not None and vent.confirmed and UNANSWERED not in self.faults())
+
+    def faults(self) -> list[str]:
+        """What went wrong in the safe state, besides its result."""
+        assert self._safe is not None  # noqa: S101
+        return self._safe.faults
 
     # -- arming -------------------------------------------------------------------------------------------------
 
@@ -294,24 +300,37 @@ class Guard:
         self.why = self.why or why
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED
         if self._safe is None:
+            sent_late = self.state in {State.SETUP, State.RUNNING} and self.clock.now() - self.unanswered < LINGERS
             self.state, self._measured = State.STOPPING, dict(self.latest)
             motions = {output.name: output for output in self._outputs.values() if output.quantity in MOTIONS}
-            moved = {action.target for action in self.bench.safe_state} & motions.keys()
+            targets = {action.target for action in self.bench.safe_state}
+            confirms = [channel for channel in self.bench.channels if channel.name in targets]
             longest = max((action.within for action in self.bench.safe_state if action.do == "confirm"), default=0.0)
             rests = tuple(
                 SafeAction("rest", name, AT_REST * (motions[name].high - motions[name].low), longest)
-                for name in (channel.name for channel in self.bench.channels)
-                if name in moved
+                for name in (channel.name for channel in confirms)
+                if name in motions
             )
             self._safe = SafeState(
                 (*self.bench.safe_state, *rests), self._begin, self._rescue, self._look, self.clock.now(),
-                self._floors, self._last_unanswered, motions.keys(),
+                self._floors, self._last_unanswered, motions.keys(), self._expected,
+                partial(self.supervision.compare_readings, {channel.device for channel in confirms}),
             )  # fmt: skip
+            self._safe.faults += [UNANSWERED] if sent_late else []
         elif self._safe.vent is not None:
             for action in self._safe.commands:
                 self._begin(action)
         if hurry:
             self._safe.hurry()
+
+    def _expected(self, name: str) -> tuple[float, float]:
+        """Where an output is commanded to be now, infinite where nobody knows, and how far off it may be [SI]."""
+        output = self._outputs.get(name)
+        if output is None or name not in self._courses:
+            return inf, 0.0
+        pressure = output.quantity == "pressure"
+        slack = max(EMPTIER, 0.1 * self._measured.get(name, 0.0)) if pressure else 0.05 * (output.high - output.low)
+        return self._now_at(output), slack
 
     def _last_unanswered(self) -> float:
         """When a command was sent last whose outcome is not known [s], also a step of a driver's own ramp or sine."""
@@ -327,7 +346,7 @@ class Guard:
         self._give_up()
         if not over:
             return None
-        self.state = State.TRIPPED if self._tripped or self._safe.failed else State.SAFE
+        self.state = State.TRIPPED if self._tripped or self._safe.faults else State.SAFE
         return self._safe.vent
 
     def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
@@ -349,7 +368,7 @@ class Guard:
         """Whether a device gets a sign of life: not one that the safe state has no effect on, or no answer of (S13)."""
         if self._safe is None:
             return True
-        return not (_ends(record) & (self._safe.missing | self._safe.refusing) or self._without_effect(record))
+        return not (_ends(record) & self._safe.unsettled or self._without_effect(record))
 
     def _without_effect(self, record: DeviceRecord) -> bool:
         """Whether what a device commands does not go down or come to rest: of valves, which are nobody's, any."""
@@ -367,20 +386,36 @@ class Guard:
         assert self._safe is not None  # noqa: S101
         for record in self.bench.devices:
             ends = _ends(record)
-            missed = max((self._safe.misses.get(end, 0) for end in ends), default=0) >= TWICE
-            if record.name not in self.devices:
-                self._safe.misses |= dict.fromkeys(ends, 0)
-            elif (
+            if (
                 record.watchdog
+                and record.name in self.devices
                 and record.name not in self._given_up
                 and (ends & self._safe.refusing or self._without_effect(record))
             ):
                 self._given_up.add(record.name)
                 self.links.hang_up(record.name, 1.5 * record.watchdog + 0.2)
                 self._safe.outcome.append(f"{record.name}: its line is closed, so that its watchdog takes over")
-            elif missed and self.links.free(record.name):
+            elif ends & self._safe.away:
                 self.links.hang_up(record.name, 0.0)
+        self._safe.away.clear()
         self.links.open_again(self._first_of)
+
+    def attend(self, moment: float, rate: float) -> None:
+        """At this moment [s] of the safe state: feed watchdogs, have measured what confirms, look at interlocks."""
+        waits = self._safe is not None and self._safe.waits
+        stopped = {action.target for action in self._safe.commands if action.do == "stop"} if self._safe else set()
+        for record in self.bench.devices:
+            kinds: list[Kind] = [FED] if self.feeds(record) else []  # a watchdog must end no ramp and no hold
+            if waits and not _ends(record) & stopped:  # a drive that was told to stop is not ready
+                kinds.append(SAFE)
+            try:
+                self.supervision.attend(record, moment, kinds)
+            except LimitTripped as error:  # whoever opened it waits for no ramp
+                self.begin_safe(tripped=True, hurry=True)
+                self._safe.fault(str(error))  # type: ignore[union-attr]
+                waits = False
+        if self._safe is None or self._safe.vent is None:
+            self.keep_measuring(rate)
 
     def keep_measuring(self, rate: float) -> None:
         """Have what confirms the vent measured at `rate` [Hz]; what gives no samples is begun again."""
@@ -459,8 +494,9 @@ class Guard:
     def _look(self, action: SafeAction) -> Call | None:
         """Ask whether the device holds what a safe action commanded; None for a stop, whose place nobody knows."""
         target = self._target(action)
-        if target is None or action.do == "stop":
+        if action.do == "stop":
             return None
+        assert target is not None  # noqa: S101 - it was commanded
         if isinstance(target, OutputRecord):
             return self._submit(target.device, lambda: self.supervision.output_differs(target))
         closed = action.do == "close"

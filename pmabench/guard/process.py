@@ -313,14 +313,13 @@ class Service:
                     opened = isinstance(error, LimitTripped)
                     how = "trip" if opened or isinstance(error, LimitRefused) else "lost"
                     self._end(how, str(error), hurry=opened)  # whoever opened an interlock waits for no ramp
+        going_on = self.guard.state is State.STOPPING or (self._vent is not None and self._vent.confirmed)
+        if going_on:  # a watchdog must not fire after a good vent
+            self.guard.attend(now, 1 / LOOK)
+        if going_on and now - self._looked > LOOK:
+            self._looked = now
+            self.guard.supervision.differences()  # a question that failed is asked again
         if self.guard.state is State.STOPPING:
-            if now - self._looked > LOOK:
-                self._looked = now
-                self.guard.supervision.differences()  # a question that failed is asked again
-                for record in filter(self.guard.feeds, self.guard.bench.devices):
-                    with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
-                        self.guard.supervision.feed(record, now)
-                self.guard.keep_measuring(1 / LOOK)  # what confirms the vent
             self._step(now)
 
     def _refuse_lost_time(self) -> None:
@@ -355,7 +354,8 @@ class Service:
         if vent is None or self._vent is not None:
             return
         self._vent = vent = Vent(vent.result, (*vent.actions, *self.guard.supervision.differences()))
-        why = self._ended["why"] if vent.confirmed else f"{self._ended['why']}; safe state {vent.result}"
+        besides = self.guard.faults() if vent.confirmed else [f"safe state {vent.result}"]
+        why = "; ".join([self._ended["why"], *besides])
         latched = self.guard.state is State.TRIPPED or not vent.confirmed
         with suppress(RecordError):
             self.station.note("tripped" if latched else "safe", why=why, vent=vars(vent), run=self.guard.run)

@@ -51,7 +51,7 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
 
     def measure() -> Mapping[str, float]:
         guard.latest.clear()
-        guard.keep_measuring(RATE)  # asked again each time: what is late on a busy computer may confirm the vent
+        guard.attend(guard.clock.now(), RATE)  # each time: what is late on a busy computer may confirm the vent
         guard.clock.wait_until(guard.clock.now() + 0.05)
         for name in list(guard.devices):
             with suppress(PmaError):
@@ -67,8 +67,7 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
         guard.close()
     latched = bool(station.latched()) or not vent.confirmed or guard.state is State.TRIPPED
     why = UNCLEAN if unclean else why
-    if not vent.confirmed:
-        why = f"{why}; safe state {vent.result}"
+    why = "; ".join([why, *(guard.faults() if vent.confirmed else [f"safe state {vent.result}"])])
     with suppress(RecordError):
         station.note("tripped" if latched else "safe", why=why, vent=vars(vent))
     return vent

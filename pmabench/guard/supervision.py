@@ -7,7 +7,8 @@ at a time, so that a command waits for at most one of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from math import inf
 from typing import Any
@@ -47,6 +48,8 @@ SAFE = ("whether its interlocks are closed", LOOK, 0.0, 4.0)
 Samples need the line of a slow device, too.
 """
 KINDS: tuple[Kind, ...] = (FED, SAFE, HELD)
+READS = ("range", "unit", "format", "mapping", "step", "forced", "modules")
+"""Words of what devices report that gives their samples a meaning; the rest may change by a restart or a watchdog."""
 UNANSWERED = "has not answered whether it is as it was when the bench was armed"
 ELSEWHERE = "it restarted, or something else commands it"
 
@@ -88,16 +91,27 @@ class Supervision:
         """Ask what is due at `now` [s]; LimitTripped: an interlock, LimitRefused: a change, DeviceError: silence."""
         for record in self._bench.devices:
             if record.name in self._links.devices:
-                for kind in sorted(KINDS, key=lambda kind: self._since.get(record.name + kind[0], -inf)):
-                    self._ask(record, kind, now)  # what was asked longest ago first: a device may be free but seldom
+                for kind in self._by_age(record, KINDS):
+                    self._ask(record, kind, now)
 
-    def feed(self, record: DeviceRecord, now: float) -> None:
+    def attend(self, record: DeviceRecord, now: float, kinds: list[Kind]) -> None:
+        """Ask a device while it vents: raises LimitTripped where an interlock is open; no answer is passed over."""
+        if record.name in self._links.devices:
+            for kind in self._by_age(record, kinds):
+                with suppress(DeviceError):
+                    self.feed(record, now, kind)
+
+    def feed(self, record: DeviceRecord, now: float, kind: Kind = FED) -> None:
         """Send a device with a watchdog a sign of life where it is due; raises DeviceError where that fails."""
         try:
-            self._ask(record, FED, now)
+            self._ask(record, kind, now)
         except DeviceError:
-            self._asked.pop(record.name + FED[0])  # it may come back: it is asked again
+            self._asked.pop(record.name + kind[0])  # it may come back: it is asked again
             raise
+
+    def _by_age(self, record: DeviceRecord, kinds: Sequence[Kind]) -> list[Kind]:
+        """What was asked longest ago first: a device may be free but seldom."""
+        return sorted(kinds, key=lambda kind: self._since.get(record.name + kind[0], -inf))
 
     def _ask(self, record: DeviceRecord, kind: Kind, now: float) -> None:
         """Ask a device that is free the next one of the questions of a kind."""
@@ -125,6 +139,18 @@ class Supervision:
         for name in self._held:
             known = self._links.devices.get(name)  # its line may be closed before it is its turn
             self._compared[name] = self._links.submit(name, partial(self._held_differs, name, known))
+
+    def compare_readings(self, names: Collection[str]) -> list[Call]:
+        """Have these devices asked whether what gives their values a meaning is as it was when the bench was armed."""
+        calls = []
+        for name in self._held.keys() & names:
+            if keys := [key for key in self._held[name] if any(word in key for word in READS)]:
+                calls.append(self._links.submit(name, partial(self._readings_differ, name, keys)))
+        return calls
+
+    def _readings_differ(self, name: str, keys: list[str]) -> str:
+        text = self._held_differs(name, keys=keys)
+        return f"{name}: {text}" if text else ""
 
     def differences(self) -> list[str]:
         """What came of `compare` so far, for each device that changed or has not answered; failed questions again."""
@@ -155,10 +181,12 @@ class Supervision:
         self._clock.wait_until(self._clock.now() + AGAIN)
         return look()
 
-    def _held_differs(self, name: str, known: Any = None) -> str:
+    def _held_differs(self, name: str, known: Any = None, keys: Collection[str] = ()) -> str:
         device = known or self._links.need(name, Supervised, "reports nothing of itself")
         now, before = device.held(), self._held[name]
         for key, was in before.items():
+            if keys and key not in keys:
+                continue
             value = now.get(key, "not reported")
             if key == "uptime" and not isinstance(value, str) and not isinstance(was, str):
                 if value < was:

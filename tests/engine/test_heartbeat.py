@@ -116,7 +116,7 @@ def test_what_the_second_pair_of_eyes_finds_latches_only_as_it_does_elsewhere(ma
     """A full disk or a lost device vents; only a limit latches the bench, whichever thread meets it."""
     acquisition, slow, _ = made
     reported = []
-    acquisition.on_trip = lambda why, latches: reported.append((why, latches))
+    acquisition.on_trip = lambda why, latches, _hurry: reported.append((why, latches))
 
     def collect():
         raise error

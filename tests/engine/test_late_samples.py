@@ -192,7 +192,7 @@ def test_a_device_that_is_not_what_it_was_ends_the_run_and_confirms_nothing():
 
     acquisition, _ = sampling(lambda _now: 0.001)
     acquisition.question, began = changed, []
-    acquisition.on_trip = lambda why, latches: began.append((why, latches))
+    acquisition.on_trip = lambda why, latches, _hurry: began.append((why, latches))
     with pytest.raises(LimitTripped, match="its serial was 1"):
         acquisition.pass_time(5.0)
     assert began == [("gauge: its serial was 1 when the bench was armed and is 2 now", True)]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from pmabench.bench.interface import ChannelRecord, Scale, TripRecord
 from pmabench.engine.commanded import SETTLES, Commanded
-from pmabench.engine.watch import Watch
+from pmabench.engine.watch import Trip, Watch
 
 RATE = 500.0
 CHANNEL = ChannelRecord("pressure", "pressure", "adc", "p", "int32", "count", Scale(), 0.0, 1000e3)
@@ -294,3 +294,25 @@ def test_a_pressure_above_its_command_is_not_held_for(what, cuts):
         ends = ends or [trip for trip in found if trip.limit.action == "vent"]
     assert [round(trip.t, 2) for trip in ends] == ([] if moment is None else [round(moment, 2)])
     assert all("more than 60 kPa above what is commanded and does not fall" in str(trip) for trip in ends)
+
+
+@pytest.mark.parametrize(
+    ("kind", "channel", "value", "too_high"),
+    [
+        ("range", "pressure", 660e3, True),
+        ("range", "pressure", -40e3, False),
+        ("range", "pressure", math.nan, False),
+        ("range", "force", 660e3, False),
+        ("following", "pressure", 360e3, True),
+        ("following", "pressure", 240e3, False),
+        ("above", "pressure", 360e3, True),
+        ("burst", "pressure", 90e3, True),
+        ("stale", "pressure", 0.3, False),
+    ],
+)
+def test_a_pressure_that_is_too_high_waits_for_no_ramp(kind, channel, value, too_high):
+    commanded = Commanded()
+    commanded.set("pressure", 0.0, 300e3)
+    high = {"range": 650e3, "following": 50e3}.get(kind)
+    made = TripRecord(channel, -30e3 if kind == "range" else None, high, 0.1, "vent", kind=kind)
+    assert Trip(made, 0, 1.0, value).too_high(commanded) == too_high

@@ -12,11 +12,11 @@ import pytest
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import DeviceRecord
+from pmabench.bench.interface import DeviceRecord, SafeAction
 from pmabench.guard import remote
 from pmabench.guard.remote import RemoteGuard, vent_directly
 from pmabench.guard.station import UNCLEAN, Station
-from tests.guard.rig import BENCH, DEVICE, Rig, bench
+from tests.guard.rig import BENCH, DEVICE, OUTPUT, Rig, bench
 
 SAFE_COMMANDS = [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
 
@@ -52,6 +52,36 @@ def test_a_bench_that_was_left_is_vented_and_latched(state, why):
     where = station(**state)
     assert vent_directly(BENCH, where, "test").confirmed
     assert where.latched().startswith(why)
+
+
+class Follows(Rig):
+    """Its muscle follows; the emergency stop opens a little later."""
+
+    def __init__(self, device, clock):
+        super().__init__(device, clock)
+        self.at["p"] = lambda _now: OUTPUT.scale.to_raw(60e3)
+        self.reads["pressure"] = 60e3
+
+    def collect(self):
+        for name, act in self.at.items():
+            self.reads["pressure"] = OUTPUT.scale.to_si(act(self.clock.now())) if name == "p" else 0.0
+        self.high = self.reads["pressure"] > 55e3
+        return super().collect()
+
+
+def test_a_ramp_without_a_guard_is_not_broken_off_by_a_watchdog_and_waits_for_no_emergency_stop():
+    ramp = SafeAction("ramp", "pressure", 0.0, 5.0, 20e3)
+
+    where = station()
+    vent = vent_directly(
+        bench(replace(DEVICE, driver=f"{__name__}:Follows"), safe_state=(ramp, *BENCH.safe_state[1:])), where, "test"
+    )
+    rig = Rig.made["dac"]
+    assert rig.values("feed_watchdog")
+    assert vent.confirmed
+    assert 'dac: the interlock "e-stop" is open (dac.in0)' in vent.actions
+    assert 'interlock "e-stop" is open' in where.latched()
+    assert rig.clock.now() < 2.5
 
 
 def test_a_vent_that_is_not_confirmed_latches():

@@ -654,6 +654,11 @@ def test_the_watchdog_is_fed_while_the_safe_state_lasts():
         serving.ask(link, "safe", tripped=False, hurry=False, why="x")
         serving.until_over()
         assert len(serving.rig.values("feed_watchdog")) >= 4
+        serving.rig.reported.clear()
+        until = time.monotonic() + 0.3
+        while time.monotonic() < until:
+            serving.service.turn()
+        assert serving.rig.values("feed_watchdog"), "it does not fire after a good vent"
         serving.rig.wrong["feed_watchdog"] = "gone"
         serving.service.turn()
 

@@ -1,5 +1,6 @@
 """A vent goes on until it is over: what comes back, what is missed, what fills, what moves (S3, S13)."""
 
+import threading
 from dataclasses import replace
 
 import pytest
@@ -7,11 +8,11 @@ import pytest
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, Scale
-from pmabench.guard.guard import Guard
+from pmabench.guard.guard import Guard, State
 from pmabench.guard.remote import vent_directly
 from pmabench.guard.safe import LINGERS, NO_EFFECT, REPEAT, STAYS
 from pmabench.guard.station import Station
-from tests.guard.rig import BENCH, DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, VALVE, Rig, armed, bench
+from tests.guard.rig import BENCH, DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, VALVE, Rig, armed, bench, opened
 from tests.guard.test_muscles import PAIR
 
 RAMP = SafeAction("ramp", "pressure", 0.0, 5.0, 100e3)
@@ -27,6 +28,16 @@ def over(guard, measure, step=0.05):
         guard.clock.wait_until(guard.clock.now() + step)
         assert guard.clock.now() < begun + 30.0
     return guard.clock.now() - begun, vent
+
+
+def until(guard, happened, measure, step=0.05):
+    """Step the safe state until something happened; when [s]."""
+    begun = guard.clock.now()
+    while not happened():
+        guard.step_safe(measure(guard.clock.now() - begun))
+        guard.clock.wait_until(guard.clock.now() + step)
+        assert guard.clock.now() < begun + 12.0
+    return guard.clock.now() - begun
 
 
 def si(segment):
@@ -161,9 +172,12 @@ def test_a_pressure_that_comes_back_is_commanded_down_at_once_and_its_line_stays
 
     took, vent = over(guard, measure)
     assert vent.confirmed
+    assert guard.state is State.TRIPPED, "whether it comes later still, nobody knows"
+    guard.close()
+    assert rig.values("disarm_watchdog") == []
     assert took >= LINGERS
     assert len(rig.values("write")) > last[0]
-    assert rig.values("close") == []
+    assert len(rig.values("close")) == 1
 
 
 def test_a_late_step_of_a_drivers_own_ramp_is_overruled_too():
@@ -284,8 +298,8 @@ def test_a_drive_that_fails_does_not_end_the_regulators_ramp():
     for step in range(25):
         guard.step_safe({"pressure": 300e3 - step * 10e3})
         assert guard.feeds(REGULATOR)
+        assert not (guard.feeds(OTHER) and step < 8), "until it is opened anew"
         guard.clock.wait_until(guard.clock.now() + 0.1)
-    assert not guard.feeds(OTHER)
     assert rig.values("write") == [("write", "p", OUTPUT.scale.to_raw(300e3))]
 
 
@@ -412,3 +426,267 @@ def test_samples_that_end_while_it_vents_are_begun_again():
     guard.keep_measuring(20.0)
     assert len(rig.values("start")) == 2
     guard.close()
+
+
+# -- what is confirmed was acknowledged -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("watchdog", [0.0, 5.0])
+@pytest.mark.parametrize("lost", ["write", "switch"])
+def test_a_command_that_was_missed_is_sent_again_as_soon_as_its_device_answers(lost, watchdog):
+    """One lost request: nothing was sent again, or the line was closed, as it held what it held before."""
+    guard, rig = armed(bench(replace(DEVICE, watchdog=watchdog), safe_state=PATIENT.safe_state))
+    guard.set("pressure", 300e3)
+    rig.wrong |= {lost: "did not answer", "rescue": "did not answer"}
+    rig.reported.clear()
+    guard.begin_safe()
+    for _ in range(4):
+        guard.step_safe({"pressure": 0.0})
+        guard.clock.wait_until(guard.clock.now() + 0.05)
+    rig.wrong.clear()
+    took, vent = over(guard, lambda _: {"pressure": 0.0})
+    assert rig.values(lost)[0] in {("write", "p", 0.0), ("switch", "v", False)}
+    assert took < 0.1 + STAYS + 0.2
+    assert vent.confirmed
+    assert any(text.endswith("sent again") for text in vent.actions)
+    assert rig.values("close") == []
+
+
+def test_a_ramp_that_was_missed_is_sent_again_as_a_step():
+    guard, rig = armed(RAMPED)
+    guard.set("pressure", 300e3)
+    rig.wrong |= {"follow": "did not answer", "rescue": "did not answer"}
+    rig.reported.clear()
+    guard.begin_safe()
+    _, vent = over(guard, lambda _: {"pressure": 0.0})
+    assert ("write", "p", 0.0) in rig.values("write")
+    assert vent.confirmed
+
+
+def test_an_empty_muscle_whose_regulator_never_took_the_command_is_not_confirmed():
+    Deaf.deaf = False
+    guard, _ = armed(bench(replace(DEVICE, driver=f"{__name__}:Deaf"), safe_state=PATIENT.safe_state))
+    guard.set("pressure", 300e3)
+    Deaf.deaf = True
+    guard.begin_safe()
+    took, vent = over(guard, lambda _: {"pressure": 0.0})
+    assert (vent.result, took >= LOOK.within) == ("commanded", True)
+    assert vent.actions[-1].startswith("pressure: what it holds is not known")
+    guard.close()
+    assert Rig.made["dac"].values("disarm_watchdog") == []
+
+
+class Deaf(Rig):
+    """It answers, and no command reaches it, by any connection."""
+
+    deaf = False
+
+    def _note(self, what, *how):
+        if self.deaf and what in {"write", "rescue"}:
+            raise DeviceError(self.device.name, "did not answer")
+        super()._note(what, *how)
+
+
+# -- what a ramp or a hold waits for must happen ----------------------------------------------------------------------
+
+SLOW = replace(RAMP, rate=30e3, within=20.0)
+HOLD = SafeAction("hold", "", 0.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "pressure", "ends"),
+    [
+        (SLOW, lambda t: 300e3 - 30e3 * max(t - 1.0, 0.0), 9.9),  # late by 30 kPa, as behind a long tube
+        (SLOW, lambda t: max(300e3 - 30e3 * t, 280e3), 0.7 + 30 / 30 + 0.7),  # stuck
+        (SLOW, lambda t: 300e3 - 30e3 * t if t < 0.5 else 680e3, 0.6),  # fills
+        (HOLD, lambda _: 310e3, 4.9),
+        (HOLD, lambda t: 300e3 if t < 0.5 else 340e3, 0.5 + NO_EFFECT),
+        (HOLD, lambda t: 300e3 if t < 0.5 else 680e3, 0.6),
+        (HOLD, lambda t: 680e3 if 0.5 < t < 0.6 else 300e3, 4.9),  # two readings
+    ],
+)
+def test_a_ramp_or_a_hold_ends_where_the_pressure_does_not_follow(first, pressure, ends):
+    """A valve that stuck kept 287 kPa for 9.5 s, and a regulator that drove to its supply was waited for."""
+    guard, rig = armed(bench(safe_state=(first, *SAFE[1:])))
+    rig.reads["pressure"] = 300e3
+    guard.collect("dac")
+    guard.set("pressure", 300e3)
+    guard.begin_safe()
+    took = until(guard, lambda: rig.values("switch"), lambda t: {"pressure": pressure(t)})
+    assert took == pytest.approx(ends, abs=0.2)
+
+
+def test_one_reading_of_nothing_makes_no_step_of_a_ramp():
+    guard, rig = armed(RAMPED)
+    guard.set("pressure", 300e3)
+    rig.reported.clear()
+    guard.begin_safe()
+    for step in range(28):
+        guard.step_safe({"pressure": 0.0 if step % 5 == 0 else 300e3 - step * 10e3})
+        guard.clock.wait_until(guard.clock.now() + 0.1)
+    assert rig.values("write") == []
+
+
+def test_a_hold_of_a_guard_that_comes_later_is_not_cut_short():
+    """Nobody knows what was commanded."""
+    guard, rig = opened(bench(safe_state=(HOLD, *SAFE[1:])), threads=False)
+    guard.begin_safe()
+    for _ in range(48):
+        guard.step_safe({"pressure": 300e3, "force": 50.0})
+        guard.clock.wait_until(guard.clock.now() + 0.1)
+    assert rig.values("write") == []
+
+
+def test_a_drive_that_runs_away_while_a_pressure_is_let_down_ends_no_ramp():
+    ramp = SafeAction("ramp", "displacement", 0.0, 1.0, 10e-3)
+    guard, rig = of_both(ramp, RAMP, SAFE[1], LOOK)
+    drive = Rig.made["other"]
+    guard.set("pressure", 300e3)
+    guard.set("displacement", 5e-3)
+    guard.begin_safe()
+
+    def measure(t):
+        return {"pressure": 300e3 - 100e3 * max(t - 0.5, 0), "displacement": 30e-3 * max(t - 0.5, 0)}
+
+    assert until(guard, lambda: drive.values("halt"), measure) < 1.5
+    rig.reported.clear()
+    guard.step_safe({})
+    assert rig.values("write") == []
+
+
+@pytest.mark.parametrize(("speed", "within"), [(30e-3, 0.5), (0.0, 1.3), (-20e-3, None)])
+def test_a_drive_that_does_not_go_to_its_place_is_stopped(speed, within):
+    """It ran the other way to the end of its stroke, and nobody told it to stop."""
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, _ = of_both(ramp, SAFE[1], LOOK)
+    drive = Rig.made["other"]
+    guard.set("displacement", 20e-3)
+    drive.reported.clear()
+    guard.begin_safe()
+    begun = guard.clock.now()
+    while not drive.values("halt") and guard.clock.now() < begun + 2.0:
+        x = 20e-3 + speed * (guard.clock.now() - begun)
+        guard.step_safe({"pressure": 1e3, "displacement": max(x, 0.0)})
+        guard.clock.wait_until(guard.clock.now() + 0.05)
+    assert bool(drive.values("halt")) == (within is not None)
+    assert within is None or guard.clock.now() - begun <= within
+
+
+def test_a_drive_that_was_stopped_in_a_hurry_is_at_rest_and_not_astray():
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, _ = of_both(ramp, SAFE[1], LOOK)
+    guard.set("displacement", 20e-3)
+    guard.begin_safe()
+    guard.step_safe({"displacement": 20e-3})
+    guard.begin_safe(hurry=True)
+    _, vent = over(guard, lambda t: {"pressure": 300e3 if t < 2.0 else 1e3, "displacement": 20e-3})
+    assert vent.confirmed
+    assert guard.state is State.SAFE
+
+
+def test_what_comes_after_a_ramp_of_a_drive_that_was_stopped_takes_its_time():
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, rig = of_both(ramp, replace(HOLD, within=2.0), SAFE[1], LOOK)
+    guard.set("displacement", 20e-3)
+    guard.set("pressure", 300e3)
+    rig.reported.clear()
+    guard.begin_safe()
+
+    def measure(_t):
+        return {"pressure": 300e3, "displacement": 20e-3}
+
+    until(guard, lambda: Rig.made["other"].values("halt"), measure)
+    assert until(guard, lambda: rig.values("write"), measure) == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize("moves", [lambda t: 3e-3 + 20e-3 * t, lambda t: 6e-3 * max(t - 0.3, 0.0)])
+def test_a_drive_that_moves_on_after_its_ramp_is_stopped_before_it_is_given_up(moves):
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, _ = of_both(ramp, SAFE[1], LOOK)
+    drive = Rig.made["other"]
+    guard.set("displacement", 3e-3)
+    guard.begin_safe()
+    begun = guard.clock.now()
+
+    def measure(t):
+        place.append(place[-1] if drive.values("halt") else moves(t))
+        return {"pressure": 1e3, "displacement": place[-1]}
+
+    place = [3e-3]
+    _, vent = over(guard, measure)
+    assert guard.clock.now() > begun
+    assert drive.values("halt")
+    assert vent.confirmed
+
+
+# -- while it vents ---------------------------------------------------------------------------------------------------
+
+
+def test_a_gauge_that_gives_no_number_is_no_high_value():
+    """The line of its regulator was closed for longer than the confirmation was waited for."""
+    guard, rig = armed(bench(replace(DEVICE, watchdog=5.0), safe_state=PATIENT.safe_state))
+    guard.begin_safe()
+    _, vent = over(guard, lambda t: {"pressure": float("nan") if t < 2.0 else 1e3})
+    assert vent.confirmed
+    assert rig.values("close") == []
+
+
+def test_an_emergency_stop_while_it_vents_waits_for_no_ramp_and_latches():
+    guard, rig = armed(RAMPED)
+    guard.set("pressure", 300e3)
+    guard.begin_safe()
+    for step in range(9):
+        guard.step_safe({"pressure": 300e3 - step * 5e3})
+        guard.attend(guard.clock.now(), 20.0)
+        assert guard.state is State.STOPPING
+        guard.clock.wait_until(guard.clock.now() + 0.06)
+        rig.high = step < 5
+    assert rig.values("write")[-1] == ("write", "p", 0.0)
+    assert rig.values("feed_watchdog")
+    rig.reported.clear()
+    _, vent = over(guard, lambda _: {"pressure": 1e3})
+    guard.attend(guard.clock.now(), 20.0)
+    assert rig.values("level") == [], "nothing waits any more"
+    assert 'dac: the interlock "e-stop" is open (dac.in0)' in vent.actions
+    assert guard.state is State.TRIPPED
+
+
+def test_a_drive_that_was_stopped_is_not_ready_and_that_is_no_emergency_stop():
+    guard, rig = armed(bench(safe_state=(SAFE[0], RAMP, LOOK)))
+    guard.set("pressure", 100e3)
+    rig.high = False
+    guard.begin_safe()
+    for step in range(4):
+        guard.step_safe({"pressure": 100e3 - step * 10e3})
+        guard.attend(guard.clock.now(), 20.0)
+        guard.clock.wait_until(guard.clock.now() + 0.1)
+    assert rig.values("level") == []
+    assert rig.values("follow")
+
+
+@pytest.mark.parametrize(
+    ("changed", "result"),
+    [({"range of in0": "1 V"}, "commanded"), ({"watchdog": 0.0, "uptime": 0.1}, "confirmed"), ({}, "confirmed")],
+)
+def test_a_gauge_whose_range_was_changed_confirms_nothing(changed, result):
+    """It read 10 kPa of 300, and a restart or a watchdog that fired meanwhile changes no reading."""
+    guard, rig = opened(PATIENT)
+    rig.reports["range of in0"] = "10 V"
+    guard.arm("run")
+    guard.set("pressure", 300e3)
+    rig.reports |= changed
+    guard.begin_safe()
+    took, vent = over(guard, lambda _: {"pressure": 10e3})
+    assert (vent.result, took < 0.7) == (result, True), vent.actions
+    assert any("its range of in0 was 10 V" in text for text in vent.actions) == (result == "commanded")
+
+
+def test_a_gauge_that_does_not_say_how_it_measures_is_waited_for_and_believed():
+    guard, rig = opened(PATIENT, threads=True)
+    rig.reports["range of in0"] = "10 V"
+    guard.arm("run")
+    rig.wrong["held"] = hangs = threading.Event()
+    guard.begin_safe()
+    _, vent = over(guard, lambda _: {"pressure": 10e3}, step=0.02)
+    hangs.set()
+    assert vent.confirmed

@@ -179,8 +179,8 @@ BUGS = (
     Bug(
         "a watchdog that fails is not noticed",
         "pmabench/guard/supervision.py",
-        "            self._ask(record, FED, now)\n",
-        "            pass\n",
+        "        try:\n            self._ask(record, kind, now)\n",
+        "        try:\n            pass\n",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(
@@ -263,8 +263,8 @@ BUGS = (
     Bug(
         "a device without effect is fed on",
         "pmabench/guard/guard.py",
-        "return not (_ends(record) & (self._safe.missing",
-        "return True or not (_ends(record) & (self._safe.missing",
+        "return not (_ends(record) & self._safe.unsettled",
+        "return True or not (_ends(record) & self._safe.unsettled",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(

@@ -15,7 +15,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, DeviceRecord, Identity
 from pmabench_drivers.modbus import registers as r
 from pmabench_drivers.shared.device import Controlled, Polled
@@ -434,8 +434,12 @@ class ModbusDevice(Watched, Controlled):
             message = f"{lost.message}; whether it took {wanted:g} is not known ({error})"
             raise Unanswered(self._device.name, message, register.name) from None
         if not abs(held - wanted) <= resolution:
-            what = "did not answer to the command" if lost else "was commanded"
-            raise self._error(f"{what} {wanted:g} and {self._shows(register, held)}", register.name)
+            if lost is None:
+                shown = f"was commanded {wanted:g} and {self._shows(register, held)}"
+                raise NotSent(self._device.name, shown, register.name)
+            raise self._error(
+                f"did not answer to the command {wanted:g} and {self._shows(register, held)}", register.name
+            )
 
     def _shows(self, _register: r.Register, held: float) -> str:
         """What a register holds, in words."""

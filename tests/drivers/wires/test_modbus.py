@@ -13,7 +13,7 @@ from pmabench_drivers.shared.device import stepped
 from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.clock import RealClock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import Segment
 from tests.drivers.common import opened, timed
 from tests.drivers.wires.rigs import MAP, Peer, emulated, regulator
@@ -110,7 +110,7 @@ def test_a_write_that_was_not_executed_says_so_and_is_not_sent_again(rig):
 def test_a_device_that_answers_and_does_nothing_is_found_out(rig):
     emulator, _record, device = rig
     emulator.devices["regulator"].faults.set("ignore")
-    with pytest.raises(DeviceError, match="was commanded 250 and holds 0"):
+    with pytest.raises(NotSent, match="was commanded 250 and holds 0"):  # answered: nothing comes later
         device.write("pressure", 250.0)
     with pytest.raises(DeviceError, match="dump: was commanded 1 and holds 0"):
         device.switch("dump", on=True)
