@@ -167,8 +167,9 @@ def step_of(y: Array) -> float:
     return 0.0 if len(again) and np.mean(again) > MOSTLY else least
 
 
-FEWEST_NEW, HELD, RARELY = 12, 0.6, 0.02
-"""A channel that is held is new so often at least, and sooner than this share of its usual time but rarely."""
+FEWEST_NEW, HELD, RARELY = 12, 0.3, 0.02
+"""A channel that is held is new so often at least, and sooner than this share of its usual time, or twice in a row, but
+rarely: a device that is asked answers sooner or later."""
 
 
 def fresh(y: Array) -> NDArray[np.bool_]:
@@ -181,7 +182,7 @@ def fresh(y: Array) -> NDArray[np.bool_]:
         return np.ones(len(y), dtype=bool)
     runs, jumps = np.diff(np.flatnonzero(new[1:])), np.abs(np.diff(y))[new[1:]]
     usual = float(np.median(runs)) if len(runs) >= FEWEST_NEW else 0.0
-    held = usual > 1 and np.mean(runs < HELD * usual) <= RARELY and np.median(jumps) > 2 * step_of(y)
+    held = usual > 1 and np.mean(runs < max(2.0, HELD * usual)) <= RARELY and np.median(jumps) > 2 * step_of(y)
     return new if held else np.ones(len(y), dtype=bool)
 
 

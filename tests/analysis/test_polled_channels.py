@@ -1,0 +1,94 @@
+"""Channels that are read less often than they are recorded, and held in between: closed forms, own plants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.shared.samples import fresh
+from pmabench.kinds.recorded_sine import reduction as recorded_sine
+from pmabench.store.analyses.results import Analysis
+from pmabench.store.records import Array, TrialData
+from tests.analysis.judged_forms import as_run
+
+
+def held(t: Array, y: Array, rate: float, jitter: float = 0.0, seed: int = 1) -> Array:
+    """`y` (n,) as it is where it is asked `rate` times a second, up to half of `jitter` periods sooner or later."""
+    rng = np.random.default_rng([11, seed])
+    asked = np.arange(t[0] - rng.random() / rate, t[-1] + 1 / rate, 1 / rate)
+    asked = np.sort(asked + jitter / rate * rng.uniform(-0.5, 0.5, len(asked)))
+    last = asked[np.clip(np.searchsorted(asked, t, side="right") - 1, 0, None)]
+    return np.asarray(y[np.clip(np.searchsorted(t, np.maximum(last, t[0])), 0, len(y) - 1)])
+
+
+def trial(
+    t: Array, channels: Mapping[str, Array], point: Mapping[str, float], number: int = 0, **more: object
+) -> TrialData:
+    flags = np.zeros(len(t), dtype=np.uint16)
+    facts = {"commands": (), "found": {}, **more}
+    return TrialData("judged", number, dict(point), number, False, "finished", t, dict(channels), flags, **facts)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.8])
+def test_a_device_that_answers_sooner_or_later_is_polled_as_well(jitter: float) -> None:
+    t = np.arange(0, 20, 0.005)
+    y = np.sin(2 * np.pi * 0.3 * t) + 1e-3 * np.random.default_rng(3).standard_normal(len(t))
+    new = fresh(held(t, y, 10.0, jitter))
+    assert new.sum() == pytest.approx(200, abs=3)
+    assert fresh(y).all()
+
+
+def test_a_reading_that_sticks_behind_its_noise_is_not_polled() -> None:
+    """A sensor with hysteresis moves with every sample now and then, and at other times not at all."""
+    t = np.arange(0, 20, 0.005)
+    for size in (2e-3, 5e-3, 0.02):
+        y = np.sin(2 * np.pi * 0.05 * t) + 1e-3 * np.random.default_rng(3).standard_normal(len(t))
+        at = np.empty_like(y)
+        now = y[0]
+        for row, value in enumerate(y):
+            now = min(max(now, value - size), value + size)
+            at[row] = now
+        assert fresh(at).all()
+
+
+# -- sines of pressure --------------------------------------------------------------------------------------------
+
+SINES = {"P": 46e3, "x": 4e-3, "phi_x": -0.2, "phi_P": -0.3, "P/x": 46e3 / 4e-3, "H": 8e-3 * np.sin(0.2)}
+
+
+def sines(frequency: float, polled: str, rate: float, jitter: float = 0.0) -> Analysis:
+    """Two trials of 20 cycles at 200 Hz, of a channel that is asked `rate` times a second."""
+    trials, t = [], np.arange(0, 20 / frequency, 0.005)
+    for number in range(2):
+        rng = np.random.default_rng([5, number])
+        w = 2 * np.pi * frequency * t
+        channels = {
+            "pressure": 250e3 + 46e3 * np.sin(w - 0.3) + 300 * rng.standard_normal(len(t)),
+            "displacement": 0.02 + 4e-3 * np.sin(w - 0.5) + 4e-6 * rng.standard_normal(len(t)),
+            "pressure_command": 250e3 + 50e3 * np.sin(w),
+        }
+        if rate:
+            channels[polled] = held(t, channels[polled], rate, jitter, number)
+        trials.append(trial(100 * number + t, channels, {"frequency": frequency}, number))
+    return recorded_sine.reduce([as_run("recorded-sine", trials, 200.0, {})], {"late_by": [0.0, 0.0]})
+
+
+@pytest.mark.parametrize("polled", ["pressure", "displacement"])
+@pytest.mark.parametrize(("frequency", "rate", "jitter"), [(0.3, 4.0, 0.0), (0.3, 10.0, 0.8), (1.0, 25.0, 0.0)])
+def test_sines_are_fitted_to_what_a_polled_channel_reads_anew(
+    polled: str, frequency: float, rate: float, jitter: float
+) -> None:
+    found = sines(frequency, polled, rate, jitter)
+    assert found.estimates
+    for e in found.estimates:
+        if e.value is not None and e.symbol in SINES:
+            assert e.parts.combined is not None
+            assert abs(e.value - SINES[e.symbol]) < 1.3 * e.parts.combined, e.symbol
+
+
+def test_a_channel_that_is_new_too_few_times_a_cycle_gives_no_sine() -> None:
+    found = sines(1.0, "displacement", 4.0)
+    assert not found.estimates
+    assert all("displacement is new 4 times a cycle, and held in between" in one.reason for one in found.dropped)
