@@ -188,11 +188,6 @@ class Rig:
             self.emulator.close()
         self._lag.close()
 
-    def need_wire(self) -> None:
-        """Raise NotApplicable where there is no wire whose bytes could be damaged."""
-        if not self.relays:
-            raise NotApplicable("there is no emulator on a TCP or serial wire that could be damaged")
-
     def restart(self) -> bool:
         """Switch the emulated device off and on; whether there is one. What it held is gone, the wire stays."""
         if self.emulator is None:
