@@ -23,6 +23,16 @@ def held(t: Array, y: Array, rate: float, jitter: float = 0.0, seed: int = 1) ->
     return np.asarray(y[np.clip(np.searchsorted(t, np.maximum(last, t[0])), 0, len(y) - 1)])
 
 
+def played(y: Array, half: float) -> Array:
+    """What a sensor with hysteresis of +- `half` reads of `y` (n,)."""
+    at = np.empty_like(y)
+    now = y[0]
+    for row, value in enumerate(y):
+        now = min(max(now, value - half), value + half)
+        at[row] = now
+    return at
+
+
 def trial(
     t: Array, channels: Mapping[str, Array], point: Mapping[str, float], number: int = 0, **more: object
 ) -> TrialData:
@@ -45,12 +55,7 @@ def test_a_reading_that_sticks_behind_its_noise_is_not_polled() -> None:
     t = np.arange(0, 20, 0.005)
     for size in (2e-3, 5e-3, 0.02):
         y = np.sin(2 * np.pi * 0.05 * t) + 1e-3 * np.random.default_rng(3).standard_normal(len(t))
-        at = np.empty_like(y)
-        now = y[0]
-        for row, value in enumerate(y):
-            now = min(max(now, value - size), value + size)
-            at[row] = now
-        assert fresh(at).all()
+        assert fresh(played(y, size)).all()
 
 
 # -- sines of pressure --------------------------------------------------------------------------------------------

@@ -186,6 +186,18 @@ def fresh(y: Array) -> NDArray[np.bool_]:
     return new if held else np.ones(len(y), dtype=bool)
 
 
+STAYS = 0.7
+"""A reading with noise moves with more than this share of its samples."""
+
+
+def sticks(y: Array) -> bool:
+    """Whether a reading (n,) often stays as it was, and moves by no single steps when it does not: by hysteresis."""
+    moves = np.abs(np.diff(y))
+    moved = moves[moves > 0]
+    often = len(moved) > 0 and len(moved) < STAYS * len(moves)
+    return bool(often and fresh(y).all() and np.quantile(moved, 0.25) > 1.5 * step_of(y))
+
+
 def between_new(t: Array, y: Array) -> tuple[Array, float]:
     """A channel on straight lines between its new values, and how far apart these are at `t` [s]; 0 if all are new."""
     new = fresh(y)
