@@ -246,8 +246,8 @@ def of_the_sensors(campaign: Campaign, weights: Weighed, segments: Segments, fit
     of the displacement sensor, what its calibration allows, else an assumed one: it looks like Coulomb friction of K
     times its size, and where K is the same at all pressures, no data can separate them. Hysteresis of the pressure
     gauge, a third (`HYSTERESIS`) of the uncertainty of its zero; none where that is not declared. It shows less while
-    the pressure rises and more while it falls. Where it stays so at rest, that looks like a friction. A gauge that sticks
-    to its value is let go by noise at rest: then the pressure is late by an amount while it moves.
+    the pressure rises and more while it falls. Where it stays so at rest, that looks like a friction. One that sticks
+    is let go by noise at rest: then the pressure is late by an amount while it moves.
     """
     scales, cell = Scales.of(campaign.runs), np.where(segments.mass > 0, 0.0, 1.0)
     kinds = ((GAIN, weights.gain, scales.gains, segments.force * cell), (ZERO, weights.offset, scales.offsets, cell))
