@@ -1,7 +1,7 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
 - `reduction`, with the rubber, and the first loop of a rested muscle; of one pressure and stroke (`cell`) the
-  `coefficients`, judged by `doubts`, with the most `creep` that cycles allow
+  `coefficients` and what puts them in doubt, with the most `creep` that cycles allow
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
