@@ -167,7 +167,7 @@ def step_of(y: Array) -> float:
     return 0.0 if len(again) and np.mean(again) > MOSTLY else least
 
 
-FEWEST_NEW, HELD, RARELY = 12, 0.3, 0.02
+FEWEST_NEW, HELD, RARELY = 12, 0.3, 0.05
 """A channel that is held is new so often at least, and sooner than this share of its usual time, or twice in a row, but
 rarely: a device that is asked answers sooner or later."""
 
