@@ -188,11 +188,9 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
     if np.count_nonzero(good) < LEAST * whole:
         return f"fewer than {LEAST} usable samples a cycle"
     new = {name: fresh(trial.channels[name][good]) for name in ("pressure", "displacement")}
-    held = [name for name, rows in new.items() if not rows.all()]
     good[good] = new["pressure"] & new["displacement"]
     if np.count_nonzero(good) < LEAST * whole:
-        often = f"new {np.count_nonzero(good) / whole:.2g} times a cycle, and held in between"
-        return f"{' and '.join(held)} {'are' if held[1:] else 'is'} {often}: {LEAST} times are needed, read more often"
+        return _too_seldom([name for name, rows in new.items() if not rows.all()], np.count_nonzero(good) / whole)
     names = [n for n in ("pressure", "displacement", "pressure_command") if n in trial.channels]
     t = trial.t[good]
     number = np.floor((t - begin) * frequency + 1e-9)
@@ -230,6 +228,12 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         late={"pressure": late, "displacement": late_by(run, "displacement") or (0.0, 0.0)},
         off=off,
     )
+
+
+def _too_seldom(held: Sequence[str], often: float) -> str:
+    """Why channels that are held, and `often` new in a cycle, give no sine."""
+    new = f"{' and '.join(held)} {'are' if held[1:] else 'is'} new {often:.2g} times a cycle, and held in between"
+    return f"{new}: {LEAST} times are needed, read more often"
 
 
 def _moving(trial: TrialData, frequency: float) -> tuple[float, float]:
