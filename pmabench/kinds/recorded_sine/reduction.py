@@ -184,13 +184,9 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         return "its clock jumps: what lies before and after has no common phase"
     if np.mean(~trial.usable[window]) > UNUSABLE_SHARE:
         return f"too many samples are flagged: {unusable_because(trial)}"
-    good = window & trial.usable
-    if np.count_nonzero(good) < LEAST * whole:
-        return f"fewer than {LEAST} usable samples a cycle"
-    new = {name: fresh(trial.channels[name][good]) for name in ("pressure", "displacement")}
-    good[good] = new["pressure"] & new["displacement"]
-    if np.count_nonzero(good) < LEAST * whole:
-        return _too_seldom([name for name, rows in new.items() if not rows.all()], np.count_nonzero(good) / whole)
+    good, why = _where_new(trial, window & trial.usable, LEAST * whole)
+    if why:
+        return why
     names = [n for n in ("pressure", "displacement", "pressure_command") if n in trial.channels]
     t = trial.t[good]
     number = np.floor((t - begin) * frequency + 1e-9)
@@ -230,10 +226,19 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
     )
 
 
-def _too_seldom(held: Sequence[str], often: float) -> str:
-    """Why channels that are held, and `often` new in a cycle, give no sine."""
-    new = f"{' and '.join(held)} {'are' if held[1:] else 'is'} new {often:.2g} times a cycle, and held in between"
-    return f"{new}: {LEAST} times are needed, read more often"
+def _where_new(trial: TrialData, usable: NDArray[np.bool_], fewest: int) -> tuple[NDArray[np.bool_], str]:
+    """Of `usable` samples those at which polled channels are new, and why these are too few, if they are."""
+    new = {name: fresh(trial.channels[name][usable]) for name in ("pressure", "displacement")}
+    good = usable.copy()
+    good[usable] = new["pressure"] & new["displacement"]
+    often = LEAST * np.count_nonzero(good) / fewest
+    if np.count_nonzero(usable) < fewest:
+        return good, f"fewer than {LEAST} usable samples a cycle"
+    if np.count_nonzero(good) < fewest:
+        held = [name for name, rows in new.items() if not rows.all()]
+        text = f"{' and '.join(held)} {'are' if held[1:] else 'is'} new {often:.2g} times a cycle, and held in between"
+        return good, f"{text}: {LEAST} times are needed, read more often"
+    return good, ""
 
 
 def _moving(trial: TrialData, frequency: float) -> tuple[float, float]:
