@@ -252,17 +252,17 @@ def last_words(mounted: Mounted, runs: Path) -> list[str]:
     Looked for in the folder `analyses` next to the folder of runs; one that found nothing ends the search without a
     line, and simulated runs say nothing about a real bench.
     """
-    asked = {"bench": mounted.bench.name, "specimen": (mounted.specimen_file.type, mounted.specimen_file.serial)}
+    asked, muscle = {"bench", "specimen"}, (mounted.specimen_file.type, mounted.specimen_file.serial)
     lines: list[str] = []
     for folder, form, manifest in _diagnosed(runs):
         if bool(manifest.get("simulated")) is mounted.bench.realtime:
             continue
         specimen = manifest.get("specimen")
         mine = (specimen.get("type"), specimen.get("serial")) if isinstance(specimen, Mapping) else None
-        same = {"bench": manifest.get("bench") == asked["bench"], "muscle": mine == asked["specimen"]}
+        same = {"bench": manifest.get("bench") == mounted.bench.name, "muscle": mine == muscle}
         for of, what in (("bench", "bench"), ("muscle", "specimen")):
             if same[of] and what in asked:
-                del asked[what]
+                asked.remove(what)
                 lines += _lines(form, of, f"last diagnosis of this {what} ({short(folder.parent)})")
         if not asked:
             break

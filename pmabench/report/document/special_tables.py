@@ -192,7 +192,7 @@ def _row(entry: Mapping[str, Any]) -> dict[str, str]:
         row[head] = "none"
         if is_number(value):
             values[side] = float(value)
-            row[head] = unit.rounded(value, half_of(get(entry, side, "ci95")))
+            row[head] = unit.rounded(value, half_of(value, get(entry, side, "ci95")))
     if len(values) == 2:
         difference, size = values["after"] - values["before"], abs(values["before"])
         half_width, small = entry.get("half_width"), abs(difference) <= SAME * size

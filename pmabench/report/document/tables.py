@@ -336,7 +336,7 @@ def tuning_table(analyses: Sequence[Analysis]) -> Frame:
             unit = shown(str(found.get("quantity", "")), str(found.get("unit", "")))
             value = found.get("value")
             if isinstance(value, int | float):
-                row[unit.label(clean(symbol))] = unit.rounded(value, half_of(found.get("ci95")))
+                row[unit.label(clean(symbol))] = unit.rounded(value, half_of(value, found.get("ci95")))
         margins = numbers_of(entry.get("margins"))
         row |= {head: rounded(margins[name] / scale, None, 3) for name, head, scale in _MARGINS if name in margins}
         for name, head, scale in (("overshoot", "overshoot [%]", 100), ("settling", "settling [s]", 1)):
@@ -367,10 +367,10 @@ def is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def half_of(ends: Any) -> float | None:
-    """Half the width of an interval in facts; None where it is none."""
+def half_of(value: float, ends: Any) -> float | None:
+    """How far an interval in facts reaches from its value, one that was cut off at 0 too; None where it is none."""
     pair = isinstance(ends, list | tuple) and len(ends) == 2 and all(map(is_number, ends))
-    return (ends[1] - ends[0]) / 2 if pair else None
+    return max(ends[1] - value, value - ends[0]) if pair else None
 
 
 def numbers_of(value: Any) -> dict[str, float]:
