@@ -52,7 +52,7 @@ def found(speeds):
     return [e for e in analysis.estimates if e.symbol in ("B_c", "B_r")]
 
 
-def test_damping_is_not_told_from_hysteresis_at_one_speed():
+def test_damping_is_not_distinguished_from_hysteresis_at_one_speed():
     """The loop was read as damping: 2240 +- 940 N s/m of 1200, always too much."""
     damping = found((3e-3,))
     assert damping
