@@ -10,7 +10,7 @@ from typing import Any
 from pmabench.analysis.imported import in_time, without_doubtful
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.signals import without_spikes
-from pmabench.analysis.shared.trials import grouped, repeat_traces
+from pmabench.analysis.shared.trials import grouped, repeat_traces, session_of
 from pmabench.analysis.verdict.acceptance import Pairs, not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import (
@@ -22,6 +22,7 @@ from pmabench.analysis.verdict.agreement import (
     without_diameter,
 )
 from pmabench.analysis.verdict.checks import with_checks, with_record
+from pmabench.analysis.verdict.sessions import with_sessions
 from pmabench.base.errors import UsageError, did_you_mean, invalid
 from pmabench.base.kind import Result, load
 from pmabench.base.quantities import show
@@ -129,6 +130,9 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
         again = record.part("reduction")(found[0], options)
         if _given(again) > _given(analysis):
             runs, analysis = found[0], replace(again, findings=(*again.findings, *found[1]))
+    sessions = list(grouped(runs, session_of).values())
+    if len(sessions) > 1 and FORM not in record.parts:
+        analysis = with_sessions(analysis, [record.part("reduction")(one, options) for one in sessions])
     analysis = replace(analysis, dropped=(*analysis.dropped, *empty))
     count = max((side_by_side(run.manifest.get("specimen")) for run in runs), default=1)
     analysis = without_diameter(analysis, count)

@@ -59,6 +59,41 @@ def test_strokes_of_a_driven_end_are_counted_apart():
     assert use_of(events((0.0, odd), (1.0, {**driven, "type": "sine", "cycles": None}))) == Use()
 
 
+def test_time_at_pressure_counts_ramps_as_they_go():
+    """A ramp counted as at its end from its beginning: one that empties slowly lost the whole way down."""
+    ramp = {"output": "pressure", "type": "ramp", "rate": 10e3}
+    up_and_down = events(
+        (0.0, {**ramp, "value": 400e3, "before": 0.0}), (50.0, {**ramp, "value": 0.0, "before": 400e3}), (100.0, "end"),
+    )  # fmt: skip
+    assert use_of(up_and_down) == Use(1, 0.0, 45.0 + 35.0, 4e5)
+    stopped = events((0.0, {**ramp, "value": 400e3, "before": 0.0}), (30.0, {**ramp, "value": 0.0, "before": 80e3}))
+    assert use_of(stopped) == Use(0, 0.0, 25.0, 8e4)  # at 80 kPa after 8 s
+    cut = events((0.0, {**ramp, "value": 400e3, "before": 0.0}), (20.0, "vent"), (21.0, "end"))
+    assert use_of(cut) == Use(1, 0.0, 15.0, 2e5)
+
+
+def test_of_several_muscles_the_most_counts():
+    """Muscles of a joint had "0 pressure cycles, 0.0 s at pressure, at most 0 kPa"."""
+
+    def both(one, other):
+        return [{"output": f"pressure_{k}", "type": "set", "value": 1e3 * P} for k, P in enumerate((one, other), 1)]
+
+    pairs = [(1.0, (300.0, 200.0)), (6.0, (0.0, 200.0)), (8.0, (350.0, 0.0)), (12.0, (0.0, 0.0))]
+    joint = events(*((t, data) for t, pair in pairs for data in both(*pair)), (13.0, "end"))
+    assert use_of(joint) == Use(2, 0.0, 9.0, 3.5e5)
+    aims = {"columns": ["t", "pressure_1", "tilt"], "aims": [[0.5, 2.5e5, 0.1], [1.0, 3e5, 0.1], [1.5, 2e5, 0.1]]}
+    platform = [Event(0, 1.6, "steered", aims), Event(1, 3.5, "vent", {})]
+    assert use_of(platform) == Use(1, 0.0, 3.0, 3e5)
+
+
+def test_a_pressure_that_a_closed_loop_leads_is_reported():
+    ends = events((0.0, 0.0), (40.0, {"output": "pressure", "type": "set", "value": 0.0, "before": 3e5}), (41.0, "end"))
+    use = use_of(ends)
+    assert (use.led, use.highest) == (40.0, 3e5)
+    reported = [line.text for line in findings([Past("r", "2026-01-01", "k", "b", "finished", False, use, 0)], [], [])]
+    assert any("for 40.0 s a closed loop led the pressure" in text for text in reported)
+
+
 def row(run, date, before=0, cycles=10):
     return (run, date, "contraction-relaxation", "bench", "finished", False, before, Use(cycles, 0.0, 60.0, 4e5))
 
@@ -131,13 +166,9 @@ def test_limits_are_not_narrower_than_a_stroke_is_known():
 
 def campaigns(values, half=70.0):
     life = pasts([row(f"{i:02}", f"2026-01-{i + 1:02}") for i in range(len(values))])
-    (K,) = chosen(
-        [
-            s
-            for s in series_of([analysis(f"{i:02}", K, half) for i, K in enumerate(values)], life)
-            if s.first.symbol == "K"
-        ]
-    )
+    halves = np.broadcast_to(half, len(values)).tolist()
+    made = [analysis(f"{i:02}", K, half) for i, (K, half) in enumerate(zip(values, halves, strict=True))]
+    (K,) = chosen([s for s in series_of(made, life) if s.first.symbol == "K"])
     *_, reported = findings(life, [K], [])
     return reported
 
@@ -147,6 +178,7 @@ def test_a_series_is_more_than_its_ends():
     scatter = 0.001 * np.random.default_rng(0).standard_normal(20)
     falls = campaigns(7000.0 * (1 - 0.015 * np.arange(20) / 19 + scatter))
     assert (falls.level, "it falls steadily, by 0.1" in falls.text) == ("doubt", True)
+    assert falls.text.endswith("the muscle changed, or the sensor or its mounting")
     sags = campaigns(7000.0 * (1 - 0.08 * np.sin(np.pi * np.arange(20) / 19)))
     assert (sags.level, "from 2026-01-01 to 2026-01-10 -8 %, more than the intervals of 20 values" in sags.text) == (
         "doubt",
@@ -154,6 +186,14 @@ def test_a_series_is_more_than_its_ends():
     )
     assert campaigns(7000.0 * (1 + scatter)).level == "note"
     assert campaigns([7000.0] * 20).level == "note"
+
+
+def test_a_poor_analysis_hides_no_change():
+    """The largest and the smallest value were compared, whatever their intervals: 7400 +- 1200 hid 3 % of +- 0.1 %."""
+    hidden = campaigns([6800.0, 7004.0, 7400.0], half=[7.0, 7.0, 1200.0])
+    assert hidden.level == "doubt"
+    assert "from 2026-01-01 to 2026-01-02 +3 %, more than the intervals of 3 values (E_n +20.61)" in hidden.text
+    assert campaigns([6800.0, 6803.0, 7400.0], half=[7.0, 7.0, 1200.0]).level == "note"
 
 
 def test_unchanged_coefficients_are_doubted_by_chance_only():

@@ -6,8 +6,9 @@ or more: the first values know their mean and scatter with a few degrees of free
 another chance (Student's t of a prediction, Bonferroni). Eight values or more in a row on one side of the centre,
 further than it is known, are a shift. Of charts of an unchanged muscle at most about one in twenty has an alarm.
 
-A pressure cycle is one rise of the commanded pressure from 50 kPa or less to 100 kPa or more. What a closed loop does
-between two commands (ultimate gain, positioning) is not commanded and not counted.
+A pressure cycle is one rise of the commanded pressure from 50 kPa or less to 100 kPa or more; of several muscles the
+one with most counts. What a closed loop does between two commands (ultimate gain, positioning) is not commanded and not
+counted, but for its time.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf, isfinite, sqrt
+from typing import Any
 
 import numpy as np
 from scipy.stats import linregress, studentized_range
@@ -43,6 +45,8 @@ FIRST = 12
 """Most values from the beginning that make the limits; those that come later are judged by them."""
 NORMAL = 1.959964
 """95 % of a normal distribution lie within so many standard deviations."""
+CHANGED = "the muscle changed, or the sensor or its mounting"
+"""What a change over the runs of a life may be: the values do not tell."""
 ROW = 8
 """So many in a row on one side of the centre are a shift, and one more ..."""
 LONGER = 40
@@ -128,18 +132,36 @@ class Use:
     strokes: float = 0.0
     """Cycles of a driven end: of sines, and ramps by two."""
     at_pressure: float = 0.0
-    """Time with a commanded pressure above `LOW` [s]."""
+    """Time with a commanded pressure above `LOW`, along ramps [s]."""
     highest: float = 0.0
     """[Pa]"""
+    led: float = 0.0
+    """Time in which a closed loop led the pressure away from the command before [s], as which it is counted."""
+
+
+LED = 1e3
+"""A pressure that is further from the last command when the next one comes was led there by a closed loop [Pa]."""
+
+
+@dataclass(frozen=True)
+class _Aim:
+    """Where the pressure of a muscle is sent at a time [s]."""
+
+    t: float
+    value: float
+    """[Pa]"""
+    rate: float = inf
+    """[Pa/s]"""
+    before: float | None = None
+    """Commanded until then [Pa]; None where that is not recorded."""
 
 
 def use_of(events: Sequence[Event]) -> Use:
-    """Cycles, strokes and time at pressure of a run, from its commands.
+    """Cycles, strokes and time at pressure of a run, from its commands: of several muscles the most of each.
 
-    A ramp counts as being at its end from its beginning on. A vent takes the pressure away.
+    A vent takes the pressure away.
     """
-    cycles, strokes, time, highest = 0, 0.0, 0.0, 0.0
-    pressure, since, emptied = 0.0, 0.0, True
+    strokes, muscles = 0.0, dict[str, list[_Aim]]()
     for event in events:
         data = event.data
         output, value = data.get("output"), data.get("value")
@@ -147,19 +169,63 @@ def use_of(events: Sequence[Event]) -> Use:
             turns = data.get("cycles")
             sine = data.get("type") == "sine" and isinstance(turns, int | float)
             strokes += float(turns) if sine and turns is not None else 0.5 * (data.get("type") == "ramp")
-        commanded = event.kind == "command" and output == "pressure" and isinstance(value, int | float)
-        if not commanded and event.kind not in ("vent", "end"):
-            continue
-        time += event.t - since if pressure > LOW else 0.0
-        since, pressure = event.t, float(value) if commanded and value is not None else 0.0
-        highest = max(highest, pressure)
+        elif event.kind == "command" and str(output).startswith("pressure") and is_number(value):
+            ramp = data.get("type") == "ramp" and is_number(data.get("rate"))
+            before = float(data["before"]) if is_number(data.get("before")) else None
+            aim = _Aim(event.t, float(value), abs(float(data["rate"])) if ramp else inf, before)
+            muscles.setdefault(str(output), []).append(aim)
+        elif event.kind == "steered":
+            for name, aims in _steered(data).items():
+                muscles.setdefault(name, []).extend(aims)
+        elif event.kind in ("vent", "end"):
+            for aims in muscles.values():
+                aims.append(_Aim(event.t, 0.0))
+    each = [_of_muscle(aims, events[-1].t) for aims in muscles.values()]
+    most = {
+        name: max(getattr(use, name) for use in each) for name in ("cycles", "at_pressure", "highest", "led") if each
+    }
+    return Use(strokes=strokes, **most)
+
+
+def _steered(data: Mapping[str, Any]) -> dict[str, list[_Aim]]:
+    """The pressures of each muscle that a law sent, row by row; the first column is the time [s]."""
+    names, rows = data.get("columns", ()), data.get("aims", ())
+    return {
+        name: [_Aim(float(row[0]), float(row[place])) for row in rows]
+        for place, name in enumerate(names) if str(name).startswith("pressure")
+    }  # fmt: skip
+
+
+def _of_muscle(aims: Sequence[_Aim], end: float) -> Use:
+    """What was done to one muscle until `end` [s].
+
+    A ramp that is stopped has led to where the next command begins.
+    """
+    cycles, time, highest, led, emptied, pressure = 0, 0.0, 0.0, 0.0, True, 0.0
+    for aim, after in zip(aims, [*aims[1:], _Aim(end, 0.0)], strict=True):
+        over = max(0.0, after.t - aim.t)
+        begin = pressure if aim.before is None else aim.before
+        pressure = aim.value
+        if isfinite(aim.rate):
+            reach = aim.rate * over
+            pressure = min(max(aim.value, begin - reach), begin + reach)
+            if after.before is not None and min(begin, pressure) <= after.before <= max(begin, pressure):
+                pressure = after.before
+        led += over if after.before is not None and abs(after.before - pressure) > LED else 0.0
+        time += _above(begin, pressure, aim.rate, over)
+        highest = max(highest, pressure, after.before or 0.0)
         if pressure <= LOW:
             emptied = True
         elif pressure >= HIGH and emptied:
             cycles, emptied = cycles + 1, False
-    if events and pressure > LOW:
-        time += max(0.0, events[-1].t - since)
-    return Use(cycles, strokes, time, highest)
+    return Use(cycles, 0.0, time, highest, led)
+
+
+def _above(begin: float, end: float, rate: float, over: float) -> float:
+    """Time above `LOW` [s] while it goes from `begin` to `end` [Pa] at `rate` [Pa/s] and stays, in `over` [s]."""
+    if end > LOW:
+        return over - min(over, max(0.0, LOW - begin) / rate)
+    return min(over, max(0.0, begin - LOW) / rate)
 
 
 @dataclass(frozen=True)
@@ -356,6 +422,9 @@ def findings(life: Sequence[Past], series: Sequence[Series], references: Sequenc
     if silent := sum(past.use.highest == 0 for past in life):
         what = "commands no pressure" if silent == 1 else "command no pressure"
         yield Finding("note", f"{silent} of them {what}: what was done to the muscle there (imports) is not counted")
+    if led := sum(past.use.led for past in life):
+        text = f"for {in_words(led)} a closed loop led the pressure, counted as if it had stayed as commanded before"
+        yield Finding("note", text)
     yield from (_change(one) for one in series if len(one.moments) > 1)
     yield from map(_reference, references)
 
@@ -366,7 +435,7 @@ def _change(one: Series) -> Finding:
     over = f"{_size(change)} over {cycles:,} cycles, {len(one.moments)} values"
     between = "; ".join(filter(None, (_furthest(one), _steadily(one.values, one.first.quantity))))
     level = "doubt" if between or change.agrees is False else "note"
-    between = between and f"; {between}"
+    between = between and f"; {between}: {CHANGED}"
     if change.score is None:
         return Finding(level, f"{one.title}: {over}; it has no interval, so this may be chance{between}")
     relation = "within their interval" if change.agrees else "more than their interval"
@@ -381,14 +450,16 @@ def _size(change: Difference) -> str:
 
 
 def _furthest(one: Series) -> str:
-    """The largest value against the smallest where more than the intervals of so many values allow; else empty.
+    """The two values that are furthest apart for their intervals, where that is more than so many values allow.
 
     By chance the range of n values is 95 % of the time within the studentized range, of two within that of E_n = 1.
     """
     known = [m for m in one.moments if m.estimate.value is not None and m.estimate.parts.combined]
     if len(known) < 3:
         return ""
-    ends = [min(known, key=lambda m: m.estimate.value or 0.0), max(known, key=lambda m: m.estimate.value or 0.0)]
+    value, half = np.array([(m.estimate.value, m.estimate.parts.combined) for m in known], dtype=np.float64).T
+    score = np.abs(value[:, None] - value) / np.hypot(half[:, None], half)
+    ends = [known[int(place)] for place in np.unravel_index(int(np.argmax(score)), score.shape)]
     before, after = sorted(ends, key=lambda m: (m.date, m.run))
     apart = replace(one, moments=(before, after)).change
     allowed = float(studentized_range.ppf(1.0 - CHANCE, len(known), inf)) / (NORMAL * sqrt(2.0))
@@ -415,14 +486,13 @@ def _reference(one: References) -> Finding:
     text = f"{one.title}: {len(values)} times, {ends}"
     if limits is None:
         return Finding("note", f"{text}; too few days for control limits: {len(one.days)}")
-    changed = "the muscle changed, or the sensor or its mounting"
     if (alarm := limits.first_alarm) is None:
         steadily = _steadily(limits.values, "length", 1.5 * one.step)  # a line through a step of 1 changes by 1.5
         if steadily:
-            return Finding("doubt", f"{text}; all within the control limits, but {steadily}: {changed}")
+            return Finding("doubt", f"{text}; all within the control limits, but {steadily}: {CHANGED}")
         return Finding("note", f"{text}; all within the control limits")
     date, cycles, _, trial = one.days[alarm]
     what = f"{len(limits.beyond)} beyond the control limits" if limits.beyond else "a row on one side of the centre"
     when = f"first on {date[:10]} after {cycles:,} cycles ({trial})"
     by_chance = "of charts of an unchanged muscle about 1 in 20 says so"
-    return Finding("doubt", f"{text}; {what}, {when}: {changed}; {by_chance}")
+    return Finding("doubt", f"{text}; {what}, {when}: {CHANGED}; {by_chance}")

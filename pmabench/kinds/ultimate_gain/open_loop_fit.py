@@ -31,6 +31,8 @@ BETTER = 10.0
 BOTH = 0.02
 """Share of the sum of squares by which an inertia and a delay must fit better than one of them: what noise leaves in
 the fitted pressure makes 0.003."""
+FURTHER = ("second", "swing")
+"""What a regulator may have next to its dead time and its lags."""
 DELAYED, HEAVY = (0, 1, 2), (0, 1, 3)
 """What is free of tau in both directions, delay and inertia."""
 MOST_LATE = 0.2
@@ -54,8 +56,8 @@ class Step:
 class Regulator:
     """Command to pressure: gain [1], dead time [s], lags while filling and venting [s], and what is left [Pa].
 
-    `second` is a lag of both directions [s], or b [s^2] of 1 + a s + b s^2 where the pressure `swings` in, `fill` and
-    `vent` being a; 0 where the steps do not show one.
+    `second` is a lag of both directions [s]; `swing` is sqrt(b) [s] of 1 + a s + b s^2 where the pressure swings in,
+    `fill` and `vent` being a. Each is 0 where the steps do not show it.
     """
 
     gain: float
@@ -64,7 +66,7 @@ class Regulator:
     vent: float
     residual: float
     second: float = 0.0
-    swings: bool = False
+    swing: float = 0.0
 
     @property
     def mean(self) -> Regulator:
@@ -74,7 +76,7 @@ class Regulator:
     def lags(self, height: float) -> tuple[complex, ...]:
         """Lags [s] of a step of that `height`."""
         lag = self.fill if height > 0 else self.vent
-        return lags_of(lag, self.second) if self.swings else (lag, self.second)
+        return (*lags_of(lag, self.swing**2), self.second)
 
 
 @dataclass(frozen=True)
@@ -181,20 +183,19 @@ def _regulator(
 ) -> tuple[Regulator, Array]:
     """Least squares of the steps through a dead time and a lag, one for filling and one for venting, and its pressure.
 
-    With a second lag, or a pair that swings, where that makes the fit better than noise can (`BETTER`), or where `like`
-    has one.
+    With a second lag, a pair that swings, or both, where that makes the fit better than noise can (`BETTER`), or where
+    `like` has them.
     """
     starts = np.searchsorted(t, [step.t for step in steps])
     shift = float(P[: max(1, starts[0])].mean())
     period = float(np.median(np.diff(t)))
 
-    def made_of(p: Array, swings: bool) -> Regulator:
-        more = [exp(one) for one in p[1:]]
-        second = more[2] ** (2 if swings else 1) if len(more) > 2 else 0.0
-        return Regulator(1.0, float(p[0]), more[0], more[1], 0.0, second, swings)
+    def made_of(p: Array, more: Sequence[str]) -> Regulator:
+        fill, vent, *others = (exp(one) for one in p[1:])
+        return Regulator(1.0, float(p[0]), fill, vent, 0.0, **dict(zip(more, others, strict=True)))
 
-    def solved(p: Array, swings: bool) -> tuple[float, Array]:
-        regulator = made_of(p, swings)
+    def solved(p: Array, more: Sequence[str]) -> tuple[float, Array]:
+        regulator = made_of(p, more)
         made = np.zeros_like(t)
         for step, k in zip(steps, starts.tolist(), strict=True):
             lags = [lag for lag in (*regulator.lags(step.height), sensor) if lag]
@@ -206,32 +207,34 @@ def _regulator(
         linear = np.asarray(np.linalg.solve(columns.T @ columns, columns.T @ (P - shift)), dtype=np.float64)
         return float(linear[1]) / steps[0].height, columns @ linear - P + shift
 
-    def fitted(start: Sequence[float], swings: bool = False) -> tuple[Regulator, Array]:
-        more = len(start) - 1
-        bounds = ([-2 * period, *[log(period / 2)] * more], [5.0, *[log(20.0)] * more])
+    def fitted(start: Regulator, *more: str) -> tuple[Regulator, Array]:
+        """From a regulator to begin with, with `more` of it free than the dead time and the lags of both ways."""
+        lags = [log(getattr(start, name)) for name in ("fill", "vent", *more)]
+        bounds = ([-2 * period, *[log(period / 2)] * len(lags)], [5.0, *[log(20.0)] * len(lags)])
 
         def misfit(p: Array) -> Array:
-            return solved(p, swings)[1] / steps[0].height
+            return solved(p, more)[1] / steps[0].height
 
-        start, scale = np.clip(start, *np.array(bounds)), [0.01, *[0.3] * more]
-        found = least_squares(misfit, start, x_scale=scale, bounds=bounds, xtol=1e-6).x
-        gain, residual = solved(found, swings)
-        return replace(made_of(found, swings), gain=gain, residual=float(np.std(residual))), P + residual
+        begin, scale = np.clip([start.dead_time, *lags], *np.array(bounds)), [0.01, *[0.3] * len(lags)]
+        found = least_squares(misfit, begin, x_scale=scale, bounds=bounds, xtol=1e-6).x
+        gain, residual = solved(found, more)
+        return replace(made_of(found, more), gain=gain, residual=float(np.std(residual))), P + residual
 
     def best(one: tuple[Regulator, Array], other: tuple[Regulator, Array]) -> tuple[Regulator, Array]:
         return other if len(t) * 2 * log(one[0].residual / other[0].residual) > BETTER else one
 
     if like is not None:
-        second = log(like.second) * (0.5 if like.swings else 1.0) if like.second else None
-        begin = [like.dead_time, log(like.fill), log(like.vent)]
-        return fitted(begin if second is None else [*begin, second], like.swings)
-    simple = fitted([0.02, log(0.05), log(0.05)])
-    one = simple[0]
-    lag = 0.5 * (one.fill + one.vent)
-    two = [max(0.0, one.dead_time - 0.1 * lag), log(one.fill), log(one.vent), log(max(0.2 * lag, period))]
-    late = one.dead_time + lag
-    pair = [0.4 * late, log(0.5 * late), log(0.5 * late), log(0.4 * late)]
-    return best(best(simple, fitted(two)), fitted(pair, swings=True))
+        return fitted(like, *(name for name in FURTHER if getattr(like, name)))
+    one = fitted(Regulator(1.0, 0.02, 0.05, 0.05, 0.0))
+    lag = one[0].mean.fill
+    late, sooner = one[0].dead_time + lag, max(0.0, one[0].dead_time - 0.1 * lag)
+    two = fitted(replace(one[0], dead_time=sooner, second=max(0.2 * lag, period)), "second")
+    pair = fitted(Regulator(1.0, 0.4 * late, 0.5 * late, 0.5 * late, 0.0, swing=0.4 * late), "swing")
+    found = best(best(one, two), pair)
+    if found is one:
+        return one
+    both = (fitted(replace(pair[0], second=share * pair[0].swing), *FURTHER) for share in (0.2, 1.0))
+    return best(found, min(both, key=lambda found: found[0].residual))
 
 
 def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:

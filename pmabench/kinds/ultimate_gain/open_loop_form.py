@@ -83,7 +83,7 @@ class Flow:
 
     def small(self, like: Regulator) -> Regulator:
         """The regulator `like` this for small steps."""
-        return replace(like, dead_time=self.dead_time, fill=self.fill, vent=self.vent, second=0.0, swings=False)
+        return replace(like, dead_time=self.dead_time, fill=self.fill, vent=self.vent, second=0.0, swing=0.0)
 
 
 def flow_limited(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Flow | None:
