@@ -8,6 +8,7 @@ import pytest
 from pmabench.kinds.arm_angle import reduction
 from pmabench.store.analyses.results import Analysis, Estimate
 from tests.analysis.judged_forms import as_run, as_trials
+from tests.analysis.test_polled_channels import played
 from tests.judge import arm
 from tests.judge.record import lagged
 
@@ -21,19 +22,22 @@ ONE = {0.0: arm.LOADS[0.0]}
 SIX = {mass: arm.by_powers(mass) for mass in (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)}
 
 
-def measured(off, loads=ONE, step=0.0, creep=0.0, times=(30.0,)) -> Analysis:
+def measured(off, loads=ONE, step=0.0, creep=0.0, times=(30.0,), backlash=None) -> Analysis:
     """The analysis of a sound arm whose channels read `off` more; the angle in steps of `step` [rad].
 
-    A share `creep` of each motion comes with time constants [s], one of ten holds.
+    A share `creep` of each motion comes with time constants [s], one of ten holds; `backlash` is half that of a
+    sensor [rad], and then both ways are one.
     """
     trials = []
     for trial in arm.campaign("clean", 0.0, 5, loads):
         channels = {**trial.channels, "displacement": RADIUS * trial.channels["angle"]}
         channels = {name: values + off.get(name, 0.0) for name, values in channels.items()}
-        if step:
+        if step or backlash is not None:
             at = [when for c in trial.commands for when in (c.t, c.t + abs(c.value - c.before) / c.rate)]
             P = np.interp(trial.t, at, [value for c in trial.commands for value in (c.before, c.value)])
-            channels["angle"] = step * np.round(arm.angle(P, loads[trial.point["tip_mass"]]) / step)
+            still = arm.angle(P, loads[trial.point["tip_mass"]])
+            noise = 1e-4 * np.random.default_rng(len(trials)).standard_normal(len(P))
+            channels["angle"] = step * np.round(still / step) if step else played(still + noise, backlash or 0.0)
         if creep:
             still = arm.angle(trial.channels["pressure"], loads[trial.point["tip_mass"]])
             channels["angle"] = channels["angle"] - creep * np.mean(
@@ -100,6 +104,14 @@ def test_steps_that_no_noise_averages_out_are_in_the_gap():
     """Repeats read the same steps and scatter by nothing, and each way may be half a step off."""
     for e in of(measured({}, step=2e-3), "alpha_H", "angle-at-rest"):
         assert 1e-3 < e.parts.combined < 3e-3
+
+
+@pytest.mark.parametrize("share", [0.0, 1 / 3, 1.0])
+def test_hysteresis_of_the_sensor_up_to_its_uncertainty_is_in_the_gap(share):
+    """Backlash of 0.1 deg was 3 to 5 half widths of the gap; a third of that is there without being seen."""
+    (found,) = of(measured({}, backlash=share * np.radians(0.1)), "alpha_H", "angle-at-rest")
+    assert abs(found.value) < found.parts.combined
+    assert share > 0 or found.parts.combined < 0.8 * np.radians(0.1)
 
 
 @pytest.mark.parametrize(

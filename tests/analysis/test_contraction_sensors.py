@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from pmabench.analysis.shared.samples import sticks
 from pmabench.analysis.shared.simulated import between_steps
-from pmabench.kinds.contraction_relaxation.diagnosis.hiding import sticks
 from pmabench.kinds.contraction_relaxation.reduction import reduce
 from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.records import Command, TrialData

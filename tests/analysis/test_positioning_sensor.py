@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -17,6 +18,7 @@ from pmabench.kinds.positioning.reduction import reduce
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import Array, TrialData
 from tests.analysis.loop_rig import TS, as_run, as_trial
+from tests.analysis.test_polled_channels import held, played
 
 BEFORE, HOLD, SETPOINT = 0.5, 12.0, 0.03
 SETTINGS = {"window": [6.0, 12.0], "band": 0.02}
@@ -71,22 +73,32 @@ def filtered(lag: float) -> Array:
 # -- records -------------------------------------------------------------------------------------------------------
 
 
-def trial(read: Array, law: dict[str, Any], index: int, noise: float, zero: float) -> TrialData:
+Fault = Callable[[Array, Array, int], Array]
+"""What a sensor makes of places at times, and of the number of the trial."""
+
+
+def as_it_is(_t: Array, x: Array, _index: int) -> Array:
+    return x
+
+
+def trial(read: Array, law: dict[str, Any], index: int, noise: float, zero: float, fault: Fault) -> TrialData:
     """`read` from the begin of the loop on; it rests before."""
     before = round(BEFORE / TS)
     x = zero + np.concatenate((np.zeros(before), read))
     x = x + np.random.default_rng([7, index]).normal(0, noise, len(x))
     t = TS * (np.arange(len(x)) - before) + 5.0
+    x = fault(t, np.asarray(x, dtype=np.float64), index)
     law = {"t0": 5.0, "t1": float(t[-1]), "setpoint": SETPOINT, "ended": "time", **law}
     samples = {"t": t, "displacement": x}
     return as_trial(samples, {"position": law}, index, setpoint=SETPOINT, load=0.0, mass=0.5)
 
 
 def analysed(
-    read: Array, law: dict[str, Any], *, declared: float = 0.0, noise: float = 5e-6, zero: float = 0.0
-) -> Analysis:
+    read: Array, law: dict[str, Any], *, declared: float = 0.0, noise: float = 5e-6, zero: float = 0.0,
+    fault: Fault = as_it_is,
+) -> Analysis:  # fmt: skip
     """Of three repeats, by a displacement whose zero is known to 20 um and whose gain to 0.05 %."""
-    trials = [trial(read, law, index, noise, zero) for index in range(3)]
+    trials = [trial(read, law, index, noise, zero, fault) for index in range(3)]
     run = as_run("positioning", trials, SETTINGS)
     info = replace(
         run.channels["displacement"], sensor_lag=declared, offset_uncertainty=2e-5, gain_uncertainty=5e-4
@@ -227,3 +239,45 @@ def test_samples_that_are_missing_move_nothing() -> None:
     found, whole = smooth(t[ok], x[ok], FILTER), smooth(t, x, FILTER)
     assert found.y[20:-20] == pytest.approx(whole.y[ok][20:-20], abs=3e-6)
     assert found.peak(0.0) == pytest.approx(0.01 * sqrt(1 + (6 * FILTER) ** 2), rel=1e-3)
+
+
+# -- sensors that are read seldom, stick or fail -------------------------------------------------------------------
+
+
+def polled(rate: float, jitter: float = 0.0) -> Fault:
+    return lambda t, x, index: held(t, x, rate, jitter, index)
+
+
+@pytest.mark.parametrize(("rate", "jitter"), [(20.0, 0.0), (100.0, 0.0), (20.0, 0.8)])
+def test_a_polled_displacement_swings_in_no_limit_cycle(rate: float, jitter: float) -> None:
+    """Its noise, held from one answer to the next, was a cycle of 10 to 15 um, and t_r 20 ms short."""
+    found = of_step(fault=polled(rate, jitter))
+    checked(found, true_step(), {"t_s": 1.2 / rate, "t_r": 2 / rate})
+    assert not [e for e in found.estimates if e.symbol in ("x_pp", "T_c")]
+    assert not [f for f in found.findings if "cycle at" in f.text and f.level == "doubt"]
+
+
+def test_a_path_is_compared_where_a_polled_displacement_is_new() -> None:
+    """What was held in between was the path's error: 5 half widths of e_rms, 4 of e_max."""
+    checked(of_path(fault=polled(20.0)), true_path(), {"e_rms": 8e-6, "e_max": 3e-5})
+
+
+def test_a_sensor_with_hysteresis_makes_no_limit_cycle() -> None:
+    found = of_step(fault=lambda _t, x, _index: played(x, 1e-5))
+    checked(found, true_step(), {"t_s": 6e-3})
+    assert not [e for e in found.estimates if e.symbol in ("x_pp", "T_c")]
+    assert [f for f in found.findings if "its sensor has hysteresis" in f.text]
+    assert not [f for f in of_step().findings if "its sensor has hysteresis" in f.text]
+
+
+def test_single_samples_that_stand_out_are_left_out() -> None:
+    """A loose wire: one sample in 500 off by 5 mm made t_s 39 s of 1 s."""
+
+    def loose(_t: Array, x: Array, index: int) -> Array:
+        rng = np.random.default_rng([3, index])
+        return np.asarray(x + 5e-3 * (rng.random(len(x)) < 0.002) * rng.choice([-1.0, 1.0], len(x)))
+
+    step, path = of_step(fault=loose), of_path(fault=loose)
+    checked(step, true_step(), {"t_s": 6e-3, "OS": 3e-4})
+    checked(path, true_path(), {"e_max": 2e-5, "OS": 5e-4})
+    assert all([f for f in one.findings if "stand out alone" in f.text] for one in (step, path))

@@ -4,6 +4,8 @@ F = S (P - P_0) - K x - B x' - f, where f is friction that has the sign of the l
 its set-point by a dead band after each motion, and comes there exponentially.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -12,6 +14,7 @@ from pmabench.analysis.shared.samples import unresolved
 from pmabench.kinds.step_displacement.reduction import reduce
 from pmabench.store.records import Command, TrialData
 from tests.analysis.judged_forms import as_run
+from tests.analysis.test_polled_channels import held
 
 S, P_0, K, B = 1.08e-3, 45e3, 6773.0, 800.0
 """[m2], [Pa], [N/m], [N s/m]"""
@@ -174,3 +177,20 @@ def test_steps_leave_of_a_mean_what_they_do_to_the_mean_of_rounded_noise(noise):
     by_chance = 4 * max(0.5, noise) / 2000**0.5  # of a mean that is now one step, now the next
     assert (np.abs(read.mean(axis=1) - places) <= bound + by_chance).all()
     assert bound.max() <= 0.5
+
+
+@pytest.mark.parametrize("rate", [4.0, 10.0])
+def test_a_force_that_is_polled_shows_no_peak(rate):
+    """The peak lies between two values: K was 6.8 +- 0.4 N/mm of 22.8 N/mm. What it is at rest is there."""
+    found = reduced(
+        [
+            replace(one, channels={**one.channels, "force": held(one.t, one.channels["force"], rate, seed=seed)})
+            for seed, one in enumerate(steps(3))
+        ]
+    )
+    peaks = [e for e in found.estimates if e.method == "step, peak" and e.symbol in ("K", "F")]
+    assert len(peaks) == 4
+    assert all(e.withheld and "the force is new every" in e.note for e in peaks)
+    assert all(e.value == pytest.approx(K, abs=e.parts.combined) for e in stiffness(found))
+    plain = stiffness(reduced(steps(3)), "step, peak")
+    assert all(e.value is not None or "new every" not in e.note for e in plain)

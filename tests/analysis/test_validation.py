@@ -19,6 +19,7 @@ from pmabench.model.regulator import constant
 from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import Command, RunData, TrialData
 from tests.analysis.loop_rig import as_run
+from tests.analysis.test_polled_channels import held
 
 IDEAL = preset("paper0", "ideal")
 T = np.arange(0, 10.2, 0.002)
@@ -247,3 +248,85 @@ def test_zeros_within_their_calibration_are_open(
     found = e_sim(motion, MEASURED, x=lambda y: y + off_x, P=lambda y: y + off_P, **declared)
     assert 50e-6 < number(found) < (found.parts.combined or 0.0) < 350e-6
     assert "calibration" not in found.note
+
+
+def analysed(
+    motion: tuple[np.ndarray, np.ndarray], *, x: Any = as_it_is, P: Any = as_it_is, **declared: Any
+) -> Analysis:
+    """Of three tests, of sensors whose noise of 2 um and 500 Pa comes before what they make of `x` and `P`."""
+    shake = np.random.default_rng(9).standard_normal((3, 2, len(T)))
+    measured = [
+        {"pressure": P(motion[0] + 500 * one), "displacement": x(motion[1] + 2e-6 * other)} for one, other in shake
+    ]
+    plain = run(*(replace(trial_at(n), channels=c) for n, c in enumerate(measured)), model=model())
+    channels = {name: replace(info, **declared.get(name, {})) for name, info in plain.channels.items()}
+    return reduce([replace(plain, channels=channels)])
+
+
+KNOWN = {
+    "displacement": {"offset_uncertainty": 2e-5, "gain_uncertainty": 5e-4},
+    "pressure": {"offset_uncertainty": 1.5e3, "gain_uncertainty": 2e-3},
+}
+
+
+def in_half_widths(found: Analysis) -> dict[tuple[str, str], float]:
+    """How far each value is off that of a perfect model, which is 0."""
+    return {(e.symbol, e.method): abs(number(e)) / (e.parts.combined or 0.0) for e in found.estimates}
+
+
+def doubts(found: Analysis) -> str:
+    return "; ".join(f.text for f in found.findings if f.level == "doubt")
+
+
+@pytest.mark.parametrize("known", [{}, KNOWN])
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("pressure", lambda y: y + 5e3),
+        ("pressure", lambda y: np.floor(y / 8e3) * 8e3),
+        ("displacement", lambda y: y + 3e-4),
+        ("displacement", lambda y: np.floor(y / 2e-4) * 2e-4),
+    ],
+)
+def test_what_a_sensor_reads_before_the_step_is_named_and_held(
+    motion: tuple[np.ndarray, np.ndarray], name: str, fault: Any, known: dict[str, Any]
+) -> None:
+    """Zeros beyond their calibration, and coarse steps, were 3 to 3000 half widths of e_ss, without a word."""
+    found = analysed(motion, **{"P" if name == "pressure" else "x": fault}, **known)
+    off = in_half_widths(found)
+    assert all(size < 1.1 for (symbol, method), size in off.items() if symbol != "e_sim" or method == MEASURED)
+    assert f"before 3 of 3 steps the {name} reads up to" in doubts(found)
+
+
+def test_a_good_bench_is_not_doubted_and_no_wider(motion: tuple[np.ndarray, np.ndarray]) -> None:
+    """Half widths of e_ss by their calibration alone: 20 um of 57 mm and 0.05 %; and 1.5 kPa and 0.2 % of 500 kPa."""
+    found = analysed(motion, **KNOWN)
+    assert not doubts(found)
+    halves = {e.method: e.parts.combined for e in found.estimates if e.symbol == "e_ss"}
+    assert halves[COMMANDED] == pytest.approx(6.1e-4, rel=0.03)
+    assert halves[MEASURED] == pytest.approx(1.8e-3, rel=0.03)
+
+
+@pytest.mark.parametrize(("name", "rate"), [("x", 10.0), ("P", 5.0), ("P", 20.0)])
+def test_a_polled_channel_is_no_error_of_the_model(
+    motion: tuple[np.ndarray, np.ndarray], name: str, rate: float
+) -> None:
+    """What was held from one value to the next made 0.5 to 2.4 mm of e_sim, with +- 0.15 mm."""
+    found = analysed(motion, **{name: lambda y: held(T, y, rate)}, **KNOWN)
+    off = in_half_widths(found)
+    assert off["e_sim", MEASURED] < 1.0
+    if name == "x":
+        assert number(value(found, "e_sim", 5e5)) < 20e-6
+    assert "before" not in doubts(found)
+
+
+def test_noise_is_no_error_of_the_model(motion: tuple[np.ndarray, np.ndarray]) -> None:
+    rng = np.random.default_rng(4)
+    found = analysed(motion, x=lambda y: y + 1e-4 * rng.standard_normal(len(y)), **KNOWN)
+    assert in_half_widths(found)["e_sim", MEASURED] < 1.0
+    assert number(value(found, "e_sim", 5e5)) < 2.5e-5
+
+
+def test_a_sensor_that_drifts_is_named(motion: tuple[np.ndarray, np.ndarray]) -> None:
+    found = analysed(motion, x=lambda y: y + 1e-3 / 60 * T, **KNOWN)
+    assert "in the window of 3 of 3 steps the muscle moves by up to 0.03" in doubts(found)

@@ -7,6 +7,7 @@ import pytest
 
 from pmabench.kinds.joint_step.reduction import reduce
 from pmabench.store.records import ChannelInfo, ClockInfo, Flag, RunData, TrialData
+from tests.analysis.test_polled_channels import held
 
 DEG = math.pi / 180
 GOAL, WAY, HOLD, BAND = 20 * DEG, 2.0, 5.0, 0.5 * DEG
@@ -159,3 +160,24 @@ def test_a_sound_bench_keeps_narrow_intervals():
     assert halves["t_s"] < 0.010
     assert halves["t_r"] < 0.015
     assert halves["e_th"] < 1.5 * math.hypot(OFFSET, GAIN * GOAL)
+
+
+def polled(rate):
+    """An encoder whose noise of 10 urad is read `rate` times a second, and held in between."""
+
+    def read(t, angle):
+        return held(t, angle + 1e-5 * np.random.default_rng(8).standard_normal(len(t)), rate)
+
+    return read
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0])
+def test_an_angle_that_is_polled_does_not_leap(rate):
+    """All trials were dropped: the angle "leaps" from one answer to the next. At rest it is read again, and the same."""
+    truth = true(12.0)
+    found = analysed({}, lambda t: step(t, 12.0), noise=0.0, change=polled(rate))
+    assert not found.dropped
+    assert max(abs(z) for z in off_by(found, truth).values()) < 1.3
+    sines = analysed({"goal": GOAL / 2, "frequency": 1.0}, lambda t: sine(t, 1.0), noise=0.0, change=polled(100.0))
+    late = {"g_th": abs(answer(1.0)), "phi_th": float(np.angle(answer(1.0)))}
+    assert max(map(abs, off_by(sines, late).values())) < 1.0

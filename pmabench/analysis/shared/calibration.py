@@ -20,6 +20,10 @@ Values = Mapping[str, float | None]
 NOT_DECLARED = "calibration part: the record gives no"
 """Words of a note about a channel whose uncertainty is not in the calibration part."""
 
+HYSTERESIS = 1 / 3
+"""Share of the uncertainty of a sensor's offset that may be hysteresis, as data sheets have it: the rest is its zero,
+which may drift, and its line, which may be bent."""
+
 
 @dataclass(frozen=True)
 class Scales:

@@ -167,22 +167,46 @@ def step_of(y: Array) -> float:
     return 0.0 if len(again) and np.mean(again) > MOSTLY else least
 
 
-FEWEST_NEW, HELD, RARELY = 12, 0.6, 0.02
-"""A channel that is held is new so often at least, and sooner than this share of its usual time but rarely."""
+FEWEST_NEW, FEWEST_JUMPS = 12, 5
+"""A channel that is held is new so often at least, and so often by more than two of the steps that it is read in."""
+HELD, RARELY, AGAIN = 0.3, 0.05, 1.85
+"""It is new sooner than the first share of its usual time, or twice in a row, but rarely: devices answer sooner or
+later. After the last one it was read again, and was the same."""
 
 
 def fresh(y: Array) -> NDArray[np.bool_]:
     """Which samples (n,) of a channel are new, where it is read less often than it is recorded and held in between.
 
-    It is never new sooner than that. A channel that is read in steps changes by one of them at a time, if it is slow.
+    It is never new sooner than that. A channel that is read in steps changes by one of them at a time, if it is slow,
+    and with every sample while it changes by several. What is held for longer was read again.
     """
-    new = np.append(True, y[1:] != y[:-1])
+    new, every = np.append(True, y[1:] != y[:-1]), np.ones(len(y), dtype=bool)
     if 3 * np.count_nonzero(new) > 2 * len(y) + 3:
-        return np.ones(len(y), dtype=bool)
-    runs, jumps = np.diff(np.flatnonzero(new[1:])), np.abs(np.diff(y))[new[1:]]
-    usual = float(np.median(runs)) if len(runs) >= FEWEST_NEW else 0.0
-    held = usual > 1 and np.mean(runs < HELD * usual) <= RARELY and np.median(jumps) > 2 * step_of(y)
-    return new if held else np.ones(len(y), dtype=bool)
+        return every
+    at = np.flatnonzero(new)[1:]
+    runs, jumps = np.diff(at), np.abs(y[at] - y[at - 1])[1:] > 2 * step_of(y)
+    if len(runs) < FEWEST_NEW or np.count_nonzero(jumps) < FEWEST_JUMPS:
+        return every
+    usual = float(np.median(runs[jumps]))
+    if usual <= 1 or max(np.mean(runs < 2), np.mean(runs[jumps] < HELD * usual)) > RARELY:
+        return every
+    begins = np.flatnonzero(new)
+    for begin, size in zip(begins, np.diff(np.append(begins, len(y))), strict=True):
+        if size > AGAIN * usual:
+            new[begin + np.arange(round(size / usual)) * size // round(size / usual)] = True
+    return new
+
+
+STAYS = 0.7
+"""A reading with noise moves with more than this share of its samples."""
+
+
+def sticks(y: Array) -> bool:
+    """Whether a reading (n,) often stays as it was, and moves by no single steps when it does not: by hysteresis."""
+    moves = np.abs(np.diff(y))
+    moved = moves[moves > 0]
+    often = len(moved) > 0 and len(moved) < STAYS * len(moves)
+    return bool(often and fresh(y).all() and np.quantile(moved, 0.25) > 1.5 * step_of(y))
 
 
 def between_new(t: Array, y: Array) -> tuple[Array, float]:

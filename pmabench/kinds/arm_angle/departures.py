@@ -81,6 +81,7 @@ def of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
     reason = next((text for further, text in found if further.seen), "")
     slip = _slips(one, 1 / len(one.stairs))
     doubts = [Doubt("motion after the hold", "method", half, seen, reason), slip, _steps(2**0.5 * one.coarse)]
+    doubts.append(Doubt("hysteresis of the angle", "method", one.hysteresis, seen=False))
     return [one if one.half > LATE * abs(value) else replace(one, reason="") for one in doubts]
 
 

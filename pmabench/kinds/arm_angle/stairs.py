@@ -16,8 +16,18 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
-from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import Held, Left, NotUsable, ends, left, noise_of, refuse_incomplete, step_of
+from pmabench.analysis.shared.calibration import HYSTERESIS, Scales
+from pmabench.analysis.shared.samples import (
+    Held,
+    Left,
+    NotUsable,
+    ends,
+    left,
+    noise_of,
+    refuse_incomplete,
+    step_of,
+    sticks,
+)
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Dropped
@@ -169,6 +179,16 @@ class Loaded:
     def coarse(self) -> float:
         """Largest error of the mean of a rest by the steps in which the angle is read [rad]."""
         return max(rest.coarse for stair in self.stairs for rest in stair.rests)
+
+    @cached_property
+    def hysteresis(self) -> float:
+        """What the sensor of the angle may read more on the way down than on the way up [rad].
+
+        Twice `HYSTERESIS` of the uncertainty of its offset, or all of it where the reading stays behind its noise.
+        """
+        most = 2 * self.scales.offsets.get(self.channel, 0.0) * abs(self.per_offset)
+        readings = (stair.trial.channels[self.channel][stair.trial.usable] for stair in self.stairs)
+        return most if most and any(map(sticks, readings)) else HYSTERESIS * most
 
     @cached_property
     def zero(self) -> float:

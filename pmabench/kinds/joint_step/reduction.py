@@ -8,6 +8,7 @@ from math import hypot, pi
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
 from pmabench.analysis.shared.joint import MUSCLES
@@ -15,6 +16,7 @@ from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.response import Response, respond
 from pmabench.analysis.shared.samples import (
     NotUsable,
+    fresh,
     lag_of,
     lag_open,
     noise_of,
@@ -33,6 +35,8 @@ from pmabench.store.records import Array, RunData, TrialData
 
 BEFORE = 0.3
 """So long before the step its origin is taken [s]."""
+FEWEST = 5
+"""Samples before the step; an angle that is polled at 20 Hz has 6."""
 FEWEST_CYCLES = 3
 LEAP = 10.0
 """A leap is larger than so many standard deviations of the noise."""
@@ -84,10 +88,15 @@ def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Ste
     if "angle" not in trial.channels or law is None or law.get("t0") is None:
         raise NotUsable("the angle or what the loop did is not recorded")
     refuse_flagged(trial.usable)
-    settings, ok = settings_of(run, options), trial.usable
+    settings, ok = settings_of(run, options), _rows(trial)
     t, angle = (trial.t - (float(law["t0"]) + float(settings["begin"])))[ok], trial.channels["angle"][ok]
     refuse_leaps(t, angle)
     return (_swung if "frequency" in trial.point else _stepped)(run, trial, t, angle, law, settings)
+
+
+def _rows(trial: TrialData) -> NDArray[np.bool_]:
+    """The usable samples, of an angle that is polled those at which it is new."""
+    return np.asarray(trial.usable & fresh(trial.channels["angle"]))
 
 
 def refuse_leaps(t: Array, angle: Array) -> None:
@@ -121,8 +130,8 @@ def _stepped(
     run: RunData, trial: TrialData, t: Array, angle: Array, law: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> Stepped:
     before, after = (t >= -BEFORE) & (t < 0), t >= 0
-    if before.sum() < 8:
-        raise NotUsable(f"fewer than 8 samples in the {BEFORE:g} s before the step")
+    if before.sum() < FEWEST:
+        raise NotUsable(f"fewer than {FEWEST} samples in the {BEFORE:g} s before the step")
     goal, origin = trial.point["goal"], float(angle[before].mean())
     sign = 1.0 if goal > 0 else -1.0
     band, step = float(settings["band"]), step_of(angle)
@@ -263,7 +272,7 @@ def _trace(at: Mapping[str, float], one: Course) -> Trace:
     """Angle, reference and pressures of the last trial of an operating point."""
     kind = "sine" if isinstance(one, Swung) else "step"
     columns = {"t": one.t, "angle": one.angle, "reference": one.reference}
-    columns |= {n: one.trial.channels[n][one.trial.usable] for n in MUSCLES if n in one.trial.channels}
+    columns |= {n: one.trial.channels[n][_rows(one.trial)] for n in MUSCLES if n in one.trial.channels}
     quantities = dict.fromkeys(columns, "pressure") | {"t": "time", "angle": "angle", "reference": "angle"}
     title = f"{kind} of {show(at['goal'], 'angle', 3)}, integral {show(at['integral'], 'angular integral gain', 3)}"
     return Trace(f"joint-{kind}-{one.trial.number}", "joint-step", title, columns, quantities, dict(at))

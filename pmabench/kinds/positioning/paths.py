@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
-from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of, noise_of
+from pmabench.analysis.shared.samples import NotUsable, count_of, fresh, lag_of, noise_of
 from pmabench.analysis.shared.signals import SURE, Smooth, smooth
 from pmabench.analysis.shared.skew import late
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of, thinned
@@ -34,8 +34,9 @@ OF_PATHS = {"e_rms": ("m", "length"), "e_max": ("m", "length"), "OS": ("1", "rat
 
 
 def rows_of(trial: TrialData, law: Mapping[str, Any]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """The usable samples before the loop began, and those of the loop."""
-    known = np.asarray(trial.usable & np.isfinite(trial.channels[CHANNEL]))
+    """The usable samples before the loop began, and those of the loop; of a polled displacement those that are new."""
+    x = trial.channels[CHANNEL]
+    known = np.asarray(trial.usable & np.isfinite(x) & fresh(x))
     before, over = trial.t < float(law["t0"]) - 1e-6, trial.t > float(law["t1"]) + 1e-6
     return known & before, known & ~before & ~over
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel, sentences
+from pmabench.analysis.shared.calibration import HYSTERESIS, Scales, changes, of_one_channel, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
-from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of
-from pmabench.analysis.shared.signals import smooth
+from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of, sticks
+from pmabench.analysis.shared.signals import smooth, without_spikes
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.analysis.shared.skew import late
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
@@ -91,6 +91,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     Where the plan carries a model, the same loop is simulated around it (method `closed-loop, simulated`), and e_sim is
     the rms difference of the two contractions [m]. Trials along a path are reduced by `along_paths`.
     """
+    runs, spikes = without_spikes(runs)
     models = {run.id: model_of(run) for run in runs}
     found, dropped = measured_trials(runs, lambda run, trial: measured(run, trial, models[run.id]))
     along = [one for one in found if isinstance(one, Tracked)]
@@ -106,7 +107,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         results=RESULTS,
         estimates=[*estimates, *tracked],
         dropped=dropped,
-        findings=[*(_findings(runs, ordered, model) if ordered else []), *notes],
+        findings=[*(_findings(runs, ordered, model) if ordered else []), *notes, *spikes],
         traces=[*(_trace(members[0]) for _, members in cells), *ways],
         facts={
             "options": dict(options or {}),
@@ -137,7 +138,7 @@ def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Describ
     window, band, lag = (float(low), float(high)), float(settings.get("band", BAND)), lag_of(run, CHANNEL)
     origin = float(trial.channels[CHANNEL][rest].mean()) if rest.any() else 0.0
 
-    resolution = count_of(run, trial, CHANNEL)
+    resolution = _resolution(run, trial)
 
     def respond_to(values: Array, lag: float) -> Response:
         return respond(t, values, setpoint, window, band, origin=origin, resolution=resolution, lag=lag)
@@ -160,6 +161,13 @@ def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Describ
         simulated = closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
         simulated_response = respond_to(simulated, 0.0)
     return Hold(run, trial, law, response, values, unsure, calibration, origin, t, x, simulated, simulated_response)
+
+
+def _resolution(run: RunData, trial: TrialData) -> float:
+    """One count of the displacement [m], or the hysteresis that its sensor may have where the reading shows some."""
+    most = 2 * HYSTERESIS * Scales.of([run]).offsets.get(CHANNEL, 0.0)
+    shown = most if sticks(trial.channels[CHANNEL][trial.usable]) else 0.0
+    return max(count_of(run, trial, CHANNEL), shown)
 
 
 def _values(response: Response, setpoint: float) -> dict[str, float | None]:
@@ -235,7 +243,7 @@ def _findings(runs: Sequence[RunData], holds: Sequence[Hold], model: Described |
         f"{show(worst.setpoint, 'length')} ({show(worst.response.error, 'length', 3)} is the "
         f"mean {averaged}, and what moves in it is added)"
     )
-    lines = [Finding("note", text), *_cycles(holds), *_rests(holds)]
+    lines = [Finding("note", text), *_cycles(holds), *_rests(holds), *_sticking(holds)]
     unsettled = [hold for hold in holds if hold.response.settling is None]
     if unsettled:
         band = 100 * float(settings.get("band", BAND))
@@ -271,18 +279,28 @@ def _rests(holds: Sequence[Hold]) -> list[Finding]:
     return [Finding("note", f"{text} IAE. Vent it, wait, and take the zero again to tell")]
 
 
+def _sticking(holds: Sequence[Hold]) -> list[Finding]:
+    """Where the reading stays behind its noise: then its sensor reads less on the way up than on the way down."""
+    found = [hold for hold in holds if sticks(hold.x)]
+    if not found:
+        return []
+    text = f"in {len(found)} of {len(holds)} trials the displacement often stays as it was and then moves by more than"
+    text += " one step: its sensor has hysteresis, or leaves small changes out. A third of its uncertainty is in the"
+    return [Finding("doubt", f"{text} intervals; move it to and fro by hand to see more")]
+
+
 def _cycles(holds: Sequence[Hold]) -> list[Finding]:
     """Where it hunts, where it does not, and where the window is too short to tell."""
     lines = []
     hunting = [hold for hold in holds if hold.response.cycle is not None]
-    for sticks, what in ((True, "stick-slip limit cycle"), (False, "sustained oscillation that does not stick")):
-        mine = [hold for hold in hunting if hold.response.cycle is not None and hold.response.cycle.sticks == sticks]
+    for stuck, what in ((True, "stick-slip limit cycle"), (False, "sustained oscillation that does not stick")):
+        mine = [hold for hold in hunting if hold.response.cycle is not None and hold.response.cycle.sticks == stuck]
         if mine:
             text = f"{what} at {_places(mine)}: {_in_words(hold.response for hold in mine)}"
             compared = [hold.simulated_response for hold in mine if hold.simulated_response is not None]
             if compared:
                 text += f"; simulated: {_in_words(compared)}"
-            lines.append(Finding("doubt", text + ("" if sticks else "; the gain is near or above the ultimate one")))
+            lines.append(Finding("doubt", text + ("" if stuck else "; the gain is near or above the ultimate one")))
     still = [hold for hold in holds if hold.response.cycle is None]
     slow = [hold for hold in still if hold.response.wander > hold.response.smallest]
     quiet = [hold for hold in still if hold not in slow]

@@ -10,7 +10,7 @@ The gain is that of the commanded pressure where it is recorded, else of the mea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import exp, hypot, log, sqrt
+from math import exp, hypot, log, pi, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +41,8 @@ RARER = 5.0
 BEYOND = 2.0
 """A cut that is found counts by so much more, for the samples near it are cut by noise, too."""
 HARMONICS = 7
+MORE = 1.2
+"""Factor on what a form says that need not be the true one: hysteresis that noise blunts, a plant of higher order."""
 
 
 def changing(by_cycle: Sequence[Array], what: str) -> list[Doubt]:
@@ -116,8 +118,10 @@ def sensors(sine: Sine, names: Sequence[str], *, phase: bool = False) -> list[Do
     return found
 
 
-def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
-    """How far the width of the loop at mean pressure differs from that of the ellipse of the first harmonics."""
+def _off_ellipse(sines: Sequence[Sine]) -> tuple[float, float] | None:
+    """How far the width of the loop at mean pressure differs from that of the ellipse of the first harmonics, and the
+    standard deviation of that by noise [m]; None where it does not cross that pressure twice.
+    """
     apart, errors = [], []
     for sine in sines:
         angle = sine.omega * sine.t[:, None] * np.arange(1, HARMONICS + 1)
@@ -135,12 +139,33 @@ def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
         slope = abs(X) / abs(sine.amplitudes["pressure"])
         noise = np.hypot(noise_of(sine.x), slope * noise_of(sine.P))
         errors.append(noise * np.sqrt(4 * HARMONICS / len(sine.t)))
-    if not apart:
+    return (abs(float(np.mean(apart))), float(np.mean(errors)) / sqrt(len(errors))) if apart else None
+
+
+def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
+    """What `_off_ellipse` makes of the width of the loop [m]."""
+    if (found := _off_ellipse(sines)) is None:
         return []
-    half, error = abs(float(np.mean(apart))), float(np.mean(errors)) / np.sqrt(len(errors))
+    half, error = found
     text = f"the loop is no ellipse: at mean pressure its width differs by {show(half, 'length', 2)} from that of one"
     reason = f"{text}: friction, or a bent curve. Read it off the figure of the loop"
     return [Doubt("shape of the loop", "method", half + 2 * error, half > 5 * error, reason)]
+
+
+def hysteresis(sines: Sequence[Sine], offsets: Mapping[str, float], names: Sequence[str]) -> list[Doubt]:
+    """What hysteresis of the sensors, up to the uncertainties of their offsets, may turn a phase by [rad].
+
+    Hysteresis of +- u on a sine of amplitude A turns its first harmonic by 4 u / (pi A), and as the reading stays for
+    2 u at both ends the loop is no ellipse: at mean pressure it is off one by 1 - pi / 4 of that. So the turn is no
+    more than the loop shows.
+    """
+    first, found = sines[0], _off_ellipse(sines)
+    sizes = [offsets.get(name, 0.0) / abs(first.amplitudes[name]) for name in names if first.amplitudes[name]]
+    half = 4 / pi * hypot(*sizes)
+    if found is not None:
+        shown = (found[0] + 2 * found[1]) / (2 * abs(first.amplitudes["displacement"]))
+        half = min(half, MORE * shown / (1 - pi / 4))
+    return [Doubt("hysteresis of the sensors", "method", half, seen=False)] if half else []
 
 
 COMMAND, PRESSURE = "bandwidth, by sines of command", "bandwidth, by sines of pressure"
@@ -153,7 +178,8 @@ LEAST = 1e-9
 def crossing(f: Array, gain: Array) -> tuple[float, float] | None:
     """Where `gain` (n,) over rising f (n,) [Hz] first is 1/sqrt(2) of its first value, and the method part [Hz].
 
-    None where it is above that everywhere.
+    None where it is above that everywhere. The method part is what a line in logarithms gives instead, or a parabola
+    of 1/|G|^2 over f^2 through one more frequency before or after: so it is for two lags, and for what swings.
     """
     share = gain / gain[0]
     below = np.flatnonzero(share < sqrt(0.5))
@@ -163,7 +189,14 @@ def crossing(f: Array, gain: Array) -> tuple[float, float] | None:
     (f_1, f_2), (g_1, g_2) = f[i - 1 : i + 1], 1 / share[i - 1 : i + 1] ** 2
     square = f_1**2 + (2.0 - g_1) / (g_2 - g_1) * (f_2**2 - f_1**2)
     straight = exp(log(f_1) + (log(2.0) - log(g_1)) / (log(g_2) - log(g_1)) * log(f_2 / f_1))
-    return sqrt(square), abs(sqrt(square) - straight)
+    others = [abs(straight - sqrt(square))]
+    for rows in (slice(i - 2, i + 1), slice(i - 1, i + 2)):
+        if 0 <= rows.start and rows.stop <= len(f):
+            terms = np.polyfit(f[rows] ** 2 - f_1**2, 1 / share[rows] ** 2 - 2.0, 2)
+            roots = np.roots(terms).real + f_1**2
+            inside = roots[(roots > f_1**2) & (roots < f_2**2)]
+            others += [MORE * abs(sqrt(float(root)) - sqrt(square)) for root in inside]
+    return sqrt(square), max(others)
 
 
 def bandwidth(groups: Mapping[float, Sequence[Sine]]) -> list[Estimate]:

@@ -17,11 +17,11 @@ from pmabench.analysis.imported import flagged_counts, import_findings, late_by,
 from pmabench.analysis.shared.calibration import Scales, listed, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import UNDECLARED, lags_of, three_parameter
+from pmabench.analysis.shared.samples import UNDECLARED, fresh, lags_of, three_parameter
 from pmabench.analysis.shared.sine_loop import without_lag
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_sine import RESULTS
-from pmabench.kinds.recorded_sine.form import bandwidth, changing, cut_off, other_shape, sensors
+from pmabench.kinds.recorded_sine.form import bandwidth, changing, cut_off, hysteresis, other_shape, sensors
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
@@ -184,9 +184,9 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         return "its clock jumps: what lies before and after has no common phase"
     if np.mean(~trial.usable[window]) > UNUSABLE_SHARE:
         return f"too many samples are flagged: {unusable_because(trial)}"
-    good = window & trial.usable
-    if np.count_nonzero(good) < LEAST * whole:
-        return f"fewer than {LEAST} usable samples a cycle"
+    good, why = _where_new(trial, window & trial.usable, LEAST * whole)
+    if why:
+        return why
     names = [n for n in ("pressure", "displacement", "pressure_command") if n in trial.channels]
     t = trial.t[good]
     number = np.floor((t - begin) * frequency + 1e-9)
@@ -224,6 +224,21 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         late={"pressure": late, "displacement": late_by(run, "displacement") or (0.0, 0.0)},
         off=off,
     )
+
+
+def _where_new(trial: TrialData, usable: NDArray[np.bool_], fewest: int) -> tuple[NDArray[np.bool_], str]:
+    """Of `usable` samples those at which polled channels are new, and why these are too few, if they are."""
+    new = {name: fresh(trial.channels[name][usable]) for name in ("pressure", "displacement")}
+    good = usable.copy()
+    good[usable] = new["pressure"] & new["displacement"]
+    often = LEAST * np.count_nonzero(good) / fewest
+    if np.count_nonzero(usable) < fewest:
+        return good, f"fewer than {LEAST} usable samples a cycle"
+    if np.count_nonzero(good) < fewest:
+        held = [name for name, rows in new.items() if not rows.all()]
+        text = f"{' and '.join(held)} {'are' if held[1:] else 'is'} new {often:.2g} times a cycle, and held in between"
+        return good, f"{text}: {LEAST} times are needed, read more often"
+    return good, ""
 
 
 def _moving(trial: TrialData, frequency: float) -> tuple[float, float]:
@@ -313,7 +328,7 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     width_by = [2 * size * np.abs(np.sin(p)) for size, p in zip(x_by, phase_by, strict=True)]
     both = ("pressure", "displacement")
     late = "lateness taken as the middle of its range" if read_off else UNTOLD_TIME
-    slow = sensors(first, both, phase=True)
+    slow = [*sensors(first, both, phase=True), *hysteresis(sines, scales.offsets, both)]
     shape = [*other_shape(sines), *(replace(one, half=_width_by(first, phase[0], one.half)) for one in slow)]
     found = [
         estimate("P", ("Pa", "pressure"), _sizes(sines, "pressure"), ("pressure",)),
@@ -325,7 +340,7 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     ]  # fmt: skip
     if all("pressure_command" in s.amplitudes for s in sines):
         driven = ("pressure", "pressure_command")
-        slow = sensors(first, driven, phase=True)
+        slow = [*sensors(first, driven, phase=True), *hysteresis(sines, scales.offsets, driven)]
         found += [
             estimate("P/P_set", ("1", "ratio"), _sizes(sines, *driven), ("pressure",)),
             estimate("phi_P", ("rad", "angle"), _phases(sines, *driven), (), doubt_P or None, late, slow),

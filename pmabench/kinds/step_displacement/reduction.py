@@ -204,7 +204,16 @@ class Way:
             leap = hypot(EXTREME * max(one.pressure_noise for one in every), self.read("pressure"))
             errors = [one.pressure_peak for one in every]
             found.append(self.estimate("P_err", ("Pa", "pressure"), PEAK, errors, {"pressure": 1}, leap))
-        return found
+        return [self._if_not_missed(e) for e in found]
+
+    def _if_not_missed(self, e: Estimate) -> Estimate:
+        """The estimate, withheld where it is that of a peak and its channel is too seldom new to show one."""
+        channel = "pressure" if e.symbol == "P_err" else "force"
+        time = max(one.missed.get(channel, 0.0) for one in self.every)
+        if e.method != PEAK or not time:
+            return e
+        often = f"the {channel} is new every {show(time, 'time', 2)}, which is longer than the step takes, and held in"
+        return withhold(e, f"{often} between: its peak may lie there. Read it more often, or step more slowly")
 
     def read(self, channel: str) -> float:
         """What the steps that a channel is read in may make of the mean of a rest [SI]."""

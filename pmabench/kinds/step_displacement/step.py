@@ -84,6 +84,8 @@ class Relaxation:
     """Pressure [Pa] and force [N] of the way back, as means off their mean: x is still, so their ratio is dF/dP."""
     unresolved: Mapping[str, float]
     """Channel -> what the steps that it is read in may make of the mean of a rest [SI]."""
+    missed: Mapping[str, float]
+    """Channel that is polled, and new less often than a step takes -> time between two new values [s]."""
 
     @property
     def fast(self) -> float:
@@ -136,8 +138,11 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
     begins = [float(trial.t[0]), *(c.t for c in ramps[:-1])]
     values = {name: samples.on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
     steps = {name: samples.step_of(trial.channels[name][trial.usable]) for name in values if name in trial.channels}
+    between = {name: samples.between_new(trial.t, trial.channels[name])[1] for name in steps}
     for ramp, begin, end in zip(ramps, begins, until, strict=True):
-        found[ramp.phase].append(_one(run, trial, values, steps, ramp, begin, end))
+        one = _one(run, trial, values, steps, ramp, begin, end)
+        missed = {name: time for name, time in between.items() if time > _arrives(ramp) - ramp.t and time > 0}
+        found[ramp.phase].append(replace(one, missed=missed))
     discard = int(samples.settings_of(run, options).get("discard", 1))
     first = found["step"][:1]
     found = {phase: each[discard:] for phase, each in found.items()}
@@ -176,8 +181,9 @@ def _one(
         raise NotUsable("the displacement does not move above its noise")
     away = F[moving] - level
     place = int(np.argmax(-np.sign(moved) * away))
-    early = good & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
-    late = good & (t >= 0.5 * (arrived + end)) & (t < end)
+    new = good & samples.fresh(trial.channels["force"])  # noise that is held would look like a motion
+    early = new & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
+    late = new & (t >= 0.5 * (arrived + end)) & (t < end)
     known = bool(np.isfinite(P).all())
     # the measured motion is over when it stays within `THERE` of its end; not before the command
     beyond = t[moving][np.abs(x[moving] - float(x[after].mean())) > THERE * abs(moved)]
@@ -208,6 +214,7 @@ def _one(
             name: max(samples.unresolved(trial.channels[name][rows], step) for rows in (before, after))
             for name, step in steps.items()
         },
+        missed={},
     )
     return replace(one, blunted=_blunted(t[moving], away, moved, max(one.filter, one.fast)))
 

@@ -1,6 +1,7 @@
 """Steps of pressure without load, against the contraction that a model gives.
 
 - `reduction`, with the figure and one trial on the display; protocol files: `protocol`
+- `sensors`: zeros, steps and filters of the channels of one step
 """
 
 from pmabench.base.kind import Imported, Kind, Result

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,23 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.samples import lag_open, lags_of
+from pmabench.analysis.shared.samples import lag_open, noise_of
 from pmabench.analysis.shared.signals import smooth
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of, thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
+from pmabench.kinds.validation.sensors import (
+    CHANNELS,
+    SURE,
+    apart,
+    coarse,
+    followed,
+    off_zero,
+    off_zero_findings,
+    step_of_pressure,
+)
 from pmabench.model.presets import Described
 from pmabench.plotting.motion import overlays
 from pmabench.plotting.pictures import Picture
@@ -39,6 +49,12 @@ METHODS = (COMMANDED, MEASURED, STRAIGHT)
 ALONE = "one run: no repeats part"
 NO_MODEL = "the plan holds no model to compare with"
 LAGS = "time constants of the sensors"
+ZEROS = "zeros and steps of the channels"
+NOISE = "noise of the displacement"
+OF_SIM = {LAGS: "lag", ZEROS: "zero"}
+"""Line of the budget of e_sim -> end of the names of its causes."""
+MOVES = 5e-4
+"""Share of the contraction by which it may move in the window without a word."""
 FEWEST = 8
 """Fewest samples of the window."""
 
@@ -57,7 +73,10 @@ class _Step:
     window: Mapping[str, float]
     """Mean of each simulation in the window [m]."""
     open: Mapping[str, Array]
-    """Channel and `gain`, `offset` or `lag` of it -> what that may move simulated less measured contraction by [m]."""
+    """Channel and `gain`, `offset`, `zero` or `lag` of it -> what that may move simulated less measured contraction by
+    [m]."""
+    zeros: Mapping[str, float]
+    """Channel -> what it reads before the step [SI], 0 where calibration and noise allow it."""
 
     def moved(self, name: str) -> float:
         """The same, one cause, as a mean in the window [m]."""
@@ -119,7 +138,8 @@ def _window(run: RunData) -> tuple[float, float]:
 
 def _begin(trial: TrialData) -> float | None:
     """When the pressure was commanded [s]."""
-    return next((c.t for c in trial.commands if c.output == "pressure" and c.phase == "step"), None)
+    command = step_of_pressure(trial)
+    return None if command is None else command.t
 
 
 def inside_window(run: RunData, trial: TrialData) -> NDArray[np.bool_]:
@@ -155,24 +175,15 @@ def _rest(trial: TrialData) -> float:
     return float(trial.channels["displacement"][before].mean()) if before.any() else 0.0
 
 
-def _undone(run: RunData, trial: TrialData) -> TrialData:
-    """The trial with the filters undone that its channels declare: where one reads y, y + lag y' was there."""
-    ok, channels = _usable(trial), dict(trial.channels)
-    for name, lag in lags_of(run, trial).items():
-        if lag > 0 and name in ("displacement", "pressure"):
-            t, y = trial.t[ok], trial.channels[name][ok]
-            channels[name] = trial.channels[name].copy()
-            channels[name][ok] = y + smooth(t, y, lag).y - smooth(t, y).y
-    return replace(trial, channels=channels)
-
-
 def _steps(run: RunData, recorded: Sequence[TrialData], model: Described) -> list[_Step]:
     """Usable trials with their simulations."""
     found = []
-    trials = [_undone(run, trial) for trial in recorded]
+    trials = [followed(run, trial) for trial in recorded]
     origins = [_rest(trial) for trial in trials]
     driven = from_measured_pressure(model, trials, 1.0 / run.rate, origins)
-    scaled = _by_pressure(run, trials, model, origins)
+    zeros = [{name: off_zero(run, trial, name) for name in CHANNELS} for trial in recorded]
+    unsure = [_unsure(run, *pair) for pair in zip(recorded, zeros, strict=True)]
+    scaled = _by_pressure(run, trials, model, origins, [one["pressure"] for one in unsure])
     form = replace(model, surface=None)
     lines = from_measured_pressure(form, trials, 1.0 / run.rate, origins) if model.surface else None
     for place, (trial, by_measured, origin) in enumerate(zip(trials, driven, origins, strict=True)):
@@ -185,39 +196,49 @@ def _steps(run: RunData, recorded: Sequence[TrialData], model: Described) -> lis
         t = trial.t - (_begin(trial) or 0.0)
         models = {method: values[ok] for method, values in simulated.items()}
         open_ = {name: (values[place] - by_measured)[ok] for name, values in scaled.items()}
-        open_ |= _open(run, t[ok], x[ok], by_measured[ok])
-        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means, open_))
+        open_ |= _open(run, t[ok], x[ok], by_measured[ok], apart(recorded[place]))
+        open_["displacement zero"] = np.full(ok.sum(), unsure[place]["displacement"])
+        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means, open_, zeros[place]))
     return found
 
 
-def _open(run: RunData, t: Array, x: Array, simulated: Array) -> dict[str, Array]:
+def _unsure(run: RunData, trial: TrialData, zeros: Mapping[str, float]) -> dict[str, float]:
+    """What the zero of each channel, and the steps that it is read in, leave open of its mean in the window [SI]."""
+    inside = inside_window(run, trial)
+    return {name: max(abs(zeros[name]), coarse(run, trial, name, inside)) for name in CHANNELS}
+
+
+def _open(run: RunData, t: Array, x: Array, simulated: Array, between: float) -> dict[str, Array]:
     """What of the simulated less the measured contraction is open by the displacement, and by the lag of the pressure.
 
-    A model whose pressure comes earlier contracts as much earlier. Arrays of shape (n,), as in `_Step.open`.
+    A model whose pressure comes earlier contracts as much earlier. One that is polled may come earlier or later by
+    half the time `between` two new values [s]. Arrays of shape (n,), as in `_Step.open`.
     """
     scales = Scales.of([run])
     found = {"displacement gain": scales.gains.get("displacement", 0.0) * x}
     found["displacement offset"] = np.full(len(x), scales.offsets.get("displacement", 0.0))
-    for channel, y in (("displacement", smooth(t, x).y), ("pressure", simulated)):
-        found[f"{channel} lag"] = np.interp(t + lag_open(run, channel), t, y) - y
+    for channel, y, more in (("displacement", smooth(t, x).y, 0.0), ("pressure", simulated, 0.5 * between)):
+        found[f"{channel} lag"] = np.interp(t + lag_open(run, channel) + more, t, y) - y
     return found
 
 
 def _by_pressure(
-    run: RunData, trials: Sequence[TrialData], model: Described, origins: Sequence[float]
+    run: RunData, trials: Sequence[TrialData], model: Described, origins: Sequence[float], zeros: Sequence[float]
 ) -> dict[str, list[Array]]:
-    """Simulations by the measured pressure with its gain, and with its offset, at the end of what is known of them.
+    """Simulations by the measured pressure with its gain, offset and zero at the end of what is known of them.
 
     By the names of `_Step.open`, where that is anything.
     """
     scales = Scales.of([run])
     gain, offset = scales.gains.get("pressure", 0.0), scales.offsets.get("pressure", 0.0)
     found: dict[str, list[Array]] = {}
-    for name, share, more in (("pressure gain", gain, 0.0), ("pressure offset", 0.0, offset)):
-        if share or more:
+    nothing = [0.0] * len(trials)
+    causes = (("gain", gain, nothing), ("offset", 0.0, [offset] * len(trials)), ("zero", 0.0, zeros))
+    for name, share, offsets in ((f"pressure {name}", share, offsets) for name, share, offsets in causes):
+        if share or any(offsets):
             moved = [
                 replace(one, channels={**one.channels, "pressure": one.channels["pressure"] * (1 + share) + more})
-                for one in trials
+                for one, more in zip(trials, offsets, strict=True)
             ]
             found[name] = from_measured_pressure(model, moved, 1.0 / run.rate, origins)
     return found
@@ -240,6 +261,11 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
         others = [by * max(abs(step.moved(name)) for step in members) for name in scaled]
         return part if part is None else hypot(part, *others)
 
+    def zeros(by: float) -> list[Doubt]:
+        """What zeros and steps of the channels make of an error in the window; `by` as for `of_mean`."""
+        each = [max(abs(step.moved(name)) for step in members) for name in causes if name.endswith("zero")]
+        return [Doubt(ZEROS, "method", by * hypot(*each), seen=False)]
+
     def grows(end: str) -> float:
         """What e_sim is open by the causes of that name [m]; each at the end that makes it larger.
 
@@ -253,19 +279,28 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
     known = any(name in scales.gains or name in scales.offsets for name in channels)
     scaled = hypot(grows("gain"), grows("offset")) if known else None
     e_sim = estimate("e_sim", ("m", "length"), [_rms(step, method) for step in members], scaled)
+    noise = Doubt(NOISE, "method", max(_by_noise(step, method) for step in members), seen=False)
     share = ("1", "ratio")
     return [
-        estimate("e_ss", share, [step.error(method) / step.measured for step in members], of_mean(1.0 / x)),
-        estimate("e_fs", share, [step.error(method) / full for step in members], of_mean(1.0 / full)),
-        weighed(e_sim, [Doubt(LAGS, "method", grows("lag"), seen=False)]),
+        weighed(estimate("e_ss", share, [s.error(method) / s.measured for s in members], of_mean(1 / x)), zeros(1 / x)),
+        weighed(estimate("e_fs", share, [s.error(method) / full for s in members], of_mean(1 / full)), zeros(1 / full)),
+        weighed(e_sim, [*(Doubt(name, "method", grows(end), seen=False) for name, end in OF_SIM.items()), noise]),
     ]
 
 
 def _rms(step: _Step, method: str, cause: str = "", way: int = 0) -> float:
-    """Of the difference after the step [m], with all that a cause leaves open added or taken off: `way` 1 or -1."""
+    """Of the difference after the step without noise [m], with all that a cause leaves open added or taken off: `way`
+    1 or -1.
+    """
     after, off = step.t >= 0, step.simulated[method] - step.x
     off = off + way * step.open[cause] if cause else off
-    return float(np.sqrt(np.mean(off[after] ** 2)))
+    return sqrt(max(0.0, float(np.mean(off[after] ** 2)) - noise_of(step.x[after]) ** 2))
+
+
+def _by_noise(step: _Step, method: str) -> float:
+    """What noise leaves open of that [m]: the mean of its square over n samples is known to sqrt(2 / n) of it."""
+    after, rms = step.t >= 0, _rms(step, method)
+    return sqrt(rms**2 + 2 * noise_of(step.x[after]) ** 2 * sqrt(2 / after.sum())) - rms
 
 
 def _mean_rms(members: Sequence[_Step], method: str, cause: str = "", way: int = 0) -> float:
@@ -294,12 +329,35 @@ def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> l
     lines.append(Finding("note", f"simulated with: {model.source}"))
     if model.surface is not None:
         lines += _next_to_straight(steps, model)
+    lines += [*off_zero_findings([step.zeros for step in steps]), *_moving(steps)]
     if outside:
         places = ", ".join(show(p, "pressure") for p in outside)
         lines.append(Finding("doubt", f"the coefficients are continued beyond what is known of them at {places}"))
     if any(step.trial.point.get("load", 0.0) == 0 for step in steps) and model.source.startswith("analysis"):
         lines.append(Finding("note", "without load: the model was identified under loads and is continued to 0 N"))
     return lines
+
+
+def _moving(steps: Sequence[_Step]) -> list[Finding]:
+    """Where the measured contraction goes on in the window, and the one by the commanded pressure does not."""
+    found = []
+    for step in steps:
+        low, high = _window(step.run)
+        inside = (step.t >= low) & (step.t <= high)
+        t, off = step.t[inside], step.x[inside] - step.simulated[COMMANDED][inside]
+        place = t - t.mean()
+        moved = float(place @ off) / float(place @ place) * (high - low)
+        error = noise_of(off) / sqrt(float(place @ place)) * (high - low)
+        if abs(moved) > max(SURE * error, MOVES * step.measured):
+            found.append(moved)
+    if not found:
+        return []
+    text = f"in the window of {len(found)} of {len(steps)} steps the muscle moves by up to"
+    text += (
+        f" {show(max(found, key=abs), 'length', 2)} more than the model, by creep, a pressure that is not steady yet"
+    )
+    text += " or a drift of the sensor: e_ss is what it is there. Compare zeros, and hold longer"
+    return [Finding("doubt", text)]
 
 
 def _next_to_straight(steps: Sequence[_Step], model: Described) -> list[Finding]:

@@ -14,8 +14,8 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import fresh, step_of
+from pmabench.analysis.shared.calibration import HYSTERESIS, Scales
+from pmabench.analysis.shared.samples import sticks
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
@@ -43,11 +43,6 @@ MOST_HIDDEN = 0.02
 GAIN, ZERO = "gain of the force cell against the weights", "zero of the force cell against the weights"
 REVERSAL = "backlash of the displacement sensor"
 GAUGE = "hysteresis of the pressure gauge, a third of its uncertainty"
-BY_WAY = 1 / 3
-"""Share of the uncertainty of a gauge that may be hysteresis, as data sheets have it: the rest is its zero, which may
-drift, and its line, which may be bent."""
-MOVES = 0.7
-"""A gauge with noise moves with more than this share of its samples."""
 ALONE = 1e-6
 """A column of which the coefficients leave a smaller share than this cannot be distinguished from them."""
 HARDLY = 0.01
@@ -250,9 +245,9 @@ def of_the_sensors(campaign: Campaign, weights: Weighed, segments: Segments, fit
     The cell against the weights, as far as its calibration does not hold the difference: either may be right. Backlash
     of the displacement sensor, what its calibration allows, else an assumed one: it looks like Coulomb friction of K
     times its size, and where K is the same at all pressures, no data can separate them. Hysteresis of the pressure
-    gauge, `BY_WAY` of the uncertainty of its zero; none where that is not declared. It shows less while the pressure
-    rises and more while it falls. Where it stays so at rest, that looks like a friction. Where it sticks to its value
-    behind the noise, noise lets it catch up at rest: then the pressure is late by an amount while it moves.
+    gauge, a third (`HYSTERESIS`) of the uncertainty of its zero; none where that is not declared. It shows less while
+    the pressure rises and more while it falls. Where it stays so at rest, that looks like a friction. One that sticks
+    is let go by noise at rest: then the pressure is late by an amount while it moves.
     """
     scales, cell = Scales.of(campaign.runs), np.where(segments.mass > 0, 0.0, 1.0)
     kinds = ((GAIN, weights.gain, scales.gains, segments.force * cell), (ZERO, weights.offset, scales.offsets, cell))
@@ -268,7 +263,7 @@ def of_the_sensors(campaign: Campaign, weights: Weighed, segments: Segments, fit
     change = size * fit.change(columns.play(segments, fit)[:, None])
     yield Cause(REVERSAL if declared else assumed, "method", change.T)
 
-    if size := BY_WAY * scales.offsets.get("pressure", 0.0):
+    if size := HYSTERESIS * scales.offsets.get("pressure", 0.0):
         push = size * force_by_pressure(segments, fit)
         ways = [push * segments.way]
         if any(sticks(trial.channels["pressure"][trial.usable]) for trial in campaign.trials):
@@ -276,14 +271,6 @@ def of_the_sensors(campaign: Campaign, weights: Weighed, segments: Segments, fit
             moved = segments.P_mid[:, -quarter:].mean(axis=1) - segments.P_mid[:, :quarter].mean(axis=1)
             ways.append(push * np.clip(moved / size, -1.0, 1.0))
         yield Cause(GAUGE, "method", fit.change(np.column_stack(ways)).T)
-
-
-def sticks(y: Array) -> bool:
-    """Whether a reading (n,) often stays as it was, and moves by no single steps when it does not."""
-    moves = np.abs(np.diff(y))
-    moved = moves[moves > 0]
-    often = len(moved) > 0 and len(moved) < MOVES * len(moves)
-    return bool(often and fresh(y).all() and np.quantile(moved, 0.25) > 1.5 * step_of(y))
 
 
 def _sizes(test: Test, known: Sequence[Departure]) -> list[Size]:
