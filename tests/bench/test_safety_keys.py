@@ -131,7 +131,10 @@ RAMP = "  - {ramp_down: pressure, at: 100 kPa/s, within: 6 s}\n"
         (VENT + DUMP + END, 'leaves "displacement" moving: add'),
         (RAMP + DUMP + STOP + END, 'leaves "displacement" moving while "ramp pressure" goes on, up to 6 s'),
         ("  - {hold: 9 s}\n" + STOP + VENT + DUMP + END, 'moving while "hold" goes on, up to 9 s'),
-        (VENT + DUMP + END + "  - {set: displacement, to: 0 mm, within: 1 s}\n", 'moving while "confirm pressure" goes on'),
+        (
+            VENT + DUMP + END + "  - {set: displacement, to: 0 mm, within: 1 s}\n",
+            'moving while "confirm pressure" goes on',
+        ),
     ],
 )
 def test_a_drive_that_is_left_moving_is_refused(tmp_path, actions, says):
