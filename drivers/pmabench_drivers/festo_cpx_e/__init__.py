@@ -4,8 +4,9 @@
 modules; `emulated`: what `pmabench emulate` serves.
 
 What differs from any Modbus device: an output is read back from the module's own inputs; eight digital outputs share a
-register; ranges and data format are compared when it is opened, through the terminal's data system table; the terminal
-has a time-out from the factory on, so it is kept in talk from `open` to `close`.
+register; ranges and data format are compared when it is opened, and read again in turn while it is armed, through the
+terminal's data system table; the terminal has a time-out from the factory on, so it is kept in talk from `open` to
+`close`.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ TABLE = 0.5
 """Longest wait for an answer of the data system table [s]."""
 CLEAR = 0.05
 """Longest wait until the terminal takes back the answer to the question before [s]."""
+SETTINGS = 0.02
+"""So long ranges and formats are read in each call of `held` [s]: a command waits for that."""
 
 
 class FestoCpxE(ModbusDevice):
@@ -60,6 +63,8 @@ class FestoCpxE(ModbusDevice):
         self._used = [module for module in self._terminal.modules if module.position in positions]
         self._alive = Cycle(f"keep alive {device.name}", self._keep_alive, clock)
         self._found = 0.0
+        self._settings: dict[int, int] = {}
+        """Function number of each range and data format, that which was read longest ago first -> what it held then."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -111,7 +116,7 @@ class FestoCpxE(ModbusDevice):
         if status & t.FORCED:
             raise DeviceError(name, "has forced inputs or outputs: end the forcing at the terminal")
         for module in self._used:
-            if module.kind.ranges and self._parameter(line, module.parameter(t.DATA_FORMAT), until) & 1:
+            if module.kind.ranges and self._setting(line, module.parameter(t.DATA_FORMAT), until) & 1:
                 message = 'gives linear scaled values: set its data format to "sign + 15 bit"'
                 raise DeviceError(name, message, f"module {module.position} ({module.name})")
         for channel, wanted in self._terminal.ranges.items():
@@ -119,11 +124,10 @@ class FestoCpxE(ModbusDevice):
 
     def _compare_range(self, line: Line, channel: str, wanted: int, until: float, *, protected: bool) -> None:
         number, shift = self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
-        held = self._parameter(line, number, until)
-        if (code := held >> shift & 0xF) == wanted:
+        held = self._setting(line, number, until)
+        if held >> shift & 0xF == wanted:
             return
-        names = {value: key for key, value in t.RANGES.items()}
-        found = f"is set to {names.get(code, f'range {code}')} and the bench file says {names[wanted]}"
+        found = f"is set to {_range(held >> shift)} and the bench file says {_range(wanted)}"
         if not self._terminal.set_ranges:
             raise self._error(f"{found}: set it at the terminal, or let it be set with set_ranges: true", channel)
         if protected:
@@ -132,12 +136,13 @@ class FestoCpxE(ModbusDevice):
             raise self._error(f"{found}, and it puts out something: bring it to 0 first", channel)
         line.write(16, t.VALUE_IN, [held & ~(0xF << shift) | wanted << shift], until, channel)
         self._ask_table(line, t.ASK | t.WRITE | number, until)
-        if self._parameter(line, number, until) >> shift & 0xF != wanted:
-            raise self._error(f"did not take the range {names[wanted]}", channel)
+        if self._setting(line, number, until) >> shift & 0xF != wanted:
+            raise self._error(f"did not take the range {_range(wanted)}", channel)
 
     def held(self) -> dict[str, float | str]:
-        """Its time-out [s], how many modules it has and which report faults, whether it is forced, and who it is.
+        """Its time-out [s], its modules and which report faults, whether it is forced, who it is, ranges and formats.
 
+        Ranges and data formats are read in turn, some in each call: its data system table is slow, and a command waits.
         It gives no serial number in less than half a second.
         """
         until = monotonic() + CALL
@@ -150,7 +155,27 @@ class FestoCpxE(ModbusDevice):
             "modules with a fault": ", ".join(map(str, self._faulty(line, until))) or "none",
             "forced": "yes" if status & t.FORCED else "no",
             "terminal": " ".join(found[number] for number in sorted(found) if found[number]),
+            **self._settings_held(line, until),
         }
+
+    def _settings_held(self, line: Line, until: float) -> dict[str, float | str]:
+        """Range of each channel and data format of each module; one that has changed is read again in the next call."""
+        enough, found = monotonic() + SETTINGS, dict[str, float | str]()
+        for number, before in list(self._settings.items()):
+            if self._setting(line, number, until) != before:
+                self._settings = {number: self._settings.pop(number), **self._settings}
+                break
+            if monotonic() > enough:
+                break
+            line.let_samples()
+        for channel in self._terminal.ranges:
+            number, shift = self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
+            found[f"range of {channel}"] = _range(self._settings[number] >> shift)
+        for module in self._used:
+            if module.kind.ranges:
+                linear = self._settings[module.parameter(t.DATA_FORMAT)] & 1
+                found[f"data format of module {module.position}"] = "linear scaled" if linear else "sign + 15 bit"
+        return found
 
     @staticmethod
     def _present(line: Line, until: float) -> int:
@@ -162,10 +187,13 @@ class FestoCpxE(ModbusDevice):
         words = line.read("holding", t.FAULTS, 3, until, "faults")
         return [16 * i + bit for i, word in enumerate(words) for bit in range(16) if word >> bit & 1]
 
-    def _parameter(self, line: Line, number: int, until: float) -> int:
-        """The value of a function number."""
+    def _setting(self, line: Line, number: int, until: float) -> int:
+        """The value of a function number; it is remembered as the one that was read last."""
         self._ask_table(line, t.ASK | number, until)
-        return line.read("holding", t.VALUE_OUT, 1, until, f"function {number}")[0]
+        [value] = line.read("holding", t.VALUE_OUT, 1, until, f"function {number}")
+        self._settings.pop(number, None)
+        self._settings[number] = value
+        return value
 
     def _ask_table(self, line: Line, question: int, until: float) -> None:
         """Ask the data system table and wait for its answer."""
@@ -285,6 +313,11 @@ class FestoCpxE(ModbusDevice):
         """Give the terminal the time-out back that it had when it was opened."""
         self._armed = 0.0
         self._put(TIMEOUT, self._found)
+
+
+def _range(code: int) -> str:
+    """The name of a range."""
+    return next((name for name, known in t.RANGES.items() if known == code & 0xF), f"range {code & 0xF}")
 
 
 def _with_bit(register: Register, value: float, held: int) -> list[int]:
