@@ -11,6 +11,7 @@ terminal's data system table; the terminal has a time-out from the factory on, s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, cast
@@ -62,23 +63,43 @@ class FestoCpxE(ModbusDevice):
         positions = {self._terminal.module_of(name).position for name in names}
         self._used = [module for module in self._terminal.modules if module.position in positions]
         self._alive = Cycle(f"keep alive {device.name}", self._keep_alive, clock)
-        self._found = 0.0
-        self._settings: dict[int, int] = {}
+        self._found, self._compared = 0.0, False
+        numbers = {self._range_at(channel)[0] for channel in self._terminal.ranges}
+        numbers |= {module.parameter(t.DATA_FORMAT) for module in self._used if module.kind.ranges}
+        self._settings: dict[int, int | None] = dict.fromkeys(sorted(numbers))
         """Function number of each range and data format, that which was read longest ago first -> what it held then."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
         """Connect, read who it is, and compare modules, data format and ranges with the bench file."""
+        return self._open(self._compare)
+
+    def open_to_vent(self) -> Identity:
+        """Connect and compare the modules: a terminal with a fault, or another range, takes commands all the same.
+
+        What else `open` compares is compared before samples are taken: they shall confirm no vent that is none.
+        """
+        return self._open(self._compare_modules)
+
+    def _open(self, compare: Callable[[NamedLine, float], None]) -> Identity:
         self.close()
         line = self._new_line()
         self._line, until = line, monotonic() + OPEN
+        self._settings, self._compared = dict.fromkeys(self._settings), compare == self._compare
         with self._closed_on_error():
             identity = line.identity(until)
-            self._compare(line, until)
+            compare(line, until)
             self._found = self._get(TIMEOUT, until)
         self._alive.start(KEEP_ALIVE)
         return identity
+
+    def start(self, rate: float) -> float:
+        """Begin to sample at `rate` [Hz]; returns the rate that is used."""
+        if not self._compared:
+            self._compare(self._opened(), monotonic() + CALL)
+            self._compared = True
+        return super().start(rate)
 
     def close(self) -> None:
         """End polling and let go of the connection; the terminal's own time-out runs from then on."""
@@ -105,11 +126,16 @@ class FestoCpxE(ModbusDevice):
 
     # -- what is there, and how it is set -------------------------------------------------------------------------
 
-    def _compare(self, line: Line, until: float) -> None:
-        name, modules = self._device.name, self._terminal.modules
+    def _compare_modules(self, line: Line, until: float) -> None:
+        """Addresses follow from the modules before: with others an output would be somewhere else."""
+        modules = self._terminal.modules
         if (present := self._present(line, until)) != len(modules) + 1:
             message = f"has {present} modules with the bus module, and the bench file names {len(modules) + 1}"
-            raise DeviceError(name, message, "options.modules")
+            raise DeviceError(self._device.name, message, "options.modules")
+
+    def _compare(self, line: Line, until: float) -> None:
+        name = self._device.name
+        self._compare_modules(line, until)
         if faults := self._faulty(line, until):
             raise DeviceError(name, f"reports faults (bits {', '.join(map(str, faults))}): look at the modules' LEDs")
         [status] = line.read("holding", STATUS, 1, until, "status")
@@ -123,12 +149,12 @@ class FestoCpxE(ModbusDevice):
             self._compare_range(line, channel, wanted, until, protected=bool(status & t.PROTECTED))
 
     def _compare_range(self, line: Line, channel: str, wanted: int, until: float, *, protected: bool) -> None:
-        number, shift = self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
+        number, shift = self._range_at(channel)
         held = self._setting(line, number, until)
         if held >> shift & 0xF == wanted:
             return
         found = f"is set to {_range(held >> shift)} and the bench file says {_range(wanted)}"
-        if not self._terminal.set_ranges:
+        if not (self._terminal.set_ranges and self._compared):
             raise self._error(f"{found}: set it at the terminal, or let it be set with set_ranges: true", channel)
         if protected:
             raise self._error(f"{found}, and the terminal is write-protected", channel)
@@ -162,20 +188,24 @@ class FestoCpxE(ModbusDevice):
         """Range of each channel and data format of each module; one that has changed is read again in the next call."""
         enough, found = monotonic() + SETTINGS, dict[str, float | str]()
         for number, before in list(self._settings.items()):
-            if self._setting(line, number, until) != before:
-                self._settings = {number: self._settings.pop(number), **self._settings}
+            if before is not None and monotonic() > enough:
                 break
-            if monotonic() > enough:
+            if self._setting(line, number, until) != before and before is not None:
+                self._settings = {number: self._settings.pop(number), **self._settings}
                 break
             line.let_samples()
         for channel in self._terminal.ranges:
-            number, shift = self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
-            found[f"range of {channel}"] = _range(self._settings[number] >> shift)
+            number, shift = self._range_at(channel)
+            found[f"range of {channel}"] = _range((self._settings[number] or 0) >> shift)
         for module in self._used:
             if module.kind.ranges:
-                linear = self._settings[module.parameter(t.DATA_FORMAT)] & 1
+                linear = (self._settings[module.parameter(t.DATA_FORMAT)] or 0) & 1
                 found[f"data format of module {module.position}"] = "linear scaled" if linear else "sign + 15 bit"
         return found
+
+    def _range_at(self, channel: str) -> tuple[int, int]:
+        """Function number of the range of a channel, and by how many bits it is shifted there."""
+        return self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
 
     @staticmethod
     def _present(line: Line, until: float) -> int:
