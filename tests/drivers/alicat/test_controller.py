@@ -316,6 +316,16 @@ def test_one_lost_answer_is_a_gap_and_no_failure(rig):
     assert not failure(device, 0.1)
 
 
+def test_answers_that_are_late_for_a_moment_are_a_gap_and_no_failure(tmp_path, protocol):
+    """A computer that did something else for 0.15 s ended a good run: over Modbus nothing was asked for half a second."""
+    record = controller(tmp_path / "c", protocol, slowest="500 ms", timeout="60 ms")
+    with emulated(record, preset="ideal") as (emulator, [record]), opened(record) as device:
+        device.start(50.0)
+        time.sleep(0.2)
+        fault(emulator, "delay", 0.15, count=1)
+        assert not failure(device, 0.6)
+
+
 def test_late_answers_are_never_taken_for_new_ones(tmp_path, protocol):
     """Answers up to three time-outs late, and questions that wait behind them: what is not refused is true."""
     chance = random.Random(11)
