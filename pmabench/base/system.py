@@ -1,11 +1,16 @@
-"""What only one kind of system has: file locks that the kernel frees, limits of a process, its priority and user."""
+"""What a process has of its system: file locks that the kernel frees, limits, priority, user, installed extensions."""
 
 from __future__ import annotations
 
 import getpass
 import os
 import sys
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 GUARD, ENGINE = 20, 10
 """Real-time priorities: the guard goes before the engine, and both before every ordinary program."""
@@ -68,16 +73,12 @@ def try_lock(path: Path) -> int | None:
     return handle
 
 
-if sys.platform == "win32":
-
-    def _lock(handle: int) -> None:
+def _lock(handle: int) -> None:
+    if sys.platform == "win32":
         import msvcrt
 
         msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-
-else:
-
-    def _lock(handle: int) -> None:
+    else:
         import fcntl
 
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -99,3 +100,17 @@ def end_after_cpu(seconds: float) -> None:
 
         signal.signal(signal.SIGPROF, signal.SIG_DFL)
         signal.setitimer(signal.ITIMER_PROF, seconds)
+
+
+@cache
+def installed() -> Any:
+    """All entry points of all packages, read once in a process: that takes 15 ms."""
+    from importlib.metadata import entry_points  # not in the guard, which needs none
+
+    return entry_points()
+
+
+def registered(group: str) -> EntryPoints:
+    """The entry points of a group, of pmabench and of the packages that are installed next to it."""
+    found: EntryPoints = installed().select(group=group)
+    return found

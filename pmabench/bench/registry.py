@@ -7,7 +7,7 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint
 
 from pmabench.base.errors import did_you_mean
-from pmabench.base.extensions import registered
+from pmabench.base.system import registered
 
 EMULATOR_ONLY = "emulator only"
 """What a driver was tried on that does not say it by its class attribute `verified`."""

@@ -130,7 +130,7 @@ def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Pa
 def demo(ui: Ui, out: Path, seed: int) -> int | None:
     """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
     from pmabench.cli.process import print_analyses
-    from pmabench.cli.report import characterise
+    from pmabench.cli.report import characterise, characterised_lines
 
     started = time.monotonic()
     outcomes = run_campaign(ui, "demo", out / "runs", operator_name="demo", yes=True, seed=seed)
@@ -142,13 +142,14 @@ def demo(ui: Ui, out: Path, seed: int) -> int | None:
     recorded_in = [outcome.folder for outcome in outcomes if outcome.folder is not None]
     place = out / "analyses" / recorded_in[0].name
     title = "Characterisation of a simulated MAS-20-250"
-    found = characterise(recorded_in, place, out / "report.html", title)
+    page = out / "report.html"
+    found = characterise(recorded_in, place, page, title)
     elapsed = time.monotonic() - started
     data = {
         "schema": "pmabench.demo/1",
         "runs": [str(outcome.folder) for outcome in outcomes],
         "folders": [str(folder) for folder in found.folders],
-        "report": str(found.report),
+        "report": str(page),
         "rows": recorded,
         "seconds": round(elapsed, 3),
         "analyses": [analysis.to_dict() for analysis in found.analyses],
@@ -157,10 +158,10 @@ def demo(ui: Ui, out: Path, seed: int) -> int | None:
     def human() -> None:
         if ui.verbose:
             print_analyses(ui, found.analyses)
-        click.echo("\n".join(found.lines()))
+        click.echo("\n".join(characterised_lines(found, page)))
         seconds = sum(outcome.bench_seconds for outcome in outcomes)
         ui.note(f"{seconds / 60:.0f} min at the simulated bench, {recorded:,} rows, in {elapsed:.1f} s")
         click.echo("next    pmabench init our-lab    the same for a bench of your own")
 
-    ui.result(data, human, [str(found.report)])
+    ui.result(data, human, [str(page)])
     return None

@@ -14,11 +14,10 @@ from pmabench.base.errors import InvalidFile, RecordError, UsageError
 from pmabench.base.quantities import in_words, show
 from pmabench.base.text import clean
 from pmabench.bench.compile import Mounted
-from pmabench.cli.common import Ui, common, fields, plan_options, write_text
-from pmabench.cli.history import ANALYSES
+from pmabench.cli.common import Ui, common, fields, no_overwriting, plan_options
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
-from pmabench.cli.prepare import Prepared, needed, size, too_little
+from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
 from pmabench.kinds.compile import read_protocol
 from pmabench.protocol.idle import Idle, idle_trials, without
 from pmabench.protocol.plan import Plan
@@ -51,8 +50,6 @@ def command(
     **files: Any,
 ) -> int | None:
     """Check PROTOCOL against a bench and a specimen, and show the plan."""
-    from pmabench.cli.prepare import prepare
-
     prepared = prepare(**files)
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
     summary = plan_summary(plan, mounted)
@@ -64,7 +61,12 @@ def command(
         raise UsageError("--drop-idle and -o FILE belong together")
     simulate |= muscle is not None
     one = not mounted.bench_file.muscles
-    known = _muscle(mounted, muscle, output) if one or (simulate and _replaced(mounted, muscle)) else None
+    replaced = mounted.bench.realtime or muscle is not None  # the bench's devices, or its simulated muscle
+    known = None
+    if (one or (simulate and replaced)) and (replaced or output or mounted.specimen_file.expected is not None):
+        from pmabench.cli.dry_run import muscle_of
+
+        known = muscle_of(mounted, muscle)  # of a simulated bench only what the file expects, unless asked for
     idle = idle_trials(plan, known.expected) if known is not None and known.expected is not None else None
     summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
     if output is not None:
@@ -76,7 +78,7 @@ def command(
     if simulate:
         from pmabench.cli.dry_run import findings_of, report
 
-        simulated = summary["simulated"] = _tried(ui, plan, mounted, known, replaced=_replaced(mounted, muscle))
+        simulated = summary["simulated"] = _tried(ui, plan, mounted, known, replaced=replaced)
         lines = [*findings_of(simulated), *_idle_lines(plan, idle, output), *_open(mounted), *warnings]
         then = _then(prepared, idle, output, refused=refused, done=simulated["status"] == "finished")
 
@@ -101,20 +103,6 @@ def _tried(ui: Ui, plan: Plan, mounted: Mounted, known: PredictedMuscle | None, 
     with progress_line(ui, "simulated") as progress:
         found = simulate(plan, mounted, known if replaced else None, progress)
     return found | {"intervals": expected_intervals(plan, mounted, known)}
-
-
-def _replaced(mounted: Mounted, muscle: Path | None) -> bool:
-    """Whether a predicted muscle takes the place of the bench's devices, or of its simulated muscle."""
-    return mounted.bench.realtime or muscle is not None
-
-
-def _muscle(mounted: Mounted, muscle: Path | None, output: Path | None) -> PredictedMuscle | None:
-    """What is known of the muscle; of a simulated bench only what the specimen file expects, unless asked for."""
-    if _replaced(mounted, muscle) or output is not None or mounted.specimen_file.expected is not None:
-        from pmabench.cli.dry_run import muscle_of
-
-        return muscle_of(mounted, muscle)
-    return None
 
 
 def _open(mounted: Mounted) -> list[str]:
@@ -228,12 +216,13 @@ def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refuse
 
 
 def _write_without(prepared: Prepared, idle: Idle | None, path: Path) -> None:
+    from pmabench.report.writing import write_file
+
     if idle is None:
         raise UsageError("--drop-idle: a plant file predicts no idle trials; give an analysis")
-    if path.exists():
-        raise UsageError(f"{path} is there already; give the name of a new file")
+    no_overwriting(path)
     document, model = read_protocol(Path(prepared.sources["protocol"]), prepared.sources["set"])
-    write_text(path, without(document, model.sweep, prepared.protocol_text, idle.all))
+    write_file(path, without(document, model.sweep, prepared.protocol_text, idle.all), "the protocol")
 
 
 def _print_steps(plan: Plan) -> None:
@@ -263,17 +252,17 @@ def last_words(mounted: Mounted, runs: Path) -> list[str]:
     Looked for in the folder `analyses` next to the folder of runs; one that found nothing ends the search without a
     line, and simulated runs say nothing about a real bench.
     """
-    asked = {"bench": mounted.bench.name, "specimen": (mounted.specimen_file.type, mounted.specimen_file.serial)}
+    asked, muscle = {"bench", "specimen"}, (mounted.specimen_file.type, mounted.specimen_file.serial)
     lines: list[str] = []
     for folder, form, manifest in _diagnosed(runs):
         if bool(manifest.get("simulated")) is mounted.bench.realtime:
             continue
         specimen = manifest.get("specimen")
         mine = (specimen.get("type"), specimen.get("serial")) if isinstance(specimen, Mapping) else None
-        same = {"bench": manifest.get("bench") == asked["bench"], "muscle": mine == asked["specimen"]}
+        same = {"bench": manifest.get("bench") == mounted.bench.name, "muscle": mine == muscle}
         for of, what in (("bench", "bench"), ("muscle", "specimen")):
             if same[of] and what in asked:
-                del asked[what]
+                asked.remove(what)
                 lines += _lines(form, of, f"last diagnosis of this {what} ({short(folder.parent)})")
         if not asked:
             break
@@ -298,20 +287,19 @@ def _sentence(text: Any) -> str:
 
 def _diagnosed(runs: Path) -> Iterator[tuple[Path, Mapping[str, Any], Mapping[str, Any]]]:
     """Folder, diagnosis, and manifest of the last run, of analyses that have one, the newest first."""
+    from pmabench.cli.sources import analyses_of
     from pmabench.store.analyses.folder import read_analysis, runs_of
     from pmabench.store.folder import read_manifest
 
-    parent = runs.resolve().parent if runs.resolve().name == "runs" else runs
-    files = {path for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}
-    for path in sorted(files, key=lambda path: path.stat().st_mtime_ns, reverse=True)[:NEWEST]:
+    for place in analyses_of(runs)[: -NEWEST - 1 : -1]:
         try:
-            facts = read_analysis(path.parent).facts
+            facts = read_analysis(place).facts
             form = facts.get("form")
             if not isinstance(form, Mapping) or not isinstance(form.get("explanations"), list):
                 continue
             if facts.get("recalibrated"):
                 continue  # what was taken off the record is still wrong at the bench
-            if folders := runs_of(path.parent):
-                yield path.parent, form, read_manifest(folders[-1])
+            if folders := runs_of(place):
+                yield place, form, read_manifest(folders[-1])
         except (InvalidFile, RecordError, OSError):
             continue  # `check` is not about analyses: who opens it learns what is wrong with it

@@ -67,11 +67,6 @@ class Ui:
         if not self.quiet:
             say(text)
 
-    def detail(self, text: str) -> None:
-        """A line for people who asked for more."""
-        if self.verbose and not self.quiet:
-            say(text)
-
     def result(self, data: Mapping[str, Any], human: Callable[[], None], brief: Iterable[str] | None = None) -> None:
         """The result: one JSON object, or what `human` prints, or with --quiet the lines of `brief`.
 
@@ -276,12 +271,10 @@ def read_quantity(option: str, text: str, quantity: str) -> float:
         raise UsageError(f"{option}: {error}") from error
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file; RecordError where it cannot be written."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror}") from error
+def no_overwriting(path: Path | None) -> None:
+    """UsageError for the name of a file that is there."""
+    if path is not None and path.exists():
+        raise UsageError(f"{path} is there already; give the name of a new file")
 
 
 def no_pipes(*paths: Path | None) -> None:

@@ -116,7 +116,8 @@ def _is_table(text: str) -> bool:
 def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path]]:
     """The analyses in a path, and the folders of their runs as far as they are at hand."""
     from pmabench.analysis.verdict.comparison import Side
-    from pmabench.cli.process import analyse, load_runs, read_all, stored
+    from pmabench.cli.sources import load_runs, read_all, stored
+    from pmabench.kinds.reduce import reduce_runs
     from pmabench.store.analyses.folder import analyses_below, read_analysis, runs_of
 
     path = Path(text)
@@ -125,7 +126,7 @@ def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path
     if not path.is_dir():
         raise invalid(path, "there is no such folder; give an analysis folder, a folder of them or a run")
     if (path / "manifest.json").exists():
-        analyses = read_all(ui, [] if fresh else stored(ui, [path])) or analyse(load_runs([path]))
+        analyses = read_all(ui, [] if fresh else stored(ui, [path])) or reduce_runs(load_runs([path]))
         runs = [path]
     else:
         folders = analyses_below(path)
@@ -189,8 +190,8 @@ def _calibrations(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) -> tuple[Side, list[Published]]:
     """A table as the reference, and how its points compare with the curves of figures."""
     from pmabench.analysis.verdict.comparison import Side
-    from pmabench.cli.process import load_runs
-    from pmabench.cli.report_overlays import read_overlays
+    from pmabench.cli.report import read_overlays
+    from pmabench.cli.sources import load_runs
     from pmabench.report.figures.overlays import length_of, with_published
 
     tables = read_overlays([text])

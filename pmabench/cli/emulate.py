@@ -71,8 +71,7 @@ def command(
     A shipped bench is emulated from its truth file, which says from data sheets what is wired and by which scales. For
     another bench without --truth that is taken from the bench file itself: then its scales are not proven.
     """
-    from pmabench.base.extensions import registered
-    from pmabench.base.system import ENGINE, real_time
+    from pmabench.base.system import ENGINE, real_time, registered
     from pmabench.bench.compile import mount_alone
     from pmabench.bench.truth import read_truth, truth_of
 

@@ -30,8 +30,8 @@ def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path, fresh: b
     A folder of analyses means all in it. For latex, json, python-control and mujoco runs are processed first,
     unless `process` did that and nothing has changed since. Units are in the heads of columns.
     """
-    from pmabench.cli.process import apart
-    from pmabench.notebook import Results, open_analysis, open_run
+    from pmabench.cli.sources import Sources, apart
+    from pmabench.notebook import Results, open_run
     from pmabench.report.files.export import export_results, export_run
 
     if output.is_fifo():
@@ -41,20 +41,14 @@ def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path, fresh: b
         raise UsageError(f"{output} is a file; --format {form} writes a folder")
     if not folder and output.is_dir():
         raise UsageError(f"{output} is a folder; --format {form} writes one file")
-    folders, others = apart(sources)
-    if form in SAMPLES and others:
+    others = apart(sources)[1] if form in SAMPLES else []
+    if others:
         if len(sources) > 1:
             raise UsageError(f"--format {form} of runs takes one run at a time; of analysis folders any number")
         paths = export_run(open_run(others[0]), form, output)
     else:
-        from pmabench.cli.process import analyse, load_runs, read_all, stored, without_analyses
-
-        found = open_analysis(*folders) if folders else Results((), ())
-        if others:
-            given = without_analyses(ui, others)
-            before = read_all(ui, [] if fresh else stored(ui, given))
-            runs = load_runs(given)
-            found = Results((*found.analyses, *(before or analyse(runs))), (*found.runs, *runs))
+        analyses, runs = Sources.of(ui, sources, fresh=fresh).analysed(ui, once=False)
+        found = Results(tuple(analyses), tuple(runs))
         paths = export_results(found, form, output)
     written = [str(path) for path in paths]
     data = {"schema": "pmabench.export/1", "format": form, "written": written}
@@ -96,8 +90,7 @@ def publish(
     people, place = tuple(map(Author.read, authors)), Place.read(publisher)
     about = About(people, publisher=place, published=published or today, **facts)
     ui.begin("putting the publication together")
-    from pmabench.cli.process import apart, stored, without_analyses
-    from pmabench.cli.report import analysed
+    from pmabench.cli.sources import Sources
     from pmabench.plotting.svg import import_what_draws
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.document.provenance import operators
@@ -105,9 +98,7 @@ def publish(
     from pmabench.store.folder import files_of
 
     import_what_draws()
-    folders, others = apart(sources)
-    given = without_analyses(ui, others) if others else []
-    analyses, runs = analysed(ui, folders, folders if folders or fresh else stored(ui, given), given)
+    analyses, runs = Sources.of(ui, sources, fresh=fresh).analysed(ui)
     publish(analyses, runs, page_of(content_of(analyses, runs, title=about.title or None)), about, output)
     names = operators(runs)
     files = len(list(files_of(output))) if output.is_dir() else None

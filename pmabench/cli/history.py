@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from pmabench.store.catalogue import Row
     from pmabench.store.records import RunData
 
-ANALYSES = ("*/analysis.json", "*/*/analysis.json", "*/*/*/analysis.json")
-"""Where analyses lie below a folder of them: those of one call, and those of runs each on its own."""
-
 
 @click.command(name="history")
 @click.argument("specimen")
@@ -135,22 +132,21 @@ def _cycles_before(manifest: Mapping[str, Any]) -> int:
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
     """The analyses of these runs that lie where `process` leaves them, in the order in which they were written."""
+    from pmabench.cli.sources import analyses_of
     from pmabench.store.analyses.folder import read_analysis
 
-    parent = folder.resolve().parent if folder.resolve().name == "runs" else folder
-    found = {path: path.stat().st_mtime_ns for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}
-    for path in sorted(found, key=lambda path: (found[path], path)):
+    for place in analyses_of(folder):
         try:
-            if _is_of(path, runs):
-                yield read_analysis(path.parent)
+            if _is_of(place, runs):
+                yield read_analysis(place)
         except InvalidFile as error:
             ui.note(f"{error}; left out")
 
 
-def _is_of(path: Path, runs: set[str]) -> bool:
+def _is_of(place: Path, runs: set[str]) -> bool:
     """Whether the analysis is of one of these runs; its figures' numbers are read for no other. True where damaged."""
     try:
-        analysed = json.loads(path.read_bytes())["runs"]
+        analysed = json.loads((place / "analysis.json").read_bytes())["runs"]
         return any(run in runs for run in analysed)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return True

@@ -14,7 +14,7 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.base.text import printable, sparkline
-from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.common import Ui, common, fields, no_overwriting
 from pmabench.cli.names import PATH
 from pmabench.files.shipped import find_file
 
@@ -105,21 +105,19 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     """Report what the files seem to hold, and write the map where `output` says."""
     from pmabench.files.document import Document
     from pmabench.kinds.registry import importable
-    from pmabench.report.writing import writing
+    from pmabench.report.writing import write_file
     from pmabench.store.importers.guess.guess import guess_files
     from pmabench.store.importers.guess.write import map_text, still_open
     from pmabench.store.importers.map_file import questions_of
 
     time_spans = dict(map(_span, spans))
-    if output is not None and output.exists():
-        raise UsageError(f"{output} is there already and is not overwritten; give another name")
+    no_overwriting(output)
     found = guess_files(files, importable())
     text = map_text(found, time_spans)
     left = still_open(text)
     questions = questions_of(Document("map" if output is None else str(output), text))
     if output is not None:
-        with writing(output, "the map"):
-            output.write_text(text, encoding="utf-8")
+        write_file(output, text, "the map")
     data = {
         "schema": "pmabench.import-guess/1",
         "files": [str(path) for path in files],

@@ -29,11 +29,10 @@ README = """# Lab folder
 
 | file | what |
 | --- | --- |
-| `bench.yaml` | what is wired where, limits, safe state |
-| `specimen.yaml` | the muscle |
-| `protocol.yaml` | what is tested |
-| `calibrations/` | of the bench's channels; `pmabench calibrate CHANNEL ...` writes new ones |
-| `answers.yaml` | what was answered; `pmabench init NEW --answers answers.yaml` writes the same files again |
+| `bench.yaml` | what is wired where, limits, safe state{bench} |
+| `specimen.yaml` | the muscle{specimen} |
+| `protocol.yaml` | what is tested{protocol} |
+| `calibrations/` | of the bench's channels{calibrations}; `pmabench calibrate CHANNEL ...` writes new ones |{answers}
 | `schemas/` | for editors, which complete and check the files with them |
 
 ```
@@ -43,12 +42,15 @@ pmabench process runs/*              # coefficients, into analyses/
 pmabench report runs/* -o report.html
 ```
 
-Values marked TO CONFIRM were derived. Nothing runs on real devices before each was looked up and its entry deleted from
-`to_confirm`, and bench.yaml says who read it over: `reviewed: {{by: NAME, date: {day}}}`. Before air is on:
+{open}Before air is on: `pmabench check` names what the bench lacks,
 `pmabench bench card bench.yaml -o card.html` is the page to hang at the rig, `pmabench bench probe bench.yaml` asks the
 devices who they are. Keep this folder under version control, all but `runs/` and `analyses/`. pmabench is not a safety
 function.
 """
+OF_ANSWERS = """
+| `answers.yaml` | what was answered; `pmabench init NEW --answers answers.yaml` writes the same files again |"""
+TO_CONFIRM = """Values marked TO CONFIRM were derived. Nothing runs on real devices before each was looked up and its
+entry deleted from `to_confirm`, and bench.yaml says who read it over: `reviewed: {{by: NAME, date: {day}}}`. """
 
 
 @click.command(name="init")
@@ -97,6 +99,7 @@ def _refuse_full(folder: Path) -> None:
 def _answers(ui: Ui, folder: Path, path: Path | None, single: tuple[str, ...]) -> Answers:
     """What was answered, in a file, in words or at the terminal; UsageError where a needed answer is missing."""
     from pmabench.bench.lab.questions import Answers, check_answers, read_answers
+    from pmabench.report.writing import write_file
 
     kept = folder / ANSWERS
     given: dict[str, str | None] = {}
@@ -107,7 +110,7 @@ def _answers(ui: Ui, folder: Path, path: Path | None, single: tuple[str, ...]) -
     answers = Answers(given, day or datetime.date.today())
     check_answers(answers)
     if path is None and not single:
-        ask(ui, answers, lambda: _keep(kept, answers))
+        ask(ui, answers, lambda: write_file(kept, answers.text_of_file(), "the answers"))
     missing = answers.missing()
     if missing:
         from pmabench.bench.lab.questions import QUESTIONS
@@ -126,19 +129,14 @@ def _pair(text: str) -> tuple[str, str | None]:
     return key, value.strip() or None
 
 
-def _keep(path: Path, answers: Answers) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(answers.text_of_file(), encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror or error}") from error
-
-
 def _lab(answers: Answers) -> dict[str, str]:
     from pmabench.bench.lab.files import lab_files
 
     shipped = find_file("protocol", answers.text("protocol")).read_text(encoding="utf-8")
-    return lab_files(answers, shipped) | {"README.md": README.format(check=CHECK, day=answers.asked.isoformat())}
+    about = dict.fromkeys(("bench", "specimen", "protocol", "calibrations"), "")
+    is_open = TO_CONFIRM.format(day=answers.asked.isoformat())
+    readme = README.format(check=CHECK, answers=OF_ANSWERS, open=is_open, **about)
+    return lab_files(answers, shipped) | {"README.md": readme}
 
 
 def _schemas(files: dict[str, str]) -> dict[str, str]:
@@ -194,7 +192,7 @@ def _end(folder: Path, note: str) -> list[str]:
 BACK, EXPLAIN, UNKNOWN = "b", "?", "-"
 
 
-def ask(ui: Ui, answers: Answers, keep: Callable[[], None]) -> None:
+def ask(ui: Ui, answers: Answers, keep: Callable[[], object]) -> None:
     """Ask every question that has no answer yet; `keep` is called after each answer.
 
     Raises UsageError where the answers end too early.
@@ -346,29 +344,17 @@ def _simulated(prepared: Prepared) -> bool:
 
 
 def _readme_like(prepared: Prepared, bench: str) -> str:
-    mounted, plan = prepared.mounted, prepared.plan
-    kind, muscle = "Addresses, ranges and limits are examples: put in yours", ""
-    if _simulated(prepared):
-        kind = "A simulated muscle: write your devices in its place, or copy the shipped bench that is most like yours"
-        muscle = f": {mounted.specimen_file.type}"
-    return f"""# Lab folder
-
-| file | what |
-| --- | --- |
-| `bench.yaml` | what is wired where, limits, safe state; the shipped bench `{bench}`. {kind} |
-| `calibrations/` | of the bench's channels; fill in what is `??`. `pmabench calibrate CHANNEL ...` writes new ones |
-| `specimen.yaml` | the muscle{muscle}. Put in type, serial, lengths and limits of yours |
-| `protocol.yaml` | what is tested: {plan.name} (kind {plan.kind}) |
-| `schemas/` | for editors, which complete and check the files with them |
-
-```
-pmabench check {CHECK}    # nothing moves
-pmabench run {CHECK}      # records into runs/
-pmabench process runs/*          # coefficients, into analyses/
-pmabench report runs/* -o report.html
-```
-
-Before air is on: `pmabench check` names what the bench lacks, `pmabench bench card bench.yaml -o card.html` is the page
-to hang at the rig, `pmabench bench probe bench.yaml` asks the devices who they are. Keep this folder under version
-control, all but `runs/` and `analyses/`. pmabench is not a safety function.
-"""
+    plan, simulated = prepared.plan, _simulated(prepared)
+    kind = "addresses, ranges and limits are examples: put in yours"
+    muscle = f": {prepared.mounted.specimen_file.type}" if simulated else ""
+    if simulated:
+        kind = "a simulated muscle: write your devices in its place, or copy the shipped bench that is most like yours"
+    return README.format(
+        bench=f"; the shipped bench `{bench}`, {kind}",
+        specimen=f"{muscle}. Put in type, serial, lengths and limits of yours",
+        protocol=f": {plan.name} (kind {plan.kind})",
+        calibrations="; fill in what is `??`",
+        answers="",
+        open="" if simulated else "`pmabench check` refuses what is still `??`. ",
+        check=CHECK,
+    )

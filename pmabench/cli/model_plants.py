@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 
 PLANTS = ("joint", "platform")
-LONGEST, MOST_ROWS = 100.0, 20_000
-"""Longest time that is simulated [s], and most rows."""
+LONGEST = 100.0
+"""Latest moment of a step or opening [s]."""
 HIGHEST = 7e5
 """Most gauge pressure that is commanded [Pa]."""
 MOST_TURN = math.radians(45.8)
@@ -41,33 +41,17 @@ OPEN = re.compile(r"\s*(fill|exhaust)\s+([123])\s*,\s*(.+?)\s+to\s+(.+?)\s*")
 DRIVE = re.compile(r"(?P<mean>[^,]+?)\s*\+-\s*(?P<amplitude>[^,]+),(?P<frequency>[^,]+)")
 
 
-def simulate_several(
-    ui: Ui, plant: str, steps: Sequence[str], openings: Sequence[str], drive: str | None, chain: str,
-    every: str | None, duration: str, *, as_csv: bool,
-) -> None:  # fmt: skip
-    """Simulate a joint or a platform of the library from rest, and print it."""
-    from pmabench.files.quantity import parse_quantity
-
-    said = ""
-    try:
-        seconds = within(duration, "time", 1e-3, LONGEST)
-        spacing = seconds / 25 if every is None else parse_quantity(every, "time")
-        if not spacing > 0 or seconds / spacing > MOST_ROWS:
-            raise ValueError(f'--every "{every}": from 1 to {MOST_ROWS} rows are made')
-        times = [number * spacing for number in range(int(seconds / spacing * (1 + 1e-9)) + 1)]
-        if plant == "joint":
-            if openings:
-                raise ValueError("--open is for the platform")
-            columns = _joint(_courses(steps), drive, times)
-        else:
-            if drive is not None:
-                raise ValueError("--drive is for the joint; the platform is free")
-            columns, said = _platform(steps, openings, chain, times)
-    except ValueError as error:
-        raise UsageError(str(error)) from error
-    data = {"schema": "pmabench.model-simulation/1", "simulated": True, "plant": plant, "columns": columns}
-    below = [f"\n{said}"] if said and not ui.quiet else []
-    show_columns(ui, data, as_csv=as_csv, above=f"SIMULATED: plant {plant}; true values, no sensors", below=below)
+def columns_of(
+    plant: str, steps: Sequence[str], openings: Sequence[str], drive: str | None, chain: str, times: list[float]
+) -> tuple[list[Any], str]:
+    """A joint or a platform of the library, simulated from rest: its columns, and a sentence about its law."""
+    if plant == "joint":
+        if openings:
+            raise ValueError("--open is for the platform")
+        return _joint(_courses(steps), drive, times), ""
+    if drive is not None:
+        raise ValueError("--drive is for the joint; the platform is free")
+    return _platform(steps, openings, chain, times)
 
 
 def within(text: str, quantity: str, least: float, most: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +14,10 @@ from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common
 from pmabench.cli.model_inputs import column_of, show_columns
-from pmabench.cli.model_plants import DRIVE, PLANTS, described_by, next_to, simulate_several, within
+from pmabench.cli.model_plants import DRIVE, PLANTS, columns_of, described_by, next_to, within
 from pmabench.cli.names import RunFolder
 
 if TYPE_CHECKING:
-    from pmabench.model.curve import Array
     from pmabench.model.driven import Actuator, DrivenPlant
     from pmabench.model.identified.plant import IdentifiedDrivenPlant, IdentifiedPlant
     from pmabench.model.motion import Motion
@@ -29,8 +28,8 @@ if TYPE_CHECKING:
     from pmabench.model.regulator import Wave
 
 MOST_ROWS = 20_000
-LONGEST = 1000.0
-"""Longest time that is simulated [s]."""
+LONGEST, LONGEST_OF_SEVERAL = 1000.0, 100.0
+"""Longest time that is simulated, of one muscle and of several [s]."""
 HIGHEST, OF_PRESETS = 1e6, 600e3
 """Most pressure of any muscle, and of the presets [Pa]."""
 FASTEST = 10.0
@@ -106,39 +105,35 @@ def simulate(
     Or the folder of an analysis of kind surface; with --along RUN next to what was measured. True values in time,
     without sensors.
     """
+    several = plant in PLANTS
     if chain != "reference" and plant != "platform":
         raise UsageError("--chain is for the platform")
-    if plant in PLANTS:
-        if sine or load or settings or along:
-            raise UsageError(f"{plant}: --sine, --load, --set and --along are for plants of one muscle")
-        simulate_several(ui, plant, steps, openings, drive, chain, every, duration, as_csv=as_csv)
-        return
+    if several and (sine or load or settings or along):
+        raise UsageError(f"{plant}: --sine, --load, --set and --along are for plants of one muscle")
     if along is not None:
         if any((steps, sine, load, drive, settings)):
             what = "--along takes pressures and loads from the run"
             raise UsageError(f"{what}; give no --step, --sine, --load, --drive, --set")
         next_to(ui, Path(plant), along, trial, as_csv=as_csv)
         return
-    problems = _misplaced(trial, openings, load, drive, nothing=not steps and sine is None)
-    seconds = _parsed(problems, "--for", within, duration, "time", 1e-3, LONGEST)
-    default: Any = None if seconds is None else seconds / 25
-    spacing = _parsed(problems, "--every", within, every, "time", 1e-6, LONGEST) if every else default
-    waves = _parsed(problems, "--step", _course, steps, sine)
-    weight = _parsed(problems, "--load", _load, load)
-    driven = _parsed(problems, "--drive", _drive, drive)
-    changes = _parsed(problems, "--set", _overrides, settings)
-    if seconds and spacing and seconds / spacing > MOST_ROWS:
-        problems.append(f"--every: {seconds / spacing:.0f} rows; at most {MOST_ROWS} are made")
+    problems = [] if several else _misplaced(trial, openings, load, drive, nothing=not steps and sine is None)
+    times = _times(problems, duration, every, LONGEST_OF_SEVERAL if several else LONGEST)
+    asked = None if several else _asked(problems, steps, sine, load, drive, settings)
     if problems:
         raise UsageError("\n".join(problems))
+    said = ""
     try:
-        motion = _simulated(plant, kind, changes, waves, weight, driven, seconds, spacing)
+        if asked is None:
+            columns, said = columns_of(plant, steps, openings, drive, chain, times)
+        else:
+            motion = _simulated(plant, kind, asked, times)
+            columns = [column_of(name, quantity, getattr(motion, field).tolist()) for name, quantity, field in COLUMNS]
     except ValueError as error:
         raise UsageError(f"{plant}: {error}") from error
-    columns = [column_of(name, quantity, getattr(motion, field).tolist()) for name, quantity, field in COLUMNS]
-    data = {"schema": "pmabench.model-simulation/1", "simulated": True}
-    data |= {"plant": plant, "kind": kind, "columns": columns}
-    show_columns(ui, data, as_csv=as_csv, above=f"SIMULATED: plant {plant}, {kind}; true values, no sensors")
+    data = {"schema": "pmabench.model-simulation/1", "simulated": True, "plant": plant, "columns": columns}
+    data |= {} if several else {"kind": kind}
+    above = f"SIMULATED: plant {plant}{'' if several else f', {kind}'}; true values, no sensors"
+    show_columns(ui, data, as_csv=as_csv, above=above, below=[f"\n{said}"] if said and not ui.quiet else [])
 
 
 def _misplaced(
@@ -154,74 +149,107 @@ def _misplaced(
     return [text for text, is_so in wrong.items() if is_so]
 
 
-def _simulated(
-    plant: str,
-    kind: str,
-    changes: Overrides,
-    waves: tuple[Wave, ...],
-    weight: tuple[float, float],
-    driven: tuple[float, float, float] | None,
-    seconds: float,
-    spacing: float,
-) -> Motion:
+@dataclass(frozen=True)
+class Asked:
+    """What a plant of one muscle goes through."""
+
+    waves: tuple[Wave, ...]
+    """The commanded pressure."""
+    weight: tuple[float, float]
+    """Force [N] and moving mass [kg]."""
+    drive: tuple[float, float, float] | None
+    """Mean and amplitude of the driven end [m], frequency [Hz]."""
+    changes: Overrides
+
+    def refuse_above(self, highest: float, why: str) -> None:
+        """Raise ValueError, with `why`, where more than a pressure [Pa] is commanded."""
+        peak = max(wave.level + wave.amplitude for wave in self.waves)
+        if peak > highest * (1 + 1e-9):
+            raise ValueError(f"{show(peak, 'pressure')} is outside 0 kPa to {show(highest, 'pressure')}, {why}")
+
+
+def _times(problems: list[str], duration: str, every: str | None, longest: float) -> list[float]:
+    """The moments that are printed [s]; what is wrong with --for and --every is added to `problems`."""
+    seconds = _parsed(problems, "--for", within, duration, "time", 1e-3, longest)
+    spacing = seconds and seconds / 25
+    if every:
+        spacing = _parsed(problems, "--every", within, every, "time", 1e-6, longest)
+    if not seconds or not spacing:
+        return []
+    if seconds / spacing > MOST_ROWS:
+        problems.append(f"--every: {seconds / spacing:.0f} rows; at most {MOST_ROWS} are made")
+        return []
+    return [number * spacing for number in range(int(seconds / spacing * (1 + 1e-9)) + 1)]
+
+
+def _asked(
+    problems: list[str], steps: tuple[str, ...], sine: str | None, load: str | None, drive: str | None,
+    settings: tuple[str, ...],
+) -> Asked:  # fmt: skip
+    """What was typed; what is wrong with it is added to `problems`."""
+    return Asked(
+        waves=_parsed(problems, "--step", _course, steps, sine),
+        weight=_parsed(problems, "--load", _load, load),
+        drive=_parsed(problems, "--drive", _drive, drive),
+        changes=_parsed(problems, "--set", _overrides, settings),
+    )
+
+
+def _simulated(plant: str, kind: str, asked: Asked, times: list[float]) -> Motion:
     import numpy as np
 
-    from pmabench.model import regulator
-    from pmabench.model.driven import Actuator
+    from pmabench.model.regulator import sine
 
-    times: Array = np.arange(int(seconds / spacing * (1 + 1e-9)) + 1, dtype=np.float64) * spacing
-    bench: Plant | RealPlant | DrivenPlant | IdentifiedPlant | IdentifiedDrivenPlant
-    if Path(plant).is_dir():
-        bench = _identified(Path(plant), changes, waves, weight, driven, seconds)
-        return bench.advance(float(times[-1]), times)
-    setup = _setup(plant, kind, changes, waves)
-    if driven is None:
-        bench = setup.free(force=weight[0], mass=weight[1])
-    else:
-        mean, amplitude, frequency = driven
-        bench = setup.driven(Actuator(), position=mean)
-        _stays_inside(setup, bench.actuator, mean - amplitude, mean + amplitude)
-        bench.move(regulator.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
-    bench.command(waves)
-    return bench.advance(float(times[-1]), times)
+    bench: Any = _of_analysis(Path(plant), asked) if Path(plant).is_dir() else _of_library(plant, kind, asked)
+    if asked.drive is not None:
+        mean, amplitude, frequency = asked.drive
+        bench.move(sine(0.0, mean, amplitude, frequency, math.ceil(times[-1] * frequency)))
+    bench.command(asked.waves)
+    motion: Motion = bench.advance(times[-1], np.array(times))
+    return motion
 
 
-def _identified(
-    folder: Path,
-    changes: Overrides,
-    waves: tuple[Wave, ...],
-    weight: tuple[float, float],
-    driven: tuple[float, float, float] | None,
-    seconds: float,
-) -> Plant | IdentifiedPlant | IdentifiedDrivenPlant:
-    """The muscle of an analysis, commanded; ValueError beyond the pressures and contractions that were tested."""
-    from pmabench.model import regulator
+def _of_analysis(folder: Path, asked: Asked) -> Plant | IdentifiedPlant | IdentifiedDrivenPlant:
+    """The muscle of an analysis; ValueError beyond the pressures and contractions that were tested."""
     from pmabench.model.driven import Actuator
     from pmabench.model.identified.plant import IdentifiedDrivenPlant
     from pmabench.model.regulator import Regulator
 
-    given = {name: value for name, value in asdict(changes).items() if value is not None}
+    given = {name: value for name, value in asdict(asked.changes).items() if value is not None}
     names = {"regulator_lag": "lag", "dead_time": "dead_time", "vent_ratio": "vent_ratio", "dead_band": "dead_band"}
     if wrong := sorted(set(given) - set(names)):
         raise ValueError(f"--set {wrong[0]}: of the muscle of an analysis {', '.join(names)} can be set")
     before = Regulator(**{"dead_time": 0.0} | {names[name]: value for name, value in given.items()})
     model = described_by(folder, before)
-    peak = max(wave.level + wave.amplitude for wave in waves)
-    if peak > model.domain[1] * (1 + 1e-9):
-        highest = show(model.domain[1], "pressure")
-        raise ValueError(f"{show(peak, 'pressure')} is above {highest}, up to which it was tested")
-    if driven is None or model.surface is None:
-        free = model.plant(*weight)
-        free.command(waves)
-        return free
-    mean, amplitude, frequency = driven
-    low, high = model.surface.reach
+    asked.refuse_above(model.domain[1], "up to which it was tested")
+    if asked.drive is None or model.surface is None:
+        return model.plant(*asked.weight)
+    (mean, amplitude, _), (low, high) = asked.drive, model.surface.reach
     if mean - amplitude < low - 1e-9 or mean + amplitude > high + 1e-9:
         raise ValueError(f"--drive leaves {show(low, 'length')} to {show(high, 'length')}, where it was tested")
-    plant = IdentifiedDrivenPlant(model.surface, before, Actuator(), position=mean)
-    plant.move(regulator.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
-    plant.command(waves)
-    return plant
+    return IdentifiedDrivenPlant(model.surface, before, Actuator(), position=mean)
+
+
+def _of_library(plant: str, kind: str, asked: Asked) -> Plant | RealPlant | DrivenPlant:
+    """A preset by name, or what a plant file says; ValueError where the course goes beyond that."""
+    from pmabench.model.driven import Actuator
+    from pmabench.model.presets import changed, preset
+
+    if plant.endswith(".yaml"):
+        from pmabench.bench.plant import read_plant
+        from pmabench.model.presets import setup_of
+
+        numbers = read_plant(Path(plant)).numbers
+        setup, highest = changed(setup_of(numbers), kind, asked.changes), float(numbers["highest_pressure"])
+    else:
+        setup, highest = preset(plant, kind, asked.changes), OF_PRESETS
+    asked.refuse_above(highest, "for which it is described")
+    if asked.drive is None:
+        return setup.free(*asked.weight)
+    mean, amplitude, _ = asked.drive
+    driven = setup.driven(Actuator(), position=mean)
+    _stays_inside(setup, driven.actuator, mean - amplitude, mean + amplitude)
+    return driven
 
 
 def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> None:
@@ -237,25 +265,6 @@ def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> 
         raise ValueError(
             f"--drive goes from {lengths}, and it is driven from {ends}{below if low < least == 0 else ''}"
         )
-
-
-def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -> Setup:
-    """A preset by name, or what a plant file says; ValueError where the course goes beyond that."""
-    from pmabench.model.presets import changed, preset
-
-    if plant.endswith(".yaml"):
-        from pmabench.bench.plant import read_plant
-        from pmabench.model.presets import setup_of
-
-        numbers = read_plant(Path(plant)).numbers
-        setup, highest = changed(setup_of(numbers), kind, changes), float(numbers["highest_pressure"])
-    else:
-        setup, highest = preset(plant, kind, changes), OF_PRESETS
-    peak = max(wave.level + wave.amplitude for wave in waves)
-    if peak > highest * (1 + 1e-9):
-        text = f"{show(peak, 'pressure')} is outside 0 kPa to {show(highest, 'pressure')}"
-        raise ValueError(f"{text}, for which it is described")
-    return setup
 
 
 def _parsed(problems: list[str], option: str, parse: Any, *arguments: Any) -> Any:

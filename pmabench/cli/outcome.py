@@ -16,6 +16,7 @@ import click
 
 from pmabench.cli.common import Ui, fields, read_or_not, rewrite, say
 from pmabench.cli.names import short, typed
+from pmabench.guard.station import Station
 from pmabench.report.terminal import print_texts
 
 if TYPE_CHECKING:
@@ -51,8 +52,6 @@ def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -
     `trials`: whether a single run ended, whose rest is named; `continue` leads on from a session or a campaign.
     With --quiet only that a bench is tripped.
     """
-    from pmabench.guard.station import Station
-
     if bench.realtime and Station(bench.name).latched():
         reset = f"pmabench vent {typed(Path(bench.path), 'bench')} --reset --operator NAME --because TEXT"
         if not trials and outcome.folder is not None:
@@ -99,8 +98,6 @@ def show_end(ui: Ui, outcome: Outcome, bench: CompiledBench, kind: str, trials: 
 
 def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list[str]:
     """At most 25 lines of 80 columns: status, trials, vent, cause, record, next."""
-    from pmabench.guard.station import Station
-
     mark = "SIMULATED  " if outcome.folder is not None and "_SIMULATED_" in outcome.folder.name else ""
     seconds = outcome.bench_seconds
     length = f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
@@ -113,12 +110,7 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
     if outcome.trials_failed:
         numbers = ", ".join(str(index + 1) for index in outcome.trials_failed)
         lines.append(shorten(f"   trials that failed: {numbers}", 80, placeholder=" …"))
-    if outcome.vent is not None and not outcome.vent.confirmed:
-        lines += [f"   {action}" for action in outcome.vent.actions[:8]]
-        lines += [
-            "   nobody knows that the pressure is gone and nothing moves: stay away, shut",
-            "   supply and power by hand, then  pmabench vent",
-        ]
+    lines += _unconfirmed(outcome, 8)
     if bench.realtime and Station(bench.name).latched():
         lines.append("   the bench is now tripped, and nothing runs on it: look at it first")
     if outcome.folder is not None:
@@ -133,14 +125,18 @@ def print_outcome(outcome: Outcome) -> None:
     """How it ended, in two lines; where no vent was confirmed, what came of each action and what to do."""
     why = f": {outcome.why}" if outcome.why else ""
     click.echo(f"{outcome.status}{why}; {outcome.rows:,} rows{_vent_words(outcome)}")
-    if outcome.vent is not None and not outcome.vent.confirmed:
-        for action in outcome.vent.actions:
-            click.echo(f"  {action}")
-        click.echo(
-            "  nobody knows that the pressure is gone and nothing moves: stay away, shut supply and power by hand,"
-        )
-        click.echo("  then pmabench vent")
-    click.echo(str(outcome.folder))
+    click.echo("\n".join([*_unconfirmed(outcome), str(outcome.folder)]))
+
+
+def _unconfirmed(outcome: Outcome, most: int | None = None) -> list[str]:
+    """What came of (the first `most`) actions of a vent that was not confirmed, and what to do; empty where it was."""
+    if outcome.vent is None or outcome.vent.confirmed:
+        return []
+    return [
+        *(f"   {action}" for action in outcome.vent.actions[:most]),
+        "   nobody knows that the pressure is gone and nothing moves: stay away, shut",
+        "   supply and power by hand, then  pmabench vent",
+    ]
 
 
 def _vent_words(outcome: Outcome) -> str:

@@ -1,25 +1,44 @@
-"""`pmabench process`: runs to coefficients, in an analysis folder; never touches a run."""
+"""`pmabench process`: runs to coefficients, in an analysis folder; never touches a run.
+
+Of a folder of runs each on its own, by several processes, with progress and one table.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import InvalidFile, UsageError, invalid
+from pmabench.base.errors import UsageError
+from pmabench.base.text import clean
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import PATH, RunFolder, short
 from pmabench.cli.outcome import next_lines
+from pmabench.cli.sources import (
+    campaign_folder,
+    chains,
+    holds_analyses,
+    load_runs,
+    place_of,
+    since_lines,
+    without_analyses,
+)
 from pmabench.kinds import registry
-from pmabench.store.catalogue import ANALYSES, chain_of, holds_runs
-from pmabench.store.folder import LATE, read_manifest
+from pmabench.store.catalogue import ANALYSES, holds_runs, tasks_below
 
 if TYPE_CHECKING:
-    from pmabench.report.document.front import Verdict
+    from pmabench.analysis.many import Pool
+    from pmabench.report.foremost import Verdict
+    from pmabench.report.many import Many
     from pmabench.store.analyses.results import Analysis
     from pmabench.store.records import RunData
 
@@ -91,11 +110,9 @@ def command(
     if each or below:
         if jobs is not None and cluster is not None:
             raise UsageError("--jobs is for this machine and --cluster for others: give one of the two")
-        from pmabench.cli.process_many import process_folders
-
         start = runs[0].resolve()
         place = out or campaign_folder(start if runs[0] in below else start.parent) / ANALYSES / "each"
-        wanted = [path for path in runs if path in below or not _holds_analyses(path)]
+        wanted = [path for path in runs if path in below or not holds_analyses(path)]
         return process_folders(ui, wanted, place, jobs or 1, cluster, asked, fresh=fresh)
     if jobs is not None or cluster is not None:
         what = "--jobs and --cluster share out runs that are processed each on its own"
@@ -103,217 +120,119 @@ def command(
     return _process_together(ui, runs, out, asked)
 
 
-def _process_together(
-    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]], form: str = ""
-) -> int | None:
-    """One analysis for each kind of test of each specimen in `runs`; `asked` are options by kind of test.
+@dataclass(frozen=True)
+class Processed:
+    """What came of runs that were processed together."""
 
-    With a `form` of all tests one analysis for each specimen, in a folder next to those of the tests.
+    given: Sequence[Path]
+    """Run folders, as they were named."""
+    runs: list[RunData]
+    analyses: list[Analysis]
+    folders: list[Path]
+    """Of the analyses."""
+    failed: list[str]
+    """Why results are not accepted."""
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """As the first page of the report has it."""
+        from pmabench.report.foremost import verdict_of
+
+        return verdict_of(self.analyses, self.runs, self.failed, accepted=bool(self._limits))
+
+    @property
+    def _limits(self) -> list[str]:
+        from pmabench.analysis.verdict.acceptance import limits_of
+
+        return list(dict.fromkeys(limit.short for run in self.runs for limit in limits_of(run)))
+
+    @property
+    def refusals(self) -> list[str]:
+        """A line for each reason why results are not accepted."""
+        return [clean(f"NOT ACCEPTED: {text}") for text in self.failed]
+
+    def glance(self) -> list[str]:
+        """The results at a glance."""
+        from pmabench.report.foremost import glance
+
+        return glance(self.analyses, self.verdict, self.failed)
+
+    def verdict_lines(self) -> list[str]:
+        """The verdict, then each reason why results are not accepted."""
+        kept = f" ({', '.join(self._limits)})" if self._limits and not self.failed else ""
+        return [clean(f"{self.verdict.word}{kept}: {self.verdict.text}"), *self.refusals]
+
+    def described_by(self) -> list[str]:
+        """The command that describes a muscle which does not follow the form of its test; empty where it does."""
+        from pmabench.kinds.reduce import FORM
+
+        facts = [analysis.facts.get("form") for analysis in self.analyses]
+        withheld = any(isinstance(fact, Mapping) and fact.get("state") == "withheld" for fact in facts)
+        if not (self.failed and withheld) or len(self.given) > MOST_RUNS:
+            return []
+        return ["pmabench", "process", *map(short, self.given), "--form", next(iter(registry.with_part(FORM)))]
+
+
+def processed(
+    given: Sequence[Path], out: Path | None, asked: Mapping[str, Any] | None = None, form: str = ""
+) -> Processed:
+    """Process runs together into `out`, else next to them; `asked` are options by kind of test.
+
+    An analysis for each kind of test of each specimen; with a `form` of all tests one for each specimen, in a folder
+    next to those of the tests.
     """
-    ui.begin(f"processing {len(runs)} {'run' if len(runs) == 1 else 'runs'}")
-    from pmabench.kinds.reduce import reduce_together, verdicts
-    from pmabench.plotting.wording import clean
-    from pmabench.report.foremost import glance
+    from pmabench.kinds.reduce import reduce_runs, reduce_together, verdicts
     from pmabench.store.analyses.folder import key_of
 
-    given = without_analyses(ui, runs)
+    asked = asked or {}
     key = "" if form else key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
-    loaded = load_runs(given)
-    if asked and not any(run.kind in asked for run in loaded):
+    runs = load_runs(given)
+    if asked and not any(run.kind in asked for run in runs):
         raise UsageError(
             "--form, --bootstrap, --polish and --regulator are for runs of kind "
             f"{', '.join(asked)}; none of these is one"
         )
-    analyses = reduce_together(form, loaded) if form else analyse(loaded, asked)
-    place = place_of(given[0])
-    folders = write(analyses, loaded, out or (place.with_name(f"{place.name}-{form}") if form else place), key, asked)
-    failed = verdicts(loaded, analyses)
+    analyses = reduce_together(form, runs) if form else reduce_runs(runs, asked)
+    if out is None:
+        out = place_of(given[0])
+        out = out.with_name(f"{out.name}-{form}") if form else out
+    return Processed(given, runs, analyses, write(analyses, runs, out, key, asked), verdicts(runs, analyses))
+
+
+def _process_together(
+    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]], form: str = ""
+) -> int | None:
+    """Process runs as `processed` does, and show what came of them; the exit code."""
+    ui.begin(f"processing {len(runs)} {'run' if len(runs) == 1 else 'runs'}")
+    from pmabench.report.many import added_to
+
+    given = without_analyses(ui, runs)
+    found = processed(given, out, asked, form)
+    folders = [str(path) for path in found.folders]
+    added = added_to(found.runs)
     data: dict[str, Any] = {
         "schema": "pmabench.process/1",
-        "folders": [str(path) for path in folders],
-        "analyses": [analysis.to_dict() for analysis in analyses] if ui.json else [],
-        "verdicts": failed,
-        "excluded": [
-            {"run": run.id, "trial": note.excluded, "because": note.because, "operator": note.operator}
-            for run in loaded
-            for note in run.notes
-            if note.exclude is not None
-        ],
-        "since": {run.id: run.since.as_data() for run in loaded if run.since.sentences},
+        "folders": folders,
+        "analyses": [analysis.to_dict() for analysis in found.analyses] if ui.json else [],
+        "verdicts": found.failed,
+        **added,
     }
 
     def human() -> None:
-        since = [
-            *since_lines(loaded),
-            *(clean("{run}: trial {trial} is left out by {operator}: {because}".format(**e)) for e in data["excluded"]),
-        ]
+        left_out = "{run}: trial {trial} is left out by {operator}: {because}"
+        since = [*since_lines(found.runs), *(clean(left_out.format(**entry)) for entry in added["excluded"])]
         if ui.verbose:
-            print_analyses(ui, analyses)
-            click.echo("".join(f"{line}\n" for line in since), nl=False)
-            click.echo("\n".join(str(path) for path in folders))
-            click.echo("\n".join(verdict_lines(analyses, loaded, failed)))
+            print_analyses(ui, found.analyses)
+            click.echo("\n".join([*since, *folders, *found.verdict_lines()]))
             return
-        place = short(folders[0].parent)
-        then = described_by(given, analyses, failed) or ["pmabench", "report", place, "-o", "report.html"]
+        place = short(found.folders[0].parent)
+        then = found.described_by() or ["pmabench", "report", place, "-o", "report.html"]
         more = [f"{len(since) - MOST_SINCE} more: -v"] if len(since) > MOST_SINCE else []
-        lines = [*glance(analyses, verdict_of_all(analyses, loaded, failed), failed), *since[:MOST_SINCE], *more]
+        lines = [*found.glance(), *since[:MOST_SINCE], *more]
         click.echo("\n".join([*lines, f"analysis  {place}", *next_lines(*then, indent=10)]))
 
-    ui.result(
-        data, human, [*(clean(f"NOT ACCEPTED: {verdict}") for verdict in failed), *(str(path) for path in folders)]
-    )
-    return 6 if failed else None
-
-
-def described_by(runs: Sequence[Path], analyses: Sequence[Analysis], failed: Sequence[str]) -> list[str]:
-    """The command that describes a muscle which does not follow the form of its test; empty where it does."""
-    from pmabench.kinds.reduce import FORM
-
-    facts = [analysis.facts.get("form") for analysis in analyses]
-    withheld = any(isinstance(fact, Mapping) and fact.get("state") == "withheld" for fact in facts)
-    if not (failed and withheld) or len(runs) > MOST_RUNS:
-        return []
-    return ["pmabench", "process", *map(short, runs), "--form", next(iter(registry.with_part(FORM)))]
-
-
-def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> list[str]:
-    """The verdict as the first page of the report has it, then each reason why results are not accepted."""
-    from pmabench.analysis.verdict.acceptance import limits_of
-    from pmabench.plotting.wording import clean
-
-    limits = list(dict.fromkeys(limit.short for run in runs for limit in limits_of(run)))
-    verdict = verdict_of_all(analyses, runs, failed)
-    kept = f" ({', '.join(limits)})" if limits and not failed else ""
-    return [clean(f"{verdict.word}{kept}: {verdict.text}"), *(clean(f"NOT ACCEPTED: {text}") for text in failed)]
-
-
-def verdict_of_all(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> Verdict:
-    """The verdict of the report's first page; `failed` are the reasons why results are not accepted."""
-    from pmabench.analysis.verdict.acceptance import limits_of
-    from pmabench.report.document.front import verdict_of
-
-    return verdict_of(analyses, runs, failed, accepted=any(limits_of(run) for run in runs))
-
-
-def campaign_folder(folder: Path) -> Path:
-    """Where analyses go: next to a folder that is called `runs`, so that `runs/*` are runs and nothing else."""
-    return folder.parent if folder.name == "runs" else folder
-
-
-def place_of(run: Path) -> Path:
-    """Where the analyses of runs are that are processed together, of which `run` is named first."""
-    return campaign_folder(run.resolve().parent) / ANALYSES / str(read_manifest(run)["id"])
-
-
-def chains(runs: Sequence[Path]) -> list[Path]:
-    """The runs with those that they continue, each once."""
-    with suppress(InvalidFile):  # whoever loads them reports what is wrong
-        return list({run.resolve(): run for given in runs for run in chain_of(given)}.values())
-    return []
-
-
-def stored(ui: Ui, runs: Sequence[Path]) -> list[Path]:
-    """Folders of the analyses that `process` made of `runs`; none where runs, notes or program changed since.
-
-    What was made with options, or was changed afterwards, is not used, and the user is informed.
-    """
-    from pmabench.store.analyses.folder import Kept, kept, key_of
-    from pmabench.store.since import as_sealed
-
-    chain = chains(runs)
-    key = key_of(chain, {}) if chain else ""
-    if not key:
-        return []
-    each = campaign_folder(runs[0].resolve().parent) / ANALYSES / "each" / runs[0].resolve().name
-    found = [kept(place, key, {}) for place in (place_of(runs[0]), each)]
-    best = next((one for one in found if one.folders), Kept(why=next((one.why for one in found if one.why), "")))
-    if best.why:
-        ui.note(f"{best.why}: it is not used, and its runs are processed again")
-    return list(best.folders) if all(as_sealed(run) for run in chain) else []
-
-
-def read_all(ui: Ui, folders: Sequence[Path]) -> list[Analysis]:
-    """The analyses in folders that `stored` found; none where one is damaged, and the user is informed."""
-    from pmabench.store.analyses.folder import read_analysis
-
-    try:
-        return [read_analysis(folder) for folder in folders]
-    except InvalidFile as error:
-        ui.note(f"{error}: it is not used, and its runs are processed again")
-        return []
-
-
-GUIDED = ("session", "self-test", "calibration", "setup")
-"""Kinds of runs that have no trials: what they found is in their events."""
-
-
-def without_analyses(ui: Ui, paths: Sequence[Path]) -> list[Path]:
-    """The paths that are neither analyses nor guided runs, which lie among runs named with `*`; those are reported."""
-    skipped = {path: why for path in paths if (why := _nothing_to_process(path))}
-    if len(skipped) == len(paths):
-        raise invalid(paths[0], f"{skipped[paths[0]]} and no run with trials; give run folders")
-    for path, why in skipped.items():
-        ui.note(f"{path}: {why}, skipped")
-    return [path for path in paths if path not in skipped]
-
-
-def apart(sources: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Analysis folders, and the other sources.
-
-    A folder of analyses means all of them; among runs, named with `*`, it is left to `without_analyses` to skip.
-    """
-    from pmabench.store.analyses.folder import analyses_below
-
-    below = {source: analyses_below(source) for source in sources}
-    runs = [source for source in sources if not below[source]]
-    own = [source for source in sources if (source / "analysis.json").is_file()]
-    if runs:
-        return own, [source for source in sources if source not in own]
-    return list(dict.fromkeys(folder for source in sources for folder in below[source])), []
-
-
-def since_lines(runs: Sequence[RunData]) -> list[str]:
-    """One line for everything that was added to runs after they were closed."""
-    return [f"{run.id}: {sentence}" for run in runs for sentence in run.since.sentences]
-
-
-def _nothing_to_process(path: Path) -> str:
-    """What a folder is that nothing can be fitted to, in words; empty for any other."""
-    if path.name.endswith(LATE) and path.is_dir() and not (path / "manifest.json").exists():
-        return "holds what came after a run was closed"
-    if _holds_analyses(path):
-        return "holds analyses"
-    if not (path / "manifest.json").is_file():
-        return ""
-    with suppress(InvalidFile):  # what is wrong with it is reported when it is loaded
-        kind = read_manifest(path).get("kind")
-        return f"is a run of kind {kind}" if kind in GUIDED else ""
-    return ""
-
-
-def _holds_analyses(path: Path) -> bool:
-    if not path.is_dir() or (path / "manifest.json").exists():
-        return False
-    return path.resolve().name == ANALYSES or any(
-        next(path.glob(pattern), None) for pattern in ("analysis.json", "*/analysis.json", "*/*/analysis.json")
-    )
-
-
-def load_runs(paths: Sequence[Path]) -> list[RunData]:
-    """Every run with those that it continues, or `InvalidFile` with what is wrong with each that is none."""
-    from pmabench.store.chain import open_chains
-
-    for path in filter(holds_runs, paths):
-        advice = "is a folder of runs: name those in it, for instance with /*; process takes it as it is, run by run"
-        raise invalid(path, advice)
-    return open_chains(paths)
-
-
-def analyse(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | None = None) -> list[Analysis]:
-    """One analysis for each kind of run, in the order in which the kinds come; `options` by kind."""
-    from pmabench.kinds.reduce import reduce_runs
-
-    return reduce_runs(runs, options)
+    ui.result(data, human, [*found.refusals, *folders])
+    return 6 if found.failed else None
 
 
 def write(
@@ -328,21 +247,17 @@ def write(
     With the `key` of runs and `options` they are used again as long as it is the same.
     """
     from pmabench.report.files.csv_files import write_with_tables
-    from pmabench.store.analyses.folder import keep
+    from pmabench.store.analyses.folder import file_names, keep
 
-    seen: dict[str, int] = {}
-    written = []
-    for analysis in analyses:
-        seen[analysis.kind] = number = seen.get(analysis.kind, 0) + 1
-        name = f"{analysis.kind}-{number}" if number > 1 else analysis.kind
-        written.append(write_with_tables(analysis, folder / name))
+    named = zip(analyses, file_names([analysis.kind for analysis in analyses]), strict=True)
+    written = [write_with_tables(analysis, folder / name) for analysis, name in named]
     keep(folder, key, [Path(run.path) for run in runs], options or {}, written)
     return written
 
 
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
-    from pmabench.plotting.wording import clean, printed
+    from pmabench.plotting.wording import printed
     from pmabench.report.foremost import print_coefficients
 
     console = ui.console()
@@ -356,3 +271,128 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
             text = clean(f"{finding.level}: {printed(finding.text)}").replace(" ± ", "\u00a0±\u00a0")
             kept = fill(text, console.width, break_long_words=False, break_on_hyphens=False)
             console.print(kept.replace("\u00a0±\u00a0", " ± "), soft_wrap=True)  # a value stays with its half width
+
+
+LINE_EVERY = 10.0
+"""Seconds between lines of progress where there is no terminal."""
+MOST_LINES = 20
+"""Lines of one kind on the screen; the rest is in the table."""
+
+
+def process_folders(
+    ui: Ui, given: Sequence[Path], out: Path, jobs: int, cluster: str | None, options: Mapping[str, Any], *, fresh: bool
+) -> int | None:
+    """Process each run below `given` on its own, with options by kind; the exit code."""
+    from pmabench.report.many import process_many, write_table
+
+    tasks = tasks_below(given)
+    with _pool(ui, jobs, cluster) as pool, _progress(ui) as progress:
+        many = process_many(tasks, out, pool, progress, options, fresh=fresh)
+    paths = write_table(many)
+    ui.result(_data(many, paths), lambda: _human(many, paths), _failures(many) + [str(path) for path in paths])
+    return many.exit_code or None
+
+
+@contextmanager
+def _pool(ui: Ui, jobs: int, cluster: str | None) -> Iterator[Pool | None]:
+    """Who does the work; None is this process."""
+    from pmabench.analysis.many import Cluster, Processes
+
+    pool: Pool | None = None
+    if cluster is not None:
+        pool = Cluster(cluster)
+        for doubt in pool.doubts():
+            ui.note(doubt)
+    elif jobs > 1:
+        pool = Processes(jobs)
+    try:
+        yield pool
+    finally:
+        if pool is not None:
+            pool.close()
+
+
+@contextmanager
+def _progress(ui: Ui) -> Iterator[Callable[[int, int, int], None] | None]:
+    """A bar with the time left on a terminal, a line now and then elsewhere; both on stderr."""
+    if ui.quiet or ui.json:
+        yield None
+        return
+    began = last = time.monotonic()
+    if not sys.stderr.isatty():
+
+        def line(done: int, total: int, unchanged: int) -> None:
+            nonlocal last
+            now = time.monotonic()
+            if now - last >= LINE_EVERY:
+                last = now
+                left = (now - began) * (total - done) / max(done - unchanged, 1)
+                length = f"{left:.0f} s" if left < 100 else f"{left / 60:.0f} min"
+                ui.note(f"{done:,} of {total:,} runs, {length} left")
+
+        yield line
+        return
+
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
+    with Progress(*columns, console=ui.console(err=True), transient=True) as bar:
+        task = bar.add_task("runs", total=None)
+
+        def show(done: int, total: int, unchanged: int) -> None:
+            bar.update(task, total=total - unchanged, completed=done - unchanged)
+
+        yield show
+
+
+def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:
+    from pmabench.report.many import SCHEMA, plain_entry
+
+    return {
+        "schema": SCHEMA,
+        "out": str(many.out),
+        "table": [str(path) for path in paths],
+        "computed": many.count("computed"),
+        "unchanged": many.count("unchanged"),
+        "runs": [plain_entry(entry) for entry in many.results()],
+        "skipped": [{"run": entry["path"], "because": entry["skipped"]} for entry in many.of("skipped")],
+        "failed": [{"run": e["path"], "error": e["error"], "exit_code": e["exit_code"]} for e in many.of("failed")],
+    }
+
+
+def _human(many: Many, paths: Sequence[Path]) -> None:
+    kinds = Counter(entry["kind"] for entry in many.results())
+    for kind, count in sorted(kinds.items()):
+        click.echo(f"{kind}: {count:,} {'run' if count == 1 else 'runs'}")
+    if many.count("unchanged"):
+        click.echo(f"{many.count('unchanged'):,} had not changed and were not computed again")
+    if many.count("skipped"):
+        click.echo(f"{many.count('skipped'):,} without trials (sessions, calibrations) were left out")
+    since = [
+        f"{run}: {len(additions['added'])} added and {len(additions['late'])} late files since it was closed, not used"
+        for entry in many.results()
+        for run, additions in entry["since"].items()
+    ]
+    click.echo("\n".join([*_first(since, "that something was added to; the table names them"), *map(str, paths)]))
+    refused = sum(bool(entry["verdicts"]) for entry in many.results())
+    done = many.count("computed", "unchanged")
+    click.echo(
+        f"Not accepted: {refused:,} of {done:,} runs" if refused else f"None of {done:,} runs is refused acceptance"
+    )
+    click.echo("".join(f"{line}\n" for line in _failures(many)), nl=False)
+
+
+def _failures(many: Many) -> list[str]:
+    """A line for each run that is not accepted or could not be processed."""
+    refused = [f"NOT ACCEPTED: {entry['run']}: {verdict}" for entry in many.results() for verdict in entry["verdicts"]]
+    failed = [entry["error"] for entry in many.of("failed")]
+    lines = _first(refused, "not accepted; the table names them")
+    if failed:
+        what = "1 run could" if len(failed) == 1 else f"{len(failed):,} runs could"
+        lines += [f"{what} not be processed:", *failed]
+    return [clean(line) for line in lines]
+
+
+def _first(lines: list[str], rest: str) -> list[str]:
+    more = len(lines) - MOST_LINES
+    return [*lines[:MOST_LINES], f"and {more:,} more {rest}"] if more > 0 else lines

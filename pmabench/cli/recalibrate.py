@@ -60,7 +60,9 @@ def command(
     The runs and what was made of them before stay as they are; the new analyses get a folder of their own.
     """
     from pmabench.analysis.verdict.comparison import changes
-    from pmabench.cli.process import analyse, campaign_folder, load_runs, without_analyses, write
+    from pmabench.cli.process import write
+    from pmabench.cli.sources import campaign_folder, load_runs, without_analyses
+    from pmabench.kinds.reduce import reduce_runs
     from pmabench.kinds.registry import loops
     from pmabench.report.pages.comparison_page import print_changes, write_changes
     from pmabench.store.chain import open_chains
@@ -76,12 +78,12 @@ def command(
         refuse_loops(recorded, loops())
     changed = open_chains(given, anew)
     channels = _described(recorded, changed, anew)
-    before = analyse(recorded)
+    before = reduce_runs(recorded)
     now = datetime.now(UTC).isoformat(timespec="seconds")
     who = {"at": now, "operator": operator or user_name(), "because": because.strip()}
-    after = [_marked(analysis, channels) for analysis in analyse(changed)]
+    after = reduce_runs(changed)
     found = changes(before, after)
-    after = [_with_changes(analysis, found, who) for analysis in after]
+    after = [_marked(analysis, channels, found, who) for analysis in after]
     first = next(run for run in recorded if Path(run.path).resolve() == given[0].resolve())
     folder = out or _free(campaign_folder(Path(first.path).resolve().parent) / "analyses" / f"{first.id}-recalibrated")
     if folder.exists():
@@ -169,21 +171,18 @@ def _described(before: Sequence[RunData], after: Sequence[RunData], anew: Recali
     return channels
 
 
-def _marked(analysis: Analysis, channels: Sequence[dict[str, Any]]) -> Analysis:
-    """The analysis, which says that its samples were not taken as they were recorded."""
+def _marked(
+    analysis: Analysis, channels: Sequence[dict[str, Any]], found: Sequence[Change], who: Mapping[str, str]
+) -> Analysis:
+    """The analysis with what was changed, who asked for it, when and why, and the changes of its coefficients."""
     from pmabench.store.analyses.results import Finding
 
     said = [Finding("note", f"recalibrated after the fact, {channel['sentence']}") for channel in channels]
-    facts = {**analysis.facts, "recalibrated": [dict(channel) for channel in channels]}
-    return replace(analysis, findings=(*said, *analysis.findings), facts=facts)
+    mine = [one.to_dict() for one in found if (one.kind, one.runs) == (analysis.kind, analysis.runs)]
+    facts = {"recalibrated": [dict(channel) for channel in channels], "recalibration": {**who, "changes": mine}}
+    return replace(analysis, findings=(*said, *analysis.findings), facts={**analysis.facts, **facts})
 
 
 def _free(folder: Path) -> Path:
     others = (folder.with_name(f"{folder.name}-{number}") for number in count(2))
     return next(place for place in chain([folder], others) if not place.exists())
-
-
-def _with_changes(analysis: Analysis, found: Sequence[Change], who: Mapping[str, str]) -> Analysis:
-    """The analysis with who asked for it, when and why, and the changes of its coefficients."""
-    mine = [one.to_dict() for one in found if (one.kind, one.runs) == (analysis.kind, analysis.runs)]
-    return replace(analysis, facts={**analysis.facts, "recalibration": {**who, "changes": mine}})

@@ -1,19 +1,25 @@
-"""`pmabench report`: runs or analyses to one self-contained HTML file, and to a PDF and a workbook."""
+"""`pmabench report`: runs or analyses to one self-contained HTML file, and to a PDF and a workbook.
+
+With `--overlay FILE.csv[:LABEL]` published tables, read with their units, for the figures that they match.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import UsageError
+from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
+from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.common import Ui, common, no_pipes
 from pmabench.cli.names import FILE, RunFolder
 
 if TYPE_CHECKING:
+    from pmabench.cli.process import Processed
+    from pmabench.files.table import Column
     from pmabench.report.figures.overlays import Published
     from pmabench.report.writing import KeptPage
     from pmabench.store.analyses.results import Analysis
@@ -55,7 +61,7 @@ def command(
     Two pages that print on A4, then appendices that fold out, in one file that needs nothing else.
     Runs are processed now, unless `process` did that and nothing has changed since.
     """
-    from pmabench.cli.process import apart, chains, stored, without_analyses
+    from pmabench.cli.sources import Sources, chains
     from pmabench.report.writing import keep, kept, page_key, write_file
     from pmabench.store.analyses.folder import runs_of
     from pmabench.store.since import as_sealed
@@ -63,12 +69,9 @@ def command(
     no_pipes(output, pdf, xlsx)
     published: list[Published] = []
     if overlays:
-        from pmabench.cli.report_overlays import read_overlays
-
         published = read_overlays(overlays)
-    folders, others = apart(sources)
-    given = without_analyses(ui, others) if others else []
-    used = folders if folders or fresh else stored(ui, given)
+    known = Sources.of(ui, sources, fresh=fresh)
+    folders, given, used = known.folders, known.given, known.used
     key = ""
     if used and not (published or (folders and given)):
         behind = chains(given or [run for folder in folders for run in runs_of(folder)])
@@ -84,33 +87,11 @@ def command(
         from pmabench.report.document.deviations import Issuer
 
         said: dict[str, Any] = {"title": title, "published": published, "issuer": Issuer(**issuer)}
-        written, page = _written(ui, *analysed(ui, folders, used, given), output, pdf, xlsx, long=long, **said)
+        written, page = _written(ui, *known.analysed(ui), output, pdf, xlsx, long=long, **said)
         if key:
             keep(used[0].parent, key, page)
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}
     ui.result(data, lambda: click.echo("\n".join(written.values())))
-
-
-def analysed(
-    ui: Ui, folders: Sequence[Path], used: Sequence[Path], given: Sequence[Path]
-) -> tuple[list[Analysis], list[RunData]]:
-    """All analyses, read where they are in `folders` or stored (`used`) and else made now, and the runs behind them."""
-    from pmabench.cli.process import analyse, load_runs, read_all
-    from pmabench.store.analyses.folder import read_analysis, runs_of
-
-    runs = load_runs(given) if given else []
-    if folders:
-        analyses = [read_analysis(folder) for folder in folders]
-        seen: dict[tuple[str, tuple[str, ...]], Path] = {}
-        for folder, analysis in zip(folders, analyses, strict=True):
-            other = seen.setdefault((analysis.kind, analysis.runs), folder)
-            if other != folder:
-                raise UsageError(f"{other} and {folder} are analyses of the same runs: give one of the two")
-        for folder in folders:
-            runs += load_runs(runs_of(folder))
-    else:
-        analyses = read_all(ui, used)
-    return analyses + analyse([run for run in runs if not any(run.id in a.runs for a in analyses)]), runs
 
 
 def _written(
@@ -118,13 +99,14 @@ def _written(
     *, long: bool, **about: Any,
 ) -> tuple[dict[str, str], KeptPage]:  # fmt: skip
     """Write the report in each format that is wanted, `about` as in `content_of`; what was written, and the page."""
-    from pmabench.cli.process import since_lines
+    from pmabench.cli.sources import since_lines
     from pmabench.plotting.svg import import_what_draws
     from pmabench.report.document.content import content_of, page_of
+    from pmabench.report.many import added_to
     from pmabench.report.writing import KeptPage, write_file
 
     import_what_draws()
-    page = KeptPage("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
+    page = KeptPage("", added_to(runs)["since"], since_lines(runs))
     for line in page.remarks:
         ui.note(line)
     content = content_of(analyses, runs, **about)
@@ -141,42 +123,93 @@ def _written(
     return written, page
 
 
-@dataclass(frozen=True)
-class Characterised:
-    """What came of runs."""
-
-    runs: list[RunData]
-    analyses: list[Analysis]
-    folders: list[Path]
-    """Of the analyses."""
-    report: Path
-    failed: list[str]
-    """Why results are not accepted."""
-    recorded: Sequence[Path] = ()
-    """Run folders, as they were given."""
-
-    def lines(self) -> list[str]:
-        """The results at a glance, and where the report is."""
-        from pmabench.cli.outcome import next_lines
-        from pmabench.cli.process import described_by, verdict_of_all
-        from pmabench.report.foremost import glance
-
-        verdict = verdict_of_all(self.analyses, self.runs, self.failed)
-        then = described_by(self.recorded, self.analyses, self.failed)
-        lines = [*glance(self.analyses, verdict, self.failed), f"report  {self.report}"]
-        return [*lines, *(next_lines(*then) if then else [])]
-
-
-def characterise(recorded: Sequence[Path], place: Path, report: Path, title: str | None = None) -> Characterised:
-    """Process the runs in `recorded` together into `place`, and write the page `report`."""
-    from pmabench.cli.process import analyse, chains, load_runs, write
-    from pmabench.kinds.reduce import verdicts
+def characterise(given: Sequence[Path], place: Path, report: Path, title: str | None = None) -> Processed:
+    """Process runs together into `place`, and write the page `report`."""
+    from pmabench.cli.process import processed
     from pmabench.report.document.content import content_of, write_page
-    from pmabench.store.analyses.folder import key_of
 
-    key = key_of(chains(recorded), {})
-    runs = load_runs(recorded)
-    analyses = analyse(runs)
-    folders = write(analyses, runs, place, key)
-    page = write_page(content_of(analyses, runs, title=title), report)
-    return Characterised(runs, analyses, folders, page, verdicts(runs, analyses), recorded)
+    found = processed(given, place)
+    write_page(content_of(found.analyses, found.runs, title=title), report)
+    return found
+
+
+def characterised_lines(found: Processed, report: Path) -> list[str]:
+    """The results at a glance, where the report is, and what to type where they are not accepted."""
+    from pmabench.cli.outcome import next_lines
+
+    then = found.described_by()
+    return [*found.glance(), f"report  {report}", *(next_lines(*then) if then else [])]
+
+
+def read_overlays(given: Sequence[str]) -> list[Published]:
+    """The tables of `FILE[:LABEL]`; InvalidFile with every head and cell that is wrong, of all files."""
+    found, problems = [], list[Problem]()
+    for text in given:
+        path, label = _parted(text)
+        try:
+            found.append(_read(path, label))
+        except InvalidFile as error:
+            problems += error.problems
+    if problems:
+        raise InvalidFile(problems)
+    names = [table.label for table in found]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise UsageError(f'--overlay: two are called "{twice[0]}"; give labels, FILE.csv:LABEL')
+    return found
+
+
+def _parted(text: str) -> tuple[Path, str]:
+    """File and label; a colon in the name of a file that is there is no label."""
+    if Path(text).exists():
+        return Path(text), Path(text).stem
+    name, colon, label = text.rpartition(":")
+    if not colon:
+        return Path(text), Path(text).stem
+    return Path(name), label.strip() or Path(name).stem
+
+
+def _read(path: Path, label: str) -> Published:
+    from pmabench.files.table import numbers, read_table
+    from pmabench.report.figures.overlays import COORDINATES, HEADS, Published
+
+    table = read_table(path)
+    chosen: dict[str, tuple[Column, str, str | None]] = {}
+    problems = []
+    for column in table.columns:
+        found = _meaning(column)
+        if found is None:
+            continue
+        name, quantity, unit = found
+        if name in chosen:
+            problems.append(table.problem(column.head, f"a second column of {name}"))
+        chosen[name] = (column, quantity, unit)
+    if problems:
+        raise InvalidFile(problems)
+    values = [name for name in chosen if name not in COORDINATES]
+    if not values or len(values) == len(chosen):
+        heads = ", ".join(f'"{names[0]} [{QUANTITIES[quantity].shown_in}]"' for _, quantity, names in HEADS)
+        raise invalid(
+            path, f"a coordinate and a value over it are expected, of: {heads}", table.columns[0].head.line, 1
+        )
+    columns, _ = numbers(table, list(chosen.values()), blank=True)
+    return Published(label, table.source, path, dict(zip(chosen, columns, strict=True)))
+
+
+def _meaning(column: Column) -> tuple[str, str, str | None] | None:
+    """Name, quantity and unit of a column: the first of its meanings whose unit fits, else the first."""
+    from pmabench.files.table import Wanted, meaning, unit_scale
+    from pmabench.report.figures.overlays import HEADS
+
+    able = []
+    for name, quantity, heads in HEADS:
+        found = meaning(column, [Wanted(heads, quantity)])
+        if found is not None:
+            able.append((name, quantity, found[1]))
+    for name, quantity, unit in able:
+        try:
+            unit_scale(unit, quantity)
+        except ValueError:
+            continue
+        return name, quantity, unit
+    return able[0] if able else None

@@ -129,12 +129,13 @@ def run_or_resume(
 
 def _reported(ui: Ui, folder: Path) -> int:
     """Process a run and write its report next to `runs`; 6 where its results are not accepted."""
-    from pmabench.cli.process import campaign_folder, place_of
-    from pmabench.cli.report import characterise
+    from pmabench.cli.report import characterise, characterised_lines
+    from pmabench.cli.sources import campaign_folder, place_of
 
-    found = characterise([folder], place_of(folder), campaign_folder(folder.resolve().parent) / f"{folder.name}.html")
+    page = campaign_folder(folder.resolve().parent) / f"{folder.name}.html"
+    found = characterise([folder], place_of(folder), page)
     if not ui.json:
-        click.echo(str(found.report) if ui.quiet else "\n".join(["", *found.lines()]))
+        click.echo(str(page) if ui.quiet else "\n".join(["", *characterised_lines(found, page)]))
     return 6 if found.failed else 0
 
 

@@ -18,7 +18,7 @@ from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.cli.common import Ui, common, read_quantity
 from pmabench.cli.names import PATH, RunFolder
-from pmabench.cli.process import load_runs, without_analyses
+from pmabench.cli.sources import load_runs, without_analyses
 from pmabench.kinds import registry
 from pmabench.report.terminal import print_grid
 

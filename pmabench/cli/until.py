@@ -26,7 +26,7 @@ import click
 from pmabench.base.errors import PmaError, UsageError, did_you_mean
 from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import in_words, show
-from pmabench.cli.common import Ui, common, read_quantity, write_text
+from pmabench.cli.common import Ui, common, no_overwriting, read_quantity
 from pmabench.cli.names import FILE, RunFolder
 from pmabench.engine.resume import CHANGED, Chosen, NoMore
 from pmabench.files.quantity import parse_quantity
@@ -220,8 +220,7 @@ def command(ui: Ui, sources: tuple[Path, ...], goal: str, length: str, output: P
 
     They are cells of the sweep that was run. With -o they become a protocol, which `check` and `run` take.
     """
-    if output is not None and output.exists():
-        raise UsageError(f"{output} is there already; give the name of a new file")
+    no_overwriting(output)
     runs, kind = _runs(ui, sources)
     seconds = read_quantity("--time", length, "time") if length else None
     chooser = load(kind.parts[PART])(_plan(runs), None, goals_of(goal, kind), seconds)
@@ -247,7 +246,7 @@ def command(ui: Ui, sources: tuple[Path, ...], goal: str, length: str, output: P
 
 def _runs(ui: Ui, sources: Sequence[Path]) -> tuple[list[RunData], Kind]:
     """The runs of a kind whose trials can be chosen."""
-    from pmabench.cli.process import load_runs
+    from pmabench.cli.sources import load_runs
     from pmabench.kinds import registry
     from pmabench.store.analyses.folder import runs_of
 
@@ -276,12 +275,13 @@ def _write(run: RunData, trials: Sequence[int], path: Path) -> None:
     """The protocol of a run with these trials of its plan in place of its sweep."""
     from pmabench.kinds.compile import read_protocol
     from pmabench.protocol.idle import chosen
+    from pmabench.report.writing import write_file
 
     document, model = read_protocol(Path(run.path) / "protocol.yaml", ())
     swept = [trial["index"] for trial in run.plan["trials"] if not trial["reference"]]
     text = (Path(run.path) / "protocol.yaml").read_text(encoding="utf-8")
     made = chosen(document, getattr(model, "sweep", None), text, [swept.index(index) for index in trials])
-    write_text(path, made)
+    write_file(path, made, "the protocol")
 
 
 def _lines(runs: Sequence[RunData], found: Any, goal: str, written: str) -> list[str]:

@@ -10,8 +10,8 @@ from typing import Any
 
 from pmabench.base.errors import DeviceError
 from pmabench.base.quantities import show
-from pmabench.bench.interface import OutputRecord, Rescue, ValveRecord
-from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Failed, Late, NotApplicable, NotChecked, Rig
+from pmabench.bench.interface import OutputRecord, ValveRecord
+from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Failed, Late, NotChecked, Rig
 from pmabench.conformance.samples import RATE, Recording, record, tolerance
 from pmabench.conformance.truth import Truth
 from pmabench.guard.limits import to_device
@@ -128,8 +128,6 @@ def _refuse_nowhere(rig: Rig, *calls: str) -> None:
 
 def set_points(rig: Rig) -> str:
     """A value is commanded once and at once, the plant gets it in SI, and it is read back as the device holds it."""
-    if not rig.record.outputs:
-        raise NotApplicable("the bench names no output of it")
     truth = rig.truth()
     with rig.opened(rate=RATE):
         for output in rig.record.outputs:
@@ -188,8 +186,6 @@ def _shown(rig: Rig, truth: Truth, output: OutputRecord) -> None:
 
 def valves(rig: Rig) -> str:
     """A valve is energised or not in the plant as it was commanded, others stay, and the device reports which."""
-    if not rig.record.valves:
-        raise NotApplicable("the bench names no valve of it")
     truth = rig.truth()
     with rig.opened() as device:
         for valve in rig.record.valves:
@@ -209,8 +205,6 @@ def valves(rig: Rig) -> str:
 
 def inputs(rig: Rig) -> str:
     """A digital input is high or low as the emulated contact is now, also after it changed."""
-    if not rig.record.interlocks:
-        raise NotApplicable("the bench names no interlock of it")
     truth, fixed = rig.truth(), [lock.name for lock in rig.record.interlocks if "stop" not in lock.name]
     with rig.opened() as device:
         for pressed in (False, True, False):
@@ -234,8 +228,6 @@ def inputs(rig: Rig) -> str:
 
 def from_outside(rig: Rig) -> str:
     """What changes without the driver is read back as it is, or refused: nothing is answered from memory."""
-    if not rig.record.outputs and not rig.record.valves:
-        raise NotApplicable("it commands nothing")
     truth, unchecked = rig.truth(), []
     why = getattr(rig.driver(), "cannot_read_back", "")
     for way in ("by hand", "after a restart") if rig.emulator is not None else ("by hand",):
@@ -314,8 +306,6 @@ def refuse_unsafe(rig: Rig, truth: Truth, after: str, *, by_itself: bool = False
 
 def safe_state(rig: Rig) -> str:
     """The commands of a safe state are quick, may be repeated, and leave the plant safe."""
-    if not rig.record.outputs and not rig.record.valves:
-        raise NotApplicable("it commands nothing")
     truth, slowest = rig.truth(), 0.0
     with rig.opened() as device:
         lift(rig, truth)
@@ -343,8 +333,6 @@ def _rescued(device: Any, name: str, value: float) -> float:
 
 def second_way(rig: Rig) -> str:
     """`rescue` reaches every output and valve in the plant while the usual call hangs."""
-    if not rig.record.outputs or not issubclass(rig.driver(), Rescue):
-        raise NotApplicable("it has no second way to its outputs")
     truth, slowest = rig.truth(), 0.0
     with rig.opened() as device:
         lift(rig, truth)

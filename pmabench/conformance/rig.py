@@ -17,7 +17,7 @@ from typing import Any
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
-from pmabench.base.extensions import registered
+from pmabench.base.system import registered
 from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Supervised, Watchdog
 from pmabench.bench.interface import Truth as Wiring
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
@@ -187,11 +187,6 @@ class Rig:
         if self.emulator is not None:
             self.emulator.close()
         self._lag.close()
-
-    def need_wire(self) -> None:
-        """Raise NotApplicable where there is no wire whose bytes could be damaged."""
-        if not self.relays:
-            raise NotApplicable("there is no emulator on a TCP or serial wire that could be damaged")
 
     def restart(self) -> bool:
         """Switch the emulated device off and on; whether there is one. What it held is gone, the wire stays."""

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -135,7 +135,6 @@ def declared(rig: Rig) -> str:
 
 def nobody(rig: Rig) -> str:
     """Where nobody answers, `open` says so in time, and `close` does no harm."""
-    rig.need_wire()
     for relay in rig.relays:
         relay.close()
     device = rig.build(rig.record)
@@ -173,32 +172,55 @@ def _commanded(rig: Rig) -> list[Any]:
     return [entry for kind in ("set", "switch", "move", "halt") for entry in rig.logged(kind)]
 
 
-CHECKS: dict[str, Callable[[Rig], str]] = {
-    "interface": interfaces,
-    "imports": light,
-    "declares": declared,
-    "options": options,
-    "nobody there": nobody,
-    "life": life,
-    "samples": samples.samples,
-    "values": samples.values,
-    "set-points": commands.set_points,
-    "valves": commands.valves,
-    "inputs": commands.inputs,
-    "from outside": commands.from_outside,
-    "ramps": following.ramps,
-    "halt": following.halts,
-    "watchdog": following.watchdog,
-    "held": following.held,
-    "safe state": commands.safe_state,
-    "second way": commands.second_way,
-    "silence": broken_wire.silent,
-    "late answers": broken_wire.late_answers,
-    "line cut": broken_wire.hang_up,
-    "exchanges": broken_wire.exchanges,
-    "nothing left": broken_wire.nothing_left,
+Need = tuple[Callable[[Rig], Any], str]
+"""Whether a device has what a check needs, and what is said where it has not."""
+
+
+def _can(capability: type, group: str = "name") -> Callable[[Rig], bool]:
+    """Whether the driver has a capability, and the bench's record something that needs it."""
+    return lambda rig: bool(getattr(rig.record, group)) and issubclass(rig.driver(), capability)
+
+
+WIRE: Need = (lambda rig: rig.relays, "there is no emulator on a TCP or serial wire that could be damaged")
+CHANNELS: Need = (Rig.streams, "the bench names no channel of it")
+OUTPUTS: Need = (lambda rig: rig.record.outputs, "the bench names no output of it")
+VALVES: Need = (lambda rig: rig.record.valves, "the bench names no valve of it")
+INTERLOCKS: Need = (lambda rig: rig.record.interlocks, "the bench names no interlock of it")
+COMMANDS: Need = (lambda rig: rig.record.outputs or rig.record.valves, "it commands nothing")
+RAMPS: Need = (_can(interface.Follower, "outputs"), "it follows no ramps")
+MOTION: Need = (_can(interface.Motion, "outputs"), "it stops no motion by itself")
+WATCHDOG: Need = (_can(interface.Watchdog, "watchdog"), "the bench file gives it no watchdog")
+SUPERVISED: Need = (
+    _can(interface.Supervised),
+    "it has no held(): that its device restarts is not seen while it is pressurised",
+)
+RESCUE: Need = (_can(interface.Rescue, "outputs"), "it has no second way to its outputs")
+CHECKS: dict[str, tuple[Callable[[Rig], str], *tuple[Need, ...]]] = {
+    "interface": (interfaces,),
+    "imports": (light,),
+    "declares": (declared,),
+    "options": (options,),
+    "nobody there": (nobody, WIRE),
+    "life": (life,),
+    "samples": (samples.samples, CHANNELS),
+    "values": (samples.values, CHANNELS),
+    "set-points": (commands.set_points, OUTPUTS),
+    "valves": (commands.valves, VALVES),
+    "inputs": (commands.inputs, INTERLOCKS),
+    "from outside": (commands.from_outside, COMMANDS),
+    "ramps": (following.ramps, RAMPS),
+    "halt": (following.halts, MOTION),
+    "watchdog": (following.watchdog, WATCHDOG),
+    "held": (following.held, SUPERVISED),
+    "safe state": (commands.safe_state, COMMANDS),
+    "second way": (commands.second_way, RESCUE),
+    "silence": (broken_wire.silent, WIRE),
+    "late answers": (broken_wire.late_answers, WIRE, OUTPUTS),
+    "line cut": (broken_wire.hang_up, WIRE),
+    "exchanges": (broken_wire.exchanges, WIRE),
+    "nothing left": (broken_wire.nothing_left, WIRE),
 }
-"""Name -> check; what it promises is the first line of its docstring."""
+"""Name -> check and what it needs; what it promises is the first line of its docstring."""
 HOSTILE = "hostile answers"
 ATTEMPTS = 3
 """A check in which a call is late is tried so often."""
@@ -270,21 +292,23 @@ def run(subject: Subject, *, hostile: int = 300, seed: int = 1, only: Collection
 
     def battle(rig: Rig) -> str:
         """Damaged answers end in a sentence or a number, in time; no write is repeated."""
-        rig.need_wire()
         return Battle(rig, hostile, seed).fight()
 
-    checks = {**CHECKS, **({HOSTILE: battle} if hostile else {})}
+    checks = {**CHECKS, **({HOSTILE: (battle, WIRE)} if hostile else {})}
     for name in only or checks:
-        check = checks[name]
+        check, *needs = checks[name]
         promise = (check.__doc__ or "").strip().splitlines()[0]
-        yield Result(name, promise, *_verdict(subject, check))
+        yield Result(name, promise, *_verdict(subject, check, needs))
 
 
-def _verdict(subject: Subject, check: Callable[[Rig], str], attempts: int = ATTEMPTS) -> tuple[str, str]:
+def _verdict(
+    subject: Subject, check: Callable[[Rig], str], needs: Sequence[Need], attempts: int = ATTEMPTS
+) -> tuple[str, str]:
     with tempfile.TemporaryDirectory(prefix="pmabench-conformance-") as folder:
         rig = Rig(subject.record, Path(folder), realtime=subject.realtime, wiring=subject.wiring)
         try:
-            return r.PASSED, check(rig)
+            missing = next((sentence for has, sentence in needs if not has(rig)), "")
+            return (r.NOT_APPLICABLE, missing) if missing else (r.PASSED, check(rig))
         except r.NotApplicable as reason:
             return r.NOT_APPLICABLE, str(reason)
         except r.NotChecked as reason:
@@ -299,4 +323,4 @@ def _verdict(subject: Subject, check: Callable[[Rig], str], attempts: int = ATTE
                 return r.NOT_CHECKED, f"the simulation that it is compared with does not answer: {error}"
         finally:
             rig.close()
-    return _verdict(subject, check, attempts - 1)
+    return _verdict(subject, check, needs, attempts - 1)

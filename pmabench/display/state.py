@@ -19,7 +19,7 @@ from pmabench.display.follow import Block, Follower, Kept, StreamTail
 from pmabench.display.progress import Progress
 from pmabench.display.verdicts import TrialLine, Verdicts, read_expected
 from pmabench.display.wording import event_text
-from pmabench.store.records import Event, Flag, RunData, cut_trials
+from pmabench.store.records import Array, Event, Flag, Flags, RunData, cut_trials
 
 CURVES = 30.0
 """The curves go back so far [s] ..."""
@@ -270,9 +270,7 @@ class RunState:
         return self.status != "running" or self.samples.reached >= end - 2.0 / slowest
 
     def _line(self, trial: Trial) -> TrialLine | None:
-        rates = {name: stream.rate for name, stream in self.files.streams.items()}
-        end = np.inf if trial.end is None else trial.end
-        t, channels, flags, rate = self.samples.between(trial.begin, end, rates)
+        t, channels, flags, rate = self.between(trial.begin, np.inf if trial.end is None else trial.end)
         infos = {name: info for stream in self.files.streams.values() for name, info in stream.infos.items()}
         manifest = self.files.manifest
         cut = cut_trials(str(manifest.get("id")), trial.events, t, channels, flags, np.inf)
@@ -290,6 +288,10 @@ class RunState:
             trials=cut,
         )
         return self._verdicts.judge(run, cut[0], trial.at_limit) if cut else None
+
+    def between(self, begin: float, end: float) -> tuple[Array, dict[str, Array], Flags, float]:
+        """Samples of all streams on the times of one, as `Kept.between`."""
+        return self.samples.between(begin, end, {name: stream.rate for name, stream in self.files.streams.items()})
 
     def _forget(self) -> None:
         """Let go of samples that nothing needs any more."""

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core.core_schema import CoreSchema, no_info_before_validator_function
 
+from pmabench.base.quantities import QUANTITIES
+
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
@@ -23,67 +25,15 @@ UNIT = r"[A-Za-zµΩ°%][A-Za-z0-9µΩ°%·*/^. ]{0,30}"
 _PATTERN = re.compile(rf"({NUMBER})\s*({UNIT})")
 _COUNTED = re.compile(rf"(\d{{1,3}})\s*x\s*({NUMBER}\s*{UNIT})")
 
-_QUANTITIES = {
-    "pressure": ("Pa", "300 kPa"),
-    "pressure rate": ("Pa/s", "2 kPa/s"),
-    "length": ("m", "10 mm"),
-    "speed": ("m/s", "5 mm/s"),
-    "acceleration": ("m/s**2", "9.81 m/s2"),
-    "force": ("N", "58.86 N"),
-    "mass": ("kg", "6 kg"),
-    "time": ("s", "2 s"),
-    "frequency": ("1/s", "500 Hz"),
-    "ratio": ("dimensionless", "25 %"),
-    "gain": ("Pa/m", "20 kPa/mm"),
-    "voltage": ("V", "10 V"),
-    "current": ("A", "4 mA"),
-    "stiffness": ("N/m", "7 N/mm"),
-    "damping": ("N*s/m", "1.5 N.s/mm"),
-    "force rate": ("N/s", "2000 N/s"),
-    "force per pressure": ("N/Pa", "1.08 N/kPa"),
-    "angle": ("dimensionless", "30 deg"),
-    "angular speed": ("1/s", "20 deg/s"),
-    "torque": ("N*m", "5 N.m"),
-    "torque rate": ("N*m/s", "50 N.m/s"),
-    "angular integral gain": ("N*m/s", "20 N.m/rad/s"),
-    "torsional stiffness": ("N*m", "20 N.m/rad"),
-    "stiffness per pressure": ("N/m/Pa", "0.001 N/mm/kPa"),
-    "stiffness per pressure squared": ("N/m/Pa**2", "1e-5 N/mm/kPa2"),
-    "damping per pressure": ("N*s/m/Pa", "0.0016 N.s/mm/kPa"),
-    "damping per pressure squared": ("N*s/m/Pa**2", "1e-6 N.s/mm/kPa2"),
-    "volume": ("m**3", "60 cm3"),
-    "impulse": ("N*s", "420 N.s"),
-    "volume per pressure": ("m**3/Pa", "2 cm3/bar"),
-    "rate": ("1/s", "0.5 Hz"),
-    "mass flow": ("kg/s", "2 g/s"),
-    "conductance": ("kg/s/Pa", "10 g/s/bar"),
-    "temperature": ("K", "293 K"),
-}
-"""Quantity -> SI unit as the units library writes it, example for messages."""
-
-USUAL: dict[str, dict[str, float]] = {
-    "pressure": {"Pa": 1.0, "hPa": 100.0, "kPa": 1e3, "MPa": 1e6, "mbar": 100.0, "bar": 1e5},
-    "pressure rate": {"kPa/s": 1e3},
-    "length": {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0},
-    "speed": {"mm/s": 1e-3, "m/s": 1.0},
-    "acceleration": {"m/s2": 1.0},
-    "force": {"N": 1.0, "kN": 1e3},
-    "mass": {"g": 1e-3, "kg": 1.0},
-    "time": {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
-    "frequency": {"Hz": 1.0},
-    "rate": {"Hz": 1.0},
-    "gain": {"kPa/mm": 1e6},
-    "voltage": {"mV": 1e-3, "V": 1.0},
-    "current": {"mA": 1e-3, "A": 1.0},
-    "stiffness": {"N/mm": 1e3},
-    "damping": {"N.s/mm": 1e3},
-    "force per pressure": {"N/kPa": 1e-3},
-    "volume": {"cm3": 1.0000000000000002e-06},
-    "conductance": {"g/s/bar": 1e-8},
-    "temperature": {"K": 1.0},
-    "angle": {"deg": 0.017453292519943295},
-}
+_TYPED = str.maketrans({"·": ".", "²": "2", "³": "3"})
+USUAL = {q.name: {q.unit: 1.0, q.shown_in.translate(_TYPED): q.scale} for q in QUANTITIES.values() if q.example}
 """Quantity -> unit -> factor, as the units library has them, which takes a quarter of a second to be loaded."""
+USUAL["pressure"] |= {"hPa": 100.0, "MPa": 1e6, "mbar": 100.0, "bar": 1e5}
+USUAL["length"] |= {"um": 1e-6, "cm": 1e-2}
+USUAL["time"] |= {"ms": 1e-3, "min": 60.0, "h": 3600.0}
+USUAL["force"]["kN"], USUAL["mass"]["g"], USUAL["voltage"]["mV"], USUAL["rate"]["Hz"] = 1e3, 1e-3, 1e-3, 1.0
+USUAL["frequency"]["rad/s"] = 1.0 / (2 * pi)
+USUAL["volume"]["cm3"], USUAL["volume per pressure"]["cm3/bar"] = 1.0000000000000002e-06, 1.0000000000000003e-11
 
 
 @lru_cache(maxsize=1)
@@ -115,11 +65,9 @@ def library_factor(unit: str, quantity: str) -> float:
     if "**" in unit or re.search(r"\d\d", unit):
         raise ValueError(f'unknown unit "{unit}", {_hint(quantity)}')
     registry = _units()
-    text = re.sub(r"([A-Za-zµΩ])(-?\d)", r"\1**\2", unit.replace("·", "*").replace("^", "").replace("µ", "u"))
-    text = re.sub(r"(?<=[A-Za-z0-9])\.(?=[A-Za-z])", "*", text)
     try:
-        one = registry.Quantity(1.0, registry.parse_units(text))
-        factor = one.to(_QUANTITIES[quantity][0]).magnitude
+        one = registry.Quantity(1.0, registry.parse_units(_in_library(unit)))
+        factor = one.to(_in_library(QUANTITIES[quantity].unit)).magnitude
         if quantity == "frequency" and "radian" in str(one.to_base_units().units):
             factor /= 2 * pi  # rpm, rad/s, turn/s
     except Exception as error:
@@ -129,12 +77,19 @@ def library_factor(unit: str, quantity: str) -> float:
     return float(factor)
 
 
+def _in_library(unit: str) -> str:
+    """A unit as the units library writes it."""
+    text = re.sub(r"([A-Za-zµΩ])(-?\d)", r"\1**\2", unit.replace("·", "*").replace("^", "").replace("µ", "u"))
+    return re.sub(r"(?<=[A-Za-z0-9])\.(?=[A-Za-z])", "*", text)
+
+
 def _hint(quantity: str) -> str:
     return f'for instance "{_example(quantity)}"'
 
 
 def _example(quantity: str) -> str:
-    return _QUANTITIES.get(quantity, ("", "1 s"))[1]
+    known = QUANTITIES.get(quantity)
+    return (known.example if known is not None else "") or "1 s"
 
 
 def parse_quantity(value: object, quantity: str) -> float:

@@ -52,7 +52,7 @@ def compile_protocol(document: Document, protocol: Any, mounted: Mounted) -> Pla
     except InvalidFile as error:
         raise InvalidFile([*c.problems, *error.problems]) from None
     if not c.problems:
-        c.problems += list(_beyond(plan, c))
+        _check_whole(plan, c)
     if c.problems:
         raise InvalidFile(c.problems)
     return plan
@@ -62,8 +62,8 @@ LONGEST = 30 * 86400.0
 """Longest plan [s]."""
 
 
-def _beyond(plan: Plan, c: Compilation) -> list[Problem]:
-    """What no located check found: a plan without end, and any step that could leave the active limits."""
+def _check_whole(plan: Plan, c: Compilation) -> None:
+    """Check what no located check could: a plan without end, and any step that could leave the active limits."""
     longest = plan.duration()[1]
     if longest > LONGEST:
         where = max(_times(c.document.data), key=lambda found: found[0], default=(0.0, ("sweep",)))[1]
@@ -75,7 +75,6 @@ def _beyond(plan: Plan, c: Compilation) -> list[Problem]:
     for output, (low, high) in plan.commands().items():
         c.within(output, low, ("trial",))
         c.within(output, high, ("trial",))
-    return []
 
 
 def _times(data: Any, at: Location = ()) -> Iterator[tuple[float, Location]]:

@@ -46,6 +46,11 @@ def specimen_of(run: RunData) -> str:
     return f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
 
 
+def _whose(run: RunData) -> tuple[str, bool]:
+    """What runs share that are reduced together: the specimen, and whether they are simulated."""
+    return specimen_of(run), run.simulated
+
+
 def reduction_of(run: RunData) -> str:
     """Name of the kind whose reduction a run needs."""
     asked = (run.plan.get("settings") or {}).get("reduction")
@@ -58,16 +63,13 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
     Real and simulated runs are never mixed, nor are specimens. `options`: kind -> those of its reduction. Raises
     InvalidFile for an unknown kind.
     """
-    specimens: dict[tuple[str, bool], dict[str, list[RunData]]] = {}
-    for run in in_time(runs):
-        kind = reduction_of(run)
-        if registry.find(kind) is None:
+    ordered = in_time(runs)
+    for run in ordered:
+        if registry.find(kind := reduction_of(run)) is None:
             raise invalid(run.path, f'no reduction for runs of kind "{kind}"{did_you_mean(kind, registry.all_kinds())}')
-        kinds = specimens.setdefault((specimen_of(run), run.simulated), {})
-        kinds.setdefault(kind, []).append(run)
     found: list[Analysis] = []
-    for kinds in specimens.values():
-        analyses = _of_specimen(kinds, options or {})
+    for members in grouped(ordered, _whose).values():
+        analyses = _of_specimen(grouped(members, reduction_of), options or {})
         difference = compared(analyses)
         found += analyses if difference is None else [*analyses, difference]
     return found
@@ -84,7 +86,7 @@ def reduce_together(form: str, runs: Sequence[RunData]) -> list[Analysis]:
     """
     rows = {name: load(kind.parts[SLOW_ROWS]) for name, kind in registry.with_part(SLOW_ROWS).items()}
     able = [run for run in in_time(runs) if run.kind in rows]
-    specimens = grouped(able, lambda run: (specimen_of(run), run.simulated))
+    specimens = grouped(able, _whose)
     if not specimens:
         kinds = ", ".join(dict.fromkeys(run.kind for run in runs))
         raise UsageError(f"--form {form} takes runs of kind {', '.join(rows)}; these are of kind {kinds}")
@@ -146,7 +148,7 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
     These are: nothing came out, a value was withheld, a reduction refuses acceptance, a protocol's limit is not kept.
     """
     failed: list[str] = []
-    tested = {run.id: (specimen_of(run), run.simulated) for run in runs}
+    tested = {run.id: _whose(run) for run in runs}
     for analysis in analyses:
         failed += analysis.refusals
         if analysis.kind == AGREEMENT:

@@ -12,9 +12,8 @@ from pkgutil import iter_modules
 
 from pmabench import kinds
 from pmabench.base.errors import did_you_mean
-from pmabench.base.extensions import registered
-from pmabench.base.imported import Imported
-from pmabench.base.kind import Kind, load
+from pmabench.base.kind import Imported, Kind, load
+from pmabench.base.system import registered
 
 GROUP = "pmabench.kinds"
 

@@ -1,7 +1,7 @@
 """Tables, figures and the characterisation report; nothing here computes an estimate.
 
-- `certificate`: the first two pages of a report; `foremost`: which values and findings come first, there and on a
-  terminal, whose tables `terminal` prints
+- `certificate`: the first two pages of a report; `foremost`: verdict, values and findings that come first, there and on
+  a terminal, whose tables `terminal` prints
 - `document`: what the report says, and as HTML, PDF and workbook; `templates` are its pages; `writing`: pages and
   files, and the last page of stored analyses, copied while nothing changed
 - `figures`: every picture in it

@@ -1,6 +1,6 @@
-"""The table that comes first, on the terminal and on the certificate: the test with most headline values.
+"""What comes first, on the terminal and on the certificate: verdict, key numbers, the test with most headline values.
 
-Both take their rows from here, so that they cannot say different things. On the terminal: results at a glance (verdict,
+Both take these from here, so that they cannot say different things. On the terminal: results at a glance (verdict,
 one table, the findings that matter; 25 lines of 80 columns with what follows), and the coefficients of each test,
 primary methods in full, others by name. Computes no estimate.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import isfinite
 from textwrap import shorten, wrap
 from typing import TYPE_CHECKING
@@ -20,6 +20,7 @@ from pmabench.base.quantities import show
 from pmabench.base.text import sparkline
 from pmabench.plotting.wording import (
     POINTS,
+    WITHHELD,
     clean,
     in_order,
     number,
@@ -32,14 +33,97 @@ from pmabench.plotting.wording import (
     spoken,
     symbol_text,
 )
-from pmabench.report.document.front import Verdict, tiles_of
-from pmabench.report.document.tables import matrix_table, pivot_table, two_coordinates, whole_table
+from pmabench.report.document.tables import cell, matrix_table, pivot_table, two_coordinates, whole_table
 from pmabench.report.terminal import print_grid
-from pmabench.report.words import declared, kind_title
+from pmabench.report.words import declared, is_headline, kind_title
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Dropped, Estimate
+from pmabench.store.records import RunData
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+TILES = 8
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A key number of the first page."""
+
+    symbol: str
+    name: str
+    value: str
+    unit: str
+    where: str
+
+
+def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
+    """Key numbers: each headline symbol by the method of its test that comes first, at the middle of what was tested.
+
+    Where that method found none (no limit cycle) there is none: what others give, as a simulation, is no key number.
+    What is withheld is there without a value.
+    """
+    found = []
+    analyses = [analysis for analysis in analyses if analysis.kind != AGREEMENT]  # differences, no values
+    for symbol, result in declared(analyses).items():
+        for analysis in (a for a in analyses if is_headline(a, symbol)):
+            values = [e for e in analysis.estimates if e.symbol == symbol and "frequency" not in e.at]
+            primary = [e for e in values if e.method == values[0].method]
+            known = [e for e in primary if e.value is not None]
+            members = [e for e in known if set(e.at) == set(known[0].at)]
+            held = sum(e.withheld for e in primary)
+            if members:
+                found.append(_tile(members, result.title))
+                break
+            if held:
+                method = clean(primary[0].method, 60)
+                found.append(Tile(symbol_text(symbol), clean(result.title), WITHHELD, "", method))
+                break
+    if any(tile.symbol in ("B_c", "B_r") for tile in found):
+        found = [tile for tile in found if tile.symbol != "B"]
+    return found[:TILES]
+
+
+def _tile(members: list[Estimate], title: str) -> Tile:
+    varying = [name for name in in_order(members[0].at, members[0].at) if len({e.at[name] for e in members}) > 1]
+    members = sorted(members, key=lambda e: [e.at[name] for name in varying])
+    middle = members[len(members) // 2]
+    unit = shown(middle.quantity, middle.unit)
+    value = cell(middle)
+    shown_at = {name: middle.at[name] for name in (varying or in_order(middle.at, ("pressure", "setpoint"))[:1])}
+    where = ", ".join(part for part in (point_text(shown_at), clean(middle.method, 60)) if part)
+    return Tile(symbol_text(middle.symbol), clean(title), value, unit.unit, where)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the results are good, in a word and a sentence; `level` is `good`, `doubt` or `fault`."""
+
+    level: str
+    word: str
+    text: str
+
+
+def verdict_of(
+    analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str], *, accepted: bool
+) -> Verdict:
+    """The worst that is known: acceptance, faults, runs that did not finish, doubts.
+
+    `failed`: reasons why results are not accepted (limits not kept, withheld values, refusals); `accepted`: limits were
+    given.
+    """
+    faults, doubts = (sum(f.level == level for a in analyses for f in a.findings) for level in ("fault", "doubt"))
+    ended = (sum(run.status != "finished" for run in runs), "run did not finish", "runs did not finish")
+    counts = ((len(failed), "reason", "reasons"), (faults, "fault", "faults"), ended, (doubts, "doubt", "doubts"))
+    reasons = [f"{count} {one if count == 1 else several}" for count, one, several in counts if count]
+    if not any(e.value is not None or e.withheld for a in analyses for e in a.estimates):
+        return Verdict("fault", "No result", "; ".join(["no coefficient came out", *reasons]) + ".")
+    if failed or faults:
+        return Verdict("fault", "Not accepted" if failed else "Faults were found", "; ".join(reasons) + ".")
+    if reasons:
+        return Verdict("doubt", "Usable with care", "; ".join(reasons) + ".")
+    limits = "The acceptance limits of the protocol are met" if accepted else "The protocol sets no acceptance limits"
+    return Verdict("good", "Accepted" if accepted else "No doubt", f"{limits}; no fault and no doubt was found.")
 
 
 NEAR_0 = 0.5
@@ -229,7 +313,7 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
             for method in dict.fromkeys(frame["method"]):
                 console.print(Text(f"  {method}, {by}{at}", style="italic"))
                 mine = [e for e in members if clean(e.method) == method]
-                body = frame.where(cell == method for cell in frame["method"]).without("method").filled()
+                body = frame.where(name == method for name in frame["method"]).without("method").filled()
                 print_grid(console, body.columns, body.cells(), ("symbol", "unit"), len(names) or 1)
                 for reason in reasons(mine):
                     console.print(Text(f"  {reason}"))

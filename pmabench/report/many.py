@@ -24,6 +24,7 @@ from pmabench.report.writing import writing
 from pmabench.store.analyses import folder as made_from
 from pmabench.store.catalogue import Task
 from pmabench.store.folder import plain, read_manifest
+from pmabench.store.records import RunData
 from pmabench.store.since import program
 
 Progress = Callable[[int, int, int], None]
@@ -259,6 +260,17 @@ def without_trials(path: Path) -> dict[str, Any]:
     return {}
 
 
+def added_to(runs: Sequence[RunData]) -> dict[str, Any]:
+    """What notes leave out of runs, and what came to them after they were closed, as it is in JSON."""
+    excluded = [
+        {"run": run.id, "trial": note.excluded, "because": note.because, "operator": note.operator}
+        for run in runs
+        for note in run.notes
+        if note.exclude is not None
+    ]
+    return {"excluded": excluded, "since": {run.id: run.since.as_data() for run in runs if run.since.sentences}}
+
+
 def _entry(thing: Mapping[str, Any]) -> dict[str, Any]:
     from pmabench.kinds.reduce import reduce_runs, specimen_of, verdicts
     from pmabench.store.chain import open_chains
@@ -286,13 +298,7 @@ def _entry(thing: Mapping[str, Any]) -> dict[str, Any]:
             "dropped": len(analysis.dropped),
             "findings": {level: levels.count(level) for level in ("fault", "doubt", "note")},
             "verdicts": verdicts(runs, [analysis]),
-            "excluded": [
-                {"run": run.id, "trial": note.excluded, "because": note.because, "operator": note.operator}
-                for run in runs
-                for note in run.notes
-                if note.exclude is not None
-            ],
-            "since": {run.id: run.since.as_data() for run in runs if run.since.sentences},
+            **added_to(runs),
         }
     )
     made_from.keep(place, thing.get("key", ""), [Path(run.path) for run in runs], options, [written], entry)

@@ -95,7 +95,6 @@ class LiveStream:
         """Create the file with its schema and an empty first batch. Raises OSError or RecordError."""
         self.about = about
         self.rows = 0
-        self.first_ns: int | None = None
         self.last_ns: int | None = None
         self._schema = arrow_schema(about)
         self._types = {field.name: field.type.to_pandas_dtype() for field in self._schema}
@@ -173,7 +172,6 @@ class LiveStream:
         self._block = self._sink.take()
         self._seq, self.rows = self._seq + 1, rows
         if count:
-            self.first_ns = int(columns[TIME][0]) if self.first_ns is None else self.first_ns
             self.last_ns = int(columns[TIME][-1])
 
     def finish(self) -> None:

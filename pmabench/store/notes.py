@@ -205,7 +205,7 @@ def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
         place = f"{files.NOTES}/{name}"
         if name != f"{number:04d}":
             faults.append((place, f"comes where note {number:04d} should be: a note was removed or renamed"))
-            return tuple(notes), faults, last
+            break
         try:
             raw = files.read_file(run, f"{place}/{NOTE}", files.LARGEST)
             content = files.open_json(raw, run / place / NOTE)
@@ -213,15 +213,17 @@ def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
         except (InvalidFile, KeyError, TypeError, ValueError) as error:
             what = error.problems[0].message if isinstance(error, InvalidFile) else "is no note"
             faults.append((f"{place}/{NOTE}", what))
-            return tuple(notes), faults, last
+            break
         if note.number != number or content.get("before") != last:
             faults.append((f"{place}/{NOTE}", "does not follow the note before it: notes were changed or moved"))
-            return tuple(notes), faults, last
+            break
         faults += _attached(run, place, content["files"])
         notes.append(note)
         last = hashlib.sha256(raw).hexdigest()
         chain.append(last)
-    return tuple(notes), faults + _head(run, chain), last
+    else:
+        faults += _head(run, chain)
+    return tuple(notes), faults, last
 
 
 def _folders(run: Path) -> list[str]:

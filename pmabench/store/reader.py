@@ -38,7 +38,7 @@ from pmabench.store.records import (
     is_number,
 )
 from pmabench.store.seal import read_archive
-from pmabench.store.since import Since, altered, late_guard, since
+from pmabench.store.since import late_guard, since
 from pmabench.store.timebase import fit_clock, onto, stamped
 
 if TYPE_CHECKING:
@@ -103,18 +103,8 @@ def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration
         notes=notes,
         clocks={stream.name: stream.clock for stream in streams},
         interpolated=interpolated,
-        since=_since(folder),
+        since=since(folder.path, folder.manifest, folder.seal),
     )
-
-
-def _since(folder: RunFiles) -> Since:
-    hashes = folder.manifest.get("snapshots", {})
-    if folder.seal is not None:
-        hashes = {name: entry["sha256"] for name, entry in folder.seal["files"].items()}
-    try:
-        return replace(since(folder.path, folder.seal), altered=altered(folder.path, hashes))
-    except OSError as error:
-        raise invalid(error.filename or folder.path, f"cannot be read: {error.strerror or error}") from error
 
 
 def _reaches(stream: Samples) -> float:

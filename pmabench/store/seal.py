@@ -8,7 +8,6 @@ otherwise.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import mmap
@@ -18,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from io import BufferedWriter
 from pathlib import Path
 from typing import Any
 
@@ -161,45 +161,25 @@ def write_into_room(path: Path, content: bytes) -> None:
     if not files.is_regular(part):
         files.write_whole(path, content)
         return
-    fd = os.open(part, os.O_WRONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0))
-    try:
-        _write_all(fd, content)
-        os.ftruncate(fd, len(content))
-        os.fsync(fd)
-    finally:
-        os.close(fd)
+    flags = os.O_WRONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+    with os.fdopen(os.open(part, flags), "wb") as file:  # which does not cut it off first
+        _write_all(file, content)
     part.replace(path)
     files.sync_folder(path.parent)
 
 
 def _reserve(path: Path, size: int) -> None:
-    """Make a file for which `size` bytes of the disk are reserved."""
-    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
-    try:
-        if not _allocated(fd, size):
-            _write_all(fd, os.urandom(size))  # zeros take no room where the file system compresses
-        os.fsync(fd)
-    finally:
-        os.close(fd)
+    """Make a file that takes `size` bytes of the disk: zeros would take none where the file system compresses."""
+    with path.open("xb") as file:
+        _write_all(file, os.urandom(size))
 
 
-def _allocated(fd: int, size: int) -> bool:
-    """Whether the system could reserve the room by itself; raises OSError where there is not so much."""
-    if not hasattr(os, "posix_fallocate"):
-        return False
-    try:
-        os.posix_fallocate(fd, 0, size)
-    except OSError as error:
-        if error.errno in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS, errno.ENODEV):
-            return False
-        raise
-    return True
-
-
-def _write_all(fd: int, content: bytes) -> None:
-    rest = memoryview(content)
-    while rest:
-        rest = rest[os.write(fd, rest) :]
+def _write_all(file: BufferedWriter, content: bytes) -> None:
+    """Make `content` all that a file holds, on the disk."""
+    file.write(content)
+    file.truncate()
+    file.flush()
+    os.fsync(file.fileno())
 
 
 STRAY = re.compile(r"(?:.*/)?(?:\..*|.*~|Thumbs\.db|ehthumbs\.db|desktop\.ini)(?:/.*)?", re.IGNORECASE | re.DOTALL)

@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
@@ -23,8 +23,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import InvalidFile
-from pmabench.base.extensions import registered
+from pmabench.base.errors import InvalidFile, invalid
+from pmabench.base.system import registered
 from pmabench.store import folder as files
 from pmabench.store import notes
 from pmabench.store.folder import is_regular, kind_of, open_regular, read_file
@@ -91,23 +91,22 @@ def vent_of(guard: Mapping[str, Any]) -> str:
     return str((vent.get("result") if isinstance(vent, Mapping) else None) or "no result is given")
 
 
-def since(folder: Path, seal: Mapping[str, Any] | None) -> Since:
-    """What came to a run after its seal; nothing where it has none. Raises OSError."""
-    if seal is None:
-        return Since()
-    found = tuple(added(folder, seal))
+def since(folder: Path, manifest: Mapping[str, Any], seal: Mapping[str, Any] | None) -> Since:
+    """What came to a run after its seal, and what became of kept files; raises InvalidFile where one cannot be read."""
+    hashes = {name: entry["sha256"] for name, entry in seal["files"].items()} if seal else manifest.get("snapshots", {})
+    own = (files.MANIFEST, files.EVENTS, files.PLAN, files.GUARD)  # whoever reads these refuses changed ones
+    kept = sorted(name for name in hashes if name not in own and name.split("/")[0] != files.STREAMS)
+    try:
+        faults = {name: files.fault_of(folder, name, hashes[name]) for name in kept}
+        altered = tuple(f"{name} {fault}" for name, fault in faults.items() if fault)
+        if seal is None:
+            return Since(altered=altered)
+        found = tuple(added(folder, seal))
+    except OSError as error:
+        raise invalid(error.filename or folder, f"cannot be read: {error.strerror or error}") from error
     inside = any(entry.name == files.GUARD for entry in found)
     guard = late_guard(folder) or (guard_account(folder / files.GUARD) if inside else {})
-    return Since(found, tuple(late_files(folder)), guard)
-
-
-def altered(folder: Path, hashes: Mapping[str, str]) -> tuple[str, ...]:
-    """A sentence for each kept file that is not as it was written; `hashes`: name inside the run -> sha256."""
-    own = (files.MANIFEST, files.EVENTS, files.PLAN, files.GUARD)  # whoever reads these refuses changed ones
-    kept = {
-        name: sha for name, sha in sorted(hashes.items()) if name not in own and name.split("/")[0] != files.STREAMS
-    }
-    return tuple(f"{name} {fault}" for name, sha in kept.items() if (fault := files.fault_of(folder, name, sha)))
+    return Since(found, tuple(late_files(folder)), guard, altered)
 
 
 def as_sealed(folder: Path) -> bool:
@@ -231,15 +230,7 @@ def fingerprint(chain: Iterable[Path], about: str) -> str:
     digest = hashlib.sha256(about.encode())
     try:
         for run in chain:
-            names = set()
-            for name, entry in _walk(run):
-                names.add(name)
-                found = entry.stat(follow_symlinks=False)
-                digest.update(f"{name}\0{found.st_size}\0".encode())
-                if name in READ:
-                    digest.update(read_file(run, name, files.LARGEST))
-                else:
-                    digest.update(f"{found.st_mtime_ns}\0".encode())
+            names = _take(digest, run, READ)
             digest.update("\0".join(["late", *late_files(run)]).encode("utf-8", "surrogateescape"))
             if files.SEAL not in names:
                 return ""
@@ -252,12 +243,21 @@ def stamp(folder: Path) -> str:
     """Hash of the names, sizes and times of all files of a folder; empty where it cannot be read."""
     digest = hashlib.sha256()
     try:
-        for name, entry in _walk(folder):
-            found = entry.stat(follow_symlinks=False)
-            digest.update(f"{name}\0{found.st_size}\0{found.st_mtime_ns}\0".encode())
+        _take(digest, folder)
     except OSError:
         return ""
     return digest.hexdigest()
+
+
+def _take(digest: hashlib._Hash, folder: Path, read: Collection[str] = ()) -> set[str]:
+    """Add name, size and time of each file of a folder to a hash, the bytes of those to `read`; returns the names."""
+    names = set()
+    for name, entry in _walk(folder):
+        names.add(name)
+        found = entry.stat(follow_symlinks=False)
+        digest.update(f"{name}\0{found.st_size}\0".encode())
+        digest.update(read_file(folder, name, files.LARGEST) if name in read else f"{found.st_mtime_ns}\0".encode())
+    return names
 
 
 def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str]]]:

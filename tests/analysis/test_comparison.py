@@ -12,7 +12,7 @@ import pytest
 
 from pmabench.analysis.verdict.comparison import Side, compare, named, not_accepted
 from pmabench.base.errors import UsageError
-from pmabench.cli.report_overlays import read_overlays
+from pmabench.cli.report import read_overlays
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.contraction_relaxation.segments import gather
 from pmabench.report.figures.overlays import with_published

@@ -83,6 +83,13 @@ def test_another_bench_hears_of_the_muscle_alone(said):
     assert "last diagnosis of this specimen" in line
 
 
+def test_the_newest_diagnosis_counts_and_older_ones_are_passed_over(said):
+    both = {"state": "corrected", "explanations": [LATE, LOOP]}
+    (line,) = said({"state": "sound", "explanations": []}, both, bench="mock-real-ideal")
+    assert "analyses/a1" in line
+    assert said(both, {"state": "sound", "explanations": []}, bench="mock-real-ideal") == []
+
+
 def test_what_was_mended_since_is_not_said_again(said):
     assert said({"state": "corrected", "explanations": [LATE]}, {"state": "sound", "explanations": []}) == []
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pmabench.base import extensions
+from pmabench.base import system
 from pmabench.base.errors import UsageError
 from pmabench.engine.executor import Executor
 from pmabench.engine.laws import LAWS, law_of
@@ -37,9 +37,9 @@ def package(tmp_path, monkeypatch):
     (about / "entry_points.txt").write_text("[pmabench.laws]\ngreedy = greedy_law:Greedy\n")
     with monkeypatch.context() as patch:
         patch.syspath_prepend(tmp_path)
-        extensions.installed.cache_clear()
+        system.installed.cache_clear()
         yield
-    extensions.installed.cache_clear()
+    system.installed.cache_clear()
 
 
 @pytest.mark.usefixtures("package")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pmabench.base import extensions
+from pmabench.base import system
 from pmabench.base.kind import Kind, load
 from pmabench.kinds import registry
 from pmabench.model.library import MODELS
@@ -96,7 +96,7 @@ KIND = Kind(
 
 
 def _read_anew():
-    extensions.installed.cache_clear()
+    system.installed.cache_clear()
     registry.all_kinds.cache_clear()
 
 

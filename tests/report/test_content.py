@@ -9,10 +9,10 @@ import pytest
 from pmabench.plotting import pictures
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import Issuer, deviations
-from pmabench.report.document.front import verdict_of
 from pmabench.report.document.provenance import methods_paragraph
-from pmabench.report.document.special_tables import budget_table, trial_ranges
+from pmabench.report.document.special_tables import budget_table, change_rows, trial_ranges
 from pmabench.report.figures import coefficient_figures
+from pmabench.report.foremost import verdict_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Source, Trace
 from pmabench.store.notes import Note
 from pmabench.store.records import TrialData
@@ -195,3 +195,10 @@ def test_only_what_is_shown_is_drawn(monkeypatch):
     content = content_of(samples.all_analyses(), samples.all_runs())
     shown = [*content.front, *(item for section in content.sections for item in section.figures)]
     assert len(drawn) == sum(not item.picture.charts for item in shown) > 8
+
+
+def test_a_value_next_to_0_has_the_half_width_that_was_not_cut_off():
+    side = {"value": 0.59, "ci95": [0.0, 1.99]}
+    entry = {"symbol": "F_c", "method": "m", "quantity": "force", "unit": "N", "at": {}, "before": side, "after": side}
+    (row,) = change_rows([entry])
+    assert row["as recorded"] == "0.6 ± 1.4"

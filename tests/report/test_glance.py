@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.report.document.front import Verdict, verdict_of
-from pmabench.report.foremost import glance
+from pmabench.report.foremost import Verdict, glance, verdict_of
 from pmabench.store.analyses.results import Dropped, Finding
 from tests.report.samples import all_analyses, contraction, sine, static_load, ultimate_gain
 from tests.report.test_html import damaged

@@ -12,10 +12,9 @@ from rich.console import Console
 from pmabench.base.kind import Result
 from pmabench.report.document import tables
 from pmabench.report.document.content import content_of, page_of
-from pmabench.report.document.front import tiles_of
 from pmabench.report.document.workbook import workbook_bytes
 from pmabench.report.files.csv_files import write_with_tables
-from pmabench.report.foremost import print_coefficients
+from pmabench.report.foremost import print_coefficients, tiles_of
 from pmabench.report.words import declared, distinct
 from pmabench.store.analyses.folder import read_analysis, write_analysis
 from pmabench.store.analyses.results import Analysis, Estimate, Parts, withhold

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
-from pmabench.cli.report_overlays import read_overlays
+from pmabench.cli.report import read_overlays
 from pmabench.report.document.content import content_of
 from pmabench.report.figures.overlays import Published, comparison_table, matchable, with_published
 from pmabench.store.analyses.folder import write_analysis

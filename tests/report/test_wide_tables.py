@@ -3,7 +3,8 @@
 import pytest
 
 from pmabench.plotting.wording import Frame
-from pmabench.report.document.tables import MOST, Table, narrow
+from pmabench.report.document.grids import MOST, narrow
+from pmabench.report.document.tables import Table
 
 
 def cells(tables):

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from pmabench.base.errors import InvalidFile, RecordError
-from pmabench.cli.process import load_runs
+from pmabench.cli.sources import load_runs
 from pmabench.store.catalogue import catalogue
 from pmabench.store.chain import continued, finished_trials, open_chain, open_chains
 from pmabench.store.folder import open_json, sealed_json, sha256_of

@@ -10,7 +10,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.files.document import Document
 from pmabench.kinds.recorded_sine.reduction import reduce
 from pmabench.store.importers import apart
-from pmabench.store.importers.guess.names import split_factor, value_of
+from pmabench.store.importers.guess.columns import split_factor, value_of
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.map_file import questions_of
 from pmabench.store.reader import open_run

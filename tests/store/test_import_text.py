@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.base.errors import InvalidFile
-from pmabench.store.formats.shared.text_reader import TextReader
 from pmabench.store.formats.text import TextLayout
+from pmabench.store.formats.text_reader import TextReader
 from pmabench.store.importers.table import read_table
 
 PLAIN = {"delimiter": "comma", "header": "none", "names": ["t", "p", "f"]}

@@ -7,7 +7,7 @@ import pytest
 from scipy.io import savemat
 
 from pmabench.base.errors import InvalidFile
-from pmabench.store.formats.shared.times import clock_seconds, date_seconds, seconds_of
+from pmabench.store.formats.text import clock_seconds, date_seconds, seconds_of
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.prepare import prepare, prepare_all
 from tests.importing import guess_files, read_map

@@ -28,10 +28,10 @@ from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import COMPUTER, EMULATED, Identity
-from pmabench_drivers.alicat.options import HELD, OUTPUT, UNITS, Options, Reading
+from pmabench.bench.interface import COMPUTER, Identity
+from pmabench_drivers.alicat import HELD, OUTPUT, UNITS, Options, Reading
 from pmabench_drivers.shared import serial_port as sp
-from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn
+from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn, who
 
 HEAD = re.compile(r"\S D00 (?P<id>ID_+) (?P<name>NAME_+) (?P<type>TYPE_+) (?P<width>WIDTH_*) (?P<notes>NOTES_*)\s*")
 ROW = re.compile(r"(?P<unit_id>\S) D(?P<number>\d\d) .*")
@@ -51,7 +51,6 @@ FIRST = 0.4
 """How long an answer may take while the port is opened [s]."""
 LISTED_EVERY, LONGEST_LIST = 2.0, 0.1
 """Columns are listed again so often [s], where that takes no longer than so long [s]: nothing is sampled meanwhile."""
-LARGEST = 1e6
 MOST_LINES = 100
 SOURCES = {"A": "its analogue input", "U": "its knob", "S": "the serial line"}
 FIRMWARE = re.compile(rb"\S\s+(?:GP|\d+v\d+).*")
@@ -207,11 +206,7 @@ class AsciiLink:
             self._reports_unit = self._unit_word(deadline, FIRST) is not None
             self._vented, self._unit_at = True, -math.inf
             self._reading("", deadline, FIRST)
-        model = about.get(4, "")
-        simulated = model.startswith(EMULATED)
-        return Identity(
-            "Alicat", model or "controller", about.get(5, ""), about.get(9, ""), simulated=simulated, clock=COMPUTER
-        )
+        return who("Alicat", about.get(4) or "controller", about.get(5, ""), about.get(9, ""), clock=COMPUTER)
 
     def close(self) -> None:
         """Let go of the port; harmless when repeated."""
@@ -277,9 +272,7 @@ class AsciiLink:
 
     def held(self, deadline: float) -> float:
         """The set-point that the device holds."""
-        with self._turn(deadline):
-            if not self._clean:
-                self._clear(deadline)
+        with self._turn(deadline, clean=True):
             return self._reading("", deadline).set_point
 
     def reported(self, deadline: float) -> dict[str, float | str]:
@@ -288,9 +281,7 @@ class AsciiLink:
         if unit := self._unit_now(deadline):
             found["unit of the set-point"] = unit
         if self._reports_source:
-            with self._turn(deadline):
-                if not self._clean:
-                    self._clear(deadline)
+            with self._turn(deadline, clean=True):
                 words = self._ask("LSS", deadline).decode("ascii", "replace").upper().split()
             if len(words) != 2 or words[1] not in SOURCES:
                 raise DeviceError(self._device, f'answers "{" ".join(words)[:40]}" to where its set-point comes from')
@@ -304,9 +295,7 @@ class AsciiLink:
         """
         if not self._reports_unit and (self._list_takes > LONGEST_LIST or monotonic() - self._unit_at < LISTED_EVERY):
             return self._unit
-        with self._turn(deadline):
-            if not self._clean:
-                self._clear(deadline)
+        with self._turn(deadline, clean=True):
             if self._reports_unit:
                 unit = self._unit_word(deadline)
                 if unit is None:
@@ -346,8 +335,6 @@ class AsciiLink:
             raise Unanswered(self._device, message, OUTPUT) from None
 
     def _written(self, value: float) -> str:
-        if not abs(value) < LARGEST:
-            raise DeviceError(self._device, f"{value} cannot be commanded", OUTPUT)
         return f"S{value:.{self._shape.decimals}f}"
 
     # -- opening --------------------------------------------------------------------------------------------------
@@ -411,10 +398,12 @@ class AsciiLink:
         return opened(self._layout, self._device)
 
     @contextmanager
-    def _turn(self, deadline: float) -> Iterator[None]:
-        """The line for oneself; its failures become sentences."""
+    def _turn(self, deadline: float, *, clean: bool = False) -> Iterator[None]:
+        """The line for oneself, `clean` of older answers; its failures become sentences."""
         with turn(self._lock, deadline, self._device):
             try:
+                if clean and not self._clean:
+                    self._clear(deadline)
                 yield
             except (OSError, TypeError, ValueError) as error:
                 raise DeviceError(self._device, f"lost {self._address}: {reason(error)}") from None

@@ -15,7 +15,7 @@ from math import copysign
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.alicat.options import MCD, UNITS, Options
+from pmabench_drivers.alicat import MCD, UNITS, Options
 from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 

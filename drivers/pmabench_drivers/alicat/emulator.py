@@ -10,8 +10,8 @@ import struct
 from collections.abc import Mapping
 
 from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.alicat import ASCII, read_options
 from pmabench_drivers.alicat.emulated_controller import Commands, Controller
-from pmabench_drivers.alicat.options import ASCII, read_options
 from pmabench_drivers.emulator import faults as f
 from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, read_cells
 from pmabench_drivers.emulator.plant import RealPlant

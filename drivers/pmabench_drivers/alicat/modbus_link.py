@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Identity
-from pmabench_drivers.alicat.options import OUTPUT, Options, Reading, from_bits
+from pmabench_drivers.alicat import OUTPUT, Options, Reading, from_bits
 from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, turn
 
@@ -37,7 +37,6 @@ RESULTS = {
     32770: "it does not know the setting",
     32771: "it has no such feature",
 }
-LARGEST = 1e6
 FLOAT32 = 1e-6
 """Relative step of the numbers on the line."""
 
@@ -100,7 +99,7 @@ class ModbusLink:
 
     def command(self, value: float, deadline: float, tolerance: float, still: Still = always) -> None:
         """Send a set-point once and read it back; before it, the exhaust is closed. Nothing if `still()` is false."""
-        words = self._words(value)
+        words = encode(SET_POINT, value)
         with self._turn(deadline):
             if not still():
                 return
@@ -113,7 +112,7 @@ class ModbusLink:
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> None:
         """Send the set-point that vents, then exhaust (with one valve: no hold); both, even if the first one fails."""
-        words, setting = self._words(value), EXHAUST if self._options.valves > 1 else CANCEL
+        words, setting = encode(SET_POINT, value), EXHAUST if self._options.valves > 1 else CANCEL
         with self._turn(deadline):
             if not still():
                 return
@@ -162,11 +161,6 @@ class ModbusLink:
         if not math.isfinite(value):
             raise DeviceError(self._device, f"gives {value} in register {register.address}", register.name)
         return value
-
-    def _words(self, value: float) -> list[int]:
-        if not abs(value) < LARGEST:
-            raise DeviceError(self._device, f"{value} cannot be commanded", OUTPUT)
-        return encode(SET_POINT, value)
 
     def _put(self, register: Register, words: list[int], deadline: float) -> DeviceError | None:
         """Write once; a lost or refused answer is returned, and what the device holds decides."""

@@ -25,7 +25,7 @@ from pmabench_drivers.canbus.link import TCP, line_of, read_line
 from pmabench_drivers.canbus.options import Message, Options, read_options
 from pmabench_drivers.emulator import faults as wire_faults
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.ports import listen
+from pmabench_drivers.emulator.ports import hang_up, listen
 from pmabench_drivers.shared.options import options_of
 
 TICK = 0.002
@@ -77,9 +77,7 @@ class Hub:
         self._ended.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(1.0)
-        for link in [self._listener, *self._rests]:
-            with contextlib.suppress(OSError):
-                link.close()
+        hang_up(self._listener, *self._rests)
         self._rests.clear()
 
     def send(self, frame: Frame) -> None:

@@ -8,6 +8,7 @@ a byte that is no ASCII.
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import socket
 import threading
@@ -81,17 +82,16 @@ class Slcan:
     """An open adapter. Raises OSError."""
 
     def __init__(self, channel: str, bitrate: int, *, ask: bool = False) -> None:
-        self._socket: socket.socket | None = None
-        self._port: Any = None
+        self._end: Any  # a socket or a serial port, which are written and read alike
         if channel.startswith(TCP):
             host, _, port = channel.removeprefix(TCP).rpartition(":")
-            self._socket = socket.create_connection((host, int(port)), CONNECT)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._socket.settimeout(PUSH)
+            self._end = socket.create_connection((host, int(port)), CONNECT)
+            self._end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._end.setblocking(False)
         else:
             import serial
 
-            self._port = serial.Serial(channel, 115200, timeout=0.01, exclusive=True)
+            self._end = serial.Serial(channel, 115200, exclusive=True)
             time.sleep(RESTART)
         self._rest, self._frames = b"", deque[Frame]()
         self.serial = ""
@@ -117,25 +117,17 @@ class Slcan:
         """Close the channel and hang up."""
         with contextlib.suppress(OSError):
             self._write(b"C\r")
-        for end in (self._socket, self._port):
-            if end is not None:
-                end.close()
+        self._end.close()
 
     def _write(self, data: bytes) -> None:
-        if self._socket is not None:
-            self._socket.sendall(data)
-        else:
-            hand_over(self._port, data, PUSH)
+        hand_over(self._end, data, PUSH)
 
     def _read(self, wait: float) -> bytes:
-        if self._socket is not None:
-            if not select.select([self._socket], [], [], wait)[0]:
-                return b""
-            if not (data := self._socket.recv(4096)):
-                raise ConnectionResetError("the adapter hung up")
-            return data
-        data = self._port.read(1)
-        return bytes(data + self._port.read(min(self._port.in_waiting, 4096)))
+        if not select.select([self._end], [], [], wait)[0]:
+            return b""
+        if not (data := os.read(self._end.fileno(), 4096)):
+            raise ConnectionResetError("the adapter hung up")
+        return data
 
     def _receive(self, wait: float) -> None:
         *lines, rest = (self._rest + self._read(wait)).replace(b"\x07", b"\r").split(b"\r")

@@ -19,7 +19,7 @@ from time import monotonic
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
-from pmabench_drivers.shared.link import Pace
+from pmabench_drivers.shared.link import Pace, who
 from pmabench_drivers.shared.options import Reader
 from pmabench_drivers.shared.serial_port import STREAM_PATIENCE, SerialStream
 
@@ -349,4 +349,4 @@ class Dataq(SerialStream):
         if not dividend.isdecimal() or not 1_000_000 <= int(dividend) <= 1_000_000_000:
             raise DeviceError(self._device.name, f'reports "{dividend[:20]}" as the clock that its rate divides')
         self._dividend = int(dividend)
-        return Identity("DATAQ", model, serial[:40], firmware[:40], simulated=model.startswith(EMULATED))
+        return who("DATAQ", model, serial[:40], firmware[:40])

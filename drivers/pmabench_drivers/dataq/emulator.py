@@ -9,7 +9,7 @@ from time import monotonic
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.dataq import DIGITAL, DIVIDEND, OVERRUN, counts, read_options
 from pmabench_drivers.emulator.faults import NOISE, OVER, CommandLog, Fault
-from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.emulator.ports import Streaming
 from pmabench_drivers.shared.options import options_of
 
@@ -25,7 +25,7 @@ class Daq(Streaming):
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
         self._options, self._plant, self._name = options_of(device, read_options), plant, device.name
         super().__init__(device, log, NOISE, OVER, garbage=GARBAGE)
-        self._channels = {channel.input: channel for channel in device.channels}
+        self._wiring = Wiring(device, plant, log)
         self._list: list[int] = []
         self._set = {"encode": 0, "ps": 0, "srate": 6000, "dec": 1, "deca": 1}
         self._packet = b""
@@ -83,8 +83,7 @@ class Daq(Streaming):
     def _word(self, entry: int, quantities: dict[str, float], fault: Fault) -> bytes:
         if (number := entry & 0xF) == DIGITAL:
             return struct.pack("<H", LEVELS)
-        channel = self._channels.get(f"a{number}")
-        value = float(channel.scale.to_raw(quantities.get(channel.name, 0.0))) if channel is not None else 0.0
+        value = self._wiring.raw(f"a{number}", quantities)
         if fault.kind == "noise":
             value += random.uniform(-fault.value, fault.value)
         span = float(self._options.model.ranges[entry >> 8].removesuffix(" V"))

@@ -321,8 +321,10 @@ class NamedRegisters(ABC):
     timeout: int
     """[ms]; 0: never."""
 
-    def __init__(self, device: DeviceRecord, names: Sequence[str]) -> None:
-        self.device, self.names = device, names
+    def __init__(self, device: DeviceRecord, product: str, model: str) -> None:
+        self.device = device
+        self.names = ("emulator of pmabench", product, "1", "", model, "")
+        """Objects 0 to 5 of the device identification."""
         self._lock, self._heard = threading.Lock(), monotonic()
 
     def hear(self) -> None:

@@ -64,7 +64,6 @@ class FestoCmmt(Watched):
         self._command: t.Command | None = None
         """What is sent in each cycle; None: nothing was commanded yet."""
         self._every, self._slot, self._begun = 0, -1, 0.0
-        self._found = 0.0
         self._release = False
         self._per_second = 1.0
         """Velocity units of the drive for one position unit a second."""
@@ -309,9 +308,8 @@ class FestoCmmt(Watched):
 
     def disarm_watchdog(self) -> None:
         """Give the drive back the time-out that it had when it was opened; `close` switches it off then."""
-        self._armed = 0.0
         self._release = True
-        self._opened().put(t.TIMEOUT, self._found, monotonic() + CALL)
+        super().disarm_watchdog()
 
     def held(self) -> dict[str, float | str]:
         """Its time-out [s], telegram, unit and serial number where it has one, and what forbids a motion."""

@@ -22,8 +22,6 @@ from pmabench_drivers.festo_cmmt.emulated_motion import RECORDS, STROKE, Motion
 from pmabench_drivers.festo_cmmt.telegram import read_options
 from pmabench_drivers.shared.options import options_of
 
-NAMES = ("emulator of pmabench", "CMMT-AS", "1", "", "{}", "")
-"""Objects 0 to 5 of the device identification; the model takes its place in them."""
 FACTORY = 1000
 """Time-out until it is set [ms]; 0: none."""
 WARMING = 0.02
@@ -69,7 +67,7 @@ class EmulatedDrive(frames.NamedRegisters):
     """The registers of one drive, and what they do to the plant."""
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
-        super().__init__(device, [name.format(plant.model("CMMT-AS")) for name in NAMES])
+        super().__init__(device, "CMMT-AS", plant.model("CMMT-AS"))
         self._plant, self._log = plant, log
         scales = [output.scale for output in device.outputs] + [channel.scale for channel in device.channels]
         self._scale = scales[0] if scales else Scale(1e-6)

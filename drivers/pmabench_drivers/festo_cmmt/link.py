@@ -28,7 +28,7 @@ class DriveLink(NamedLine):
 
     def look(self, until: float) -> t.Status:
         """What the drive reports now."""
-        return t.Status.of(self._again(t.PROCESS_IN, t.SIZE, until, "process data"))
+        return t.Status.of(self.read_again(t.PROCESS_IN, t.SIZE, until, "process data"))
 
     def look_once(self, until: float) -> t.Status:
         """The same in one transaction, whose time is known."""
@@ -40,7 +40,7 @@ class DriveLink(NamedLine):
 
     def get(self, register: Register, until: float) -> float:
         """The value of a register."""
-        return decode(register, self._again(register.address, register.count, until, register.name))
+        return decode(register, self.read_again(register.address, register.count, until, register.name))
 
     def put(self, register: Register, value: float, until: float, *, checked: bool = True) -> None:
         """Write once; then what the drive holds decides, also where the answer was lost."""
@@ -84,12 +84,3 @@ class DriveLink(NamedLine):
             if not 0 < size <= t.LONGEST_TEXT:
                 raise DeviceError(self._device, f"has {size} bytes, which is no value that is read here", what)
             return self.read("holding", t.DATA, (size + 1) // 2, until, what), size
-
-    def _again(self, address: int, count: int, until: float, what: str) -> list[int]:
-        """Registers; asked once more where no answer came in time: that moves nothing."""
-        try:
-            return self.read("holding", address, count, until, what)
-        except Unanswered:
-            if monotonic() >= until:
-                raise
-            return self.read("holding", address, count, until, what)

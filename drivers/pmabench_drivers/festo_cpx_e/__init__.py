@@ -23,7 +23,7 @@ from pmabench_drivers.festo_cpx_e import terminal as t
 from pmabench_drivers.festo_cpx_e.terminal import DONE, STATUS, TIMEOUT, CpxOptions, read_options
 from pmabench_drivers.modbus import CALL, LATE, OPEN, ModbusDevice
 from pmabench_drivers.modbus.registers import Register, decode
-from pmabench_drivers.shared.link import Cycle, Unanswered
+from pmabench_drivers.shared.link import Cycle
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line, NamedLine
@@ -63,7 +63,7 @@ class FestoCpxE(ModbusDevice):
         positions = {self._terminal.module_of(name).position for name in names}
         self._used = [module for module in self._terminal.modules if module.position in positions]
         self._alive = Cycle(f"keep alive {device.name}", self._keep_alive, clock)
-        self._found, self._compared = 0.0, False
+        self._compared = False
         numbers = {self._range_at(channel)[0] for channel in self._terminal.ranges}
         numbers |= {module.parameter(t.DATA_FORMAT) for module in self._used if module.kind.ranges}
         self._settings: dict[int, int | None] = dict.fromkeys(sorted(numbers))
@@ -266,12 +266,7 @@ class FestoCpxE(ModbusDevice):
         """What a module says; asked once more where the terminal had ended the connection."""
         until = deadline or monotonic() + CALL
         source = self._map.inputs.get(register.name, register)
-        try:
-            return super()._get(source, until)
-        except Unanswered:
-            if monotonic() >= until:
-                raise
-            return super()._get(source, until)
+        return decode(source, self._opened().read_again(source.address, source.count, until, source.name))
 
     def _function(self, register: Register) -> int:
         return 6 if register == TIMEOUT else 16
@@ -308,27 +303,16 @@ class FestoCpxE(ModbusDevice):
         source = self._map.inputs.get(register.name, register)
         return replace(source, name=f"{register.name} and its neighbours", bit=-1) if register.bit >= 0 else source
 
-    def rescue(self, output: str, value: float) -> None:
-        """Cut the first connection and write over a second one."""
-        self._known("output", output, self._map.outputs)
-        register = self._map.outputs[output]
-        self._following.pop(output, None)
-        words, line, until = self._words(register, value), self._line, monotonic() + CALL
-        under_way = line is not None and line.cut()
-        second = self._new_line()
-        source = self._whole(register) if register.bit >= 0 else self._map.inputs[output]
-        try:
-            if register.bit >= 0:
-                try:
-                    [held] = second.read("holding", source.address, 1, min(until, monotonic() + LOOK), source.name)
-                except DeviceError:
-                    held = 0
-                words = _with_bit(register, value, held)
-            one = register.bit >= 0  # another rescue may write its bit of the same register meanwhile
-            mask, watch = 1 << register.bit if one else 0xFFFF, LATE if under_way or one else SHOWN
-            second.overrule(16, register.address, words, until, output, source.address, mask, watch)
-        finally:
-            second.close()
+    def _overrule(self, second: Line, register: Register, value: float, deadline: float, watch: float) -> None:
+        """The same; a digital output shares its register, of which another rescue may write a bit meanwhile."""
+        words, source, mask, watch = self._words(register, value), self._whole(register), 0xFFFF, watch or SHOWN
+        if register.bit >= 0:
+            try:
+                [held] = second.read("holding", source.address, 1, min(deadline, monotonic() + LOOK), source.name)
+            except DeviceError:
+                held = 0
+            words, mask, watch = _with_bit(register, value, held), 1 << register.bit, LATE
+        second.overrule(16, register.address, words, deadline, register.name, source.address, mask, watch)
 
     # -- the terminal's watchdog ----------------------------------------------------------------------------------
 
@@ -338,11 +322,6 @@ class FestoCpxE(ModbusDevice):
             raise self._error(f"waits {t.SHORTEST:g} s at least, not {seconds:g} s", "watchdog")
         self._get(TIMEOUT)
         return super().arm_watchdog(seconds)
-
-    def disarm_watchdog(self) -> None:
-        """Give the terminal the time-out back that it had when it was opened."""
-        self._armed = 0.0
-        self._put(TIMEOUT, self._found)
 
 
 def _range(code: int) -> str:

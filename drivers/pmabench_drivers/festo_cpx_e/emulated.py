@@ -29,8 +29,6 @@ DEFAULTS = {
 """Parameters of a module and their values from the factory on, as Festo's client library describes each bit."""
 FACTORY = 100
 """Time-out from the factory on [ms]."""
-NAMES = ("emulator of pmabench", "CPX-E-EP", "1", "", "{}", "")
-"""Objects 0 to 5 of the device identification; the model takes its place in them."""
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CpxDevice:
@@ -42,7 +40,7 @@ class EmulatedTerminal(frames.NamedRegisters):
     """The registers of one terminal."""
 
     def __init__(self, device: DeviceRecord, terminal: t.Terminal, plant: RealPlant, log: CommandLog) -> None:
-        super().__init__(device, [name.format(plant.model("CPX-E")) for name in NAMES])
+        super().__init__(device, "CPX-E-EP", plant.model("CPX-E"))
         self._terminal, self._plant, self._log = terminal, plant, log
         self._wiring = Wiring(device, plant, log)
         self._inputs, self._written = terminal.inputs(), terminal.outputs()

@@ -16,7 +16,7 @@ from time import monotonic
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
-from pmabench_drivers.shared.link import Pace
+from pmabench_drivers.shared.link import Pace, who
 from pmabench_drivers.shared.options import Reader
 from pmabench_drivers.shared.serial_port import SerialStream
 
@@ -315,11 +315,5 @@ class Ild1420(SerialStream):
         if span is None or float(span[1]) != expected:
             has = fields.get("Measuring range", "")[:20] or "without a range that it reports"
             raise DeviceError(self._device.name, f"is a sensor of {has}, and the bench file says {expected} mm")
-        model = name[:60]
-        return Identity(
-            "Micro-Epsilon",
-            model,
-            fields.get("Serial", "")[:40],
-            fields.get("Version", "")[:40],
-            simulated=model.startswith(EMULATED),
-        )
+        serial, version = (fields.get(key, "")[:40] for key in ("Serial", "Version"))
+        return who("Micro-Epsilon", name[:60], serial, version)

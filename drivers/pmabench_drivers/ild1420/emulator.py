@@ -7,9 +7,9 @@ from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import EXCEPTION, NOISE, OVER, CommandLog
-from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.emulator.ports import Streaming
-from pmabench_drivers.ild1420 import WRAP, code_of, encode, read_options
+from pmabench_drivers.ild1420 import INPUT, WRAP, code_of, encode, read_options
 from pmabench_drivers.shared.options import options_of
 
 GARBAGE = b"\x8f\xff\x15"
@@ -21,7 +21,7 @@ class Sensor(Streaming):
     """One sensor; `counter` may be set, to look at where it begins again."""
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
-        self._device, self._options, self._plant = device, options_of(device, read_options), plant
+        self._options, self._plant, self._wiring = options_of(device, read_options), plant, Wiring(device, plant, log)
         super().__init__(device, log, EXCEPTION, NOISE, OVER, garbage=GARBAGE)
         self._rate = self._options.rate
         self.counter = 0
@@ -65,9 +65,7 @@ class Sensor(Streaming):
         """One measurement, with the fault of the moment; the counter counts also what is lost on the wire."""
         fault = self.next_fault()
         counter, self.counter = self.counter, (self.counter + 1) % WRAP
-        raw = 0.0
-        for channel in self._device.channels[:1]:
-            raw = float(channel.scale.to_raw(quantities.get(channel.name, 0.0)))
+        raw = self._wiring.raw(INPUT, quantities)
         if fault.kind == "noise":
             raw += random.uniform(-fault.value, fault.value)
         code = code_of(raw, self._options.span)

@@ -13,11 +13,10 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from time import monotonic
-from typing import Any
+from time import monotonic, sleep
+from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
@@ -26,8 +25,12 @@ from pmabench_drivers.labjack import registers as r
 from pmabench_drivers.labjack.registers import Options, read_options
 from pmabench_drivers.labjack.stream import COUNT, FLASH, Gain, StreamLink, gains
 from pmabench_drivers.modbus import CALL, OPEN, ModbusDevice
+from pmabench_drivers.modbus.registers import Register
 from pmabench_drivers.shared.link import Unanswered
-from pmabench_drivers.shared.options import Place, Reader, options_of
+from pmabench_drivers.shared.options import Reader
+
+if TYPE_CHECKING:
+    from pmabench_drivers.modbus.adapter import Line
 
 LATENCY = 0.01
 """Time that a packet of the stream covers [s]."""
@@ -37,8 +40,8 @@ FIRMWARE_STEP = 5e-5
 """Half a step between two versions of the firmware."""
 KEY = 0x504D4142
 """Feeds the watchdog."""
-TIMEOUT = 0.15
-"""Longest wait for an answer [s]."""
+AGAIN = 0.005
+"""After so long [s] a line that is rescued is written again."""
 
 
 class LabJack(ModbusDevice):
@@ -48,23 +51,16 @@ class LabJack(ModbusDevice):
     """
 
     emulator = "pmabench_drivers.labjack.emulated"
+    read_options = staticmethod(read_options)
+    _options: Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        self._t7 = options_of(device, read_options)
-        super().__init__(_as_modbus(device, self._t7), clock)
-        self._names = [channel.name for channel in device.channels]
+        super().__init__(device, clock)
+        self._model = self._options.model
         self._lines = {valve.output: r.line_of(valve.output) or 0 for valve in device.valves}
-        self._bench = device
         self._tables: dict[int, array[float]] = {}
         self._stream: StreamLink | None = None
         self._firmware = 0.0
-
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """What is wrong with the options, each with its place; touches no device."""
-        reader = Reader()
-        read_options(device, reader)
-        return reader.problems
 
     @classmethod
     def fastest(cls, device: DeviceRecord) -> float:
@@ -86,7 +82,7 @@ class LabJack(ModbusDevice):
 
     def _identify_model(self, deadline: float) -> Identity:
         self._prove_words(deadline)
-        name, wanted = self._t7.name, self._t7.model.product
+        name, wanted = self._options.name, self._model.product
         [product] = r.from_f32(self.get(r.PRODUCT_ID, 2, deadline, "product"))
         if product != wanted:
             known = {model.product: name for name, model in r.MODELS.items()}
@@ -95,9 +91,9 @@ class LabJack(ModbusDevice):
         [firmware] = r.from_f32(self.get(r.FIRMWARE_VERSION, 2, deadline, "firmware"))
         self._firmware = firmware
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
-        if self._t7.model.streams:
+        if self._model.streams:
             gains_ = self._read_gains(deadline)
-            self._tables = {gain: gains_[gain].table() for gain in {item.gain for item in self._t7.inputs.values()}}
+            self._tables = {item.gain: gains_[item.gain].table() for item in self._options.inputs.values()}
         begins = {r.EMULATED: EMULATED, r.UNPROVEN: UNPROVEN}.get(serial, "")
         return Identity("LabJack", f"{begins}{name}", str(serial), f"{firmware:.4f}", simulated=bool(begins))
 
@@ -128,9 +124,12 @@ class LabJack(ModbusDevice):
 
     def start(self, rate: float) -> float:
         """Stream all channels together at `rate` [Hz], or ask for them; returns the rate that is really used."""
-        if not self._t7.model.streams:
-            return self._ask(rate)
-        name, inputs = self._device.name, list(self._t7.inputs.values())
+        name, options, inputs = self._device.name, self._options, list(self._options.inputs.values())
+        if not self._model.streams:
+            deadline = monotonic() + CALL
+            for item in inputs if self._model.ranges else ():
+                self._set_range(item, deadline)
+            return super().start(rate)
         if not 0 < rate < math.inf or not inputs:
             raise DeviceError(name, f"cannot sample {len(inputs)} channels at {rate} Hz")
         if rate * len(inputs) > r.FASTEST:
@@ -141,10 +140,11 @@ class LabJack(ModbusDevice):
         if r.from_u32(self.get(r.STREAM_ENABLE, 2, deadline, "stream")) != [0]:
             self.put(r.STREAM_ENABLE, r.u32(0), deadline, "stream")  # one that is left over
         for item in inputs:
-            self.put(r.AIN_RANGE + 2 * item.number, r.f32(item.span), deadline, f"AIN{item.number}")
+            self._set_range(item, deadline)
             self.put(r.AIN_NEGATIVE + item.number, [item.negative], deadline, f"AIN{item.number}")
         scans = max(1, min(r.MOST_SAMPLES // len(inputs), round(rate * LATENCY)))
-        link = StreamLink(name, self._names, (self._t7.host, self._t7.stream_port), deadline - monotonic(), self._clock)
+        names, address = [channel.name for channel in self._device.channels], (options.host, options.stream_port)
+        link = StreamLink(name, names, address, deadline - monotonic(), self._clock)
         try:
             used = self._configure(rate, scans, deadline)
             link.begin(used, scans, [self._tables[item.gain] for item in inputs])
@@ -155,16 +155,12 @@ class LabJack(ModbusDevice):
         self._stream = link
         return used
 
-    def _ask(self, rate: float) -> float:
-        """Set the ranges, and ask for all inputs at `rate` [Hz] at most."""
-        deadline = monotonic() + CALL
-        for item in self._t7.inputs.values() if self._t7.model.ranges else ():
-            self.put(r.AIN_RANGE + 2 * item.number, r.f32(item.span), deadline, f"AIN{item.number}")
-        return super().start(rate)
+    def _set_range(self, item: r.Input, deadline: float) -> None:
+        self.put(r.AIN_RANGE + 2 * item.number, r.f32(item.span), deadline, f"AIN{item.number}")
 
     def _configure(self, rate: float, scans: int, deadline: float) -> float:
         """Write scan list and settings, read them back; the rate that the device will use [Hz]."""
-        options, inputs = self._t7, list(self._t7.inputs.values())
+        options, inputs = self._options, list(self._options.inputs.values())
         sizes = r.u32(len(inputs), len(inputs) * scans)
         rest = [*r.f32(1e6 * options.settling), *r.u32(options.resolution, r.STREAM_BUFFER, 0)]
         addresses = r.u32(*(2 * item.number for item in inputs))
@@ -189,9 +185,9 @@ class LabJack(ModbusDevice):
     def collect(self) -> Block:
         """Every scan that came since the last call; an error once the stream, or stepping, has failed."""
         asked = super().collect()
-        if not self._t7.model.streams:
+        if not self._model.streams:
             return asked
-        return Block([], {name: [] for name in self._names}) if self._stream is None else self._stream.collect()
+        return Block([], {name: [] for name in asked.columns}) if self._stream is None else self._stream.collect()
 
     def stop(self) -> None:
         """End the stream; a ramp under way goes on."""
@@ -214,37 +210,31 @@ class LabJack(ModbusDevice):
 
     # -- digital lines --------------------------------------------------------------------------------------------
 
-    def switch(self, output: str, *, on: bool) -> None:
-        """Set a line high or low once, which makes it an output; its terminal shows whether it was done."""
-        line, deadline, lost = self._line_of(output), monotonic() + CALL, ""
-        try:
-            self._put(self._switched(output), float(on), deadline)
-        except Unanswered as error:
-            lost = f"did not answer to the command {int(on)}"
-            try:
-                high = self._drives_high(line, deadline, output)
-            except DeviceError as second:
-                message = f"{error.message}; whether it took {int(on)} is not known ({second})"
-                raise Unanswered(self._device.name, message, output) from None
-        else:
-            high = self._drives_high(line, deadline, output)
-        if high != on:
-            message = f"{lost or f'was commanded {int(on)}'} and its terminal is {'high' if high else 'low'}"
-            raise self._error(message, output)
+    def _get(self, register: Register, deadline: float = 0.0) -> float:
+        """Of a valve's line whether it drives its terminal high: reading its own register would make it an input."""
+        if (line := self._lines.get(register.name)) is None:
+            return super()._get(register, deadline)
+        until = deadline or monotonic() + CALL
+        [state] = r.from_u32(self.get(r.DIO_STATE, 2, until, register.name))
+        [direction] = r.from_u32(self.get(r.DIO_DIRECTION, 2, until, register.name))
+        return state >> line & direction >> line & 1
 
-    def is_on(self, output: str) -> bool:
-        """Whether the line is an output and its terminal is high."""
-        return self._drives_high(self._line_of(output), monotonic() + CALL, output)
+    def _overrule(self, second: Line, register: Register, value: float, deadline: float, watch: float) -> None:
+        """A valve's line is written again and again: a look at its own register would make it an input."""
+        if register.name not in self._lines:
+            super()._overrule(second, register, value, deadline, watch)
+            return
+        words, enough = self._words(register, value), monotonic() + watch
+        second.write(self._function(register), register.address, words, deadline, register.name)
+        while monotonic() < enough:
+            sleep(AGAIN)
+            with suppress(DeviceError):
+                second.write(self._function(register), register.address, words, deadline, register.name)
 
-    def _line_of(self, output: str) -> int:
-        self._known("valve output", output, self._lines)
-        return self._lines[output]
-
-    def _drives_high(self, line: int, deadline: float, what: str) -> bool:
-        """Whether a line drives its terminal high; reading the line's own register would make it an input."""
-        [state] = r.from_u32(self.get(r.DIO_STATE, 2, deadline, what))
-        [direction] = r.from_u32(self.get(r.DIO_DIRECTION, 2, deadline, what))
-        return bool(state >> line & direction >> line & 1)
+    def _shows(self, register: Register, held: float) -> str:
+        """What a valve's terminal is, or another register holds."""
+        valve = register.name in self._lines
+        return f"its terminal is {'high' if held else 'low'}" if valve else super()._shows(register, held)
 
     # -- the device's watchdog ------------------------------------------------------------------------------------
     #
@@ -257,7 +247,7 @@ class LabJack(ModbusDevice):
             raise self._error(f"counts whole seconds: a watchdog of {seconds:g} s cannot be set", "watchdog")
         deadline = monotonic() + CALL
         self.put(r.WATCHDOG_ENABLE, r.u32(0), deadline, "watchdog")
-        for address, words in watchdog_settings(self._bench, math.floor(seconds + 1e-6)):
+        for address, words in watchdog_settings(self._device, math.floor(seconds + 1e-6)):
             if self.get(address, len(words), deadline, "watchdog") == words:
                 continue  # flash wears out, and is slow
             self.put(address, words, deadline, "watchdog")
@@ -285,7 +275,7 @@ class LabJack(ModbusDevice):
         """What the device reports now: its time [s], 0 where it is off; and what it would do, as one text."""
         enabled, advanced, seconds, _delay = r.from_u32(self.get(r.WATCHDOG_ENABLE, 8, deadline, "watchdog"))
         does = [f"61602={advanced:08x}"]
-        for address, words in watchdog_settings(self._bench, int(seconds))[1:]:
+        for address, words in watchdog_settings(self._device, int(seconds))[1:]:
             held = self.get(address, len(words), deadline, "watchdog")
             does.append(f"{address}={''.join(f'{word:04x}' for word in held)}")
         return {"watchdog": float(seconds) if enabled == 1 else 0.0, "registers of the watchdog": " ".join(does)}
@@ -300,14 +290,12 @@ class LabJack(ModbusDevice):
         found = self._watchdog_held(deadline)
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
         found["serial"] = str(serial)
-        if (
-            self._t7.model.ranges and not self._t7.model.streams and (inputs := self._t7.inputs)
-        ):  # a stream keeps its own
-            numbers = [item.number for item in inputs.values()]
+        if self._model.ranges and self._inputs:  # a stream keeps its own
+            numbers = [item.number for item in self._options.inputs.values()]
             first, count = min(numbers), max(numbers) - min(numbers) + 1
             spans = r.from_f32(self.get(r.AIN_RANGE + 2 * first, 2 * count, deadline, "ranges"))
             found["ranges"] = ", ".join(f"AIN{number} {spans[number - first]:.3g} V" for number in sorted(numbers))
-        if self._firmware >= self._t7.model.restart_cause_from - FIRMWARE_STEP:
+        if self._firmware >= self._model.restart_cause_from - FIRMWARE_STEP:
             [cause] = r.from_u32(self.get(r.RESET_CAUSE, 2, deadline, "cause of the last restart"))
             [clock] = r.from_u32(self.get(r.RTC_TIME, 2, deadline, "uptime"))
             found["cause of the last restart"] = float(cause)
@@ -341,38 +329,6 @@ class LabJack(ModbusDevice):
             return error
         detail = ": ".join([f"its error {code}", *([r.ERRORS[code]] if code in r.ERRORS else [])])
         return DeviceError(self._device.name, f"{error.message}; {detail}", what)
-
-
-def _as_modbus(device: DeviceRecord, options: Options) -> DeviceRecord:
-    """Outputs, lines and inputs that are asked for, as the Modbus driver knows them; stream and watchdog are not its.
-
-    Of inputs that are taken together the first is read by its own register, and that before the others.
-    """
-    model = options.model
-    asked = {} if model.streams else {f"AIN{item.number}": item.number for item in options.inputs.values()}
-    first = next(iter(asked.values()), 0)
-    outputs: dict[str, Any] = {
-        name: {"address": r.DAC + 2 * index, "type": "float32"} for index, name in enumerate(r.DACS)
-    }
-    for valve in device.valves:
-        outputs[valve.output] = {"address": r.DIO + (r.line_of(valve.output) or 0), "read_back": False}
-    inputs: dict[str, Any] = {
-        lock.input: {"address": r.DIO + (r.line_of(lock.input) or 0)} for lock in device.interlocks
-    }
-    for name, number in asked.items():
-        taken = r.CAPTURE if model.captures and number != first else 0
-        inputs[name] = {"address": taken + 2 * number, "type": "float32"}
-    map_ = {
-        "functions": [3, 16],
-        "timeout": f"{TIMEOUT} s",
-        "rate": f"{options.rate:g} Hz",
-        "identity": {"maker": "LabJack"},
-        "inputs": inputs,
-        "outputs": outputs,
-    }
-    channels = () if model.streams else device.channels
-    address = f"{options.host}:{options.port}"
-    return replace(device, address=address, options={"map": map_}, channels=channels, watchdog=0.0)
 
 
 def watchdog_settings(device: DeviceRecord, seconds: int) -> list[tuple[int, list[int]]]:

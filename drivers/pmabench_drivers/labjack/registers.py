@@ -6,13 +6,13 @@ two registers, the high word first. Standard library only.
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.modbus import registers as modbus
+from pmabench_drivers.modbus.registers import Register, RegisterMap
 from pmabench_drivers.shared.options import Reader
 
 TEST, TEST_VALUE, TEST_FLOAT = 55100, 0x00112233, 55124
@@ -44,6 +44,8 @@ LINES = {
     **{f"MIO{i}": 20 + i for i in range(3)},
 }
 """Name of a digital line -> its number."""
+LINES_BY_NAME = LINES | {f"DIO{i}": i for i in range(len(LINES))}
+"""The same by both of its names."""
 ALL_LINES = (1 << 23) - 1
 
 AINS = {f"AIN{i}": i for i in range(14)}
@@ -103,6 +105,8 @@ ERRORS = {
 }
 """LabJack's own error code -> what it means."""
 HERE = ("options",)
+TIMEOUT = 0.15
+"""Longest wait for an answer [s]."""
 KNOWN_LINES = "FIO0 to FIO7, EIO0 to EIO7, CIO0 to CIO3, MIO0 to MIO2"
 OF_STREAMS = ("stream_port", "differential", "settling", "resolution_index")
 """Options that only a model with a stream has; the others have `rate`."""
@@ -167,9 +171,7 @@ def from_f32(words: Iterable[int]) -> list[float]:
 
 def line_of(name: str) -> int | None:
     """The number of a digital line by its name (`FIO0`, `EIO3`, `CIO1`, `MIO2`, or `DIO11`), or None."""
-    if match := re.fullmatch(r"DIO(\d{1,2})", name):
-        return int(match[1]) if int(match[1]) < len(LINES) else None
-    return LINES.get(name)
+    return LINES_BY_NAME.get(name)
 
 
 @dataclass(frozen=True)
@@ -183,8 +185,8 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Options:
-    """Everything about one device."""
+class Options(modbus.Options):
+    """Everything about one device; its map has outputs, lines and inputs that are asked for: no stream, no watchdog."""
 
     host: str = ""
     port: int = 502
@@ -196,8 +198,6 @@ class Options:
     resolution: int = 0
     """Resolution index of the stream."""
     name: str = "T7"
-    rate: float = 100.0
-    """Highest rate at which a model without a stream is asked [Hz]."""
 
     @property
     def model(self) -> Model:
@@ -216,7 +216,9 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         elif key == "rate" and model.streams:
             reader.fault((*HERE, key), f"a {name} samples by itself, at the rate of the protocol")
     host, port = reader.host(device, "192.168.0.20", usual=502)
-    ranges = _ranges(given, name, reader)
+    if given.get("ranges") and not model.ranges:
+        reader.fault((*HERE, "ranges"), f"the ranges of a {name} are not set here")
+    ranges = reader.choices(given, "ranges", HERE, model.ranges) if model.ranges else {}
     differential = reader.texts(given, "differential", HERE)
     inputs: dict[str, Input] = {}
     for channel in device.channels:
@@ -235,24 +237,41 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     if device.watchdog and device.watchdog < 1.0:
         reader.fault(("watchdog",), "its watchdog counts whole seconds: 1 s or more, and 2 s leave room")
     return Options(
-        host,
-        port,
-        reader.whole(given, "stream_port", HERE, 1, 65535, STREAM_PORT),
-        inputs,
-        reader.quantity(given, "settling", HERE, "time", 0.0, 1e-6, 4e-3),
-        reader.whole(given, "resolution_index", HERE, 0, 8, 0),
-        name,
-        reader.quantity(given, "rate", HERE, "frequency", 100.0, 0.1, 500.0),
+        _map(device, model, inputs, reader.quantity(given, "rate", HERE, "frequency", 100.0, 0.1, 500.0)),
+        host=host,
+        port=port,
+        stream_port=reader.whole(given, "stream_port", HERE, 1, 65535, STREAM_PORT),
+        inputs=inputs,
+        settling=reader.quantity(given, "settling", HERE, "time", 0.0, 1e-6, 4e-3),
+        resolution=reader.whole(given, "resolution_index", HERE, 0, 8, 0),
+        name=name,
     )
 
 
-def _ranges(given: Mapping[str, Any], model: str, reader: Reader) -> dict[str, str]:
-    place, known = (*HERE, "ranges"), MODELS[model].ranges
-    items = reader.named(given.get("ranges", {}), place)
-    if items and not known:
-        reader.fault(place, f"the ranges of a {model} are not set here")
-        return {}
-    return {name: reader.choice(items, name, place, known, next(iter(known))) for name in items}
+def _map(device: DeviceRecord, model: Model, inputs: Mapping[str, Input], rate: float) -> RegisterMap:
+    """What the Modbus driver does, as its map.
+
+    Of inputs that are taken together the first is read by its own register, and that before the others.
+    """
+    asked = [] if model.streams else [item.number for item in inputs.values()]
+    taken = {number: CAPTURE if model.captures and number != asked[0] else 0 for number in asked}
+    reads = [Register(f"AIN{n}", "holding", at + 2 * n, "float32") for n, at in taken.items()]
+    reads += [_line(lock.input) for lock in device.interlocks]
+    dacs = [name for name in DACS if name in {output.output for output in device.outputs}]
+    writes = [Register(name, "holding", DAC + 2 * DACS.index(name), "float32") for name in dacs]
+    writes += [_line(valve.output) for valve in device.valves]
+    return RegisterMap(
+        timeout=TIMEOUT,
+        rate=rate,
+        functions=(3, 16),
+        identity={"maker": "LabJack"},
+        inputs={register.name: register for register in reads},
+        outputs={register.name: register for register in writes},
+    )
+
+
+def _line(name: str) -> Register:
+    return Register(name, "holding", DIO + (line_of(name) or 0))
 
 
 def _used_inputs(
@@ -288,13 +307,4 @@ def _outputs(device: DeviceRecord, name: str, reader: Reader) -> None:
             step = f'"{1e3 * model.dac_step:.3g} mV"'
             message = f"is at least the step of {model.dac_bits} bits: {step}, or the same in the unit of the scale"
             reader.fault(("outputs", output.name, "resolution"), message)
-    places = [(("outputs", valve.name, "output"), valve.output) for valve in device.valves]
-    places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
-    seen: dict[int, str] = {}
-    for place, name in places:
-        if (line := line_of(name)) is None:
-            reader.known(place, "no digital line", name, LINES, f"; known: {KNOWN_LINES}")
-        elif line in seen:
-            reader.fault(place, f"{name} is in use by {seen[line]}")
-        else:
-            seen[line] = str(place[1])
+    reader.lines(device, LINES_BY_NAME, f"; known: {KNOWN_LINES}")

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block
-from pmabench_drivers.shared.link import Pace
+from pmabench_drivers.shared.link import Pace, Samples
 
 FLASH = 0x3C4000
 """Where the constants begin in the device's flash."""
@@ -183,12 +183,9 @@ class StreamLink:
     """Receives one stream from its start to its end."""
 
     def __init__(self, device: str, names: Sequence[str], address: tuple[str, int], wait: float, clock: Clock) -> None:
-        self._device, self._names, self._clock = device, tuple(names), clock
-        self._lock = threading.Lock()
-        self._thread: threading.Thread | None = None
-        self._ended = False
+        self._device, self._clock = device, clock
+        self._samples = Samples(names)
         self._failure: str = ""
-        self._time, self._columns, self._host = array("q"), [array("d") for _ in names], -1
         self._last = 0.0
         where = f"{address[0]}:{address[1]}"
         try:
@@ -203,16 +200,14 @@ class StreamLink:
         `rate` as the device says [Hz]; `scans` in a packet; volts of every count for each channel, shape (65536,).
         """
         self._rate, self._scans, self._tables = rate, scans, tables
-        self._packets = Packets(len(self._names), scans)
+        self._packets = Packets(len(tables), scans)
         self._start = self._last = self._clock.now()
         self._pace = Pace(SLIP)
         self._socket.settimeout(None)
-        self._thread = threading.Thread(target=self._receive, name=f"labjack {self._device}", daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._receive, name=f"labjack {self._device}", daemon=True).start()
 
     def close(self) -> None:
         """Receive no more; harmless when repeated."""
-        self._ended = True
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -224,16 +219,15 @@ class StreamLink:
 
     def collect(self) -> Block:
         """What came since the last call; once all of it is handed out, an error where the stream has failed."""
-        with self._lock:
-            time, columns, host = self._time, self._columns, self._host
-            self._time, self._columns, self._host = array("q"), [array("d") for _ in columns], -1
-            failure, silent = self._failure, self._clock.now() - self._last
-        if not time:
+        # looked at before the samples: what came before a failure is handed out before it is reported
+        failure, silent = self._failure, self._clock.now() - self._last
+        block = self._samples.take()
+        if not block.time:
             if failure:
                 raise DeviceError(self._device, f"the stream broke off: {failure}")
             if silent > PATIENCE + 2 * self._scans / self._rate:
                 raise DeviceError(self._device, f"its stream has been silent for {silent:.2f} s")
-        return Block(time, dict(zip(self._names, columns, strict=True)), host)
+        return block
 
     def _receive(self) -> None:
         try:
@@ -242,17 +236,14 @@ class StreamLink:
                 for scans in self._packets.feed(data):
                     self._keep(scans, arrived)
                 self._last = arrived
-            failure = "the device closed the connection"
+            self._failure = "the device closed the connection"
         except StreamBroken as error:
-            failure = str(error)
+            self._failure = str(error)
         except OSError as error:
-            failure = f"the connection was lost ({(error.strerror or str(error)).lower()})"
-        if not self._ended:
-            with self._lock:
-                self._failure = failure
+            self._failure = f"the connection was lost ({(error.strerror or str(error)).lower()})"
 
     def _keep(self, scans: Scans, arrived: float) -> None:
-        width, rate = len(self._names), self._rate
+        width, rate = len(self._tables), self._rate
         end = scans.first + len(scans.raw) // width
         elapsed = arrived - self._start
         if (end - 1) / rate > elapsed * (1 + DRIFT) + AHEAD:
@@ -260,13 +251,7 @@ class StreamLink:
         if (behind := self._pace.behind(self._start + (end - 1) / rate, arrived)) > 0:
             why = "they wait in its buffer or on the way, or it is slower than it says"
             raise StreamBroken(f"scans come {behind:.2f} s later than they did: {why}")
-        origin = round(self._start * 1e9)
-        times = array("q", [origin + round(number * 1e9 / rate) for number in range(scans.first, end)])
         columns = [
             array("d", map(table.__getitem__, scans.raw[index::width])) for index, table in enumerate(self._tables)
         ]
-        with self._lock:
-            self._time += times
-            self._host = round(arrived * 1e9)
-            for kept, new in zip(self._columns, columns, strict=True):
-                kept += new
+        self._samples.extend(scans.first, columns, self._start, rate, arrived)

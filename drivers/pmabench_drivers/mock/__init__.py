@@ -16,6 +16,7 @@ from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
 from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, VALVES, Options, output_of, problems, read_options
+from pmabench_drivers.shared.device import refuse_nonsense
 
 if TYPE_CHECKING:
     from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
@@ -108,12 +109,8 @@ class MockBench:
 
     def follow(self, output: str, segment: Segment) -> None:
         """Follow a ramp or a sine from its start on, or from now on if that has passed."""
-        record = output_of(self._device, output, segment.origin, segment.target, segment.amplitude)
-        if segment.kind not in {"ramp", "sine"}:
-            raise DeviceError(self._device.name, f'cannot follow a "{segment.kind}"', output)
-        speed = segment.rate if segment.kind == "ramp" else segment.frequency
-        if not 0 < speed < math.inf:
-            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero, not {speed}", output)
+        record = output_of(self._device, output)
+        refuse_nonsense(self._device.name, output, segment)
         self._command(output, segment, record)
 
     def halt(self, output: str) -> None:

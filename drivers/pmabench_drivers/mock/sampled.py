@@ -140,13 +140,33 @@ BUFFER = 20_000
 
 
 @dataclass(frozen=True)
+class Air:
+    """What keeps a regulator from its muscle."""
+
+    open: bool
+    """The dump valve empties it."""
+    held: float | None = None
+    """The pressure that a stuck regulator or a shut isolation valve holds [Pa]."""
+    forced: tuple[float, float] | None = None
+    """Where the pressure goes whatever is commanded [Pa], and with which lag [s]."""
+
+
+@dataclass(frozen=True)
+class Valves:
+    """What is energised, by outputs, and what that does to the air of each muscle, where it has a regulator."""
+
+    energised: frozenset[str] = frozenset()
+    each: tuple[Air, ...] = ()
+
+
+@dataclass(frozen=True)
 class _Moment:
     """The plant as it was at a time [s], before it went on from there."""
 
     time: float
     plant: dict[str, Any]
     due: int
-    valve: Any
+    valves: Valves
     stuck: dict[str, float]
 
 
@@ -160,8 +180,8 @@ class Sampled(ABC):
     AHEAD = 0.0
     """How far at most it is computed before its time where nothing is going to be commanded [s]."""
     _plant: Any
-    _valve: Any
-    """How valves and faults of the plant are, in records that do not change."""
+    _valves: Valves
+    """How valves and faults of the plant are."""
 
     def __init__(self, device: DeviceRecord, options: Options, sigma: Mapping[str, float], memory: float) -> None:
         self._name, self._options, self._keep_for = device.name, options, memory
@@ -176,6 +196,9 @@ class Sampled(ABC):
         """Samples up to this moment were collected [ns]."""
         self._pending: deque[Block] = deque(maxlen=BUFFER)
         refuse_unknown(device.name, "digital input", [item.input for item in device.interlocks], (o.E_STOP,))
+        switched, known = [valve.output for valve in device.valves], o.VALVES_OF.get(options.plant, o.VALVES)
+        refuse_unknown(device.name, "output", switched, known)
+        self._valves = Valves()
         for error in self.errors.values():
             self._check_error(error)
 
@@ -197,6 +220,16 @@ class Sampled(ABC):
     def pulse(self, output: str, seconds: float) -> None:
         """Open a valve for so long; ValueError where none opens in pulses."""
         raise ValueError("no valve of this plant opens in pulses")
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Energise a valve, which closes a dump and opens any other, or not."""
+        energised = self._valves.energised
+        self._valves = replace(self._valves, energised=energised | {output} if on else energised - {output})
+        self._settle()
+
+    def is_on(self, output: str) -> bool:
+        """Whether a valve is energised by `switch`; a pulse is over by itself."""
+        return output in self._valves.energised
 
     @abstractmethod
     def _settle(self) -> None:
@@ -295,7 +328,7 @@ class Sampled(ABC):
 
     def _remember(self) -> None:
         time = self._plant.time
-        self._memory.append(_Moment(time, self._plant.snapshot(), self._due, self._valve, self._damage.stuck))
+        self._memory.append(_Moment(time, self._plant.snapshot(), self._due, self._valves, self._damage.stuck))
         while len(self._memory) > 1 and self._memory[1].time < time - self._keep_for:
             self._memory.popleft()
 
@@ -307,7 +340,7 @@ class Sampled(ABC):
             raise DeviceError(self._name, f"cannot go back to {now} s")
         moment = self._memory[-1]
         self._plant.restore(moment.plant)
-        self._due, self._valve, self._damage.stuck = moment.due, moment.valve, moment.stuck
+        self._due, self._valves, self._damage.stuck = moment.due, moment.valves, moment.stuck
         self._pending.clear()
         self._run(now)
         again, given = list(self._pending), self._given

@@ -19,7 +19,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from pmabench.model.real.plants import RealPlant
 from pmabench.model.regulator import Regulated, Regulator, constant, ramp
 from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.options import Options
-from pmabench_drivers.mock.sampled import MEMORY, Sampled, refuse_unknown, waves_of
+from pmabench_drivers.mock.sampled import MEMORY, Air, Sampled, Valves, waves_of
 
 LEAST_MASS = 0.01
 """Moving mass of a free end without anything on it [kg]."""
@@ -48,20 +48,6 @@ BURST_LAG = 0.01
 SUPPLY_LAG = 0.5
 FLOW_NOISE = 1e-7
 """Of a mass flow meter for 5 l/min (ANR): a thousandth of its range [kg/s]."""
-
-
-@dataclass(frozen=True)
-class _Valve:
-    """The dump valve and what else keeps the regulator from the muscle."""
-
-    energised: bool = False
-    open: bool = False
-    through: bool = False
-    """The isolation valve is energised: regulator and muscle are connected."""
-    held: float | None = None
-    """The pressure that a stuck regulator or a shut isolation valve holds [Pa]."""
-    forced: tuple[float, float] | None = None
-    """Where the pressure goes whatever is commanded [Pa], and with which lag [s]."""
 
 
 def _press(
@@ -102,7 +88,6 @@ class Simulation(Sampled):
         self._metered = any(record.input == o.FLOW for record in device.channels)
         super().__init__(device, options, sigma, memory)
         self._plant: Plant | RealPlant | DrivenPlant
-        self._valve: _Valve
         if options.free_end == "actuator":
             actuator = Actuator(
                 options.actuator_low, options.actuator_high, options.actuator_speed, options.actuator_force
@@ -110,11 +95,10 @@ class Simulation(Sampled):
             self._plant = setup.driven(actuator, start=start)
         else:
             self._plant = setup.free(mass=options.carriage, start=start)
-        refuse_unknown(device.name, "output", [valve.output for valve in device.valves], o.VALVES)
         self._regulator = setup.regulator
         self._has_valve = any(valve.output == o.DUMP_VALVE for valve in device.valves)
         self._isolated = any(valve.output == o.ISOLATION_VALVE for valve in device.valves)
-        self._valve = _Valve(open=self._has_valve)
+        self._valves = Valves(each=(Air(open=self._has_valve),))
         self._settle()
 
     @property
@@ -151,37 +135,27 @@ class Simulation(Sampled):
         else:
             self._plant.command(constant(self._plant.time, self.setpoint(output)))
 
-    def switch(self, output: str, *, on: bool) -> None:
-        """Energise the dump valve, which closes it, or the isolation valve, which opens it; or not."""
-        self._valve = replace(self._valve, energised=on) if output == o.DUMP_VALVE else replace(self._valve, through=on)
-        self._settle()
-
-    def is_on(self, output: str) -> bool:
-        """Whether a valve is energised."""
-        return self._valve.energised if output == o.DUMP_VALVE else self._valve.through
-
     @property
     def energised(self) -> bool:
         """Whether the dump valve is commanded closed."""
-        return self._valve.energised
+        return self.is_on(o.DUMP_VALVE)
 
     @property
     def dump_open(self) -> bool:
         """Whether the dump valve empties the muscle."""
-        return self._valve.open
+        return self._valves.each[0].open
 
     # -- the air --------------------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
         """Bring the muscle's air in line with valve and faults as they are at this moment; the strongest one counts."""
-        faults, valve, supply, time = self.faults, self._valve, self._plant.supply, self._plant.time
+        faults, [air], supply, time = self.faults, self._valves.each, self._plant.supply, self._plant.time
         held = None
-        shut = self._isolated and not valve.through
+        shut = self._isolated and not self.is_on(o.ISOLATION_VALVE)
         if shut or self._is_due(faults.regulator_stuck_at):
-            held = supply.value(time) if valve.held is None or (shut and valve.open) else valve.held
-        opens = valve.open and not valve.energised
-        if not valve.energised and self._has_valve and not self._is_due(faults.dump_stuck_at):
-            opens = True
+            held = supply.value(time) if air.held is None or (shut and air.open) else air.held
+        may_open = self._has_valve and not self._is_due(faults.dump_stuck_at)
+        opens = not self.energised and (air.open or may_open)
         self._plant.shut(shut=shut and not opens and not self._is_due(faults.burst_at))
         forced: tuple[float, float] | None = None
         if self._is_due(faults.burst_at):
@@ -194,8 +168,8 @@ class Simulation(Sampled):
             forced = 0.0, 1.0 / self._regulator.leak
         elif held is not None:
             forced = held, self._regulator.lag
-        _press(supply, time, valve.forced, forced)
-        self._valve = replace(valve, open=opens, held=held, forced=forced)
+        _press(supply, time, air.forced, forced)
+        self._valves = replace(self._valves, each=(Air(opens, held, forced),))
 
     def place(self, load: Load) -> None:
         """Change the load on the free end, unless an actuator holds it."""
@@ -244,7 +218,7 @@ class Simulation(Sampled):
 
     def _inflow(self, regulator: Regulated, t: NDArray[np.float64], P: NDArray[np.float64]) -> NDArray[np.float64]:
         """What a meter between regulator and muscle sees [kg/s]; what leaves by the dump valve is not seen."""
-        if not self._metered or not isinstance(self._plant, DrivenPlant) or self._valve.forced is not None:
+        if not self._metered or not isinstance(self._plant, DrivenPlant) or self._valves.each[0].forced is not None:
             return np.zeros(t.shape)
         return self._plant.inflow(regulator, t, P)
 
@@ -259,31 +233,12 @@ DRIVE_SPEED = math.radians(60)
 """At which the drive goes to an angle that it is sent to at once [rad/s]."""
 
 
-@dataclass(frozen=True)
-class _Air:
-    """What keeps a regulator from its muscle."""
-
-    open: bool
-    """The dump valve empties it."""
-    held: float | None = None
-    """The pressure at which its regulator is stuck [Pa]."""
-    forced: tuple[float, float] | None = None
-    """Where the pressure goes whatever is commanded [Pa], and with which lag [s]."""
-
-
-@dataclass(frozen=True)
-class _Valves:
-    energised: frozenset[str]
-    each: tuple[_Air, ...]
-
-
 class JointSimulation(Sampled):
     """The joint from bench time `start` [s] on, without pressure, at angle 0; `memory` as in `Sampled`."""
 
     def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
         super().__init__(device, options, JOINT_NOISE if options.preset == "bench" else {}, memory)
         named = [valve.output for valve in device.valves]
-        refuse_unknown(device.name, "output", named, o.VALVES_OF[o.JOINT])
         built = joint.described(options.built)
         if options.preset != "bench":
             built = replace(built, regulator=Regulator(dead_time=0.04))
@@ -296,7 +251,7 @@ class JointSimulation(Sampled):
         self._dumps = tuple([n for n in named if n in (o.DUMP_VALVE, f"{o.DUMP_VALVE}_{i}")] for i in (1, 2))
         self._isolated = o.ISOLATION_VALVE in named
         self._shut_off = o.SUPPLY_VALVE in named
-        self._valve = _Valves(frozenset(), tuple(_Air(bool(dumps)) for dumps in self._dumps))
+        self._valves = Valves(each=tuple(Air(bool(dumps)) for dumps in self._dumps))
         self._settle()
 
     @property
@@ -307,12 +262,12 @@ class JointSimulation(Sampled):
     @property
     def energised(self) -> bool:
         """Whether every dump valve is commanded closed."""
-        return any(self._dumps) and all(self._valve.energised.issuperset(dumps) for dumps in self._dumps)
+        return any(self._dumps) and all(self._valves.energised.issuperset(dumps) for dumps in self._dumps)
 
     @property
     def dump_open(self) -> bool:
         """Whether the dump valve empties both muscles."""
-        return all(air.open for air in self._valve.each)
+        return all(air.open for air in self._valves.each)
 
     # -- commands, at the plant's time ----------------------------------------------------------------------------
 
@@ -351,16 +306,6 @@ class JointSimulation(Sampled):
         else:
             self._plant.command(self._muscle(output), here)
 
-    def switch(self, output: str, *, on: bool) -> None:
-        """Energise a valve, which closes a dump and opens the supply, or not."""
-        energised = self._valve.energised
-        self._valve = replace(self._valve, energised=energised | {output} if on else energised - {output})
-        self._settle()
-
-    def is_on(self, output: str) -> bool:
-        """Whether a valve is energised."""
-        return output in self._valve.energised
-
     def place(self, load: Load) -> None:
         """Nothing: a joint carries no weights."""
 
@@ -368,16 +313,16 @@ class JointSimulation(Sampled):
 
     def _settle(self) -> None:
         """Bring the air of each muscle in line with valve and faults as they are at this moment."""
-        airs = enumerate(zip(self._valve.each, self._plant.supplies, strict=True), start=1)
+        airs = enumerate(zip(self._valves.each, self._plant.supplies, strict=True), start=1)
         each = tuple(
             self._settled(air, supply, self._dumps[number - 1], failing=number == self._options.faulty)
             for number, (air, supply) in airs
         )
-        self._valve = replace(self._valve, each=each)
+        self._valves = replace(self._valves, each=each)
 
-    def _settled(self, air: _Air, supply: Regulated, dumps: Sequence[str], *, failing: bool) -> _Air:
+    def _settled(self, air: Air, supply: Regulated, dumps: Sequence[str], *, failing: bool) -> Air:
         """The air of one muscle, which may be the `failing` one; the strongest of what acts on it counts."""
-        faults, time, energised = self.faults, self.time, self._valve.energised
+        faults, time, energised = self.faults, self.time, self._valves.energised
         shut = energised.issuperset(dumps)
         opens = not shut and (air.open or not (failing and self._is_due(faults.dump_stuck_at)))
         held = None
@@ -396,7 +341,7 @@ class JointSimulation(Sampled):
             leaks = failing and self._is_due(faults.leak_at)
             forced = (0.0, LEAK_LAG) if leaks else air.forced or (supply.value(time), supply.regulator.lag)
         _press(supply, time, air.forced, forced)
-        return _Air(opens, held, forced)
+        return Air(opens, held, forced)
 
     # -- what the channels are exposed to --------------------------------------------------------------------------
 
@@ -443,14 +388,10 @@ class PlatformSimulation(Sampled):
 
     def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
         super().__init__(device, options, PLATFORM_NOISE, memory)
-        refuse_unknown(device.name, "output", [valve.output for valve in device.valves], o.VALVES_OF[o.PLATFORM])
         height = options.built.get("accelerometer", HEIGHT)
         self._plant = PlatformPlant(platform.described(options.built), state=(0.0,) * 10, height=height, noise=0.0)
         self._dumps = [valve.output for valve in device.valves if valve.output in o.DUMPS] or [o.DUMP_VALVE]
         self._plant.time = start
-        self._plant.supply, self._plant.dump = False, True
-        self._valve = frozenset[str]()
-        """Valves that are energised."""
         self._settle()
 
     @property
@@ -461,7 +402,7 @@ class PlatformSimulation(Sampled):
     @property
     def energised(self) -> bool:
         """Whether the dumps are commanded shut."""
-        return bool(self._valve.issuperset(self._dumps))
+        return self._valves.energised.issuperset(self._dumps)
 
     @property
     def dump_open(self) -> bool:
@@ -479,17 +420,12 @@ class PlatformSimulation(Sampled):
 
     def switch(self, output: str, *, on: bool) -> None:
         """Shut-off and dumps; of a valve that opens in pulses this ends the pulse, or opens it until it is shut."""
-        self._valve = self._valve | {output} if on else self._valve - {output}
         if output in (*o.FILLS, *o.EXHAUSTS):
             kind, _, number = output.partition("_")
             self._plant.shut(kind, int(number) - 1)
             if on:
                 self._plant.pulse(kind, int(number) - 1, math.inf)
-        self._settle()
-
-    def is_on(self, output: str) -> bool:
-        """Whether a valve is energised by `switch`; a pulse is over by itself."""
-        return output in self._valve
+        super().switch(output, on=on)
 
     def command(self, output: str, segment: Segment, scale: Scale) -> None:
         """Nothing takes a value."""
@@ -510,7 +446,7 @@ class PlatformSimulation(Sampled):
     def _settle(self) -> None:
         """Bring valves and sensors in line with commands and faults as they are at this moment."""
         plant, faults, i = self._plant, self.faults, self._options.faulty - 1
-        plant.supply = o.SUPPLY_VALVE in self._valve and not self._is_due(faults.supply_lost_at)
+        plant.supply = self.is_on(o.SUPPLY_VALVE) and not self._is_due(faults.supply_lost_at)
         plant.dump = not self.energised
         plant.blocked = tuple(m for m in MUSCLES if self._shut(m) or (m == i and self._is_due(faults.dump_stuck_at)))
         stuck = {
@@ -525,7 +461,7 @@ class PlatformSimulation(Sampled):
 
     def _shut(self, muscle: int) -> bool:
         """Whether the dump of a muscle, from 0, is commanded closed."""
-        return not {o.DUMP_VALVE, f"{o.DUMP_VALVE}_{muscle + 1}"}.intersection(self._dumps) - self._valve
+        return not {o.DUMP_VALVE, f"{o.DUMP_VALVE}_{muscle + 1}"}.intersection(self._dumps) - self._valves.energised
 
     # -- what the channels are exposed to --------------------------------------------------------------------------
 

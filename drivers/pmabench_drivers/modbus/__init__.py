@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
+from pmabench.bench.interface import COMPUTER, DeviceRecord, Identity
 from pmabench_drivers.modbus import registers as r
 from pmabench_drivers.shared.device import Controlled, Polled
-from pmabench_drivers.shared.link import JOIN, PATIENCE, Still, Unanswered, always, opened
+from pmabench_drivers.shared.link import JOIN, PATIENCE, Still, Unanswered, always, opened, who
 from pmabench_drivers.shared.options import Reader
 
 if TYPE_CHECKING:
@@ -47,6 +47,8 @@ class Watched(Polled):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._armed = self._fed = 0.0
+        self._found = 0.0
+        """The time that it had when it was opened [counts], which it gets back; 0: off."""
         self._beat = 0
 
     @abstractmethod
@@ -101,9 +103,9 @@ class Watched(Polled):
         self._fed = monotonic()
 
     def disarm_watchdog(self) -> None:
-        """Stop it; outputs stay."""
+        """Stop it, or give it back the time that it had; outputs stay."""
         registers, self._armed = self._own_watchdog(), 0.0
-        off = (registers.timeout, 0.0) if registers.trigger is None else (registers.trigger, registers.off)
+        off = (registers.timeout, self._found) if registers.trigger is None else (registers.trigger, registers.off)
         self._put(*off, monotonic() + CALL)
 
     def _own_watchdog(self) -> r.WatchdogRegisters:
@@ -125,7 +127,8 @@ class ModbusDevice(Watched, Controlled):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._map = self._options.map
-        self._inputs = [self._map.inputs[channel.input] for channel in device.channels]
+        inputs = self._map.inputs  # without those that a kind of device streams
+        self._inputs = [inputs[channel.input] for channel in device.channels if channel.input in inputs]
         self._spans = r.spans(self._inputs)
         polled = [register for span in self._spans for register in span.registers]
         self._places = [polled.index(register) for register in self._inputs]
@@ -143,9 +146,7 @@ class ModbusDevice(Watched, Controlled):
     @classmethod
     def map_schema(cls) -> dict[str, Any]:
         """The JSON Schema of the file that the option `map` names."""
-        from pmabench_drivers.modbus.registers import map_schema
-
-        return map_schema()
+        return r.map_schema()
 
     @classmethod
     def lacks(cls, device: DeviceRecord) -> Iterator[str]:
@@ -173,10 +174,8 @@ class ModbusDevice(Watched, Controlled):
                 self._values(self._spans[:1], deadline)
             self._over, self._seen = self._line.connections, self._who(deadline)
         maker, model, serial, firmware = (found.get(name, "") for name in ("maker", "model", "serial", "firmware"))
-        simulated, answers = model.startswith(EMULATED), self._line.quickest
-        return Identity(
-            maker, model, serial, firmware, simulated, clock=COMPUTER, answers=answers if answers < math.inf else 0.0
-        )
+        answers = self._line.quickest
+        return who(maker, model, serial, firmware, clock=COMPUTER, answers=answers if answers < math.inf else 0.0)
 
     def close(self) -> None:
         """End polling and let go of the connection."""
@@ -312,9 +311,14 @@ class ModbusDevice(Watched, Controlled):
         under_way = line is not None and line.cut()
         second = self._new_line()
         try:
-            second.overrule(function, register.address, words, deadline, output, watch=LATE if under_way else 0.0)
+            self._overrule(second, register, value, deadline, LATE if under_way else 0.0)
         finally:
             second.close()
+
+    def _overrule(self, second: Line, register: r.Register, value: float, deadline: float, watch: float) -> None:
+        """Write over a second connection, and look for `watch` [s] whether the value stays."""
+        words, function = self._words(register, value), self._function(register)
+        second.overrule(function, register.address, words, deadline, register.name, watch=watch)
 
     # -- ramps and sines ------------------------------------------------------------------------------------------
 
@@ -431,7 +435,11 @@ class ModbusDevice(Watched, Controlled):
             raise Unanswered(self._device.name, message, register.name) from None
         if not abs(held - wanted) <= resolution:
             what = "did not answer to the command" if lost else "was commanded"
-            raise self._error(f"{what} {wanted:g} and holds {held:g}", register.name)
+            raise self._error(f"{what} {wanted:g} and {self._shows(register, held)}", register.name)
+
+    def _shows(self, _register: r.Register, held: float) -> str:
+        """What a register holds, in words."""
+        return f"holds {held:g}"
 
     def _arrived(self, register: r.Register, _wanted: float, until: float, _resolution: float) -> float:
         """What the device holds after a command."""

@@ -27,13 +27,15 @@ from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TI
 from pymodbus.framer import FramerRTU  # noqa: TID253
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import COMPUTER, EMULATED, Identity
+from pmabench.bench.interface import COMPUTER, Identity
 from pmabench_drivers.modbus.registers import BIT_TABLES, READ
-from pmabench_drivers.shared.link import Still, Unanswered, always, turn
+from pmabench_drivers.shared.link import Still, Unanswered, always, turn, who
 
 for _name in ("pymodbus.logging", "pymodbus_logging"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)  # it prints what is raised here anyway
 
+PORT = 502
+"""Of Modbus TCP, where the address names none."""
 SHOWN = 0.005
 """Pause between two looks at what a device shows after a command [s]."""
 GIVES_WAY, PATIENT, LONGEST = 0.001, 0.1, 0.3
@@ -154,7 +156,7 @@ class _Rtu(ModbusSerialClient):
 
 
 class Line:
-    """The connection of one device at `address` (HOST:PORT, or the path of a serial port), used by any thread.
+    """The connection of one device at `address` (HOST, HOST:PORT, or the path of a serial port), used by any thread.
 
     `serial`: settings of a serial line, by the names of `serial.Serial`.
     """
@@ -177,13 +179,14 @@ class Line:
         called who is not the thread that polls and steps [s, monotonic]."""
         self.connections = 0
         """How often it was connected: behind a new connection there may be another device."""
-        host, _, port = address.rpartition(":")
-        self.is_serial = not port.isdecimal()
+        host, colon, port = address.rpartition(":")
+        self.is_serial = address.startswith("/")
         self._client: _Tcp | _Rtu
         if self.is_serial:
             self._client = _Rtu(address, timeout=timeout, retries=0, **(serial or {}))
         else:
-            self._client = _Tcp(host, port=int(port), timeout=timeout, retries=0)
+            place = (host, int(port)) if colon else (address, PORT)
+            self._client = _Tcp(place[0], port=place[1], timeout=timeout, retries=0)
 
     def close(self) -> None:
         """Let go of the connection for good; harmless when repeated. A call that still waits for its turn fails."""
@@ -425,12 +428,19 @@ class NamedLine(Line):
                 found[number] = "".join(chr(byte) for byte in data if 32 <= byte < 127).strip()
         return found
 
+    def read_again(self, address: int, count: int, deadline: float, what: str) -> list[int]:
+        """Holding registers; asked once more where no answer came in time: that moves nothing."""
+        try:
+            return self.read("holding", address, count, deadline, what)
+        except Unanswered:
+            if monotonic() >= deadline:
+                raise
+            return self.read("holding", address, count, deadline, what)
+
     def identity(self, deadline: float) -> Identity:
         """Who answers, before `deadline` [s, monotonic]."""
         names = self.identification(deadline)
-        model = names.get(4) or names.get(1, "")
-        simulated = model.startswith(EMULATED)
-        return Identity(names.get(0, ""), model, "", names.get(2, ""), simulated=simulated, clock=COMPUTER)
+        return who(names.get(0, ""), names.get(4) or names.get(1, ""), firmware=names.get(2, ""), clock=COMPUTER)
 
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
         if wanted[0] != IDENTIFY or answer.isError():

@@ -357,39 +357,35 @@ def _watchdog(
 
 
 def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
-    """What the bench asks of the device must be in the map, and fit."""
-    _refuse_twice(device, map_, reader)
-    for channel in device.channels:
-        place = ("channels", channel.name, "input")
-        if not reader.known(place, "the map has no input", channel.input, map_.inputs):
+    """What the bench asks of the device must be in the map, and fit.
+
+    No two channels or outputs share a register, whatever the map calls it: that is a copied line of the map.
+    """
+    uses = [("channels", each.name, "input", each.input) for each in device.channels]
+    uses += [("outputs", each.name, "output", each.output) for each in device.outputs]
+    uses += [("outputs", valve.name, "output", valve.output) for valve in device.valves]
+    uses += [("interlocks", lock.name, "input", lock.input) for lock in device.interlocks]
+    used: dict[tuple[Any, ...], str] = {}
+    for group, name, way, at in uses:
+        place, known = (group, name, way), map_.inputs if way == "input" else map_.outputs
+        if not reader.known(place, f"the map has no {way}", at, known) or group == "interlocks":
             continue
-        if channel.raw_type == "int32" and map_.inputs[channel.input].type == "float32":
-            reader.fault(place, "gives numbers with a fraction, not counts; name the unit that the device gives")
-        elif channel.raw_type == "int32" and max(map(abs, _ends(channel.scale, channel))) >= 2**31:
-            reader.fault(place, "counts from 2147483648 on cannot be recorded")
+        register = known[at]
+        first = used.setdefault((group, register.table, register.address, register.bit), at)
+        if first != at:
+            reader.fault(place, f'is the register of "{first}" in the map, too')
+    for channel in device.channels:
+        if channel.raw_type == "int32" and channel.input in map_.inputs:
+            place = ("channels", channel.name, "input")
+            if map_.inputs[channel.input].type == "float32":
+                reader.fault(place, "gives numbers with a fraction, not counts; name the unit that the device gives")
+            elif max(map(abs, _ends(channel.scale, channel))) >= 2**31:
+                reader.fault(place, "counts from 2147483648 on cannot be recorded")
     for output in device.outputs:
-        place = ("outputs", output.name, "output")
-        if reader.known(place, "the map has no output", output.output, map_.outputs):
-            _fits(output, map_.outputs[output.output], place, reader)
-    for valve in device.valves:
-        reader.known(("outputs", valve.name, "output"), "the map has no output", valve.output, map_.outputs)
-    for lock in device.interlocks:
-        reader.known(("interlocks", lock.name, "input"), "the map has no input", lock.input, map_.inputs)
+        if output.output in map_.outputs:
+            _fits(output, map_.outputs[output.output], ("outputs", output.name, "output"), reader)
     if device.watchdog and map_.watchdog is None:
         reader.fault(("watchdog",), 'the bench wants a watchdog, and the map has no "watchdog"')
-
-
-def _refuse_twice(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
-    """A register that two channels or two outputs share, whatever the map calls it: a copied line of the map."""
-    uses = [(("channels", each.name, "input"), map_.inputs.get(each.input)) for each in device.channels]
-    uses += [(("outputs", each.name, "output"), map_.outputs.get(each.output)) for each in device.outputs]
-    uses += [(("outputs", valve.name, "output"), map_.outputs.get(valve.output)) for valve in device.valves]
-    used: dict[tuple[Any, ...], str] = {}
-    for place, register in uses:
-        if register is not None:
-            first = used.setdefault((place[0], register.table, register.address, register.bit), register.name)
-            if first != register.name:
-                reader.fault(place, f'is the register of "{first}" in the map, too')
 
 
 def _fits(output: OutputRecord, register: Register, place: Place, reader: Reader) -> None:

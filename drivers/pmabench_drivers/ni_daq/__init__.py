@@ -123,9 +123,7 @@ class Sampling:
             self._failure = f"samples come {abs(behind):.2f} s too {late} for {self._rate:g} Hz"
             return
         self._heard = monotonic()
-        origin, host = round(self.start * 1e9), round(now * 1e9)
-        for number, values in enumerate(zip(*columns, strict=True), first):
-            self._samples.append(origin + round(number * 1e9 / self._rate), values, host)
+        self._samples.extend(first, columns, self.start, self._rate, now)
         last = self.start + (self._number - 1) / self._rate
         self.newest = last, {name: column[-1] for name, column in zip(self._names, columns, strict=True)}
 

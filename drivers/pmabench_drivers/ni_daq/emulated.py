@@ -56,6 +56,7 @@ class EmulatedServer:
         from nidaqmx._stubs import nidaqmx_pb2  # noqa: PLC2701  (the messages of the wire; there is no other source)
 
         self.board, self.faults = board, f.Faults(LINKS, f.STUCK, f.IGNORE, f.EXCEPTION, f.RESTART, f.SETPOINT)
+        self.restart, self.change_set_point = board.restart, board.change_set_point
         self._messages: Any = nidaqmx_pb2
         self._tap = log.tap(board.device.name)
         self._peers: dict[str, int] = {}
@@ -95,16 +96,6 @@ class EmulatedServer:
         """Hang up."""
         self.board.close()
         self._server.stop(0.0).wait(2.0)
-
-    def restart(self) -> None:
-        """The device loses its power and gets it again; the server stays."""
-        with self.board.lock:
-            self.board.restart()
-
-    def change_set_point(self, value: float) -> bool:
-        """Another program sets the first output of the bench [V]; whether there is one."""
-        with self.board.lock:
-            return self.board.change_set_point(value)
 
     def serve_again(self, *, forget: bool) -> None:
         """Cut every connection, and listen again; `forget`: as a server that was ended, without its tasks."""

@@ -198,19 +198,21 @@ class Board:
         task.waiting.clear()
 
     def restart(self) -> None:
-        """Outputs at 0 V and lines low as after power-on; tasks under way are aborted."""
-        for name in AO:
-            self._wiring.give(name, self._reached(name, 0.0))
-        for name in DO:
-            self._levels[name] = False
-            self._wiring.drive(name, on=False)
-        for task in self.tasks.values():
-            task.aborted, task.state = task.state == "running", "verified"
+        """Outputs at 0 V and lines low as after power-on, tasks under way are aborted; the server stays."""
+        with self.lock:
+            for name in AO:
+                self._wiring.give(name, self._reached(name, 0.0))
+            for name in DO:
+                self._levels[name] = False
+                self._wiring.drive(name, on=False)
+            for task in self.tasks.values():
+                task.aborted, task.state = task.state == "running", "verified"
 
     def change_set_point(self, value: float) -> bool:
         """Another program sets the first output that the bench uses [V]; whether there is one."""
-        for name in list(self._wiring.outputs)[:1]:
-            self._wiring.give(name, self._reached(name, value))
+        with self.lock:
+            for name in list(self._wiring.outputs)[:1]:
+                self._wiring.give(name, self._reached(name, value))
         return bool(self._wiring.outputs)
 
     # -- samples ----------------------------------------------------------------------------------------------------

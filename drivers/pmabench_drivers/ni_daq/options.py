@@ -18,7 +18,7 @@ PAIR = 8
 """A differential input takes the one so much higher as its other end (NI-DAQmx, physical channels of M Series)."""
 AI = tuple(f"ai{number}" for number in range(32))
 AO = ("ao0", "ao1")
-LINES = tuple(f"port{port}/line{line}" for port in range(2) for line in range(8))
+LINES = {f"port{port}/line{line}": 8 * port + line for port in range(2) for line in range(8)}
 PORT = 31763
 """Where NI's gRPC server listens unless its configuration says otherwise."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
@@ -68,8 +68,8 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     given = reader.keys(device.options, HERE, ("server", "terminals", "ranges"))
     if not _NAME.fullmatch(device.address):
         reader.fault(("address",), f'the name in NI-DAQmx is expected, for instance "Dev1", not "{device.address}"')
-    terminals = _of_inputs(given, "terminals", TERMINALS, reader)
-    ranges = _of_inputs(given, "ranges", RANGES, reader)
+    terminals = reader.choices(given, "terminals", HERE, TERMINALS)
+    ranges = reader.choices(given, "ranges", HERE, RANGES)
     inputs: dict[str, Input] = {}
     for channel in device.channels:
         place = ("channels", channel.name, "input")
@@ -90,13 +90,14 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
             "NI-DAQmx has none for the outputs of such a device, which hold their last value when the computer dies: "
             'give "no_watchdog" with who accepts it, and a normally-open dump valve that needs a live signal',
         )
+    reader.lines(device, LINES, "; known: port0/line0 to port1/line7")
     return Options(
         device.address,
         _server(given, reader),
         inputs,
         _outputs(device, reader),
         tuple(valve.output for valve in device.valves),
-        _lines(device, reader),
+        tuple(lock.input for lock in device.interlocks),
     )
 
 
@@ -108,16 +109,6 @@ def _server(given: Mapping[str, object], reader: Reader) -> str:
         reader.fault((*HERE, "server"), f'HOST or HOST:PORT is expected, for instance "192.168.0.30:{PORT}"')
         return ""
     return f"{match[1]}:{match[2] or PORT}" if match else ""
-
-
-def _of_inputs(
-    given: Mapping[str, object], key: str, known: Mapping[str, float] | tuple[str, ...], reader: Reader
-) -> dict[str, str]:
-    """Input -> one of the known words."""
-    place = (*HERE, key)
-    items = reader.named(given.get(key, {}), place)
-    words = tuple(known)
-    return {name: reader.choice(items, name, place, words, words[0]) for name in items}
 
 
 def _each_once(device: DeviceRecord, inputs: Mapping[str, Input], reader: Reader) -> None:
@@ -154,15 +145,3 @@ def _outputs(device: DeviceRecord, reader: Reader) -> dict[str, Output]:
             message = 'the step of the output is missing: "0.000306 V" for 16 bits over -10 V to 10 V'
             reader.fault(("outputs", output.name, "resolution"), message)
     return found
-
-
-def _lines(device: DeviceRecord, reader: Reader) -> tuple[str, ...]:
-    """Lines of the interlocks, after each line was found to be one, and used once."""
-    places: list[tuple[Place, str]] = [(("outputs", valve.name, "output"), valve.output) for valve in device.valves]
-    places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
-    seen: dict[str, str] = {}
-    for place, name in places:
-        if reader.known(place, "no digital line", name, LINES, "; known: port0/line0 to port1/line7") and name in seen:
-            reader.fault(place, f"{name} is in use by {seen[name]}")
-        seen.setdefault(name, str(place[1]))
-    return tuple(lock.input for lock in device.interlocks)

@@ -19,10 +19,10 @@ from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import COMPUTER, EMULATED, Block, ChannelRecord, DeviceRecord, Identity
+from pmabench.bench.interface import COMPUTER, Block, ChannelRecord, DeviceRecord, Identity
 from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.device import Polled
-from pmabench_drivers.shared.link import JOIN, Flow, opened
+from pmabench_drivers.shared.link import JOIN, Flow, opened, who
 from pmabench_drivers.shared.options import BAUDS, PARITIES, Reader
 
 LONGEST_PATTERN = 300
@@ -277,8 +277,7 @@ class SerialIndicator(Polled):
         with self._closed_on_error():
             model = self._ask_identity()
             self._first_line()
-        simulated = model.startswith(EMULATED)
-        return Identity("", model or "serial ASCII indicator", "", "", simulated=simulated, clock=COMPUTER)
+        return who("", model or "serial ASCII indicator", clock=COMPUTER)
 
     def close(self) -> None:
         """End reading and let go of the port."""

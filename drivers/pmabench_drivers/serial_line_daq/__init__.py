@@ -17,13 +17,14 @@ import threading
 from binascii import crc_hqx
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.shared.device import Led
-from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn
+from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn, who
 from pmabench_drivers.shared.options import BAUDS, Reader
 from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
 
@@ -198,7 +199,7 @@ class Link(SerialPort):
         super().__init__(device, address, baud, clock)
         self._on_sample = on_sample
         self._turn, self._sending = threading.Lock(), threading.Lock()
-        self._waiting: dict[int, tuple[threading.Event, list[list[str]]]] = {}
+        self._waiting: dict[int, SimpleQueue[list[str]]] = {}
         self._number = random.randrange(1 << 20)
         self._splitter = Splitter(END, whole=True)  # what is not whole has a wrong checksum
         self.invalid = 0
@@ -216,20 +217,22 @@ class Link(SerialPort):
         asked = monotonic()
         busy = f"has not answered yet what was asked before; the question {letter} was not sent"
         with contextlib.nullcontext() if aside else turn(self._turn, deadline, self._device, busy=busy):
-            event, answer = threading.Event(), list[list[str]]()
+            answer = SimpleQueue[list[str]]()
             with self._sending:
                 if not still():
                     return []
                 if self.gone:
                     raise DeviceError(self._device, self.gone)
                 self._number = number = self._number % 999_999_999 + 1
-                self._waiting[number] = event, answer
+                self._waiting[number] = answer
                 self.send(encode(letter, number, *values))
-            event.wait(max(0.0, deadline - monotonic()))
-            self._waiting.pop(number, None)
-        if not answer:
-            raise Unanswered(self._device, self.gone or f"did not answer within {max(0.0, deadline - asked):.2g} s")
-        kind, *fields = answer[0]
+            try:
+                kind, *fields = answer.get(timeout=max(0.0, deadline - monotonic()))
+            except Empty:
+                why = self.gone or f"did not answer within {max(0.0, deadline - asked):.2g} s"
+                raise Unanswered(self._device, why) from None
+            finally:
+                self._waiting.pop(number, None)
         if kind == "E":
             word = fields[0] if fields else ""
             raise DeviceError(self._device, REASONS.get(word, f'refuses with "{word}"'))
@@ -249,10 +252,8 @@ class Link(SerialPort):
             return
         if fields[0] not in {"A", "E"} or len(fields) < 2 or not fields[1].isdecimal():
             raise NoLine("a line of no known kind")
-        waiting = self._waiting.get(int(fields[1]))
-        if waiting is not None and not waiting[0].is_set():
-            waiting[1].append([fields[0], *fields[2:]])
-            waiting[0].set()
+        if (waiting := self._waiting.get(int(fields[1]))) is not None:
+            waiting.put([fields[0], *fields[2:]])
 
 
 class SerialLineDaq(Led):
@@ -328,7 +329,7 @@ class SerialLineDaq(Led):
             self._index(name, letter)
         if not 0 < self._shortest <= 10_000_000:
             raise DeviceError(record.name, f"says that its shortest period is {self._shortest} us")
-        return Identity("", model, serial, f"{PROTOCOL} {version}", simulated=model.startswith(EMULATED))
+        return who("", model, serial, f"{PROTOCOL} {version}")
 
     # -- samples --------------------------------------------------------------------------------------------------
 

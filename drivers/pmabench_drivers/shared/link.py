@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import Block
+from pmabench.bench.interface import EMULATED, Block, Identity
 
 JOIN = 0.15
 """How long a thread is given to end, where that is waited for [s]."""
@@ -57,6 +57,19 @@ class Samples:
             self._host = host
             for column, value in zip(self._columns, values, strict=True):
                 column.append(value)
+
+    def extend(self, first: int, columns: Sequence[array[float]], start: float, rate: float, host: float) -> None:
+        """Samples of a device that numbers them, from number `first` on.
+
+        Number 0 was taken at `start`, the next ones at `rate` [Hz]; they came at `host` (both [s, bench time]).
+        """
+        origin, end = round(start * 1e9), first + len(columns[0])
+        times = array("q", [origin + round(number * 1e9 / rate) for number in range(first, end)])
+        with self._lock:
+            self._time += times
+            self._host = round(host * 1e9)
+            for column, values in zip(self._columns, columns, strict=True):
+                column += values
 
     def take(self) -> Block:
         """All samples since the last call."""
@@ -238,6 +251,13 @@ def turn(lock: threading.Lock, deadline: float, device: str, what: str = "", bus
         yield
     finally:
         lock.release()
+
+
+def who(
+    maker: str, model: str, serial: str = "", firmware: str = "", *, clock: str = "own", answers: float = 0.0
+) -> Identity:
+    """Who answered: simulated where its model says so."""
+    return Identity(maker, model, serial, firmware, model.startswith(EMULATED), clock, answers)
 
 
 def reason(error: Exception) -> str:

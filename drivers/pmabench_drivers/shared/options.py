@@ -83,6 +83,11 @@ class Reader:
             return default
         return str(value)
 
+    def choices(self, given: Mapping[str, Any], key: str, place: Place, known: Iterable[str]) -> dict[str, str]:
+        """One of the known words for each name of the user's own; a wrong one reads as the first."""
+        items, options = self.named(given.get(key, {}), (*place, key)), tuple(known)
+        return {name: self.choice(items, name, (*place, key), options, options[0]) for name in items}
+
     def flag(self, given: Mapping[str, Any], key: str, place: Place, *, default: bool) -> bool:
         """A yes or no, as true or false."""
         value = given.get(key, default)
@@ -114,6 +119,17 @@ class Reader:
             return True
         self.fault(place, f'{says} "{name}"{did_you_mean(name, names)}{more}')
         return False
+
+    def lines(self, device: DeviceRecord, numbers: Mapping[str, int], more: str) -> None:
+        """Valves and interlocks must each have a digital line for themselves; `numbers` are those of all names."""
+        places: list[tuple[Place, str]] = [(("outputs", valve.name, "output"), valve.output) for valve in device.valves]
+        places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
+        seen: dict[int, str] = {}
+        for place, name in places:
+            if self.known(place, "no digital line", name, numbers, more):
+                if numbers[name] in seen:
+                    self.fault(place, f"{name} is in use by {seen[numbers[name]]}")
+                seen.setdefault(numbers[name], str(place[1]))
 
     def port(self, device: DeviceRecord, example: str) -> None:
         """The address must be that of a serial port."""

@@ -75,7 +75,7 @@ def text_of(line: bytes) -> str:
 
 
 def hand_over(port: Any, data: bytes, seconds: float) -> None:
-    """Hand bytes to an open port of pyserial, each once; raises OSError where it takes none for `seconds`.
+    """Hand bytes to an open port of pyserial, or a socket, each once; OSError where it takes none for `seconds`.
 
     Its own `write` says "Write timeout" though every byte went out, where the program stood still for so long.
     """

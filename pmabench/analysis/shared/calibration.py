@@ -6,11 +6,11 @@ reading [SI of the channel], and a gain, a share of the reading: true value = (1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 
-from pmabench.store.analyses.results import Estimate
+from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import RunData
 
 Sensitivities = Mapping[str, float]
@@ -73,6 +73,11 @@ class Scales:
         kind = "uncertainty" if set(missing) <= set(offsets) else "gain uncertainty"
         whole = len(missing) == len({*gains, *offsets})
         return f"{'no' if whole else 'incomplete'} {NOT_DECLARED} {kind} of {listed(missing)}"
+
+    def findings(self, results: Sized, gains: Iterable[str], offsets: Iterable[str] = ()) -> list[Finding]:
+        """That sentence as a note, where there are results and a channel lacks its uncertainty."""
+        lack = self.lack(gains, offsets)
+        return [Finding("note", lack)] if results and lack else []
 
     def _missing(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
         """Channels without a known uncertainty."""

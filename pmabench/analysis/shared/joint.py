@@ -162,7 +162,6 @@ def findings(
     if abs(zero) > ZERO:
         text = f"the encoder reads {show(zero, 'angle', 2)} where the drive was sent to 0: one of their zeros is wrong"
         yield Finding("doubt", text)
-    if estimates and (lack := scales.lack(("torque", "angle", *MUSCLES))):
-        yield Finding("note", lack)
+    yield from scales.findings(estimates, ("torque", "angle", *MUSCLES))
     channels = (AXES.moved, AXES.pulls)
     yield from skew.findings(runs, channels, skew.apart(runs, channels), estimates)

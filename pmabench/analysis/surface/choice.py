@@ -15,19 +15,9 @@ from math import sqrt
 import numpy as np
 
 from pmabench.analysis.shared import student
+from pmabench.analysis.surface import muscle as muscle_terms
 from pmabench.analysis.surface.fit import Data, Sums, first_stiffness, fitted, misfit, muscle_of, solve, split, sums
-from pmabench.analysis.surface.muscle import (
-    ALWAYS,
-    CREEP_P,
-    CREEP_X,
-    SLIDING,
-    STOPS_P,
-    STOPS_X,
-    STRAIGHT,
-    TERMS,
-    VISCOUS,
-    Muscle,
-)
+from pmabench.analysis.surface.muscle import ALWAYS, CREEP_X, TERMS, Muscle
 from pmabench.store.records import Array
 
 FEWEST = 4
@@ -97,8 +87,10 @@ FOLDS = 24
 """Most groups that are left out one at a time; with more, several together."""
 SMOOTH = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Weights of the bends of the surface that are tried: the one that predicts best what was left out is taken."""
-RIVALS = ((STOPS_X, CREEP_X), (STOPS_P, CREEP_P))
+RIVALS = ((muscle_terms.STOPS_X, CREEP_X), (muscle_terms.STOPS_P, muscle_terms.CREEP_P))
 """Hysteresis and creep of the same thing, which one cycle does not tell apart."""
+STRAIGHT_FORM = (muscle_terms.STRAIGHT, muscle_terms.VISCOUS, muscle_terms.SLIDING)
+"""What the fit is compared with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +153,8 @@ def choose(data: Data, passes: int = PASSES) -> Choice:
         if last < passes - 1 and CREEP_X in best.terms:
             known = sums(data, muscle.stiffness)
     undecided = _undecided(known, folds, best)
-    form = (STRAIGHT, VISCOUS, SLIDING)
-    straight = scored(plain := sums(data, muscle.stiffness, form), folds, form)
-    lines = Muscle(data.frame, split(plain, form, solve(plain, form, every, straight.smooth)))
+    straight = scored(plain := sums(data, muscle.stiffness, STRAIGHT_FORM), folds, STRAIGHT_FORM)
+    lines = Muscle(data.frame, split(plain, STRAIGHT_FORM, solve(plain, STRAIGHT_FORM, every, straight.smooth)))
     alone = scored(known, folds, ALWAYS)
     return Choice(data, known, muscle, best, tuple(tried), undecided, alone, straight, lines, folds)
 

@@ -14,19 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from pmabench.analysis.surface.muscle import (
-    CREEP_X,
-    FREE,
-    STRAIGHT,
-    SURFACE,
-    TERMS,
-    Frame,
-    Memory,
-    Muscle,
-    Stiffness,
-    columns_of,
-    memory,
-)
+from pmabench.analysis.surface import muscle
+from pmabench.analysis.surface.muscle import TERMS, Frame, Muscle, Stiffness
 from pmabench.analysis.surface.trials import Record, Rows
 from pmabench.store.records import Array
 
@@ -54,7 +43,7 @@ class Data:
 
     records: tuple[Record, ...]
     frame: Frame
-    past: Memory
+    past: muscle.Memory
     rows: Rows
     weight: Array
     """Of each row."""
@@ -70,7 +59,7 @@ class Data:
         weight = np.concatenate([weights_of(record, frame) for record in records])
         if careful:
             weight = weight * np.concatenate([sure(record, frame) for record in records])
-        return cls(tuple(records), frame, memory(records, frame), rows, weight, careful)
+        return cls(tuple(records), frame, muscle.memory(records, frame), rows, weight, careful)
 
     @cached_property
     def largest(self) -> float:
@@ -140,7 +129,7 @@ class Sums:
 def sums(data: Data, stiffness: Stiffness, terms: Sequence[str] = TERMS) -> Sums:
     """The sums of terms, with the stiffness [N/m] that creep of contraction acts through."""
     rows, number = data.rows, len(data.records)
-    blocks = [columns_of(term, data.frame, rows, data.past, stiffness) for term in terms]
+    blocks = [muscle.columns_of(term, data.frame, rows, data.past, stiffness) for term in terms]
     ends = np.cumsum([0, *(block.shape[1] for block in blocks)])
     places = {term: slice(first, last) for term, first, last in zip(terms, ends, ends[1:], strict=False)}
     A = np.hstack([*blocks, rows.F[:, None]])
@@ -162,10 +151,10 @@ def sums(data: Data, stiffness: Stiffness, terms: Sequence[str] = TERMS) -> Sums
 def _penalty(frame: Frame, diagonal: Array, places: Mapping[str, slice]) -> Array:
     """What bends of the surface cost, and turns of the polygons of the straight form."""
     found = np.zeros((len(diagonal) - 1, len(diagonal) - 1))
-    if surface := places.get(SURFACE):
+    if surface := places.get(muscle.SURFACE):
         bends = frame.bends()
         found[surface, surface] = bends * diagonal[surface].mean() / max(float(np.trace(bends)) / len(bends), 1e-300)
-    if lines := places.get(STRAIGHT):
+    if lines := places.get(muscle.STRAIGHT):
         turns = np.kron(np.eye(2), np.diff(np.eye((lines.stop - lines.start) // 2), n=2, axis=0))
         found[lines, lines] = TURNS * turns.T @ turns * np.sqrt(np.outer(diagonal[lines], diagonal[lines]))
     return found
@@ -179,7 +168,7 @@ def solve(sums: Sums, terms: Collection[str], used: Array, smooth: float) -> Arr
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     H = H / np.outer(size, size) + RIDGE * np.eye(len(part))
     found = np.zeros(len(sums.penalty))
-    found[part] = bounded(H, whole[part, -1] / size, np.isin(part, sums.part(FREE))) / size
+    found[part] = bounded(H, whole[part, -1] / size, np.isin(part, sums.part(muscle.FREE))) / size
     return found
 
 
@@ -223,5 +212,5 @@ def fitted(data: Data, stiffness: Stiffness, terms: Collection[str], smooth: flo
 def first_stiffness(data: Data) -> Stiffness:
     """The stiffness of the surface without creep."""
     steep = data.largest / max(data.frame.x.span, 1e-3)
-    terms = [term for term in TERMS if term != CREEP_X]
+    terms = [term for term in TERMS if term != muscle.CREEP_X]
     return fitted(data, lambda P, x: np.full_like(P, steep), terms, FIRST_SMOOTH).stiffness

@@ -222,8 +222,7 @@ class Loops:
         end = min(state.samples.reached, np.inf if trial.end is None else trial.end)
         if self.now is None or not end > self._reached:
             return
-        rates = {name: stream.rate for name, stream in state.files.streams.items()}
-        t, channels, flags, _ = state.samples.between(self._reached, end, rates)
+        t, channels, flags, _ = state.between(self._reached, end)
         if not len(t) or any(name not in channels for name in axes):
             return
         scales = [quantity(CHANNEL_QUANTITY.get(name, "")).scale for name in axes]

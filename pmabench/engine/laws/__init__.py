@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from pmabench.base.errors import UsageError, did_you_mean
-from pmabench.base.extensions import registered
+from pmabench.base.system import registered
 
 GROUP = "pmabench.laws"
 LAWS = {

@@ -20,7 +20,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle import RESULTS, departures, figures
 from pmabench.kinds.arm_angle.stairs import Loaded, channel_of, flat_from, loads_of
 from pmabench.model.library import MODELS
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, withhold
 from pmabench.store.records import Array, RunData
 
 KIND = "arm-angle"
@@ -66,22 +66,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *figures.of_matrix(matrix, why, fits),
         *(figures.of_paper(fits) if compare else []),
     ]
-    if estimates and (lacking := Scales.of(runs).lack((channel_of(settings), "pressure"))):
-        findings.append(Finding("note", lacking))
+    findings += Scales.of(runs).findings(estimates, (channel_of(settings), "pressure"))
+    traces = [figures.trace(one, compare=compare) for one in fits]
+    trials, rms = sum(len(one.stairs) for one in loads), None if matrix is None else matrix.residual_rms
+    facts = {"options": dict(options or {}), "trials": trials, "loads": len(loads), "residual_rms": rms}
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=findings,
-        traces=[figures.trace(one, compare=compare) for one in fits],
-        facts={
-            "options": dict(options or {}),
-            "trials": sum(len(one.stairs) for one in loads),
-            "loads": len(loads),
-            "residual_rms": None if matrix is None else matrix.residual_rms,
-        },
+        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
     )
 
 

@@ -11,8 +11,7 @@
 - protocol files: `protocol`; one trial on the display: `live`
 """
 
-from pmabench.base.imported import Commanded, Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Commanded, Imported, Kind, Result
 
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),

@@ -4,8 +4,7 @@
 - protocol files: `protocol`; words and figures: `figures`; one trial on the display: `reduction`
 """
 
-from pmabench.base.imported import Commanded, Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Commanded, Imported, Kind, Result
 
 RESULTS = (
     Result("eps_max", "largest contraction without load, of the nominal length", "ratio", headline=True),

@@ -150,30 +150,20 @@ def trace(points: Sequence[Point], fit: ModelFit | None, length: float, *, compa
     """Points first, then the fitted curve and, to `compare`, paper 2's."""
     P, x = curve_of(points)
     grid, none, blank = _grid(P), np.full(len(P), np.nan), np.full(CURVE, np.nan)
-    at_points = {
-        "length": length - x,
-        "below": length - np.array([point.reached(-1.0) for point in points]),
-        "above": length - np.array([point.reached(1.0) for point in points]),
-    }
-    along = {"fit": None, "model": paper_length(grid, length) if compare else None}
+    below, above = (length - np.array([point.reached(side) for point in points]) for side in (-1.0, 1.0))
+    marked = {"pressure": P, "length": length - x, "below": below, "above": above}
+    curves = {"pressure": grid}
     if fit is not None and fit.converged:
-        along["fit"] = fit.band({"pressure": np.minimum(grid, float(fit.columns["pressure"].max()))})[0]
-    columns = {
-        "pressure": np.concatenate([P, grid]),
-        **{name: np.concatenate([values, blank]) for name, values in at_points.items()},
-        **{name: np.concatenate([none, blank if values is None else values]) for name, values in along.items()},
-    }
-    return Trace(
-        name="free-contraction",
-        figure="free-contraction",
-        title="Length without load over pressure",
-        columns=columns,
-        quantities={"pressure": "pressure"} | dict.fromkeys(("length", "below", "above", "fit", "model"), "length"),
-        marks={"length": length},
-    )
+        curves["fit"] = fit.band({"pressure": np.minimum(grid, float(fit.columns["pressure"].max()))})[0]
+    if compare and (model := paper_length(grid, length)) is not None:
+        curves["model"] = model
+    columns = {name: np.concatenate([marked.get(name, none), curves.get(name, blank)]) for name in NAMES}
+    quantities = {name: "pressure" if name == "pressure" else "length" for name in NAMES}
+    title = "Length without load over pressure"
+    return Trace("free-contraction", "free-contraction", title, columns, quantities, {"length": length})
 
 
-NAMES = {"pressure": "pressure", "length": "length", "below": "below", "above": "above", "fit": "fit", "model": "model"}
+NAMES = ("pressure", "length", "below", "above", "fit", "model")
 STYLES = {"below": ("^", "reached from below"), "above": ("v", "reached from above"), "length": ("o", "measured")}
 LINES = {"fit": (BROWN, "-", "sigmoid, a to e fitted"), "model": (BLUE, (0, (4, 2)), "paper 2's formula")}
 
@@ -184,7 +174,7 @@ def lengths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 
 def _lengths(trace: Trace, simulated: bool) -> Picture:
-    data = panel(trace, {new: old for new, old in NAMES.items() if old == "pressure" or has(trace, old)}, "")
+    data = panel(trace, {name: name for name in NAMES if name == "pressure" or has(trace, name)}, "")
     labels = {"x": label(trace, "pressure"), "y": label(trace, "length")}
     sides = "below" in data.columns and "above" in data.columns
     more = ", at each pressure reached from 0 and from the highest pressure" if sides else ""

@@ -49,8 +49,8 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "free-contraction"
 FREE, SIGMOID = "free-length", "sigmoid"
-FORM, PAPER = "sigmoid-length-coefficients", "sigmoid-length"
-"""Models of the library: with fitted coefficients, and with those that paper 2 derives from the length."""
+FORM = "sigmoid-length-coefficients"
+"""Model of the library, with fitted coefficients."""
 UNKNOWN = ("a", "b", "c", "d", "e")
 UNITS = {"length": "m", "pressure": "Pa", "count": "1", "ratio": "1"}
 RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is not carried into the coefficients"
@@ -111,24 +111,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *(figures.of_fit(fit, why, other) if points else []),
         *(figures.of_paper(points, length) if points and compare else []),
     ]
-    if estimates and (missing := scales.lack(CHANNELS)):
-        findings.append(Finding("note", missing))
+    findings += scales.findings(estimates, CHANNELS)
+    traces = [figures.trace(points, fit, length, compare=compare)] if points else []
+    facts = {
+        "options": dict(options or {}),
+        "nominal_length": length,
+        "measured": [point.pressure for point in points],
+        "trials": sum(len(point.rests) for point in points),
+        "pressures": len(points),
+        "residual_rms": None if fit is None else fit.residual_rms,
+    }
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=findings,
-        traces=[figures.trace(points, fit, length, compare=compare)] if points else [],
-        facts={
-            "options": dict(options or {}),
-            "nominal_length": length,
-            "measured": [point.pressure for point in points],
-            "trials": sum(len(point.rests) for point in points),
-            "pressures": len(points),
-            "residual_rms": None if fit is None else fit.residual_rms,
-        },
+        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
     )
 
 
@@ -356,31 +350,29 @@ def _leverage(fit: ModelFit) -> tuple[Array, Shape]:
     return np.linalg.pinv((slopes / size[:, None]).T) / size[:, None], computed
 
 
-def _scaled(fit: ModelFit, length: float) -> dict[tuple[str, str], Array]:
-    """Change of a to e, shape (5,), by a relative change (`gain`) or an offset of 1 [SI] of each channel."""
-    P = fit.columns["pressure"]
+def _errors(fit: ModelFit, points: Sequence[Point], length: float) -> tuple[dict[str, dict[str, Array]], Array, Array]:
+    """What moves a to e, shape (5,) each: scales of the channels, scatter, and the steps of the displacement.
+
+    By a relative change (`gain`) or an offset of 1 [SI] of each channel. Half widths by the scatter of the repeats and
+    the noise of the pressure at each length, which grow with the contraction: where few lengths make a coefficient,
+    their errors are not those of all residuals. Half widths by the steps.
+    """
     leverage, computed = _leverage(fit)
+    P, x = fit.columns["pressure"], length - fit.measured
     below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, highest(fit.model))
     rises = (computed(above) - computed(below)) / (above - below)
-    x = length - fit.measured
-    moved = {("pressure", "offset"): -rises, ("pressure", "gain"): -rises * P,
-             ("displacement", "offset"): -np.ones_like(x), ("displacement", "gain"): -x}  # fmt: skip
-    return {name: STEEPER * leverage @ by for name, by in moved.items()}
-
-
-def _scattered(fit: ModelFit, points: Sequence[Point]) -> Array:
-    """Half widths of a to e, shape (5,), by the scatter of the repeats and the noise of the pressure at each length.
-
-    They grow with the contraction: where few lengths make a coefficient, their errors are not those of all residuals.
-    """
+    moved = {"gain": {"pressure": -rises * P, "displacement": -x},
+             "offset": {"pressure": -rises, "displacement": -np.ones_like(x)}}  # fmt: skip
+    scaled = {kind: {c: STEEPER * leverage @ by for c, by in each.items()} for kind, each in moved.items()}
+    stepped = np.linalg.norm(leverage * [point.coarse for point in points], axis=1)
     freedom = sum(len(point.repeats) - 1 for point in points)
     if not freedom:
-        return np.zeros(len(UNKNOWN))
-    leverage, computed = _leverage(fit)
-    P, noise = fit.columns["pressure"], np.array([point.pressure_noise for point in points])
+        return scaled, np.zeros(len(UNKNOWN)), stepped
+    noise = np.array([point.pressure_noise for point in points])
     by_noise = computed(P) - computed(np.maximum(P - noise, 0.0))
     errors = [np.std(p.repeats, ddof=1) / np.sqrt(len(p.repeats)) if len(p.repeats) > 1 else 0.0 for p in points]
-    return np.asarray(student.ppf(0.975, freedom) * np.sqrt(leverage**2 @ (np.square(errors) + by_noise**2)))
+    scattered = student.ppf(0.975, freedom) * np.sqrt(leverage**2 @ (np.square(errors) + by_noise**2))
+    return scaled, scattered, stepped
 
 
 def _coefficients(
@@ -389,17 +381,16 @@ def _coefficients(
 ) -> list[Estimate]:  # fmt: skip
     """The coefficients a to e, those without an interval as not identifiable, withheld for the reason `other`.
 
-    What they differ by from those of `shifted` is in the interval, and what a scale does to them (`_scaled`).
+    What they differ by from those of `shifted` is in the interval, and what a scale does to them (`_errors`).
     """
     quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
-    scaled = {} if fit is None else _scaled(fit, length)
-    scattered = np.zeros(len(UNKNOWN)) if fit is None else _scattered(fit, points)
-    stepped = scattered if fit is None else np.abs(_leverage(fit)[0] * [point.coarse for point in points])
+    none = np.zeros(len(UNKNOWN))
+    scaled, scattered, stepped = ({}, none, none) if fit is None else _errors(fit, points, length)
     found = []
     for place, name in enumerate(UNKNOWN):
         quantity = quantities[name]
         value, half, note = (None, None, why) if fit is None else fit.identified(name, UNITS[quantity])
-        by = {kind: {c: float(scaled[c, kind][place]) for c in CHANNELS} for kind in ("gain", "offset") if scaled}
+        by = {kind: {c: float(change[place]) for c, change in each.items()} for kind, each in scaled.items()}
         half = None if half is None else max(half, float(scattered[place]))
         parts = Parts(repeats=half, calibration=scales.part(by["gain"], by["offset"]) if by else None)
         n = 0 if fit is None else len(fit.measured)
@@ -409,7 +400,7 @@ def _coefficients(
             Doubt(way, PART.get(way, "method"), abs(one.values[name] - (value or 0.0)), seen=True)
             for way, one in shifted.items()
         ]
-        doubts.append(Doubt(STEPS, "method", float(np.linalg.norm(stepped[place])), seen=False))
+        doubts.append(Doubt(STEPS, "method", float(stepped[place]), seen=False))
         found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found
 

@@ -1,12 +1,11 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
 - `reduction`, with the rubber, and the first loop of a rested muscle; of one pressure and stroke (`cell`) the
-  `coefficients`, judged by `doubts`, with the most `creep` that cycles allow
+  `coefficients` and what puts them in doubt, with the most `creep` that cycles allow
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
-from pmabench.base.imported import Commanded, Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Commanded, Imported, Kind, Result
 
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),

@@ -11,6 +11,7 @@ import numpy as np
 
 from pmabench.analysis.shared.ramp_loop import measure_as_planned
 from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
@@ -37,15 +38,13 @@ PANELS, SPEEDS = 6, 4
 def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """The loops of each pressure, its speeds in colours, and the mean curve through them."""
     able = [t for t in traces if has(t, "displacement", "force")]
-    groups: dict[str, list[Trace]] = {}
-    for trace in (t for t in able if t.figure == "isobaric"):
-        groups.setdefault(trace.name.rpartition("-")[0].removeprefix("isobaric-"), []).append(trace)
+    single = [t for t in able if t.figure == "isobaric"]
+    groups = grouped(single, lambda trace: trace.name.rpartition("-")[0].removeprefix("isobaric-"))
     if not groups:
         return []
     means = {t.name.removeprefix("mean-curve-"): t for t in able if t.figure == "mean-curve"}
-    keys = [name for name, _ in sorted(groups.items(), key=lambda item: item[1][0].marks.get("pressure", 0.0))]
-    kept = spread([groups[key][0] for key in keys], PANELS)
-    chosen = [key for key in keys if groups[key][0] in kept]
+    keys = sorted(groups, key=lambda key: groups[key][0].marks.get("pressure", 0.0))
+    chosen = spread(keys, PANELS)
     names = {"x": "displacement", "y": "force"}
     speed = shown("speed")
     panels, rows = [], []
@@ -61,7 +60,7 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     caption = (
         "The last cycle at each speed, and in black the mean of its branches, taken to speed 0: what a model without "
         f"hysteresis is to give. Gap at mid stroke, expanding minus contracting: {reach(gaps)} N."
-        f"{how_many(kept, [groups[key][0] for key in keys])}"
+        f"{how_many(chosen, keys)}"
     )
     alt = (
         f"{labels['y']} over {labels['x']} as loops at {', '.join(title for title, *_ in panels)}, with the mean curve."

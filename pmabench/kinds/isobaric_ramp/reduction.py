@@ -30,9 +30,8 @@ from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, betw
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
 from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, ONE_SPEED, Cell, Member, is_bent
-from pmabench.kinds.isobaric_ramp.coefficients import CYCLES, of_curve, of_gap
+from pmabench.kinds.isobaric_ramp.coefficients import CYCLES, judged, of_curve, of_gap
 from pmabench.kinds.isobaric_ramp.creep import creeps_of
-from pmabench.kinds.isobaric_ramp.doubts import judged
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -283,9 +282,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
     scales = Scales.of(runs)
     cells = _cells(members)
-    estimates: list[Estimate] = []
-    findings: list[Finding] = []
-    traces: list[Trace] = []
+    estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
     for cell, creep in zip(cells, creeps_of(cells), strict=True):
         near = _next_to(cell, cells)
         estimates += judged(cell, [*of_curve(cell, scales, near), *of_gap(cell, scales, near)], creep)
@@ -300,22 +297,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings += _sentences(cells)
     estimates = without_negative_friction(estimates)
     findings += skew.findings(runs, CHANNELS, max((cell.skew for cell in cells), default=0.0), estimates)
-    if estimates and (lack := scales.lack(("force", "displacement"))):
-        findings.append(Finding("note", lack))
+    findings += scales.findings(estimates, ("force", "displacement"))
+    facts = {"options": dict(options), "trials": len(members), "cells": len(cells)}
+    facts["loops"] = [cell.facts() for cell in cells]
+    estimates.sort(key=lambda e: e.method != CURVE)
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=sorted(estimates, key=lambda e: e.method != CURVE),
-        dropped=dropped,
-        findings=findings,
-        traces=traces,
-        facts={
-            "options": dict(options),
-            "trials": len(members),
-            "cells": len(cells),
-            "loops": [cell.facts() for cell in cells],
-        },
+        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
     )
 
 

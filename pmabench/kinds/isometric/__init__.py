@@ -5,8 +5,7 @@
 
 from dataclasses import replace
 
-from pmabench.base.imported import Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Imported, Kind, Result
 
 RESULTS = (
     Result("F", "force", "force"),

@@ -12,23 +12,12 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.imported import flagged_counts, import_findings, rule_of, unusable_because
+from pmabench.analysis.shared import isometric_lines
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import cut_off, half_steps, weighed
-from pmabench.analysis.shared.isometric_lines import (
-    FEWEST,
-    METHOD,
-    Line,
-    Pooled,
-    Test,
-    as_test,
-    branches,
-    estimates_of,
-    forces_of,
-    pool,
-    tests_of,
-)
+from pmabench.analysis.shared.isometric_lines import FEWEST, METHOD, Line, Pooled, Test, estimates_of, pool
 from pmabench.analysis.shared.samples import noise_of, on_time_run
-from pmabench.analysis.shared.trials import ONE_SESSION, session_of
+from pmabench.analysis.shared.trials import ONE_SESSION, session_of, thinned
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric import RESULTS
@@ -36,7 +25,6 @@ from pmabench.kinds.isometric.form import departures
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
 
-LONGEST_TRACE = 1500
 NO_METHOD = "no method part: it is one of the choices in that of the first method"
 RANGE = (0.025, 0.05, 0.1, 0.5)
 """Shares of the largest force that an analyst may as well have taken as the threshold where no rule names others; the
@@ -66,7 +54,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     rule, findings = rule_of(runs, options or {})
     phases = [str(name) for name in rule.get("phases") or ()]
     above = float(rule.get("force_above") or 0.0) or _above_slack(runs, phases)
-    groups, dropped = tests_of(runs, phases, lambda test: _lack(test, above))
+    groups, dropped = isometric_lines.tests_of(runs, phases, lambda test: _lack(test, above))
     asked = [float(x) for x in rule.get("also_at") or () if float(x) != above]
     sessions = {session_of(test.run) for tests in groups.values() for test in tests}
     estimates: list[Estimate] = []
@@ -92,9 +80,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             others.append(replace(m_there, note=sentences(m_there.note, NO_METHOD)))
         line = first.line
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
-        by_phase = branches(tests, lambda test: test.F > above, phases)
+        by_phase = isometric_lines.branches(tests, lambda test: test.F > above, phases)
         findings += [*_sentences(contraction, fits, above, by_phase), *found.findings(_where(contraction), line.m)]
-        forces = forces_of(first, tests, [*lines, *found.lines((line.m, line.c))])
+        forces = isometric_lines.forces_of(first, tests, [*lines, *found.lines((line.m, line.c))])
         cells.append({**_facts(contraction, tests, fits, above), "forces": forces, "slopes_of_phases": by_phase})
         traces.append(_trace(contraction, tests, line, above))
     if estimates:
@@ -120,7 +108,7 @@ def _above_slack(runs: Sequence[RunData], phases: Sequence[str]) -> float:
     found = [0.0]
     for run in runs:
         for trial in run.trials:
-            test, _ = as_test(run, trial, phases)
+            test, _ = isometric_lines.as_test(run, trial, phases)
             if test is not None and len(test.F) >= FEWEST:
                 least = test.P <= test.P.min() + AT_REST * np.ptp(test.P)
                 level = max(float(np.median(part)) for part in np.array_split(test.F[least], 2) if len(part))
@@ -188,14 +176,13 @@ def _sentences(
 def _trace(contraction: float, tests: Sequence[Test], line: Line, above: float) -> Trace:
     """Samples of all tests, thinned evenly, with the line where it was fitted."""
     number = np.concatenate([np.full(len(test.P), float(test.trial.repeat)) for test in tests])
-    stride = max(1, -(-len(number) // LONGEST_TRACE))
-    P, F = (np.concatenate([getattr(test, name) for test in tests])[::stride] for name in ("P", "F"))
-    columns = {"pressure": P, "force": F, "fit": np.where(above < F, line(P), np.nan), "test": number[::stride]}
+    P, F = (np.concatenate([getattr(test, name) for test in tests]) for name in ("P", "F"))
+    columns = {"pressure": P, "force": F, "fit": np.where(above < F, line(P), np.nan), "test": number}
     quantities = {"pressure": "pressure", "force": "force", "fit": "force", "test": "count"}
     ends = {"low": line.low, "high": line.high}
     marks = {"contraction": contraction, "m": line.m, "c": line.c, "force_above": above, **ends}
     title = f"Force over pressure at a contraction of {show(contraction, 'length', 3)}, and the line through it"
-    return Trace(f"isometric-{contraction * 1e3:g}mm", "isometric", title, columns, quantities, marks)
+    return Trace(f"isometric-{contraction * 1e3:g}mm", "isometric", title, thinned(columns), quantities, marks)
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:

@@ -1,13 +1,12 @@
 """Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
 
-- `reduction`, made of `curve` (force over pressure at one contraction), `begins` (where the force begins), `sections`
-  (all contractions at one pressure), `braid` (S over contraction), `flow` (volume by a mass flow meter); whether the
-  tests have the form that is assumed: `form`; zeros that show at rest: `zeros`
+- `reduction`, made of `curve` (force over pressure at one contraction, and where it begins), `sections` (all
+  contractions at one pressure), `braid` (S over contraction), `flow` (volume by a mass flow meter); whether the tests
+  have the form that is assumed, and zeros that show at rest: `form`
 - protocol files: `protocol`; words and figures: `figures`; one trial on the display: `reduction`
 """
 
-from pmabench.base.imported import Commanded, Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Commanded, Imported, Kind, Result
 
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),

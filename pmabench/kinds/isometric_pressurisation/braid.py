@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.sections import Cell
+from pmabench.kinds.isometric_pressurisation.curve import Cell
 from pmabench.model.library.daerden import section_factor
 from pmabench.store.analyses.results import Estimate, Parts
 from pmabench.store.records import Array

@@ -1,13 +1,22 @@
-"""Force over pressure of isometric tests in bins: both branches and the straight part; no line over contractions."""
+"""Force over pressure at one contraction: both branches in bins, the straight part, and where the force begins.
+
+Knows the tests of one contraction; no line over contractions.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from math import sqrt
 
 import numpy as np
 
-from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, stairs
+from pmabench.analysis.shared import isometric_lines, skew
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.isometric_lines import METHOD, Line, Mask, Pooled, Test, by_repeat, spread
+from pmabench.analysis.shared.samples import SEEN, ends, noise_of, onset
+from pmabench.store.analyses.results import Estimate, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
 PHASES = ("fill", "empty")
@@ -21,6 +30,12 @@ SHORTEST = 0.5
 FEWEST_BINS, FEWEST_HOLDS = 5, 3
 REST = 1.0
 """How long before and after the ramps the force is at rest [s]."""
+BRIDGED = 3.5
+"""Bins so many of their widths apart are near each other."""
+BEYOND = 1.3
+"""What a bend that is not taken off adds to an interval, by what a parabola makes of it."""
+FURTHEST = 10.0
+"""A displacement beyond this is none [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +106,7 @@ def pulling(test: Test) -> Mask:
 
 def mean_of(tests: Sequence[Test]) -> Mean:
     """The branches of tests at one contraction in equal bins of pressure; both ramps weigh the same in each bin."""
-    held = any(stairs(test.trial, PHASES) is not None for test in tests)
+    held = any(isometric_lines.stairs(test.trial, PHASES) is not None for test in tests)
     edges = _edges(np.concatenate([test.P for test in tests]), held=held)
     middle = 0.5 * (edges[1:] + edges[:-1])
 
@@ -152,5 +167,197 @@ def straight_from(mean: Mean) -> tuple[float | None, float]:
 
 def largest_force(run: RunData, trial: TrialData) -> float | None:
     """Largest force of a muscle held at one length [N]; None where nothing is usable."""
-    test, _ = as_test(run, trial, PHASES)
+    test, _ = isometric_lines.as_test(run, trial, PHASES)
     return float(test.F.max()) if test is not None and len(test.F) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """All tests at one contraction."""
+
+    contraction: float
+    tests: Sequence[Test]
+    mean: Mean
+    low: float | None
+    """From where on F(P) is straight [Pa]."""
+    off: float
+    pooled: Pooled | None
+    upper: Line | None = None
+    """The line through the upper half of the straight part."""
+
+    @cached_property
+    def place(self) -> Array:
+        """Measured contraction of each test [m], else the commanded one; shape (tests,)."""
+        found = []
+        for test in self.tests:
+            known = test.x[np.abs(test.x) < FURTHEST]
+            found.append(float(known.mean()) if len(known) else self.contraction)
+        return np.array(found)
+
+    @property
+    def gaps(self) -> Array:
+        """Force while emptying minus while filling of each test, mean over the straight part [N]."""
+        return self.mean.gaps(self.low or 0.0)
+
+    @property
+    def rate(self) -> float:
+        """Fastest ramp [Pa/s]."""
+        return max((c.data.get("rate", 0.0) for test in self.tests for c in test.trial.commands), default=0.0)
+
+    def force_at(self, P: float) -> Array:
+        """Mean of the branches of each test at a pressure [N]; NaN where it was not there."""
+        return np.array([_at_pressure(P, self.mean.P, row) for row in self.mean.each])
+
+
+def _at_pressure(P: float, at: Array, F: Array) -> float:
+    """F at P on straight lines between bins that are near each other, half a bin beyond them at most; NaN elsewhere."""
+    known = np.isfinite(F)
+    width = float(at[1] - at[0])
+    if known.sum() < 2 or not at[known][0] - 0.51 * width <= P <= at[known][-1] + 0.51 * width:
+        return float("nan")
+    x, y = at[known], F[known]
+    i = int(np.clip(np.searchsorted(x, P), 1, len(x) - 1))
+    away = min(abs(P - x[i - 1]), abs(P - x[i]))
+    if x[i] - x[i - 1] > BRIDGED * width and away > 0.51 * width:  # between two holds of a staircase
+        return float("nan")
+    return float(y[i - 1] + (y[i] - y[i - 1]) * (P - x[i - 1]) / (x[i] - x[i - 1]))
+
+
+def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
+    """What the tests at one contraction [m] say together."""
+    mean = mean_of(tests)
+    side = np.array([test.trial.point.get("side", 0.0) for test in tests])
+    parts = [straight_from(mean.of(side == one)) for one in np.unique(side)]
+    off = max(part[1] for part in parts)
+    if None in [part[0] for part in parts]:
+        return Cell(contraction, tests, mean, None, off, None)
+    low = max(float(part[0] or 0.0) for part in parts)
+    pooled = isometric_lines.pool(tests, lambda test: low <= test.P)
+    middle = 0.5 * (low + float(mean.P[-1]))
+    upper = isometric_lines.pool(tests, lambda test: middle <= test.P)
+    return Cell(contraction, tests, mean, low, off, pooled, None if upper is None else upper.line)
+
+
+THRESHOLD, ONE_TEST = "force-threshold", "no repeats part: one test only"
+LEAST = 0.2
+"""Change of the force that counts as one, where there is less noise [N]."""
+AROUND = 0.25
+"""The pressure at a moment is that of a line through the samples so far to both sides [s]."""
+STEPS = 2.0
+"""By so many times its noise the pressure leaves that line where it goes, or is read, in steps."""
+TIMES = 3.0
+"""Another threshold of the force, as a multiple: noise hides how it begins, and that it begins late grows with it."""
+OF_ONSET = (
+    "method: half the difference of filling and emptying, with half a sample, or of the two sides; and what a "
+    "threshold three times as large makes of it"
+)
+
+
+@dataclass(frozen=True)
+class Begin:
+    """Where a force begins or ends along one ramp."""
+
+    pressure: float
+    """[Pa]."""
+    step: float
+    """Half of the step in which the pressure passes there [Pa]; 0 where it has none."""
+
+
+def begins(trial: TrialData, times: float = 1.0) -> tuple[Begin | None, Begin | None]:
+    """Pressure at which the force leaves its level of rest while filling, and reaches it while emptying.
+
+    The rule is that of `onset`: the first sample that leaves the level of the rest before the ramp by six times its
+    noise, at least 0.2 N or a thousandth of the largest force, followed back along the line through the next samples.
+    While emptying the same backwards in time, from the rest after the ramp. `times` as large a threshold is another
+    choice that an analyst could have made.
+    """
+    ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.phase in PHASES and c.data.get("rate")}
+    use = trial.usable & np.isfinite(trial.channels["force"]) & np.isfinite(trial.channels["pressure"])
+    t, P, F = trial.t[use], trial.channels["pressure"][use], trial.channels["force"][use]
+    if len(ramps) < 2 or len(t) < 2:
+        return None, None
+    rest = F[t < ramps["fill"].t - 1e-9] if times > 1 else F[:0]
+    least = times * max(LEAST, 1e-3 * float(np.max(np.abs(F))), SEEN * noise_of(rest))
+    turn, over = ramps["empty"].t, ends(ramps["empty"])
+    up = (t >= ramps["fill"].t - REST) & (t < turn)
+    down = (t >= turn) & (t <= over + REST)
+    rise = onset(t[up], F[up], ramps["fill"].t, least)
+    fall = onset(-t[down][::-1], F[down][::-1], -over, least)
+    return _at(t[up], P[up], rise), _at(t[down], P[down], None if fall is None else -fall)
+
+
+def _at(t: Array, P: Array, moment: float | None) -> Begin | None:
+    """Pressure at a moment; a step of size J in the middle of a line leaves it by J/4 rms."""
+    if moment is None:
+        return None
+    near = np.abs(t - moment) <= AROUND
+    if np.count_nonzero(near) < 3:
+        return Begin(float(np.interp(moment, t, P)), 0.0)
+    slope, pressure = np.polyfit(t[near] - moment, P[near], 1)
+    off = float(np.std(P[near] - slope * (t[near] - moment)))
+    noise = noise_of(P)
+    return Begin(float(pressure), 2 * sqrt(off**2 - noise**2) if off > STEPS * noise else 0.0)
+
+
+def begin_estimates(cell: Cell, scales: Scales) -> list[Estimate]:
+    """The pressure at which the force begins, by its onset and by the line at force 0 [Pa]."""
+    late = cell.rate * skew.apart([test.run for test in cell.tests], ("pressure", "force"))
+    found = [_by_onset(cell, scales, late), _by_line(cell, scales, late)]
+    return [one for one in found if one is not None]
+
+
+def _estimate(cell: Cell, value: float, method: str, parts: Parts, n: int, how: str) -> Estimate:
+    """Of p_0 at one contraction; `how` says how its method part came about."""
+    at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
+    note = sentences("" if n > 1 else ONE_TEST, how)
+    return Estimate("p_0", value, "Pa", "pressure", method, at, parts, n, note=note, trials=names)
+
+
+def _both(pairs: Sequence[tuple[Begin | None, Begin | None]]) -> Array:
+    """Mean of the pressures while filling and emptying [Pa], NaN where one is missing; shape (tests,)."""
+    return np.array([0.5 * (a.pressure + b.pressure) if a and b else np.nan for a, b in pairs])
+
+
+def _by_onset(cell: Cell, scales: Scales, late: float) -> Estimate | None:
+    """By the threshold of the force, the mean of filling and emptying."""
+    each = {test: (a, b) for test in cell.tests for a, b in [begins(test.trial)] if a and b}
+    if not each:
+        return None
+    both = np.array([[a.pressure, b.pressure] for a, b in each.values()])
+    values, value = by_repeat(list(each), both.mean(axis=1)), float(both.mean())
+    sample = max(1.0 / test.run.rate if test.run.rate else 0.0 for test in cell.tests)
+    half = 0.5 * (abs(float((both[:, 0] - both[:, 1]).mean())) + cell.rate * sample)
+    side = np.array([test.trial.point.get("side", 0.0) for test in each])
+    half = max(half, 0.5 * float(np.ptp([both[side == one].mean() for one in np.unique(side)])))
+    later = _both([begins(test.trial, TIMES) for test in each]) - both.mean(axis=1)
+    later = later[np.isfinite(later)]
+    # at the level before the step noise may hide a force
+    step = BEYOND * float(np.mean([0.5 * (a.step + b.step) for a, b in each.values()]))
+    half = sqrt(half**2 + (float(later.mean()) if len(later) else 0.0) ** 2 + step**2)
+    parts = Parts(spread(values), half, scales.part({"pressure": value}, {"pressure": 1.0}), late)
+    how = f"{OF_ONSET}; and half of the step that the pressure goes in there" if step else OF_ONSET
+    return _estimate(cell, value, THRESHOLD, parts, len(values), how)
+
+
+def _by_line(cell: Cell, scales: Scales, late: float) -> Estimate | None:
+    """By the line through the straight part, at force 0."""
+    if cell.pooled is None or cell.pooled.line.m <= 0 or cell.low is None:
+        return None
+    line = cell.pooled.line
+    value = -line.c / line.m
+    if not float(cell.mean.P[0]) < value <= cell.low:
+        return None
+    each = [-c / m for m, c in cell.pooled.repeats if m > 0]
+    scale = scales.part({"pressure": value}, {"pressure": 1.0, "force": 1 / line.m})
+    parts = Parts(spread(each), BEYOND * abs(value - _bent_zero(cell, value)), scale, late)
+    return _estimate(cell, value, METHOD, parts, len(each), "the line at force 0")
+
+
+def _bent_zero(cell: Cell, value: float) -> float:
+    """Where a parabola through the straight part is 0 [Pa], from where the line is: as good a choice as the line."""
+    known = np.isfinite(cell.mean.force) & (cell.mean.P >= (cell.low or 0.0))
+    P, F = cell.mean.P[known] - value, cell.mean.force[known]
+    bend, slope, start = np.polyfit(P, F, 2)
+    inner = slope * slope - 4 * bend * start
+    off = 2 * start / (slope + np.sqrt(inner)) if inner > 0 and slope > 0 else start / slope
+    return value - float(off)

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.isometric_lines import branches
+from pmabench.analysis.shared.trials import thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
-from pmabench.kinds.isometric_pressurisation.curve import PHASES, REST, WITHIN, pulling
-from pmabench.kinds.isometric_pressurisation.sections import Across, Cell, Corrected
+from pmabench.kinds.isometric_pressurisation.curve import PHASES, REST, WITHIN, Cell, pulling
+from pmabench.kinds.isometric_pressurisation.sections import Across, Corrected
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
 from pmabench.plotting.plots import Points
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 
-LONGEST_TRACE = 1500
 CURVE = 60
 """Points of a drawn curve."""
 MOVED = 0.01
@@ -190,8 +190,6 @@ def traces(cells: Sequence[Cell], sections: Mapping[str, Section], given: Mappin
 
 def _isometric(cell: Cell) -> Trace:
     P, F, phase = (np.concatenate([getattr(test, name) for test in cell.tests]) for name in ("P", "F", "phase"))
-    stride = max(1, -(-len(P) // LONGEST_TRACE))
-    P, F, phase = P[::stride], F[::stride], phase[::stride]
     marks = {"contraction": cell.contraction}
     fitted = np.full(len(P), np.nan)
     if cell.pooled is not None and cell.low is not None:
@@ -201,7 +199,7 @@ def _isometric(cell: Cell) -> Trace:
     title = f"Force over pressure at a contraction of {show(cell.contraction, 'length', 3)}, and its straight part"
     columns = {"pressure": P, "force": F, "fit": fitted, "branch": phase}
     quantities = {"pressure": "pressure", "force": "force", "fit": "force", "branch": "count"}
-    return Trace(f"isometric-{cell.contraction * 1e3:g}mm", "isometric", title, columns, quantities, marks)
+    return Trace(f"isometric-{cell.contraction * 1e3:g}mm", "isometric", title, thinned(columns), quantities, marks)
 
 
 def _section_trace(one: Section, cells: Sequence[Cell], length: float) -> Trace:
@@ -226,12 +224,13 @@ def _over_time(cell: Cell) -> Trace:
     test = cell.tests[0]
     trial = test.trial
     during = np.flatnonzero((trial.t >= test.t[0] - REST) & (trial.t <= test.t[-1] + REST))
-    during = during[:: max(1, -(-len(during) // LONGEST_TRACE))]
     columns = {"t": trial.t[during] - trial.t[during[0]]}
     columns |= {name: trial.channels[name][during] for name in ("pressure", "force")}
     title = f"Pressure and force over time at a contraction of {show(cell.contraction, 'length', 3)}"
     quantities, marks = {"t": "time", "pressure": "pressure", "force": "force"}, {"contraction": cell.contraction}
-    return Trace(f"over-time-{cell.contraction * 1e3:g}mm", "pressurisation", title, columns, quantities, marks)
+    return Trace(
+        f"over-time-{cell.contraction * 1e3:g}mm", "pressurisation", title, thinned(columns), quantities, marks
+    )
 
 
 COLUMNS = ("contraction", "slope", "half", "curve", "low", "high")

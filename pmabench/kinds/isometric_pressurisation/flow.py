@@ -15,19 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.shared import samples
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import SAME, spread
-from pmabench.analysis.shared.samples import (
-    STEPS,
-    UNUSABLE_SHARE,
-    NotUsable,
-    ends,
-    noise_of,
-    refuse_incomplete,
-    settings_of,
-    unresolved,
-)
+from pmabench.analysis.shared.samples import STEPS, UNUSABLE_SHARE, NotUsable, ends, noise_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace, withhold
@@ -100,7 +92,7 @@ def measured(trial: TrialData, rT: float, most: float = inf) -> Filling:
 
     `most` is the end of the meter's range [kg/s]: a quiet meter with coarse steps stays at one value as a cut one does.
     """
-    refuse_incomplete(trial, FLOW, "pressure")
+    samples.refuse_incomplete(trial, FLOW, "pressure")
     commands = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
     ramps = {c.phase: c for c in commands if c.phase in ("fill", "empty")}
     moved = [ends(c) for c in trial.commands if "fill" in ramps and c.kind == "ramp" and c.t < ramps["fill"].t - 1e-9]
@@ -143,7 +135,7 @@ def measured(trial: TrialData, rT: float, most: float = inf) -> Filling:
     scatter = noise_of(q[up])
     noise = per * scatter * hypot(duration / sqrt(2 * n), sqrt(duration * float(np.median(np.diff(t)))))
     drift = per * 0.5 * abs(zeros[1] - zeros[0]) * duration
-    coarse = per * duration * hypot(unresolved(shown[up], step), unresolved(shown[before], step))
+    coarse = per * duration * hypot(samples.unresolved(shown[up], step), samples.unresolved(shown[before], step))
     return Filling(
         trial, P[up], q[up], per * (at[1] - at[0]), rT * (at[1] - at[2]) / (levels[1] - levels[2]), rT * low, rT * high,
         zeros, noise, drift, per * duration if one_way else 0.0, dark, coarse,
@@ -184,7 +176,7 @@ def by_flow(
     dropped: list[Dropped] = []
     given: Mapping[str, Any] = {}
     for run in runs:
-        settings = settings_of(run).get(FLOW)
+        settings = samples.settings_of(run).get(FLOW)
         if not settings or (given and settings != given):
             continue
         given = settings

@@ -1,24 +1,28 @@
 """Whether isometric tests have the form that their values assume: nothing drifts, slips, gives way or is late.
 
 Each departure is sized by what does not depend on the values themselves, and taken off the forces at that size: what
-the values then differ by is its effect. Knows cells of tests; computes no estimate.
+the values then differ by is its effect. Zeros of cell and gauge are taken off where nothing but a zero reads so at
+rest, else left open: a muscle shorter than its nominal length pulls nothing without pressure, and no gauge pressure is
+below 0. Knows cells of tests; computes no estimate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
 
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.isometric_lines import Test
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.isometric_lines import Groups, Test, line_of
 from pmabench.analysis.shared.samples import ends, noise_of
+from pmabench.analysis.shared.trials import grouped, session_of
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.curve import REST, pulling
-from pmabench.kinds.isometric_pressurisation.sections import Cell
+from pmabench.kinds.isometric_pressurisation.curve import REST, Cell, pulling
+from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
 
 FALSE_ALARMS = 0.005
@@ -106,13 +110,17 @@ def _stiffness(cells: Sequence[Cell]) -> dict[float, tuple[Array, Array]]:
     return {cell.contraction: (P, row) for cell, row in zip(known, K, strict=True)}
 
 
-def _rows(cells: Sequence[Cell]) -> list[tuple[Test, tuple[object, ...], Cell]]:
-    """The tests in the order in which they were done, with what makes two of them repeats of each other."""
-    every = [(test, cell) for cell in cells for test in cell.tests]
-    runs = in_time({test.run.id: test.run for test, _ in every}.values())
+Row = tuple[Test, tuple[object, ...], Cell, Array]
+"""A test, what repeats of it share, its cell, and its mean of both branches in each bin [N]."""
+
+
+def _rows(cells: Sequence[Cell]) -> list[Row]:
+    """The tests in the order in which they were done."""
+    every = [(test, cell, each) for cell in cells for test, each in zip(cell.tests, cell.mean.each, strict=True)]
+    runs = in_time({test.run.id: test.run for test, _, _ in every}.values())
     place = {run.id: number for number, run in enumerate(runs)}
     every.sort(key=lambda row: (place[row[0].run.id], row[0].t[0]))
-    return [(t, (t.run.id, cell.contraction, t.trial.point.get("side", 0.0)), cell) for t, cell in every]
+    return [(t, (t.run.id, cell.contraction, t.trial.point.get("side", 0.0)), cell, each) for t, cell, each in every]
 
 
 def _off(values: Array, groups: Sequence[object]) -> Array:
@@ -128,13 +136,12 @@ def _off(values: Array, groups: Sequence[object]) -> Array:
 
 def scatter_of(cells: Sequence[Cell]) -> float | None:
     """Half width of the 95 % interval of one test, as a share of its force, by all repeats; None with few of them."""
-    rows = [(test, group, cell) for test, group, cell in _rows(cells) if cell.low is not None]
+    rows = [row for row in _rows(cells) if row[2].low is not None]
     shares = []
-    for test, _, cell in rows:
-        each = cell.mean.each[next(i for i, one in enumerate(cell.tests) if one is test)]
+    for _, _, cell, each in rows:
         there = np.isfinite(each) & np.isfinite(cell.mean.force) & (cell.mean.P >= (cell.low or 0.0))
         shares.append(float(each[there].sum() / cell.mean.force[there].sum()) if there.any() else 1.0)
-    groups = [group for _, group, _ in rows]
+    groups = [group for _, group, _, _ in rows]
     freedom = len(rows) - len(set(groups))
     if freedom < 2:
         return None
@@ -162,11 +169,11 @@ def gone_since(test: Test) -> float | None:
     return reads[1] - reads[0] if len(reads) == 2 and test.trial.point["contraction"] > -STRETCHED else None
 
 
-def _zeros(ordered: Sequence[tuple[Test, object, Cell]]) -> Departure | None:
+def _zeros(ordered: Sequence[Row]) -> Departure | None:
     """Of tests that are a file each: the zero of the cell in each, as a muscle that is not stretched pulls nothing
     without pressure.
     """
-    able = [(test, at_rest(test)) for test, _, cell in ordered if cell.contraction > -STRETCHED]
+    able = [(test, at_rest(test)) for test, _, cell, _ in ordered if cell.contraction > -STRETCHED]
     zeros = {test: float(np.mean([read for _, _, read in rests])) for test, rests in able if rests}
     if len(zeros) < 2:
         return None
@@ -176,10 +183,10 @@ def _zeros(ordered: Sequence[tuple[Test, object, Cell]]) -> Departure | None:
         f"at rest without pressure the force cell reads from {show(low, 'force', 2)} to {show(high, 'force', 2)}: its "
         "zero drifts from file to file. Let the cell warm up, and measure again"
     )
-    known = [i for i, (test, _, _) in enumerate(ordered) if test in zeros]
+    known = [i for i, row in enumerate(ordered) if row[0] in zeros]
     nearest = {}
-    for number, (test, _, _) in enumerate(ordered):
-        nearest[test] = zeros[ordered[min(known, key=lambda i: abs(i - number))][0]]
+    for number, row in enumerate(ordered):
+        nearest[row[0]] = zeros[ordered[min(known, key=lambda i: abs(i - number))][0]]
 
     def force(test: Test) -> Array:
         return np.full(len(test.t), nearest[test])
@@ -191,12 +198,12 @@ def _drift(cells: Sequence[Cell]) -> tuple[Departure | None, float]:
     """A drift of the zero of the cell, by what it reads at rest before and after the ramps; and its slope [N/s]."""
     times, readings, groups = [], [], []
     ordered = _rows(cells)
-    for test, group, _ in ordered:
+    for test, group, _, _ in ordered:
         for which, middle, read in at_rest(test):
             times.append(middle)
             readings.append(read)
             groups.append((*group, which))
-    if len({test.run.id for test, _, _ in ordered}) == len(ordered) > 1:
+    if len({row[0].run.id for row in ordered}) == len(ordered) > 1:
         return _zeros(ordered), 0.0
     if len(times) < 3:
         return None, 0.0
@@ -225,9 +232,7 @@ def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: flo
     """A mount that gave way before one of the tests: from then on the forces of repeats differ by K times a length."""
     rows = [row for row in _rows(cells) if row[2].contraction in K and row[2].low is not None]
     pulls, stiff = [], []
-    for test, _, cell in rows:
-        place = next(i for i, one in enumerate(cell.tests) if one is test)
-        each = cell.mean.each[place]
+    for test, _, cell, each in rows:
         there = np.isfinite(each) & (cell.mean.P >= (cell.low or 0.0))
         pulls.append(float(each[there].mean() - slope * test.t.mean()) if there.any() else np.nan)
         stiff.append(float(np.interp(cell.mean.P[there], *K[cell.contraction]).mean()) if there.any() else np.nan)
@@ -236,8 +241,8 @@ def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: flo
     F, k = np.array(pulls)[known], np.array(stiff)[known]
     if len(rows) < 4:
         return None
-    groups = [group for _, group, _ in rows]
-    runs = np.array([hash(test.run.id) for test, _, _ in rows])
+    groups = [group for _, group, _, _ in rows]
+    runs = np.array([hash(row[0].run.id) for row in rows])
     order = np.arange(len(rows))
     later = [(order >= at) & (runs == runs[at]) for at in order[1:] if runs[at] == runs[at - 1]]
     steps = np.array(later, dtype=float).T
@@ -255,14 +260,14 @@ def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: flo
     if not seen:
         return None
     most = float(np.copysign(abs(size[best]) + 2 * error, size[best]))
-    first = [test for (test, _, _), after in zip(rows, steps[:, best], strict=True) if after]
+    first = [row[0] for row, after in zip(rows, steps[:, best], strict=True) if after]
     reason = (
         f"from test {first[0].name} on the muscle pulls as if it were held {show(abs(float(size[best])), 'length', 2)} "
         f"{'longer' if size[best] > 0 else 'shorter'} than the displacement says: a mount that slips, or a muscle that "
         "settles. Mend it and measure again"
     )
     names = {test.name for test in first}
-    at = {test.name: cell.contraction for test, _, cell in rows}
+    at = {test.name: cell.contraction for test, _, cell, _ in rows}
 
     def force(test: Test) -> Array:
         if test.name not in names:
@@ -296,3 +301,88 @@ def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> De
         return np.asarray(-np.interp(test.P, *K[at[test.name]]) * off)
 
     return Departure("motion of the driven end", "method", force, True, reason, moves=True)
+
+
+USED = 0.5
+"""Share of the declared uncertainty of a zero from which on what is seen at rest is better known."""
+CELL, GAUGE = "zero of the force cell", "zero of the gauge"
+CHANNELS = {"force": "force cell", "pressure": "gauge"}
+AT_NOMINAL = (
+    "at rest without pressure the force cell reads {} at the nominal length: its zero, or tension in the muscle. The "
+    "intervals hold both. Take the zero of the cell, or test a shorter length as well"
+)
+NOT_VENTED = (
+    "vented, the gauge reads {}: its zero, or a regulator that does not vent. The intervals hold both. Vent the muscle "
+    "and take the zero of the gauge"
+)
+
+
+def zeroed(groups: Groups, scales: Scales) -> tuple[Groups, list[Departure], list[Finding]]:
+    """The tests with forces and pressures from their zeros; what may be a zero or real; what is to be said.
+
+    A zero is that of a session. One within noise, or that uses up little of its calibration's uncertainty, stays.
+    """
+    known = {name: scales.offsets.get(name, 0.0) for name in CHANNELS}
+    every = [test for tests in groups.values() for test in tests]
+    slack = _beyond(every, STRETCHED)
+    taken: dict[str, dict[str, float]] = {name: {} for name in CHANNELS}
+    for session, mine in grouped(every, lambda test: session_of(test.run)).items():
+        short = _beyond(mine, STRETCHED) or slack
+        taken["force"][session] = _level(short, "force", USED * known["force"])
+        taken["pressure"][session] = min(0.0, _level(mine, "pressure", USED * known["pressure"]))
+    largest = {name: max(zeros.values(), key=abs, default=0.0) for name, zeros in taken.items()}
+    said = [_said(name, zero, known[name]) for name, zero in largest.items() if zero]
+    opened = []
+    if F := _level([] if slack else _beyond(every, -STRETCHED), "force", known["force"]):
+        opened.append(Departure(CELL, "calibration", lambda test: np.full(len(test.t), F), True, ""))
+        said.append(Finding("doubt", AT_NOMINAL.format(show(F, "force", 2))))
+    if (P := _level(every, "pressure", known["pressure"])) > 0:
+        opened.append(Departure(GAUGE, "calibration", lambda test: -P * _slope(test), True, "", moves=True))
+        said.append(Finding("doubt", NOT_VENTED.format(show(P, "pressure", 2))))
+    moved = {x: [_moved(test, taken) for test in tests] for x, tests in groups.items()}
+    return moved, opened, said
+
+
+def _beyond(tests: Sequence[Test], least: float) -> list[Test]:
+    """The tests at more than a contraction [m]."""
+    return [test for test in tests if test.trial.point["contraction"] > least]
+
+
+def _level(tests: Sequence[Test], name: str, known: float) -> float:
+    """What a channel reads in all rests of some tests [SI], the nearest to 0 where it changes.
+
+    0 where that is within noise or `known`, or is not seen before and after the ramps: then it may be hysteresis.
+    """
+    rests = [(which, read) for test in tests for which, _, read in at_rest(test, name)]
+    reads = [read for _, read in rests]
+    if len({which for which, _ in rests}) < 2 or min(reads) <= 0 <= max(reads):
+        return 0.0
+    noise = max(noise_of(test.F if name == "force" else test.P) for test in tests)
+    level = float(np.median(reads)) if np.ptp(reads) < noise else min(reads, key=abs)
+    return level if abs(level) > max(noise, known) else 0.0
+
+
+def _slope(test: Test) -> Array:
+    """DF/dP of a test [N/Pa] at its samples, one where it pulls and 0 where it does not."""
+    rows = pulling(test)
+    line = line_of(test.P[rows], test.F[rows])
+    return np.where(rows, line.m if line else 0.0, 0.0)
+
+
+def _moved(test: Test, taken: dict[str, dict[str, float]]) -> Test:
+    """A test with its zeros taken off."""
+    F, P = (taken[name][session_of(test.run)] for name in ("force", "pressure"))
+    if not F and not P:
+        return test
+    channels = test.trial.channels
+    channels = {**channels, "force": channels["force"] - F, "pressure": channels["pressure"] - P}
+    return replace(test, trial=replace(test.trial, channels=channels), F=test.F - F, P=test.P - P)
+
+
+def _said(name: str, zero: float, known: float) -> Finding:
+    """That a zero was taken off, and whether it is beyond what its calibration says."""
+    text = f"at rest without pressure the {CHANNELS[name]} reads {show(zero, name, 2)}: taken as its zero and taken off"
+    if not 0 < known < abs(zero):
+        return Finding("note", f"{text}. Take the zero before the tests")
+    most = f"its calibration says at most {show(known, name, 2)}"
+    return Finding("doubt", f"{text}; {most}. Take the zero before the tests, and calibrate it again")

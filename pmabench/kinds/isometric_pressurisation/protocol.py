@@ -17,7 +17,7 @@ from pmabench.files.quantity import Length, Pressure, PressureRate, Speed, Tempe
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import VENT_HOLD, not_too_fast, predicted_force
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step, TrialRecord
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step
 from pmabench.protocol.sweep import Point, Sweep, expand
 
 FEWEST_SAMPLES = 200
@@ -157,14 +157,11 @@ class IsometricPressurisation(ProtocolHead):
             x = self._contraction(c, point)
             self._bearable(c, x, point.places["contraction"])
             for side in sides:
-                index = len(c.trials)
-                if not index:
-                    c.precondition()
-                    c.steps += [Set("move", "pressure", self.trial.move.pressure), Hold("move", self.trial.settle)]
                 if c.too_long():
                     return c.plan(self.kind, {})
-                values = {"contraction": x} | ({"side": float(side)} if side else {})
-                c.trials.append(TrialRecord(index, values, point.repeat))
+                index = c.add_trial({"contraction": x} | ({"side": float(side)} if side else {}), point.repeat)
+                if index == 0:
+                    c.steps += [Set("move", "pressure", self.trial.move.pressure), Hold("move", self.trial.settle)]
                 c.steps += _steps(self.trial, x, side, index)
         c.steps += [Set("vent", "pressure", 0.0), Hold("vent", VENT_HOLD)]
         pressurise = self.trial.pressurise

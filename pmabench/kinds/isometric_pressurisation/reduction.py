@@ -1,7 +1,7 @@
 """Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
 
-Lines at one contraction come from `isometric_lines` and `curve`, S(eps) from `braid`, where the force begins from
-`begins`, what several contractions say at one pressure from `sections`; words and figures in `figures`.
+Lines at one contraction, and where the force begins, come from `curve`, S(eps) from `braid`, what several contractions
+say at one pressure from `sections`; words and figures in `figures`.
 
 What one trial says by itself, for the display.
 """
@@ -15,44 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import skew
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared import isometric_lines, skew
+from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
-from pmabench.analysis.shared.isometric_lines import (
-    METHOD,
-    Groups,
-    Test,
-    as_test,
-    by_repeat,
-    estimates_of,
-    pool,
-    spread,
-    tests_of,
-)
+from pmabench.analysis.shared.isometric_lines import METHOD, Groups, Test, as_test, by_repeat, spread
 from pmabench.analysis.shared.samples import noise_of, on_time_run
+from pmabench.analysis.shared.trials import mean_of_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation import RESULTS, figures
-from pmabench.kinds.isometric_pressurisation.begins import LEAST, ONE_TEST, THRESHOLD, begin_estimates, begins
+from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures, form, sections
 from pmabench.kinds.isometric_pressurisation.braid import Section, section_estimates, sections_of
-from pmabench.kinds.isometric_pressurisation.curve import PHASES, mean_of, straight_from
+from pmabench.kinds.isometric_pressurisation.curve import ONE_TEST, PHASES, THRESHOLD, Cell
 from pmabench.kinds.isometric_pressurisation.flow import by_flow
-from pmabench.kinds.isometric_pressurisation.form import DRIFT, Departure, departures, gone_since, late, scatter_of
-from pmabench.kinds.isometric_pressurisation.sections import (
-    APART,
-    BEYOND,
-    BLOCKED,
-    Across,
-    Cell,
-    Corrected,
-    across,
-    blocked_estimates,
-    blocked_trace,
-    corrected,
-    given_of,
-)
-from pmabench.kinds.isometric_pressurisation.zeros import zeroed
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.store.records import RunData, TrialData
 
@@ -61,7 +36,7 @@ SECTIONS, SIDES, CORRECTED = "isometric-sections", "isometric-sides", "corrected
 TURN = "turn of the loop"
 CHANNELS = ("pressure", "force")
 ONE_REPEAT = "no repeats part: one repeat only"
-PULLED = 5 * LEAST
+PULLED = 5 * curve.LEAST
 """A muscle whose force changes less is slack [N]."""
 LATE = 0.25
 """A delay of the force that is worth more than this share of the loop is not left to an interval."""
@@ -84,17 +59,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `options`: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; else those of the specimen.
     """
     options, runs = options or {}, [on_time_run(run, *CHANNELS) for run in runs]
-    groups, dropped = tests_of(runs, PHASES, lack)
+    groups, dropped = isometric_lines.tests_of(runs, PHASES, lack)
     scales = Scales.of(runs)
-    groups, opened, zeros = zeroed(groups, scales)
-    given = {**given_of(runs[0].manifest.get("specimen") if runs else None), **options}
+    groups, opened, zeros = form.zeroed(groups, scales)
+    given = {**sections.given_of(runs[0].manifest.get("specimen") if runs else None), **options}
     found = _found(groups, given, scales)
     estimates, cells = _weighed(found, groups, given, scales, opened), found.cells
     volumes, words, volume_traces, without = by_flow(runs, scales)
     estimates += volumes
     findings = [
         *figures.of_threshold([e for e in estimates if e.symbol == "p_0" and e.method != CORRECTED], given),
-        *figures.of_sections(found.sections, given),
+        *figures.of_sections(found.through, given),
         *figures.of_across(found.across),
         *figures.of_corrected(found.corrected, given),
         *figures.of_cells(cells),
@@ -114,13 +89,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=_curves(cells, estimates),
         dropped=[*dropped, *without],
         findings=findings,
-        traces=[*figures.traces(cells, found.sections, given), *blocked_trace(cells), *volume_traces],
+        traces=[*figures.traces(cells, found.through, given), *sections.blocked_trace(cells), *volume_traces],
         facts={
             "options": dict(options),
             "specimen": given,
             "tests": sum(len(cell.tests) for cell in cells),
             "cells": figures.facts(cells),
-            "sections": {name: figures.section_facts(one) for name, one in found.sections.items()},
+            "sections": {name: figures.section_facts(one) for name, one in found.through.items()},
         },
     )
 
@@ -130,53 +105,54 @@ class _Found:
     """What tests say, without what departures from their form may do to it."""
 
     cells: Sequence[Cell]
-    across: Sequence[Across]
-    sections: Mapping[str, Section]
-    corrected: Corrected | None
+    across: Sequence[sections.Across]
+    through: Mapping[str, Section]
+    corrected: sections.Corrected | None
     estimates: Sequence[Estimate]
 
 
 def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
     """All values of tests by contraction [m]."""
-    cells = [cell_of(contraction, tests) for contraction, tests in sorted(groups.items())]
+    cells = [curve.cell_of(contraction, tests) for contraction, tests in sorted(groups.items())]
     estimates: list[Estimate] = []
     begun: list[Estimate] = []
     for cell in cells:
-        begun += begin_estimates(cell, scales)
+        begun += curve.begin_estimates(cell, scales)
         if cell.pooled is None:
             continue
         others = [cell.pooled.mean] if cell.upper is None else [cell.pooled.mean, (cell.upper.m, cell.upper.c)]
-        m, c = estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, others=others)
+        m, c = isometric_lines.estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, others=others)
         estimates += [m, c, _width(cell, scales)]
     estimates = _placed(estimates, cells, scales)
-    over = across(cells)
+    over = sections.across(cells)
     lengths: list[Any] = [given.get(name) for name in ("nominal_length", "inner_diameter", "braid_angle")]
-    sections = sections_of(cells, given)
-    force = None if None in lengths else corrected(cells, *lengths)
-    estimates += [*begun, *_sides(cells), *blocked_estimates(cells, given, scales), *_three_elements(over, scales)]
-    estimates += section_estimates(sections, scales, given) + _corrected_estimate(force, scales)
-    return _Found(cells, over, sections, force, estimates)
+    through = sections_of(cells, given)
+    force = None if None in lengths else sections.corrected(cells, *lengths)
+    estimates += [*begun, *_sides(cells), *sections.blocked_estimates(cells, given, scales)]
+    estimates += [*_three_elements(over, scales), *section_estimates(through, scales, given)]
+    estimates += _corrected_estimate(force, scales)
+    return _Found(cells, over, through, force, estimates)
 
 
 def _placed(estimates: Sequence[Estimate], cells: Sequence[Cell], scales: Scales) -> list[Estimate]:
     """The lines F = m P + c with what the place at which the muscle is held may be off, by their neighbours' slopes."""
-    lines = {c.contraction: (float(c.place.mean()), c.pooled.line) for c in cells if c.pooled is not None}
-    x = np.array([place for place, _ in lines.values()])
-    if len(x) < 2 or np.diff(x).min() < APART:
+    known = [(c.contraction, float(c.place.mean()), c.pooled.line) for c in cells if c.pooled is not None]
+    x = np.array([place for _, place, _ in known])
+    if len(x) < 2 or np.diff(x).min() < sections.APART:
         return list(estimates)
-    over = {coordinate: np.gradient([getattr(line, name) for _, line in lines.values()], x)
-            for coordinate, name in (("slope", "m"), ("intercept", "c"))}  # fmt: skip
-    number = {contraction: i for i, contraction in enumerate(lines)}
-    found = []
-    for e in estimates:
-        if e.coordinate in over:
-            i = number[e.at["contraction"]]
-            change = float(over[e.coordinate][i])
-            by = scales.part({"displacement": change * float(x[i])}, {"displacement": change})
-            known = [part for part in (e.parts.calibration, by) if part is not None]
-            e = replace(e, parts=replace(e.parts, calibration=hypot(*known) if known else None))
-        found.append(e)
-    return found
+    by_place: dict[tuple[str, float], float | None] = {}
+    for coordinate, name in (("slope", "m"), ("intercept", "c")):
+        over = np.gradient([getattr(line, name) for _, _, line in known], x).tolist()
+        for (contraction, place, _), change in zip(known, over, strict=True):
+            part = scales.part({"displacement": change * place}, {"displacement": change})
+            by_place[coordinate, contraction] = part
+
+    def placed(e: Estimate) -> Estimate:
+        parts = [e.parts.calibration, by_place.get((e.coordinate, e.at["contraction"]))]
+        halves = [part for part in parts if part is not None]
+        return replace(e, parts=replace(e.parts, calibration=hypot(*halves) if halves else None))
+
+    return [placed(e) for e in estimates]
 
 
 def _curves(cells: Sequence[Cell], estimates: Sequence[Estimate]) -> list[Curve]:
@@ -190,12 +166,12 @@ def _curves(cells: Sequence[Cell], estimates: Sequence[Estimate]) -> list[Curve]
 
 
 def _weighed(
-    found: _Found, groups: Groups, given: Mapping[str, Any], scales: Scales, opened: Sequence[Departure]
+    found: _Found, groups: Groups, given: Mapping[str, Any], scales: Scales, opened: Sequence[form.Departure]
 ) -> list[Estimate]:
     """The values with what departures from the form of the tests may do to them, or withheld."""
     doubts: dict[Key, list[Doubt]] = {_key(e): [] for e in found.estimates}
     values = {_key(e): e.value for e in found.estimates}
-    for one in [*departures(found.cells), *opened]:
+    for one in [*form.departures(found.cells), *opened]:
         without = {x: [replace(test, F=test.F - one.force(test)) for test in tests] for x, tests in groups.items()}
         changed = {_key(e): e.value for e in _found(without, given, scales).estimates}
         for e in found.estimates:
@@ -204,17 +180,17 @@ def _weighed(
             value, other = values.get(key), changed.get(key)
             if e.value is not None and value is not None and other is not None:
                 half = abs(other - value)
-                most = MOST_DRIFT if e.symbol == "H" and one.name == DRIFT else MOST_HIDDEN
+                most = MOST_DRIFT if e.symbol == "H" and one.name == form.DRIFT else MOST_HIDDEN
                 doubts[_key(e)].append(Doubt(one.name, one.part, half, one.seen, one.reason, most))
     for line in found.across:
         for symbol in ("F_ce", "K"):
             doubts[symbol, SECTIONS, "", line.pressure].append(line.bend.doubt(symbol))
     cells = {cell.contraction: cell for cell in found.cells}
-    nearest, scatter = min(cells, key=abs, default=None), scatter_of(found.cells)
+    nearest, scatter = min(cells, key=abs, default=None), form.scatter_of(found.cells)
     # the turns of each contraction that has a straight part, and of the one nearest to 0, whose force is F_b
     turns = {x: c.mean.turned for x, c in cells.items() if c.pooled is not None or x == nearest}
     turned = [one for one in turns.values() if len(one[0])]
-    delay, error = late(found.cells)
+    delay, error = form.late(found.cells)
     judged = []
     for e in found.estimates:
         mine, cell = doubts[_key(e)], cells.get(e.at.get("contraction", float("nan")))
@@ -225,7 +201,7 @@ def _weighed(
             mine.append(Doubt(TURN, "method", abs(cell.mean.opened[2] - float(cell.gaps.mean())), seen=True))
         if e.symbol in ("F_b", "F_ce") and turned:
             lacks = max(abs(float(np.interp(e.at["pressure"], *one))) for one in turned)
-            mine.append(Doubt(TURN, "method", BEYOND * lacks, seen=True))
+            mine.append(Doubt(TURN, "method", curve.BEYOND * lacks, seen=True))
         if e.method == METHOD and e.symbol in ("m", "c", "p_0") and cell is not None:
             mine.append(_turned(e, cell))
         if e.symbol == "F_b" and scatter is not None:
@@ -263,7 +239,7 @@ def _late(H: Estimate, cell: Cell, delay: float, error: float) -> Doubt:
         f"as the ramps end the force comes {show(delay, 'time', 2)} after the pressure, which is worth {worth} of the "
         "loop: a filter of the cell or of the gauge, or creep. Ramp more slowly, or declare the `sensor_lag`"
     )
-    half = per_second * (BEYOND * abs(delay) + 2 * error)
+    half = per_second * (curve.BEYOND * abs(delay) + 2 * error)
     return Doubt("delay of the force", "method", half, abs(delay) > SEEN * error, reason, LATE)
 
 
@@ -272,13 +248,13 @@ def _drifted(H: Estimate, cell: Cell, most: float) -> Doubt:
 
     `most` is what the zero may be off as the record says [N]: what remains beyond it at rest is the muscle's.
     """
-    gone = float(np.mean([np.clip(gone_since(test) or 0.0, -most, most) for test in cell.tests]))
+    gone = float(np.mean([np.clip(form.gone_since(test) or 0.0, -most, most) for test in cell.tests]))
     reason = (
         f"the force cell drifts: at rest it reads {show(abs(gone), 'force', 2)} {'more' if gone > 0 else 'less'} after "
         "the ramps than before. Let it warm up, and measure again, or declare the `expanded_uncertainty` of the force"
     )
     seen = abs(gone) > max(noise_of(test.F) for test in cell.tests)  # of one sample; at rest it is a mean of many
-    return Doubt(DRIFT, "drift", abs(gone), seen, reason, MOST_DRIFT)
+    return Doubt(form.DRIFT, "drift", abs(gone), seen, reason, MOST_DRIFT)
 
 
 def lack(test: Test) -> str:
@@ -295,21 +271,6 @@ def lack(test: Test) -> str:
     return ""
 
 
-def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
-    """What the tests at one contraction [m] say together."""
-    mean = mean_of(tests)
-    side = np.array([test.trial.point.get("side", 0.0) for test in tests])
-    parts = [straight_from(mean.of(side == one)) for one in np.unique(side)]
-    off = max(part[1] for part in parts)
-    if None in [part[0] for part in parts]:
-        return Cell(contraction, tests, mean, None, off, None)
-    low = max(float(part[0] or 0.0) for part in parts)
-    pooled = pool(tests, lambda test: low <= test.P)
-    middle = 0.5 * (low + float(mean.P[-1]))
-    upper = pool(tests, lambda test: middle <= test.P)
-    return Cell(contraction, tests, mean, low, off, pooled, None if upper is None else upper.line)
-
-
 def _width(cell: Cell, scales: Scales) -> Estimate:
     """Force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
     gaps = by_repeat(cell.tests, cell.gaps)
@@ -320,10 +281,9 @@ def _width(cell: Cell, scales: Scales) -> Estimate:
         return Estimate("H", None, "N", "force", METHOD, at, n=len(gaps), note=why, trials=names)
     apart = 2 * cell.rate * skew.apart([test.run for test in cell.tests], CHANNELS)
     slope = cell.pooled.line.m if cell.pooled else 0.0
-    value = float(gaps.mean())
-    parts = Parts(repeats=spread(gaps), calibration=scales.part({"force": value}), skew=abs(slope) * apart)
-    note = sentences("" if len(gaps) > 1 else ONE_TEST, "emptying minus filling")
-    return Estimate("H", value, "N", "force", METHOD, at, parts, len(gaps), note=note, trials=names)
+    scale, said = scales.part({"force": float(gaps.mean())}), "emptying minus filling"
+    H = mean_of_trials("H", ("N", "force"), METHOD, at, names, gaps, None, scale, ONE_TEST, said)
+    return replace(H, parts=replace(H.parts, skew=abs(slope) * apart))
 
 
 def _sides(cells: Sequence[Cell]) -> Iterator[Estimate]:
@@ -337,13 +297,11 @@ def _sides(cells: Sequence[Cell]) -> Iterator[Estimate]:
                 by.setdefault((test.run.id, test.trial.repeat), {})[side] = float(F.mean())
         halves = [0.5 * (sides[1.0] - sides[-1.0]) for sides in by.values() if {1.0, -1.0} <= set(sides)]
         if halves:
-            parts, note = Parts(spread(halves), calibration=0.0), "" if len(halves) > 1 else ONE_REPEAT
-            at, names, n = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests), len(halves)
-            mean = float(np.mean(halves))
-            yield Estimate("F_f", mean, "N", "force", SIDES, at, parts, n, note=note, trials=names)
+            at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
+            yield mean_of_trials("F_f", ("N", "force"), SIDES, at, names, halves, None, 0.0, ONE_REPEAT)
 
 
-def _three_elements(found: Sequence[Across], scales: Scales) -> list[Estimate]:
+def _three_elements(found: Sequence[sections.Across], scales: Scales) -> list[Estimate]:
     """F_ce [N] and K [N/m] at each pressure."""
     estimates: list[Estimate] = []
     P = np.array([one.pressure for one in found])
@@ -363,7 +321,7 @@ def _three_elements(found: Sequence[Across], scales: Scales) -> list[Estimate]:
     return estimates
 
 
-def _corrected_estimate(force: Corrected | None, scales: Scales) -> list[Estimate]:
+def _corrected_estimate(force: sections.Corrected | None, scales: Scales) -> list[Estimate]:
     if force is None:
         return []
     value, parts, note = None, Parts(), f"the corrected force does not fit: residual {show(force.rms, 'force', 2)} rms"
@@ -380,7 +338,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     furthest = max((e.at["contraction"] for e in analysis.estimates if "contraction" in e.at), default=0.0)
     yield straight(F_ce, K, lambda P: furthest)
     yield everywhere("K", K)
-    yield exactly("F", {(e.at["pressure"], 0.0): e for e in values_of(analysis, "F_b", BLOCKED)}, "blocked")
+    yield exactly("F", {(e.at["pressure"], 0.0): e for e in values_of(analysis, "F_b", sections.BLOCKED)}, "blocked")
     begun = [(e, e.value) for e in analysis.estimates if (e.symbol, e.method) == ("p_0", THRESHOLD) and e.value]
     pressures = [P for _, P in begun]
     if len(begun) > 1 and (np.diff(pressures) > 0).all():
@@ -388,7 +346,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
         points: dict[Place, Estimate] = {}
         for (e, P), x, slope in zip(begun, places, np.gradient(places, pressures), strict=True):
             # a muscle at the pressure p_0 has no force at the contraction of the test
-            parts = Parts(**{name: half and abs(slope) * half for name, half in vars(e.parts).items()})
+            parts = e.parts.times(float(slope))
             points[P, None] = replace(e, symbol="x", value=x, unit="m", quantity="length", parts=parts)
         yield exactly("x", points)
 
@@ -399,8 +357,8 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     reason = reason if test is None else lack(test)
     if test is None or reason:
         return [Measured("m", "force per pressure", None), Measured("p_0", "pressure", None)], [reason]
-    cell = cell_of(trial.point["contraction"], [test])
-    found = [one.pressure for one in begins(trial) if one is not None]
+    cell = curve.cell_of(trial.point["contraction"], [test])
+    found = [one.pressure for one in curve.begins(trial) if one is not None]
     top = float(test.P.max())
     F_e, K_e = (expected.at(name, top) if expected else None for name in ("F_ce", "K"))
     pull = F_e - K_e * cell.contraction if F_e is not None and K_e is not None else None

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from math import hypot, sqrt
 
@@ -17,89 +16,30 @@ from scipy.optimize import minimize_scalar
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt
-from pmabench.analysis.shared.isometric_lines import Line as LineOf
-from pmabench.analysis.shared.isometric_lines import Pooled, Test, by_repeat, spread
+from pmabench.analysis.shared.isometric_lines import by_repeat, spread
 from pmabench.analysis.shared.lines import PROPORTIONAL, Line, weighted_line
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.analysis.shared.trials import session_of
 from pmabench.analysis.verdict.agreement import side_by_side
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.curve import Mean
+from pmabench.kinds.isometric_pressurisation.curve import BEYOND, Cell
 from pmabench.model.library.contractor import corrected_force
 from pmabench.store.analyses.results import Estimate, Parts, Trace
 from pmabench.store.records import Array
 
 GRID = 50e3
 """Pressures at which F_ce and K are given are multiples of this [Pa]."""
-BRIDGED = 3.5
-"""Bins so many of their widths apart are near each other."""
 PULLS = 0.02
 """Share of the largest force of all that a muscle must pull with to be in a line over contractions."""
 APART = 1e-5
 """Contractions that were measured nearer to each other make no line [m]."""
 CLEAR = 4.0
 """A bend is seen where it is so many times its standard error."""
-BEYOND = 1.3
-"""What a bend that is not taken off adds to an interval, by what a parabola makes of it."""
-FURTHEST = 10.0
-"""A displacement beyond this is none [m]."""
 FURTHEST_THRESHOLD = 2e5
 UNLIKE = 0.02
 """Residual of the corrected force from which on the muscle is another, as a share of the largest force."""
 CORRECTED_TO = 5e5
 """Highest pressure of the corrected force [Pa] (paper 2)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Cell:
-    """All tests at one contraction."""
-
-    contraction: float
-    tests: Sequence[Test]
-    mean: Mean
-    low: float | None
-    """From where on F(P) is straight [Pa]."""
-    off: float
-    pooled: Pooled | None
-    upper: LineOf | None = None
-    """The line through the upper half of the straight part."""
-
-    @cached_property
-    def place(self) -> Array:
-        """Measured contraction of each test [m], else the commanded one; shape (tests,)."""
-        found = []
-        for test in self.tests:
-            known = test.x[np.abs(test.x) < FURTHEST]
-            found.append(float(known.mean()) if len(known) else self.contraction)
-        return np.array(found)
-
-    @property
-    def gaps(self) -> Array:
-        """Force while emptying minus while filling of each test, mean over the straight part [N]."""
-        return self.mean.gaps(self.low or 0.0)
-
-    @property
-    def rate(self) -> float:
-        """Fastest ramp [Pa/s]."""
-        return max((c.data.get("rate", 0.0) for test in self.tests for c in test.trial.commands), default=0.0)
-
-    def force_at(self, P: float) -> Array:
-        """Mean of the branches of each test at a pressure [N]; NaN where it was not there."""
-        return np.array([_at_pressure(P, self.mean.P, row) for row in self.mean.each])
-
-
-def _at_pressure(P: float, at: Array, F: Array) -> float:
-    """F at P on straight lines between bins that are near each other, half a bin beyond them at most; NaN elsewhere."""
-    known = np.isfinite(F)
-    width = float(at[1] - at[0])
-    if known.sum() < 2 or not at[known][0] - 0.51 * width <= P <= at[known][-1] + 0.51 * width:
-        return float("nan")
-    x, y = at[known], F[known]
-    i = int(np.clip(np.searchsorted(x, P), 1, len(x) - 1))
-    away = min(abs(P - x[i - 1]), abs(P - x[i]))
-    if x[i] - x[i - 1] > BRIDGED * width and away > 0.51 * width:  # between two holds of a staircase
-        return float("nan")
-    return float(y[i - 1] + (y[i] - y[i - 1]) * (P - x[i - 1]) / (x[i] - x[i - 1]))
 
 
 @dataclass(frozen=True)
@@ -307,8 +247,8 @@ def blocked_estimates(cells: Sequence[Cell], given: Mapping[str, float], scales:
     off = float(np.abs(blocked.place).max())
     late = blocked.rate * skew.apart([test.run for test in blocked.tests], ("pressure", "force"))
     found = []
-    for P in pressures(cells):
-        each = blocked.force_at(float(P))
+    for P in pressures(cells).tolist():
+        each = blocked.force_at(P)
         known = np.isfinite(each)
         if not known.any():
             continue
@@ -316,23 +256,23 @@ def blocked_estimates(cells: Sequence[Cell], given: Mapping[str, float], scales:
         values = by_repeat(tests, each[known])
         F = float(values.mean())
         K = 0.0
-        if nearest is not None and np.isfinite(F_nearest := float(np.mean(nearest.force_at(float(P))))):
+        if nearest is not None and np.isfinite(F_nearest := float(np.mean(nearest.force_at(P)))):
             apart = float(nearest.place.mean() - blocked.place.mean())
             K = (F - F_nearest) / apart if apart > APART else 0.0
-        between = _between(cells, blocked, float(P))
+        between = _between(cells, blocked, P)
         shift, doubt = (0.0, K * off) if between is None else between
         F += shift
-        slope = _slope(blocked, float(P))
-        gains = {"force": F, "pressure": slope * float(P)}
+        slope = _slope(blocked, P)
+        gains = {"force": F, "pressure": slope * P}
         offsets = {"force": 1.0, "pressure": slope} | ({"displacement": K} if K else {})
-        half, method = spread(values), hypot(doubt, _bend(blocked, float(P)))
+        half, method = spread(values), hypot(doubt, _bend(blocked, P))
         parts = Parts(half, method, scales.part(gains, offsets), abs(slope) * late)
         note = sentences(
             "no repeats part: one test only" if half is None else "",
             "" if between is None else "between the contractions on both sides of 0",
             scales.lack(gains, offsets),
         )
-        at, n, names = {"pressure": float(P)}, len(values), tuple(test.name for test in tests)
+        at, n, names = {"pressure": P}, len(values), tuple(test.name for test in tests)
         found.append(Estimate("F_b", F, "N", "force", BLOCKED, at, parts, n, note=note, trials=names))
     return found
 

@@ -217,8 +217,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             text = f"{members[0].trial.name}: a pressure was at its limit for {most:.0%} of the time"
             findings.append(Finding("doubt", f"{text}: the joint is not as stiff as asked for, and the loop is slower"))
     findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    if estimates and (lack := scales.lack(("angle",), ("angle",))):
-        findings.append(Finding("note", lack))
+    findings += scales.findings(estimates, ("angle",), ("angle",))
     facts = {"options": dict(options or {}), "trials": len(courses)}
     return Analysis.of(
         "joint-step", runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces,

@@ -294,8 +294,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         share = show(float(one.law["saturated"]), "ratio", 2)
         text = f"{one.trial.name}: in {share} of the periods limits of pressures forbade the wanted moment"
         findings.append(Finding("note", text))
-    if estimates and (lack := scales.lack((), ACCELERATIONS[:2])):
-        findings.append(Finding("note", lack))
+    findings += scales.findings(estimates, (), ACCELERATIONS[:2])
     facts = {"options": dict(options or {}), "trials": len(courses)}
     return Analysis.of(
         KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts

@@ -4,8 +4,7 @@
 - protocol files: `protocol`, with `controller`: its gains; figures and one trial on the display: `figures`
 """
 
-from pmabench.base.imported import Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Imported, Kind, Result
 
 RESULTS = (
     Result("e_ss", "steady-state error", "ratio", headline=True),

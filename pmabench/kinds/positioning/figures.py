@@ -17,7 +17,8 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning.paths import Tracked
 from pmabench.kinds.positioning.reduction import measured
-from pmabench.plotting import pictures, plots, time_plots
+from pmabench.plotting import pictures, plots
+from pmabench.plotting.motion import overlays
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
@@ -75,23 +76,8 @@ def positions(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Pict
 
 def paths(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
     """Wanted and measured place along each path."""
-    able = [t for t in traces if pictures.has(t, "t", "displacement", "model") and t.figure == "path"]
-    if not able:
-        return []
-    chosen = pictures.spread(able, MOST)
-    panels = [
-        pictures.panel(t, {"t": "t", "measured": "displacement", "model": "model"}, pictures.head(t)) for t in chosen
-    ]
-    unit = pictures.unit_of(chosen[0], "displacement").unit
-    labels = {"t": pictures.label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"error [{unit}]"}
-    caption = (
-        f"Grey: measured; red: the place that was wanted. Below: their difference.{pictures.how_many(chosen, able)}"
-    )
-    alt = f"Contraction over time along a path, measured and wanted, at {'; '.join(p.title for p in panels)}."
-    draw = pictures.bound(time_plots.overlay, panels, labels)
-    table = pictures.numbers([(pictures.head(t), t) for t in chosen])
-    wide = len(chosen) > 1
-    return [pictures.picture(draw, "Along a path", caption, alt, table, wide=wide, simulated=analysis.simulated)]
+    mine = [trace for trace in traces if trace.figure == "path"]
+    return overlays(mine, analysis, "the place that was wanted", "Along a path", most=MOST, columns=())
 
 
 def held(panels: Sequence[plots.Panel], approach: float, labels: dict[str, str]) -> Figure:

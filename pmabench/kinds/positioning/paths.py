@@ -17,7 +17,7 @@ from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
 from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of, noise_of
 from pmabench.analysis.shared.signals import SURE, Smooth, smooth
 from pmabench.analysis.shared.skew import late
-from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of, thinned
 from pmabench.base.quantities import show
 from pmabench.model.reference_path import ReferencePath
 from pmabench.store.analyses.results import Estimate, Finding, Trace
@@ -127,7 +127,6 @@ def _off_paths(cells: Sequence[Sequence[Tracked]]) -> list[Finding]:
 
 def _path_trace(one: Tracked) -> Trace:
     """The path and where the muscle was."""
-    rows = slice(None, None, max(1, -(-len(one.t) // LONGEST_TRACE)))
     setpoint, load = one.trial.point.get("setpoint", 0.0), one.trial.point.get("load", 0.0)
     columns = {"t": one.t, "displacement": one.x, "model": one.wanted}
     if "pressure_command" in one.trial.channels:
@@ -137,7 +136,7 @@ def _path_trace(one: Tracked) -> Trace:
         f"path-{setpoint * 1e3:g}-{load:g}{'-ahead' if one.method == AHEAD else ''}",
         "path",
         f"{show(setpoint, 'length')}, {show(load, 'force')}: {one.method}",
-        {name: column[rows] for name, column in columns.items()},
+        thinned(columns, LONGEST_TRACE),
         {"t": "time", "displacement": "length", "model": "length", "pressure_command": "pressure"},
         {"setpoint": setpoint},
     )

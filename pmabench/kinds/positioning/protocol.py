@@ -14,15 +14,7 @@ from pydantic import Field
 from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Ratio, Speed, Time
-from pmabench.kinds.positioning.controller import (
-    MODEL,
-    PLACE,
-    Controller,
-    gains_at,
-    model_for_gains,
-    of_model,
-    schedule,
-)
+from pmabench.kinds.positioning import controller as control
 from pmabench.model.reference_path import ReferencePath
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Record, Seek, Set
@@ -105,7 +97,7 @@ class Positioning(ProtocolHead):
     cannot_do_without: ClassVar[tuple[str, ...]] = ("displacement",)
     kind: Literal["positioning"]
     sweep: Sweep[PositioningAxes]
-    controller: Controller
+    controller: control.Controller
     trial: PositioningTrial
     model: ReferenceModel | None = None
 
@@ -116,10 +108,10 @@ class Positioning(ProtocolHead):
         low, high = controller.output
         model = None if self.model is None else described(c, self.model, ("model",))
         muscle: Described | None = None
-        table = [] if controller.gains == MODEL else schedule(c, controller)
-        if controller.gains == MODEL and (model is not None or not c.problems):
-            with c.noting(PLACE):
-                muscle = model_for_gains(model)
+        table = [] if controller.gains == control.MODEL else control.schedule(c, controller)
+        if controller.gains == control.MODEL and (model is not None or not c.problems):
+            with c.noting(control.PLACE):
+                muscle = control.model_for_gains(model)
         longest = c.mounted.specimen_file.limits.contraction * c.mounted.bench.length
         for point in expand(self.sweep, c.document):
             setpoint, place = point.values["setpoint"], point.places["setpoint"]
@@ -130,9 +122,9 @@ class Positioning(ProtocolHead):
                 continue
             values = {**c.load(point.values["load"], point.places["load"]), "setpoint": setpoint}
             if muscle is not None:
-                gains = of_model(c, controller, muscle, values, place)
+                gains = control.of_model(c, controller, muscle, values, place)
             else:
-                gains = gains_at(c, table, setpoint, place)
+                gains = control.gains_at(c, table, setpoint, place)
             c.put_on(values)
             if c.too_long():
                 break

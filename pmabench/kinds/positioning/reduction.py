@@ -22,16 +22,8 @@ from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.analysis.shared.skew import late
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning import RESULTS
-from pmabench.kinds.positioning.paths import (
-    ALONE,
-    CHANNEL,
-    LONGEST_TRACE,
-    Tracked,
-    along_paths,
-    rows_of,
-    tracked,
-)
+from pmabench.kinds.positioning import RESULTS, paths
+from pmabench.kinds.positioning.paths import ALONE, CHANNEL, Tracked, rows_of
 from pmabench.model.presets import Described
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -101,18 +93,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     models = {run.id: model_of(run) for run in runs}
     found, dropped = measured_trials(runs, lambda run, trial: measured(run, trial, models[run.id]))
-    paths = [one for one in found if isinstance(one, Tracked)]
+    along = [one for one in found if isinstance(one, Tracked)]
     holds = [one for one in found if isinstance(one, Hold)]
     cells = sorted(grouped(holds, lambda hold: point_of(hold.trial)).items())
     model = next((one for one in models.values() if one is not None), None)
-    along, notes, ways = along_paths(paths)
+    tracked, notes, ways = paths.along_paths(along)
     estimates = [e for at, members in cells for e in _estimates(dict(at), members)]
     ordered = [hold for _, members in cells for hold in members]
     return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
-        estimates=[*estimates, *along],
+        estimates=[*estimates, *tracked],
         dropped=dropped,
         findings=[*(_findings(runs, ordered, model) if ordered else []), *notes],
         traces=[*(_trace(members[0]) for _, members in cells), *ways],
@@ -133,7 +125,7 @@ def measured(run: RunData, trial: TrialData, model: Described | None = None) -> 
         raise NotUsable(f"the trial is {trial.status}")
     if law.get("ended") != "time" or CHANNEL not in trial.channels:
         raise NotUsable(str(law.get("reason") or "no closed loop is recorded to its end"))
-    return tracked(run, trial, law) if law.get("path") else _held(run, trial, law, model)
+    return paths.tracked(run, trial, law) if law.get("path") else _held(run, trial, law, model)
 
 
 def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Described | None) -> Hold:
@@ -345,7 +337,7 @@ def _trace(hold: Hold) -> Trace:
         columns["pressure_command"] = np.interp(t + begin, trial.t, trial.channels["pressure_command"])
     early = t < EARLY
     rows = np.concatenate(
-        [part[:: max(1, -(-2 * len(part) // LONGEST_TRACE))] for part in map(np.flatnonzero, (early, ~early))]
+        [part[:: max(1, -(-2 * len(part) // paths.LONGEST_TRACE))] for part in map(np.flatnonzero, (early, ~early))]
     )
     marks = {"setpoint": setpoint, "window": float((hold.run.plan.get("settings") or {}).get("window", (0.0,))[0])}
     load = trial.point.get("load", 0.0)

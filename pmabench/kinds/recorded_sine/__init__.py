@@ -3,8 +3,7 @@
 - `reduction`; `form`: what a sine lacks of a steady one, and the bandwidth
 """
 
-from pmabench.base.imported import Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Imported, Kind, Result
 
 RESULTS = (
     Result("P", "amplitude of the pressure", "pressure", headline=True),

@@ -70,8 +70,7 @@ def cut_off(sines: Sequence[Sine], names: Sequence[str]) -> list[Doubt]:
 
 def _missing(sine: Sine, name: str) -> tuple[float, float]:
     """Share of the amplitude that a cut takes, and of the samples that are cut; 0 without one."""
-    values, angle = sine.raw[name], sine.omega * sine.t
-    whole = _amplitude(angle, values)
+    values, frequency = sine.raw[name], sine.omega / (2 * np.pi)
     kept, flat = np.ones(len(values), dtype=bool), 0.0
     for turned in (values, -values):
         levels, counts = np.unique(turned, return_counts=True)
@@ -80,14 +79,9 @@ def _missing(sine: Sine, name: str) -> tuple[float, float]:
             flat += float(counts[-1]) / len(values)
     if not flat:
         return 0.0, 0.0
-    return abs(_amplitude(angle[kept], values[kept]) / whole - 1), flat
-
-
-def _amplitude(angle: Array, values: Array) -> float:
-    """Of the first harmonic of values at angles [rad], shapes (n,)."""
-    design = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
-    fitted = np.linalg.lstsq(design, values, rcond=None)[0]
-    return float(np.hypot(fitted[1], fitted[2]))
+    parts = ((sine.t[rows], values[rows, None]) for rows in (kept, slice(None)))
+    uncut, whole = (abs(three_parameter(t, y, frequency)[1][0]) for t, y in parts)
+    return float(abs(uncut / whole - 1)), flat
 
 
 def slower(sine: Sine, name: str) -> complex:

@@ -51,6 +51,8 @@ SURE = 5.0
 NO_SINE = 0.1
 """Share of the signal that its first harmonic leaves, above which that is said."""
 Complex = NDArray[np.complex128]
+Values = tuple[list[float], list[Array]]
+"""A value of each trial as a whole, and of its cycles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +74,8 @@ class Sine:
     cycles: Mapping[str, Complex]
     left: Mapping[str, float]
     """Rms of what the first harmonic leaves, over the rms of the signal about its mean [1]."""
-    late: tuple[float, float]
-    """How much older the pressure is than its stamps [s]; (0, 0) where that is not known."""
-    late_x: tuple[float, float]
-    """The same of the displacement."""
+    late: Mapping[str, tuple[float, float]]
+    """How much older pressure and displacement are than their stamps [s]; (0, 0) where that is not known."""
     off: float
     """Frequency of the command, else of the pressure, over the named one, less one [1]; 0 where chance explains it."""
 
@@ -96,13 +96,12 @@ class Sine:
 
     def turn(self, upper: str, lower: str) -> float:
         """Phase [rad] to add to that of `upper` over `lower`: the middle of what their lateness may be."""
-        late = {"pressure": sum(self.late) / 2, "displacement": sum(self.late_x) / 2}
+        late = {name: sum(ends) / 2 for name, ends in self.late.items()}
         return self.omega * (late.get(upper, 0.0) - late.get(lower, 0.0))
 
     def apart(self, *names: str) -> float:
         """Half of what the time between channels may be off that [s]."""
-        half = {"pressure": (self.late[1] - self.late[0]) / 2, "displacement": (self.late_x[1] - self.late_x[0]) / 2}
-        return sum(half.get(name, 0.0) for name in names)
+        return sum((self.late[name][1] - self.late[name][0]) / 2 for name in names)
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -132,12 +131,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     usual = float(np.median([sine.drive for _, sine in sines])) if sines else 0.0
     swept = {f: min(alike, key=lambda group: abs(group[0][1].drive - usual)) for f, alike in groups.items()}
     estimates += bandwidth({f: [sine for _, sine in group] for f, group in swept.items()})
+    text = "{} ({}): it runs {:+.1%} off the frequency that the name tells; the real one is fitted"
     findings = [
-        Finding(
-            "doubt",
-            f"{show(sine.frequency, 'frequency', 3)} ({sine.name}): it runs {sine.off:+.1%} off the frequency that the"
-            " name tells; the real one is fitted",
-        )
+        Finding("doubt", text.format(show(sine.frequency, "frequency", 3), sine.name, sine.off))
         for _, sine in sines
         if abs(sine.off) > OFF
     ]
@@ -154,21 +150,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     if estimates:
         text = "no method part but for lateness and lag of the channels; how far these differ from sines is stated"
         findings.append(Finding("note", f"{text} above"))
+    findings = [*import_findings(runs), *findings]
+    traces = [_loop(sine) for sine in first] + ([_bode(first)] if first else [])
+    facts = {
+        "options": dict(options),
+        "trials": len(sines),
+        "frequencies": sorted(groups),
+        "flagged": flagged_counts(runs),
+        "left_by_first_harmonic": {sine.name: dict(sine.left) for _, sine in sines},
+    }
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=(*import_findings(runs), *findings),
-        traces=([_loop(sine) for sine in first] + ([_bode(first)] if first else [])),
-        facts={
-            "options": dict(options),
-            "trials": len(sines),
-            "frequencies": sorted(groups),
-            "flagged": flagged_counts(runs),
-            "left_by_first_harmonic": {sine.name: dict(sine.left) for _, sine in sines},
-        },
+        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
     )
 
 
@@ -229,8 +221,7 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         amplitudes={name: complex(amplitudes[column]) for column, name in enumerate(names)},
         cycles=cycles,
         left={name: float(left[column]) for column, name in enumerate(names)},
-        late=late,
-        late_x=late_by(run, "displacement") or (0.0, 0.0),
+        late={"pressure": late, "displacement": late_by(run, "displacement") or (0.0, 0.0)},
         off=off,
     )
 
@@ -303,49 +294,49 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     )
 
     def estimate(
-        symbol: str, kind: tuple[str, str], whole: Sequence[float], by_cycle: Sequence[Array],
-        scaled: tuple[str, ...] = (), method: float | None = None, note: str = "", of: tuple[str, ...] = (),
-        doubts: Sequence[Doubt] = (),
+        symbol: str, kind: tuple[str, str], values: Values, channels: tuple[str, ...] = (), method: float | None = None,
+        note: str = "", doubts: Sequence[Doubt] = (),
     ) -> Estimate:  # fmt: skip
+        """The mean of `values`, which are proportional to the readings of some `channels`."""
+        whole, by_cycle = values
         value = float(np.mean(whole))
-        parts = Parts(mean_half(np.array(whole), by_cycle), method, scales.part(dict.fromkeys(scaled, value)))
+        parts = Parts(mean_half(np.array(whole), by_cycle), method, scales.part(dict.fromkeys(channels, value)))
         few = CYCLES if len(whole) == 1 else ""
-        note_text = sentences(note, few, scales.lack(scaled))
+        note_text = sentences(note, few, scales.lack(channels))
         e = Estimate(symbol, value, *kind, METHOD, at, parts, len(whole), note=note_text, trials=parents)
-        sizes = [replace(d, half=d.half * abs(value)) for d in (*cut_off(sines, of), *sensors(first, of))]
+        sizes = [replace(d, half=d.half * abs(value)) for d in (*cut_off(sines, channels), *sensors(first, channels))]
         return weighed(e, [*doubts, *sizes, *changing(by_cycle, symbol)], 1.0 if symbol.startswith("phi") else None)
 
-    def size(name: str) -> tuple[list[float], list[Array]]:
-        return [abs(s.amplitudes[name]) for s in sines], [np.abs(s.cycles[name]) for s in sines]
-
-    def ratio(upper: str, lower: str) -> tuple[list[float], list[Array]]:
-        return ([abs(s.amplitudes[upper] / s.amplitudes[lower]) for s in sines],
-                [np.abs(s.cycles[upper] / s.cycles[lower]) for s in sines])  # fmt: skip
-
     phase, phase_by = _phases(sines, "displacement", "pressure")
-    width = [2 * abs(s.amplitudes["displacement"]) * abs(np.sin(p)) for s, p in zip(sines, phase, strict=True)]
-    width_by = [2 * np.abs(s.cycles["displacement"]) * np.abs(np.sin(p)) for s, p in zip(sines, phase_by, strict=True)]
+    x, x_by = _sizes(sines, "displacement")
+    width = [2 * size * abs(np.sin(p)) for size, p in zip(x, phase, strict=True)]
+    width_by = [2 * size * np.abs(np.sin(p)) for size, p in zip(x_by, phase_by, strict=True)]
     both = ("pressure", "displacement")
     late = "lateness taken as the middle of its range" if read_off else UNTOLD_TIME
     slow = sensors(first, both, phase=True)
     shape = [*other_shape(sines), *(replace(one, half=_width_by(first, phase[0], one.half)) for one in slow)]
     found = [
-        estimate("P", ("Pa", "pressure"), *size("pressure"), ("pressure",), of=("pressure",)),
-        estimate("x", ("m", "length"), *size("displacement"), ("displacement",), of=("displacement",)),
-        estimate("P/x", ("Pa/m", "gain"), *ratio("pressure", "displacement"), both, of=both),
-        estimate("phi_x", ("rad", "angle"), phase, phase_by, method=doubt or None, note=late, doubts=slow),
-        estimate("H", ("m", "length"), width, width_by, ("displacement",), _width_by(first, phase[0], doubt) or None,
-                 late, ("displacement",), shape),
+        estimate("P", ("Pa", "pressure"), _sizes(sines, "pressure"), ("pressure",)),
+        estimate("x", ("m", "length"), (x, x_by), ("displacement",)),
+        estimate("P/x", ("Pa/m", "gain"), _sizes(sines, *both), both),
+        estimate("phi_x", ("rad", "angle"), (phase, phase_by), method=doubt or None, note=late, doubts=slow),
+        estimate("H", ("m", "length"), (width, width_by), ("displacement",),
+                 _width_by(first, phase[0], doubt) or None, late, shape),
     ]  # fmt: skip
     if all("pressure_command" in s.amplitudes for s in sines):
-        back = _phases(sines, "pressure", "pressure_command")
+        driven = ("pressure", "pressure_command")
+        slow = sensors(first, driven, phase=True)
         found += [
-            estimate("P/P_set", ("1", "ratio"), *ratio("pressure", "pressure_command"), ("pressure",),
-                     of=("pressure",)),
-            estimate("phi_P", ("rad", "angle"), *back, method=doubt_P or None, note=late,
-                     doubts=sensors(first, ("pressure", "pressure_command"), phase=True)),
-        ]  # fmt: skip
+            estimate("P/P_set", ("1", "ratio"), _sizes(sines, *driven), ("pressure",)),
+            estimate("phi_P", ("rad", "angle"), _phases(sines, *driven), (), doubt_P or None, late, slow),
+        ]
     return found
+
+
+def _sizes(sines: Sequence[Sine], upper: str, lower: str = "") -> Values:
+    """Amplitude of `upper`, over that of `lower` where there is one."""
+    whole = [abs(s.amplitudes[upper] / (s.amplitudes[lower] if lower else 1.0)) for s in sines]
+    return whole, [np.abs(s.cycles[upper] / (s.cycles[lower] if lower else 1.0)) for s in sines]
 
 
 def _width_by(sine: Sine, phase: float, half: float) -> float:
@@ -354,7 +345,7 @@ def _width_by(sine: Sine, phase: float, half: float) -> float:
     return 2 * abs(sine.amplitudes["displacement"]) * float(np.abs(ends - ends[1]).max())
 
 
-def _phases(sines: Sequence[Sine], upper: str, lower: str) -> tuple[list[float], list[Array]]:
+def _phases(sines: Sequence[Sine], upper: str, lower: str) -> Values:
     """Phase [rad] of `upper` over `lower`, as a whole and by cycle, without the lateness of both."""
     whole, by_cycle = [], []
     for sine in sines:
@@ -384,7 +375,7 @@ def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
         f"damping, and {show(-slope, 'time', 2)} of delay from its slope"
     )
     lines.append(Finding("note", text))
-    most = max(s.late[1] for s in sines)
+    most = max(s.late["pressure"][1] for s in sines)
     if most > 0:
         text = (
             f"the pressure may be up to {show(most, 'time', 2)} older than its stamps, worth "
@@ -400,14 +391,11 @@ def _loop(sine: Sine) -> Trace:
     t, P, x = sine.t[last], sine.P[last], sine.x[last]
     X = sine.amplitudes["displacement"]
     model = float(np.mean(sine.x)) + np.real(X * np.exp(1j * sine.omega * t))
-    return Trace(
-        name=f"pressure-loop-{sine.frequency:.3g}Hz",
-        figure="pressure-loop",
-        title=f"Contraction over pressure at {show(sine.frequency, 'frequency', 3)}, the last cycle",
-        columns={"pressure": P, "displacement": x, "model": model},
-        quantities={"pressure": "pressure", "displacement": "length", "model": "length"},
-        marks={"frequency": sine.frequency},
-    )
+    title = f"Contraction over pressure at {show(sine.frequency, 'frequency', 3)}, the last cycle"
+    columns = {"pressure": P, "displacement": x, "model": model}
+    quantities = {"pressure": "pressure", "displacement": "length", "model": "length"}
+    name, marks = f"pressure-loop-{sine.frequency:.3g}Hz", {"frequency": sine.frequency}
+    return Trace(name, "pressure-loop", title, columns, quantities, marks)
 
 
 def _bode(sines: Sequence[Sine]) -> Trace:
@@ -416,14 +404,11 @@ def _bode(sines: Sequence[Sine]) -> Trace:
         s.amplitudes["displacement"] / s.amplitudes["pressure"] * np.exp(1j * s.turn("displacement", "pressure"))
         for s in sines
     ]
-    return Trace(
-        name="pressure-bode",
-        figure="pressure-bode",
-        title="Pressure per contraction, and phase of contraction against pressure",
-        columns={
-            "frequency": np.array([s.frequency for s in sines]),
-            "gain": np.array([1 / abs(ratio) for ratio in ratios]),
-            "phase": np.array([float(np.angle(ratio)) for ratio in ratios]),
-        },
-        quantities={"frequency": "frequency", "gain": "gain", "phase": "angle"},
-    )
+    columns = {
+        "frequency": np.array([s.frequency for s in sines]),
+        "gain": np.array([1 / abs(ratio) for ratio in ratios]),
+        "phase": np.angle(ratios),
+    }
+    title = "Pressure per contraction, and phase of contraction against pressure"
+    quantities = {"frequency": "frequency", "gain": "gain", "phase": "angle"}
+    return Trace("pressure-bode", "pressure-bode", title, columns, quantities)

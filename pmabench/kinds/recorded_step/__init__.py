@@ -4,8 +4,7 @@
   of `delayed`, `loads` (K of two loads, or of a column of force)
 """
 
-from pmabench.base.imported import Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Imported, Kind, Result
 
 RESULTS = (
     Result("K", "stiffness", "stiffness", headline=True, positive=True),

@@ -12,18 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.imported import unusable_because
-from pmabench.analysis.shared.samples import (
-    LAG_KNOWN,
-    LEAST,
-    UNDECLARED,
-    fresh,
-    lags_of,
-    noise_of,
-    nothing_moved,
-    onset,
-    step_of,
-    unresolved,
-)
+from pmabench.analysis.shared import samples
+from pmabench.analysis.shared.samples import LAG_KNOWN, LEAST, UNDECLARED, lags_of, noise_of, onset, step_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step.motion import Motion, before_sensor, behind, fit_motion, from_rest
 from pmabench.store.records import Array, Flag, RunData, TrialData
@@ -66,6 +56,8 @@ class Step:
     """From onset to 63 % of the change of pressure [s]."""
     rise_half: float
     """Half the times between the samples that the onset, and the 63 %, lie between [s]."""
+    driven: tuple[Array, Array, Array]
+    """Time [s], pressure [Pa] and contraction [m] that the fit of the motion uses."""
     motions: tuple[Motion, ...]
     others: tuple[tuple[Array, Array], ...]
     """Pressure and contraction of the fit were the lags of the sensors as small and as large as they may be."""
@@ -83,12 +75,6 @@ class Step:
     def near(self) -> NDArray[np.bool_]:
         """Samples that the fit of the motion uses."""
         return np.asarray((self.t >= -BEFORE) & (self.t <= AFTER))
-
-    @property
-    def driven(self) -> tuple[Array, Array, Array]:
-        """Time [s], pressure [Pa] and contraction [m] that the fit of the motion uses."""
-        near, rest = self.near, float(np.median(self.P[(self.t >= -BEFORE) & (self.t < 0)]))
-        return self.t[near], from_rest(self.P[near], rest), self.x[near]
 
     @property
     def best(self) -> Motion:
@@ -122,7 +108,7 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     if missing:
         return f"{' and '.join(missing)} not recorded"
     if command is None or not {"from", "pressure"} <= set(trial.point):
-        if nothing_moved(trial, "displacement"):
+        if samples.nothing_moved(trial, "displacement"):
             return "its length is held: with a column of force the map says `kind: isometric` for such a test"
         return "it has no step of pressure: the map cuts a file into steps with `trials: {by: step, smallest: 10 kPa}`"
     if trial.status != "finished":
@@ -135,8 +121,9 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     t = trial.t[good] - command.t
     read, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
     lags = lags_of(run, trial)
-    over = _blurred(t, read, lags["pressure"])
-    P = before_sensor(t, read, lags["pressure"], over) if over else read
+    slow, lag = lags["displacement"], lags["pressure"]
+    over = _blurred(t, read, lag)
+    P = before_sensor(t, read, lag, over) if over else read
     within = command.data.get("within", 0.0)
     before, after = (t >= -BEFORE) & (t < -within), t > 0
     if min(np.count_nonzero(before), np.count_nonzero(after)) < FEWEST or t[-1] < AFTER:
@@ -151,28 +138,26 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     noise = float(P[before].std())
     if abs(size) < 2 * SEEN * max(noise, 1.0):
         return f"the pressure follows by {show(size, 'pressure', 3)} only, no more than its noise"
-    new = fresh(read)
+    new = samples.fresh(read)
     risen = _rise(t[new], ((P - np.median(P[before])) * np.sign(size))[new], abs(size), noise, within)
     if risen is None:
         return "no onset of the pressure is seen"
     begins, doubt, crossed = risen
-    lag = lags["pressure"]
     slower = _as_delay(t, read, P, lag, over, within, risen) if lag else _slower(t, P, new, size, noise, within, risen)
-    unsure = over / 2 + LAG_KNOWN * lags["pressure"]
+    unsure = over / 2 + LAG_KNOWN * lag
     dead = begins + within / 2 - (late[0] + late[1]) / 2
     dead_half = doubt + within / 2 + (late[1] - late[0]) / 2 + unsure
     rise_half = doubt + float(np.ptp(crossed)) / 2 + unsure
-    slow, lagging = lags["displacement"], lags["pressure"]
-    driving, near = _driving(t, read, x, (slow, lagging)), t[(t >= -BEFORE) & (t <= AFTER)]
+    driven = t[(t >= -BEFORE) & (t <= AFTER)], *_driving(t, read, x, (slow, lag))
     shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
-    motions = tuple(fit_motion(near, *driving, float(shift)) for shift in shifts)
-    lagged = [(slow * (1 + by), lagging) for by in (-LAG_KNOWN, LAG_KNOWN) if slow]
-    lagged += [(slow, lagging * (1 + by)) for by in (-LAG_KNOWN, LAG_KNOWN) if lagging]
+    motions = tuple(fit_motion(*driven, float(shift)) for shift in shifts)
+    lagged = [(slow * (1 + by), lag) for by in (-LAG_KNOWN, LAG_KNOWN) if slow]
+    lagged += [(slow, lag * (1 + by)) for by in (-LAG_KNOWN, LAG_KNOWN) if lag]
     others = tuple(_driving(t, read, x, one) for one in lagged)
-    alike = behind(t, read, lags["displacement"]), behind(t, x, lags["pressure"])
+    alike = behind(t, read, slow), behind(t, x, lag)
     return Step(
         trial, t, *alike, size, stroke, dead, dead_half, begins + within / 2, doubt + within / 2 + unsure,
-        float(crossed.mean()) - begins, rise_half, motions, others, noise_of(x[t < 0]),
+        float(crossed.mean()) - begins, rise_half, driven, motions, others, noise_of(x[t < 0]),
         slower, slow > 0, _unresolved(trial, good, (before, settled)),
     )  # fmt: skip
 
@@ -196,11 +181,15 @@ def _slower(
     """What one more filter of the gauge adds to the times to the onset and from it to 63 % [s]."""
     later = behind(t, P, UNDECLARED)
     rest = np.median(later[(t >= -BEFORE) & (t < -within)])
-    again = _rise(t[new], ((later - rest) * np.sign(size))[new], abs(size), noise, within)
+    return _moved(_rise(t[new], ((later - rest) * np.sign(size))[new], abs(size), noise, within), risen)
+
+
+def _moved(again: Rise | None, risen: Rise, later: float = 0.0) -> tuple[float, float]:
+    """What another rise, which is `later` by a known time, makes of the times to the onset and from it to 63 % [s]."""
     if again is None:
         return 0.0, 0.0
-    delay, until = again[0] - risen[0], float(again[2].mean() - risen[2].mean())
-    return abs(delay), abs(until - delay)
+    delay = again[0] - later - risen[0]
+    return abs(delay), abs(float(again[2].mean() - risen[2].mean()) - later - delay)
 
 
 JUMPS = 2.5
@@ -219,17 +208,14 @@ def _as_delay(
         return 0.0, 0.0
     rest, end = read[(t >= -BEFORE) & (t < -within)], float(read[t > t[-1] - 1.0].mean())
     size = end - float(np.median(rest))
-    again = _rise(t, (read - np.median(rest)) * np.sign(size), abs(size), float(rest.std()), within)
-    if again is None:
-        return 0.0, 0.0
-    delay = again[0] - lag - risen[0]
-    return abs(delay), abs(float(again[2].mean() - risen[2].mean()) - lag - delay)
+    rise = (read - np.median(rest)) * np.sign(size)
+    return _moved(_rise(t, rise, abs(size), float(rest.std()), within), risen, lag)
 
 
 def _unresolved(trial: TrialData, good: NDArray[np.bool_], rests: Sequence[NDArray[np.bool_]]) -> dict[str, float]:
     """Channel -> what the steps that it is read in may make of rests among its `good` samples [SI]."""
     channels = {name: values[good] for name, values in trial.channels.items()}
-    return {name: max(unresolved(y[rows], step_of(y)) for rows in rests) for name, y in channels.items()}
+    return {name: max(samples.unresolved(y[rows], step_of(y)) for rows in rests) for name, y in channels.items()}
 
 
 def _driving(t: Array, P: Array, x: Array, lags: tuple[float, float]) -> tuple[Array, Array]:

@@ -4,8 +4,7 @@
 - protocol files: `protocol`; figure and one trial on the display: `figures`
 """
 
-from pmabench.base.imported import Commanded, Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Commanded, Imported, Kind, Result
 
 RESULTS = (
     Result("s", "relaxation of the force per decade of time", "ratio", headline=True),

@@ -1,12 +1,11 @@
 """A driven end moved as a sine at constant pressure: K, B, F_c, loops.
 
-- `reduction`, made of `fit`, `mean_force`, `form` (what harmonics and creep correct and
-  contradict), `sensors` (what filters, steps and a swing of the pressure leave open), `pressure`
-- protocol files: `protocol`; figures and one trial on the display: `figures`
+- `reduction`, with what filters, steps and a swing of the pressure leave open; made of `fit`, `mean_force`, `form`
+  (what harmonics and creep correct and contradict), `pressure`
+- protocol files: `protocol`; one trial on the display: `reduction`
 """
 
-from pmabench.base.imported import Commanded, Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Commanded, Imported, Kind, Result
 
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
@@ -66,7 +65,7 @@ KIND = Kind(
     reduction="pmabench.kinds.sinusoidal_displacement.reduction:reduce",
     papers=("paper 3, sinusoidal tests",),
     protocol="pmabench.kinds.sinusoidal_displacement.protocol:SinusoidalDisplacement",
-    live="pmabench.kinds.sinusoidal_displacement.figures:measure",
+    live="pmabench.kinds.sinusoidal_displacement.reduction:one_trial",
     moves="displacement",
     compares="force",
     repeated="pmabench.analysis.shared.sine_loop:stiffness_of",
@@ -77,7 +76,7 @@ KIND = Kind(
     figures={
         "loop": "pmabench.plotting.loops:loops",
         "bode": "pmabench.plotting.loops:bode",
-        "sine-pressure": "pmabench.kinds.sinusoidal_displacement.figures:sine_pressure",
+        "sine-pressure": "pmabench.kinds.sinusoidal_displacement.pressure:sine_pressure",
     },
     published={"loop": ("displacement", "force", "pressure")},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},

@@ -7,17 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import hypot, pi
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.calibration import Scales, changes, sentences
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, Swing, measure, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.analysis.shared.trials import Point, grouped
-from pmabench.kinds.sinusoidal_displacement.form import lost, pressure_of
+from pmabench.kinds.sinusoidal_displacement.form import Form, lost, pressure_of
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -76,12 +77,9 @@ class Lines:
         known = {name: getattr(getattr(self, line), f"half_{of}") for name, (line, of, _) in NUMBERS.items()}
         return {name: None if half is None else NUMBERS[name][2] * half for name, half in known.items()}
 
-    def largest_changes(self, others: Iterable[Lines]) -> dict[str, float]:
-        """The largest change of each of `NUMBERS` to those of other lines."""
-        most, mine = dict.fromkeys(NUMBERS, 0.0), self.values
-        for other in others:
-            most = {name: max(most[name], abs(value - mine[name])) for name, value in other.values.items()}
-        return most
+    def largest_changes(self, others: Iterable[Sequence[Swing]]) -> dict[str, float]:
+        """The largest change of each of `NUMBERS` to those of the lines through other swings."""
+        return changes(self.values, *(Lines.of(swings).values for swings in others))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +173,11 @@ class Fitted:
         """All trials."""
         return [member.sine for member in self.group]
 
+    @cached_property
+    def form(self) -> Form:
+        """Harmonics of their force."""
+        return Form.of(self.sines, self.replayed.B)
+
     def estimates(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
         """K, B, F_c over all frequencies, then all of each frequency; `slopes` over pressure, None where not known.
 
@@ -220,19 +223,19 @@ class Fitted:
     def _crept(self) -> dict[str, float]:
         """What creep may do to each of `NUMBERS`: half of what it does to K, the lines without its loss."""
         creeps = lost(self.sines, [cycle for sine in self.sines for cycle in sine.cycles])
-        lines = [
-            Lines.of([sine.less(part * sine.amplitude) for sine, part in zip(self.sines, loss, strict=True)])
-            for loss, _ in creeps
-        ]
         softer = max((0.5 * float(np.ptp(change)) for _, change in creeps), default=0.0)
-        return self.lines.largest_changes(lines) | {"K": softer}
+        others = (
+            [sine.less(part * sine.amplitude) for sine, part in zip(self.sines, loss, strict=True)]
+            for loss, _ in creeps
+        )
+        return self.lines.largest_changes(others) | {"K": softer}
 
     def skewed(self) -> dict[str, float]:
         """What the time between displacement and force may do to each of `NUMBERS`: the lines once more."""
         both = self.skew * courses([member.trial for member in self.group])
+        ways = (*both.tolist(), *(-both).tolist()) if self.skew else ()
         return self.lines.largest_changes(
-            Lines.of([sine.turned(by) for sine, by in zip(self.sines, course, strict=True)])
-            for course in ((*both.tolist(), *(-both).tolist()) if self.skew else ())
+            [sine.turned(by) for sine, by in zip(self.sines, course, strict=True)] for course in ways
         )
 
     def halves(self) -> dict[str, float | None]:

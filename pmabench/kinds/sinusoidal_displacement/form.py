@@ -239,9 +239,10 @@ def judged(found: Sequence[Estimate], form: Form) -> list[Estimate]:
     return kept
 
 
-def cycle_of(sine: Sine) -> NDArray[np.intp]:
-    """Number of the cycle of each sample."""
-    return np.asarray(np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6), dtype=np.intp)
+def rows_of_cycles(sine: Sine) -> list[NDArray[np.bool_]]:
+    """Which samples are of each cycle."""
+    number = np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6)
+    return [number == one for one in np.unique(number)]
 
 
 def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
@@ -249,14 +250,12 @@ def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
 
     A displacement that is no pure sine has harmonics, too: K times them is taken off.
     """
-    cycle = cycle_of(sine)
     orders = np.array([1, 2, 3])
     angles = np.outer(sine.omega * sine.t, orders)
     design = np.column_stack([np.ones(len(sine.t)), np.cos(angles), np.sin(angles)])
     both = np.column_stack([sine.x, sine.F])
     rows: list[tuple[float, ...]] = []
-    for number in range(len(sine.cycles)):
-        one = cycle == number
+    for one in rows_of_cycles(sine)[: len(sine.cycles)]:
         if np.count_nonzero(one) <= design.shape[1]:
             continue
         fitted = least_squares(design[one], both[one])

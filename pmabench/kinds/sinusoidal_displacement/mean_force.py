@@ -39,7 +39,7 @@ from pmabench.kinds.sinusoidal_displacement.fit import (
     of_cycles,
     of_like_motion,
 )
-from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, TURNS, Form, cycle_of
+from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, TURNS, Form, rows_of_cycles
 from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
 
@@ -125,9 +125,7 @@ def drift_of(members: Sequence[Member], share: float = 1.0) -> list[Doubt]:
 
 def _by_cycle(sine: Sine, values: Array) -> Array:
     """Means of each cycle."""
-    number = cycle_of(sine)
-    count = np.bincount(number)
-    return np.asarray((np.bincount(number, values) / np.maximum(1, count))[count > 0])
+    return np.array([float(values[rows].mean()) for rows in rows_of_cycles(sine)])
 
 
 def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
@@ -171,11 +169,9 @@ def work(sine: Sine) -> tuple[Array, Array]:
     shifts = step * np.arange(BETWEEN_SAMPLES)
     v = np.array([sine.motion.slope(by) for by in shifts])
     power = np.array([np.interp(sine.t + by, sine.t, sine.F) for by in shifts]) * v
-    cycle = cycle_of(sine)
-    rows = [one for c in range(int(cycle.max()) + 1) if (one := cycle == c).any()]
-    given = [float(np.mean(np.where(v > 0, power, 0.0)[:, one])) / sine.frequency for one in rows]
-    taken = [-float(np.mean(np.where(v < 0, power, 0.0)[:, one])) / sine.frequency for one in rows]
-    return np.array(given), np.array(taken)
+    given, taken = (np.where(way * v > 0, way * power, 0.0) / sine.frequency for way in (1.0, -1.0))
+    rows = rows_of_cycles(sine)
+    return np.array([given[:, one].mean() for one in rows]), np.array([taken[:, one].mean() for one in rows])
 
 
 def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: Scales, skew: float) -> list[Estimate]:

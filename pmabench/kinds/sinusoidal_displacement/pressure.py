@@ -3,6 +3,7 @@
 Paper 3's validation: a model with an ideal source of pressure is off where the regulator is, and not with the pressure
 that was measured. The model here is what the slowest sines say: at each contraction F = f(x) + s(x) P, through their
 branches at all pressures (paper 3 eq. 6 is of that form, and so are three elements), and B and F_c of the harmonics.
+With the figure of both.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from math import nan
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.lines import mean_half
@@ -21,8 +23,10 @@ from pmabench.analysis.shared.sine_loop import without_lag
 from pmabench.analysis.shared.trials import grouped, point_by, thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import Member, Muscle, of_cycles
-from pmabench.kinds.sinusoidal_displacement.form import cycle_of
-from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
+from pmabench.kinds.sinusoidal_displacement.form import rows_of_cycles
+from pmabench.plotting import pictures, time_plots
+from pmabench.plotting.wording import shown
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
 
 ERROR, SET, MEASURED = "pressure error", "modelled with set pressure", "modelled with measured pressure"
@@ -63,14 +67,13 @@ class Along:
         P, F = (without_lag(sine.t, trial.channels[name][rows], sine.frequency, lags[name]) for name in PULLS)
         return cls(member, x, v, F, P, float(wanted))
 
-    def side(self, name: str) -> Array:
+    def side(self, name: str) -> NDArray[np.bool_]:
         """Rows that move in a direction, shape (n,)."""
         return np.asarray(self.v > 0 if name == "contracting" else self.v < 0)
 
-    def by_cycle(self, values: Array, rows: Array) -> list[Array]:
+    def by_cycle(self, values: Array, rows: NDArray[np.bool_]) -> list[Array]:
         """`values` of these rows, cycle by cycle."""
-        cycle = cycle_of(self.member.sine)
-        return [values[rows & (cycle == c)] for c in range(int(cycle.max()) + 1) if (rows & (cycle == c)).any()]
+        return [values[rows & one] for one in rows_of_cycles(self.member.sine) if (rows & one).any()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,3 +232,31 @@ def _sentences(
         text += "; run them at two pressures to see what of the force that is"
         return [Finding("note", text)]
     return []
+
+
+SINES = 4
+"""Most panels."""
+
+
+def sine_pressure(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
+    """Force along sines, measured and modelled with set and measured pressure, above the error of the pressure."""
+    able = [t for t in traces if pictures.has(t, "displacement", "force", "set", "measured", "error")]
+    able = [t for t in able if "frequency" in t.marks]
+    chosen = pictures.spread(sorted(able, key=lambda t: (t.marks.get("pressure", 0.0), t.marks["frequency"])), SINES)
+    if not chosen:
+        return []
+    names = {"x": "displacement", "y": "force", "set": "set", "model": "measured", "error": "error"}
+    panels = [pictures.panel(t, names, pictures.head(t)) for t in chosen]
+    error = shown("pressure").label("P − set P")
+    labels = {"x": pictures.label(chosen[0], "displacement"), "y": pictures.label(chosen[0], "force"), "error": error}
+    worst = [float(np.nanmax(np.abs(p.columns["error"]))) for p in panels]
+    caption = (
+        "Above: the last cycle, and the static model of the slowest sines with the set pressure as input and with the "
+        "measured one, damping and friction of the harmonics added. Below: error of the pressure, at most "
+        f"{pictures.reach(worst)} {shown('pressure').unit}.{pictures.how_many(chosen, able)}"
+    )
+    alt = f"Force and pressure error over contraction along sines at {'; '.join(p.title for p in panels)}."
+    draw = pictures.bound(time_plots.sine_pressure, panels, labels)
+    table = pictures.numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
+    title = "Force with set and with measured pressure"
+    return [pictures.picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]

@@ -1,15 +1,16 @@
 """Reduction of driven sines: K, B, F_c and loop widths from the first harmonics of displacement and force.
 
 Knows the samples and the protocol's settings; not how the bench is built. One trial is measured in `sine_loop`, the
-lines through those of one cell are in `fit`, what sensors leave open in `sensors`.
+lines through those of one cell are in `fit`. What filters that nobody declared, steps of channels and a pressure that
+swings leave open is put into the samples, and evaluated again. `one_trial`: what one trial says by itself, for the
+display.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import astuple, replace
-from functools import partial
-from math import nan
+from dataclasses import astuple, dataclass, replace
+from math import nan, pi
 from typing import Any
 
 import numpy as np
@@ -17,19 +18,20 @@ import numpy as np
 from pmabench.analysis.imported import import_of
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.form import without_negative_friction
-from pmabench.analysis.shared.samples import settings_of
-from pmabench.analysis.shared.trials import Point, grouped, measured_trials, point_by
+from pmabench.analysis.shared.form import Doubt, weighed, without_negative_friction
+from pmabench.analysis.shared.ramp_loop import LATE
+from pmabench.analysis.shared.samples import PLACES, STEPS, NotUsable, lag_open, noise_of, rounded, settings_of
+from pmabench.analysis.shared.sine_loop import Sine, along, evaluate, measure
+from pmabench.analysis.shared.trials import Point, grouped, measured_trials, point_by, thinned
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
-from pmabench.kinds.sinusoidal_displacement.figures import traces_of
-from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle, of_like_motion
+from pmabench.kinds.sinusoidal_displacement.fit import DISTORTED, HARMONIC, Fitted, Member, Muscle, of_like_motion
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged, pressure_of
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
-from pmabench.kinds.sinusoidal_displacement.sensors import Named, name_of, with_sensors
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
-from pmabench.store.records import RunData
+from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "sinusoidal-displacement"
 CHANNELS = ("displacement", "force")
@@ -47,7 +49,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A +
     4 F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 where the two directions differ. The width of the loop
     at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag. F_ce is
-    what the mean force gives where the stroke holds x = 0 (`mean_force`), or sines about several means (`centres`).
+    what the mean force gives where the stroke holds x = 0 (`mean_force`), or sines about several means.
     The higher harmonics of the force correct K and F to those at the mean, and withhold what they contradict (`form`).
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time
@@ -60,75 +62,68 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
     members, findings = _even_pressure(_as_alike(members), options)
     scales = Scales.of(runs)
-    estimates: list[Estimate] = []
-    traces: list[Trace] = []
-    lines: list[dict[str, Any]] = []
+    estimates, traces, lines = list[Estimate](), list[Trace](), list[dict[str, Any]]()
     fits, stated = _fits(members, options)
     rising, changing = mean_force.force_slopes(fits), _over_pressure(fits)
     centres: dict[float, list[mean_force.Centre]] = {}
     for key, fitted in fits.items():
-        slopes = changing.get(key)
-        evaluated = partial(_evaluated, at=dict(key), scales=scales, slopes=slopes, slope=rising.get(key))
-        form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
-        plain = partial(Fitted.estimates, at=dict(key), scales=scales, slopes=slopes)
-        others = partial(_named, evaluated, plain, form)
-        found = with_sensors(evaluated(fitted, form), fitted, others, late=stated[key] == 0)
+        at, form, slopes = dict(key), fitted.form, changing.get(key)
+        cell = Cell(at, scales, slopes, rising.get(key), form)
+        found = _with_sensors(cell.estimates(fitted, form), fitted, cell, late=stated[key] == 0)
         estimates += found
-        if (centre := mean_force.centre_of(found, form)) is not None and "pressure" in dict(key):
-            centres.setdefault(dict(key)["pressure"], []).append(centre)
-        findings += [*fitted.findings(dict(key)), *form.findings(dict(key))]
-        lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
-        symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
-        traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
+        if (centre := mean_force.centre_of(found, form)) is not None and "pressure" in at:
+            centres.setdefault(at["pressure"], []).append(centre)
+        findings += [*fitted.findings(at), *form.findings(at)]
+        lines.append({"at": at, **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
+        symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == at and e.value is not None}
+        traces += _traces(at, fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
         if slopes is None:
             text = "is not in the calibration parts: one pressure does not show how K, B and F_c change over it"
-            findings.append(Finding("note", f"at {pressure_of(dict(key))}: what an error of the pressure adds {text}"))
+            findings.append(Finding("note", f"at {pressure_of(at)}: what an error of the pressure adds {text}"))
     estimates = without_negative_friction(_with_centres(estimates, centres))
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
     pressed = pressure_and_force(members, muscles, scales)
     estimates, findings, traces = estimates + pressed[0], findings + pressed[1], traces + pressed[2]
     findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
-    if estimates and (lack := scales.lack(("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])):
-        findings.append(Finding("note", lack))
+    findings += scales.findings(estimates, ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])
+    facts = {"options": dict(options), "trials": len(members), "lines": lines}
+    facts["cells"] = len(_cells(members, (*CELL, "frequency")))
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=findings,
-        traces=traces,
-        facts={
-            "options": dict(options),
-            "trials": len(members),
-            "cells": len(_cells(members, (*CELL, "frequency"))),
-            "lines": lines,
-        },
+        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
     )
 
 
-def _evaluated(
-    fitted: Fitted, form: Form, at: Mapping[str, float], scales: Scales, slopes: Muscle | None, slope: float | None
-) -> list[Estimate]:
-    """All estimates of a cell, as its harmonics correct and withhold them."""
-    found = judged(fitted.estimates(at, scales, slopes), form)
-    found += mean_force.mean_force_estimates(at, fitted, form, scales, slope)
-    return [*found, *mean_force.work_estimates(at, fitted.group, scales, fitted.skew)]
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One pressure, mean and amplitude: with what the lines through its sines are evaluated."""
 
+    at: Mapping[str, float]
+    scales: Scales
+    slopes: Muscle | None
+    """Of K, B and F_c over pressure; None where they are not known."""
+    rising: float | None
+    """dF_ce/dP [N/Pa], where it is known."""
+    form: Form
+    """Harmonics of the measured sines."""
 
-def _named(
-    evaluated: Callable[[Fitted, Form], list[Estimate]], plain: Callable[[Fitted], list[Estimate]], form: Form,
-    fitted: Fitted,
-) -> Named:  # fmt: skip
-    """Those of other lines; where their own form withholds one, that by the `form` of the measured ones.
+    def estimates(self, fitted: Fitted, form: Form) -> list[Estimate]:
+        """All estimates by these lines, as the harmonics of a form correct and withhold them."""
+        found = judged(fitted.estimates(self.at, self.scales, self.slopes), form)
+        found += mean_force.mean_force_estimates(self.at, fitted, form, self.scales, self.rising)
+        return [*found, *mean_force.work_estimates(self.at, fitted.group, self.scales, fitted.skew)]
 
-    Where that withholds it, too, friction is that of the `plain` lines, which no form corrects.
-    """
-    found = evaluated(fitted, Form.of([member.sine for member in fitted.group], fitted.replayed.B))
-    if any(e.withheld for e in found):
-        friction = [e for e in plain(fitted) if e.symbol in ("F_c", "H")]
-        found = [*friction, *(e for e in [*evaluated(fitted, form), *found] if e.value is not None)]
-    return {name_of(e): e for e in found if e.value is not None}
+    def of_others(self, group: Sequence[Member]) -> Named:
+        """Estimates of other samples; where their own form withholds one, that by the form of the measured ones.
+
+        Where that withholds it, too, friction is that of the plain lines, which no form corrects.
+        """
+        fitted = Fitted.of(group, 0.0)
+        found = self.estimates(fitted, fitted.form)
+        if any(e.withheld for e in found):
+            plain = fitted.estimates(self.at, self.scales, self.slopes)
+            friction = [e for e in plain if e.symbol in ("F_c", "H")]
+            found = [*friction, *(e for e in [*self.estimates(fitted, self.form), *found] if e.value is not None)]
+        return {name_of(e): e for e in found if e.value is not None}
 
 
 def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Point, Fitted], dict[Point, float]]:
@@ -219,6 +214,143 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
     return even, findings
 
 
+FILTERED, SWINGS = "filter of the pressure sensor", "pressure that swings with the sine"
+SEEN = 4.0
+"""Standard errors from which on a pressure is seen to swing with the sine."""
+AT_MOST = 2.0
+"""Force per pressure where it is not known, over F_ce/P: a muscle pulls from some pressure on only."""
+ROOM = 1.02
+"""A filter of all that is open is in the interval, whatever noise adds."""
+Named = Mapping[tuple[object, ...], Estimate]
+"""Estimates with a value by `name_of`."""
+Effects = Mapping[tuple[object, ...], float]
+
+
+def name_of(e: Estimate) -> tuple[object, ...]:
+    """What identifies an estimate of a cell."""
+    return e.symbol, e.method, *e.at.items()
+
+
+def _with_sensors(estimates: Sequence[Estimate], fitted: Fitted, cell: Cell, *, late: bool) -> list[Estimate]:
+    """The estimates with what their sensors leave open; `late` where nothing states how late the force is.
+
+    Each is put into the samples, and all values of the cell are evaluated again. A filter may be of first order, which
+    takes off from the amplitude, too, or a sharper one, which up to there delays only.
+    """
+    group = list({member.sine.frequency: member for member in fitted.group}.values())
+    given = cell.of_others(group)
+
+    def changed(*groups: Sequence[Member]) -> Effects:
+        """The largest change of each value."""
+        others = [cell.of_others(group) for group in groups]
+        return {name: max((_apart(e, other[name]) for other in others if name in other), default=0.0)
+                for name, e in given.items()}  # fmt: skip
+
+    effects: list[tuple[str, bool, Effects]] = [(STEPS, False, _by_steps(fitted, cell))]
+    if late:
+        force, way = (max(ROOM * lag_open(m.run, name) for m in fitted.group) for name in ("force", "displacement"))
+        filters = ([m.again(later) for m in group] for later in ({"force": force}, {"displacement": way}))
+        delays = ([m.again(delay=by) for m in group] for by in (force, -way))
+        effects.append((LATE, False, changed(*filters, *delays)))
+    if any(m.per_pressure for m in fitted.group):
+        filtered = [m.again({"pressure": ROOM * lag_open(m.run, "pressure")}) for m in group]
+        effects.append((FILTERED, False, changed(filtered)))
+    if any(map(_swings, fitted.group)):
+        taken = changed([m.again(per_pressure=m.guess) for m in group])
+        effects.append((SWINGS, True, {name: AT_MOST * change for name, change in taken.items()}))
+    return [
+        weighed(e, [Doubt(of, "method", sizes.get(name_of(e), 0.0), seen) for of, seen, sizes in effects])
+        for e in estimates
+    ]
+
+
+def _apart(e: Estimate, other: Estimate) -> float:
+    """How far another value is from an estimate; of a line over frequency, less what its own interval holds more.
+
+    A filter that would bend a line is none of a line that is straight: K of many frequencies is not open by all that a
+    filter would do to K at the highest.
+    """
+    more = 0.0 if e.at.get("frequency") else (other.parts.repeats or 0.0) - (e.parts.repeats or 0.0)
+    return max(0.0, abs((other.value or 0.0) - (e.value or 0.0)) - max(0.0, more))
+
+
+def _swings(member: Member) -> bool:
+    """Whether the pressure is seen to swing with the sine, and its force was not taken off."""
+    if member.per_pressure or not member.sine.ripple:
+        return False
+    noise = noise_of(member.trial.channels["pressure"]) * np.sqrt(2 / len(member.sine.t))
+    return bool(abs(member.sine.ripple) > SEEN * noise)
+
+
+def _by_steps(fitted: Fitted, cell: Cell) -> Effects:
+    """What the steps of the channels make: the fitted muscle, rounded, evaluated again."""
+    muscle, rows = fitted.replayed, list[tuple[Member, Array, Array]]()
+    for member in {member.sine.frequency: member for member in fitted.group}.values():
+        x, F = along(member.sine, muscle.K, muscle.B, muscle.F_c)
+        rows.append((member, rounded(x, member.sine.steps[0]), rounded(F, member.sine.steps[1], 1)))
+    if not any(np.ptp(signals, axis=0).any() for _, *channels in rows for signals in channels):
+        return {}
+    values = []
+    for i in range(1 + PLACES):
+        group = [replace(m, sine=evaluate(m.sine.t, x[i], F[i], m.sine.frequency, m.sine.pressure)) for m, x, F in rows]
+        values.append({name: e.value or 0.0 for name, e in cell.of_others(group).items()})
+    return {
+        name: 2 * float(np.sqrt(np.mean([(one.get(name, plain) - plain) ** 2 for one in values[1:]])))
+        for name, plain in values[0].items()
+    }
+
+
+def _traces(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: Muscle | None) -> list[Trace]:
+    """One loop per frequency (the last cycle of its first trial), and the Bode table.
+
+    `sines` by frequency [Hz]; `muscle` is None where K, B and F_c are not all known: no model is drawn with the loops.
+    """
+    where = ", ".join(
+        show(at[name], quantity) for name, quantity in (("pressure", "pressure"), ("mean", "length")) if name in at
+    )
+    where += f" ± {show(at['amplitude'], 'length')}" if "amplitude" in at else ""
+    name = "-".join(f"{at[key]:g}" for key in at)
+    held = {key: at[key] for key in ("pressure",) if key in at}
+    traces = []
+    groups = sorted(sines.items())
+    for frequency, members in groups:
+        sine = members[0]
+        last = sine.t >= sine.t[-1] - 1 / frequency
+        columns = {"displacement": sine.x, "force": sine.F}
+        if muscle is not None:
+            columns["model"] = along(sine, muscle.K, muscle.B, muscle.F_c)[1]
+        traces.append(
+            Trace(
+                f"loop-{name}-{frequency:g}",
+                "loop",
+                f"Loop at {frequency:g} Hz, {where}",
+                thinned({name: values[last] for name, values in columns.items()}),
+                {"displacement": "length", "force": "force", "model": "force"},
+                {"frequency": frequency, "width": sine.width, "area": sine.area} | held,
+            )
+        )
+
+    marks = {} if muscle is None else {"K": muscle.K, "B": muscle.B, "F_c": muscle.F_c}
+    columns = {
+        name: np.array([float(np.mean([of(sine) for sine in members])) for _, members in groups])
+        for name, (_, of) in BODE.items()
+    }
+    quantities = {name: quantity for name, (quantity, _) in BODE.items()}
+    return [*traces, Trace(f"bode-{name}", "bode", f"Force over displacement, {where}", columns, quantities, marks)]
+
+
+BODE: Mapping[str, tuple[str, Callable[[Sine], float]]] = {
+    "frequency": ("frequency", lambda sine: sine.frequency),
+    "gain": ("stiffness", lambda sine: abs(sine.ratio)),
+    "phase": ("angle", lambda sine: sine.phase),
+    "stiffness": ("stiffness", lambda sine: sine.stiffness),
+    "loss": ("force", lambda sine: sine.loss),
+    "speed": ("speed", lambda sine: sine.speed),
+    "width": ("force", lambda sine: sine.width),
+}
+"""Column of the Bode table, a mean over the sines of each frequency -> its quantity, and its value of one sine."""
+
+
 def offers(analysis: Analysis) -> Iterator[Offer]:
     """K and F at the mean contraction of each cell, F_ce at x = 0, and B and F_c, which do not depend on it."""
     for symbol in ("K", "B", "F_c"):
@@ -229,3 +361,32 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
             yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})
     for e in values_of(analysis, "F_ce", mean_force.SINE_CENTRES):
         yield exactly("F", {(e.at["pressure"], 0.0): e})
+
+
+def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """K, and B at this frequency, with what Coulomb friction adds to it: -Im(F/x)/omega = B + 4 F_c/(pi omega A)."""
+    settings = run.plan.get("settings") or {}
+    P = trial.point.get("pressure")
+    try:
+        sine = measure(run, trial, float(settings.get("discard", 1)))
+    except NotUsable as reason:
+        return [Measured("K", "stiffness", None), Measured("B", "damping", None)], [str(reason)]
+    K_e = B_e = None
+    if expected is not None and P is not None:
+        K_e = expected.at("K", P)
+        B_c, B_r = expected.at("B_c", P), expected.at("B_r", P)
+        if B_c is not None and B_r is not None:
+            B_e = 0.5 * (B_c + B_r) + 4 * expected.F_c / (pi * sine.speed)
+    doubts = []
+    if sine.distortion > DISTORTED:
+        doubts.append(f"the displacement is no sine: {sine.distortion:.0%} of it is something else")
+    asked = trial.point.get("amplitude", settings.get("amplitude"))
+    if isinstance(asked, int | float) and asked > 0 and abs(sine.amplitude / asked - 1) > 0.05:
+        doubts.append(f"amplitude {show(sine.amplitude, 'length', 3)}, asked for {show(float(asked), 'length', 3)}")
+    pressure = None if np.isnan(sine.pressure) else sine.pressure
+    return [
+        Measured("K", "stiffness", sine.stiffness, K_e),
+        Measured("B", "damping", sine.loss / sine.speed, B_e, tolerance=0.25 * B_e if B_e else 0.0),
+        Measured("P", "pressure", pressure, P),
+        Measured("A", "length", sine.amplitude),
+    ], doubts

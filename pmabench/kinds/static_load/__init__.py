@@ -5,8 +5,7 @@
 - protocol files: `protocol`; words, figures and one trial on the display: `figures`
 """
 
-from pmabench.base.imported import Commanded, Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Commanded, Imported, Kind, Result
 
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),

@@ -93,15 +93,10 @@ def traces(runs: Sequence[RunData], points: Points) -> tuple[Trace, ...]:
     """All points, and displacement over pressure of a few trials."""
     if not points.names:
         return ()
-    traces = [
-        Trace(
-            name="static-load",
-            figure="static",
-            title="Pressure at which each load lifts and sets down",
-            columns={"load": points.load, "lift": points.lift, "set_down": points.set_down},
-            quantities={"load": "force", "lift": "pressure", "set_down": "pressure"},
-        )
-    ]
+    columns = {"load": points.load, "lift": points.lift, "set_down": points.set_down}
+    quantities = {"load": "force", "lift": "pressure", "set_down": "pressure"}
+    title = "Pressure at which each load lifts and sets down"
+    traces = [Trace("static-load", "static", title, columns, quantities)]
     trials = {trial.name: trial for run in runs for trial in run.trials}
     first = [points.names[int(np.flatnonzero(points.load == load)[0])] for load in np.unique(points.load)]
     for name in dict.fromkeys(first[round(i)] for i in np.linspace(0, len(first) - 1, SHOWN)):
@@ -112,18 +107,12 @@ def traces(runs: Sequence[RunData], points: Points) -> tuple[Trace, ...]:
 def _lift_trace(trial: TrialData) -> list[Trace]:
     if "pressure" not in trial.channels or "displacement" not in trial.channels or not len(trial.t):
         return []
-    marks = dict(zip(PHASES, pressures_of(trial), strict=True))
+    load, found = trial.point["load"], zip(PHASES, pressures_of(trial), strict=True)
     columns = {"t": trial.t - trial.t[0], **{name: trial.channels[name] for name in ("pressure", "displacement")}}
-    return [
-        Trace(
-            name=f"lift-{trial.point['load']:.0f}N",
-            figure="lift",
-            title=f"{show(trial.point['load'], 'force', 4)}: lift and set-down",
-            columns=thinned(columns),
-            quantities={"t": "time", "pressure": "pressure", "displacement": "length"},
-            marks={"load": trial.point["load"], **{name: P for name, P in marks.items() if np.isfinite(P)}},
-        )
-    ]
+    quantities = {"t": "time", "pressure": "pressure", "displacement": "length"}
+    marks = {"load": load, **{name: P for name, P in found if np.isfinite(P)}}
+    title = f"{show(load, 'force', 4)}: lift and set-down"
+    return [Trace(f"lift-{load:.0f}N", "lift", title, thinned(columns), quantities, marks)]
 
 
 PANELS = 6

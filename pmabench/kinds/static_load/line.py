@@ -169,7 +169,7 @@ class Kept:
 
 def loop_of(trial: TrialData, times: Mapping[str, float]) -> Loop | None:
     """The loop between lift and set-down, `times` [s] by phase; None where the load was raised by less than `LEAST`."""
-    ways = _ways(trial, times)
+    ways = smoothed(trial, times, times["lift"], times["set-down"])
     if ways is None:
         return None
     P, x = ways
@@ -245,23 +245,13 @@ def _turning(turns: Array, gap: Array) -> tuple[int, NDArray[np.bool_]]:
 
 def rests(trial: TrialData, times: Mapping[str, float], gap: float) -> bool | None:
     """Whether the load stood still while the pressure fell by most of `gap` [Pa]; None where it was not recorded."""
-    ways = _ways(trial, times)
+    ways = smoothed(trial, times, times["lift"], times["set-down"])
     if ways is None or not np.isfinite(gap):
         return None
     P, x = ways
     noise = noise_of(trial.channels["pressure"][trial.usable])
     still = np.abs(x - np.median(x)) < max(0.1 * abs(float(np.median(x))), noise_of(x))
     return bool(gap > CLEAR * noise and still.any() and float(np.ptp(P[still])) > STILL * gap)
-
-
-def _ways(trial: TrialData, times: Mapping[str, float]) -> tuple[Array, Array] | None:
-    """Pressure and displacement from lift to set-down, smoothed; None where they were not recorded."""
-    if not {"pressure", "displacement"} <= set(trial.channels) or not np.isfinite(list(times.values())).all():
-        return None
-    rows = trial.usable & (trial.t >= times["lift"]) & (trial.t <= times["set-down"])
-    if np.count_nonzero(rows) < 3:
-        return None
-    return smoothed(trial, times, rows, float(np.median(np.diff(trial.t[rows]))))
 
 
 UNEQUAL = 0.35

@@ -171,14 +171,15 @@ def raised(trial: TrialData, times: Mapping[str, float]) -> Array:
     return x - float(np.median(x[resting])) if np.count_nonzero(resting) >= FEWEST else x
 
 
-def smoothed(
-    trial: TrialData, times: Mapping[str, float], rows: NDArray[np.bool_], dt: float
-) -> tuple[Array, Array] | None:
-    """Pressure and displacement above the support in these rows, smoothed over `SMOOTH`; None where they are too few.
+def smoothed(trial: TrialData, times: Mapping[str, float], begin: float, end: float) -> tuple[Array, Array] | None:
+    """Pressure and displacement above the support from `begin` to `end` [s], smoothed over `SMOOTH`.
 
-    `dt` [s] is the time from sample to sample; 0 where it is not known.
+    None where they were not recorded, or where samples are too few.
     """
-    width = max(1, round(SMOOTH / dt)) if dt > 0 else 1
+    rows = trial.usable & (trial.t >= begin) & (trial.t <= end)
+    if not {"pressure", "displacement"} <= set(trial.channels) or np.count_nonzero(rows) < 3:
+        return None
+    width = max(1, round(SMOOTH / float(np.median(np.diff(trial.t[rows])))))
     if np.count_nonzero(rows) < 2 * width:
         return None
     return moving_mean(trial.channels["pressure"][rows], width), moving_mean(raised(trial, times)[rows], width)
@@ -337,10 +338,6 @@ def by_stiffness(trial: TrialData, found: Mapping[str, float], slope: float, sti
 
 def _way(trial: TrialData, phase: str, times: Mapping[str, float]) -> tuple[Array, Array] | None:
     """Pressure and displacement along the slow ramp that ended at the crossing, smoothed; None where not recorded."""
-    if "pressure" not in trial.channels or "displacement" not in trial.channels or not np.isfinite(times[phase]):
-        return None
     ramps = [c.t for c in trial.commands if c.kind == "ramp" and c.phase == phase and c.t < times[phase]]
-    begin = max(ramps, default=float(trial.t[0]) if phase == "lift" else times["lift"])
-    use = (trial.t >= begin) & (trial.t <= times[phase]) & trial.usable
-    dt = float(np.median(np.diff(trial.t))) if len(trial.t) > 1 else 0.0
-    return smoothed(trial, times, use, dt) if np.isfinite(begin) else None
+    begin = max(ramps, default=-np.inf if phase == "lift" else times["lift"])
+    return smoothed(trial, times, begin, times[phase])

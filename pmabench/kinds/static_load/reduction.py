@@ -49,15 +49,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     A load that was lifted hangs above its support when it breaks away again: the mean is of pressures carried to x = 0
     along the load's own way down, or with the option `stiffness` (K over pressure from another test of the specimen,
     `points.option_of`) where that is too short; the sides by themselves are the paper's, as they were found. What a
-    load that was raised shows of hysteresis is taken off, and without that the interval holds it (`loops`).
+    load that was raised shows of hysteresis is taken off, and without that the interval holds it (`line`).
     """
     step = step_in(runs)
     runs = [on_time_run(run) for run in runs]
     plain, dropped = points_of(runs)
     plain = replace(plain, step=step, zero=zero_moved(runs))
-    estimates: list[Estimate] = []
-    curves: list[Curve] = []
-    findings: list[Finding] = []
+    estimates, curves, findings = list[Estimate](), list[Curve](), list[Finding]()
     sides = {method: line for method in (LIFT, SET_DOWN) if (line := fit_side(plain, method)) is not None}
     stiffness = Stiffness.of((options or {}).get("stiffness"))
     mean = mean_of(runs, plain, sides[SET_DOWN].s, stiffness) if SET_DOWN in sides else None
@@ -71,28 +69,22 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves.append(through)
         findings += figures.line_findings(line) if mean is not None and method == MEAN and not mean.why else []
     estimates += _half_differences(points, lines)
-    if lines and (lack := scales.lack(["pressure"])):
-        findings.append(Finding("note", lack))
+    findings += scales.findings(lines, ["pressure"])
     findings += _of_both_ways(lines, mean, plain.zero)
+    facts = {
+        "options": dict(options or {}),
+        "trials": sum(len(run.trials) for run in runs),
+        "trials_used": len(plain.names),
+        "loads": len(np.unique(plain.load)),
+        "residual_rms": lines[MEAN].rms if MEAN in lines else None,
+        "hysteresis": mean.kept is not None if mean is not None and mean.raised else None,
+        "table": figures.table(plain),
+    }
+    traces = figures.traces(runs, plain)
     return Analysis.of(
-        KIND,
-        runs,
-        results=RESULTS,
-        estimates=estimates,
-        curves=curves,
-        dropped=dropped,
-        findings=findings,
-        traces=figures.traces(runs, plain),
-        facts={
-            "options": dict(options or {}),
-            "trials": sum(len(run.trials) for run in runs),
-            "trials_used": len(plain.names),
-            "loads": len(np.unique(plain.load)),
-            "residual_rms": lines[MEAN].rms if MEAN in lines else None,
-            "hysteresis": mean.kept is not None if mean is not None and mean.raised else None,
-            "table": figures.table(plain),
-        },
-    )
+        KIND, runs, results=RESULTS, estimates=estimates, curves=curves, dropped=dropped, findings=findings,
+        traces=traces, facts=facts,
+    )  # fmt: skip
 
 
 def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None, zero: float) -> list[Finding]:

@@ -1,11 +1,10 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
-- `reduction` of all steps of a cell: `step` (one, there or back), `at_pressure` (forces at the pressure of the cell)
+- `reduction` of all steps of a cell: `step` (one, there or back, and forces at the pressure of the cell)
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
-from pmabench.base.imported import Commanded, Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Commanded, Imported, Kind, Result
 
 RESULTS = (
     Result("K", "stiffness", "stiffness", headline=True, positive=True),

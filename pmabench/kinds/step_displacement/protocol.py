@@ -12,7 +12,7 @@ from pmabench.files.quantity import Length, Speed, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import arrive, bearable, leave, not_pushed_together, not_too_fast
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step
 from pmabench.protocol.sweep import LengthAxis, Point, PressureAxis, SpeedAxis, Sweep, expand
 
 POINTS = 90
@@ -63,7 +63,7 @@ class StepDisplacement(ProtocolHead):
         if trial.discard >= trial.cycles:
             c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
         at: float | None = None
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             pressure, step, speed = (point.values[name] for name in ("pressure", "step", "speed"))
             c.within("pressure", pressure, point.places["pressure"])
             c.within("displacement", trial.start + step, point.places["step"])
@@ -73,15 +73,13 @@ class StepDisplacement(ProtocolHead):
             if step == 0 or speed <= 0 or trial.approach <= 0 or trial.hold <= 0 or c.too_long():
                 continue
             self._possible(c, point)
-            if index == 0:
-                c.precondition()
+            values = {"pressure": pressure, "step": step, "speed": speed, "start": trial.start}
+            index = c.add_trial({**values, "cycles": float(trial.cycles)}, point.repeat)
             if at is None or not isclose(at, pressure):
                 c.steps += arrive(
                     pressure, trial.start, trial.settle, trial.approach, None if at is None else trial.start
                 )
                 at = pressure
-            values = {"pressure": pressure, "step": step, "speed": speed, "start": trial.start}
-            c.trials.append(TrialRecord(index, {**values, "cycles": float(trial.cycles)}, point.repeat))
             c.steps += [
                 Record("before", True, index),
                 Hold("before", trial.hold),

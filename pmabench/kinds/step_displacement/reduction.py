@@ -22,8 +22,7 @@ from pmabench.analysis.shared.trials import grouped, measured_trials, point_by, 
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
-from pmabench.kinds.step_displacement.at_pressure import Slope, Slopes, shift, slopes_of
-from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Steps, measure
+from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Slopes, Steps, measure, shift, slopes_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import RunData, TrialData
 
@@ -77,7 +76,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     slopes = {(key, back): slopes_of(key, cells, back=back) for key in cells for back in (False, True)}
     rubbed: dict[tuple[float, float], float] = {}
     for key, group in cells.items():
-        most = max(_rubbed(one, slopes[key, False][0]) for one in group)
+        most = max(_rubbed(one, slopes[key, False]) for one in group)
         rubbed[_place(dict(key))] = max(most, rubbed.get(_place(dict(key)), 0.0))
     for key, group in sorted(cells.items()):
         at = dict(key)
@@ -113,13 +112,13 @@ def _place(at: Mapping[str, float]) -> tuple[float, float]:
     return at.get("pressure", 0.0), at.get("start", 0.0)
 
 
-def _rubbed(steps: Steps, slope: Slope) -> float:
+def _rubbed(steps: Steps, slopes: Slopes) -> float:
     """By how much the force at the start comes back higher than it was before the first step [N]; 0 where it does not.
 
     The first rest follows a contraction and later ones a stretch, where the start is reached from below: twice the
     friction, at one pressure. What creeps at first is in it, too.
     """
-    first, last = steps.first, steps.there[-1]
+    first, last, slope = steps.first, steps.there[-1], slopes[0]
     gone = slope.value * (last.pressures[0] - first.pressures[0])
     rise = last.before - first.before - (gone if np.isfinite(gone) and slope.half is not None else 0.0)
     return rise if rise > SEEN * max(first.noise, *first.unresolved.values()) else 0.0

@@ -1,32 +1,27 @@
 """One step of displacement at constant pressure: force and pressure before, at the peak and relaxed, and the way back.
 
-Knows one trial and its samples, no coefficient.
+And forces at the pressure of the operating point, and not at that which the regulator left at rest: one with a dead
+band rests to one side after a contraction and to the other after a stretch, so that a pressure that is not looked at
+becomes stiffness. dF/dP is taken from the same rest at another pressure, else from the way back, where the length is
+still and the pressure moves. Knows trials and their samples, no coefficient.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
+from pmabench.analysis.shared import samples
+from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.lines import left_by
-from pmabench.analysis.shared.samples import (
-    UNDECLARED,
-    Held,
-    NotUsable,
-    ends,
-    lags_of,
-    noise_of,
-    on_time,
-    refuse_unusable,
-    settings_of,
-    step_of,
-    unresolved,
-)
+from pmabench.analysis.shared.samples import UNDECLARED, Held, NotUsable, ends, lags_of, noise_of
+from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 LAST = 0.2
@@ -132,18 +127,18 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
 
     Raises `NotUsable` where it ended early, lacks a channel or a whole step.
     """
-    refuse_unusable(trial, "displacement", "force")
+    samples.refuse_unusable(trial, "displacement", "force")
     found: dict[str, list[Relaxation]] = {"step": [], "back": []}
     ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase in found]
     if not ramps:
         raise NotUsable("it holds no step")
     until = [*(c.t for c in ramps[1:]), float(trial.t[-1]) + 1e-9]
     begins = [float(trial.t[0]), *(c.t for c in ramps[:-1])]
-    values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
-    steps = {name: step_of(trial.channels[name][trial.usable]) for name in values if name in trial.channels}
+    values = {name: samples.on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
+    steps = {name: samples.step_of(trial.channels[name][trial.usable]) for name in values if name in trial.channels}
     for ramp, begin, end in zip(ramps, begins, until, strict=True):
         found[ramp.phase].append(_one(run, trial, values, steps, ramp, begin, end))
-    discard = int(settings_of(run, options).get("discard", 1))
+    discard = int(samples.settings_of(run, options).get("discard", 1))
     first = found["step"][:1]
     found = {phase: each[discard:] for phase, each in found.items()}
     if not found["step"] or not found["back"]:
@@ -210,7 +205,7 @@ def _one(
         pressures=(float(P[before].mean()), float(P[after].mean())),
         together=_together(on_way, P[still], F[still]),
         unresolved={
-            name: max(unresolved(trial.channels[name][rows], step) for rows in (before, after))
+            name: max(samples.unresolved(trial.channels[name][rows], step) for rows in (before, after))
             for name, step in steps.items()
         },
     )
@@ -268,3 +263,116 @@ def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
         lambda s: left(np.array([s]))[0], bounds=(low, high), method="bounded", options={"xatol": 1e-5}
     )
     return float(np.exp(found.x)), best not in (0, len(grid) - 1)
+
+
+Cell = tuple[tuple[str, float], ...]
+"""A cell: names and values of its point."""
+APART = 0.05
+"""Two pressures are apart by at least this share, or they give no dF/dP."""
+KNOWN = 0.15
+"""Share to which dF/dP is known: between two pressures it bends, and a filter delays force and pressure."""
+LEFT = 0.3
+"""Share of the force that moves with the pressure on the way back, above which something else moves it, too."""
+SHOWN = 5.0
+"""Standard deviations of its noise by which the pressure moves on a way back that gives dF/dP."""
+LIKELY = 2.0
+"""dF/dP is below so many times what a force gives that is proportional to the pressure at the length at rest."""
+CERTAIN = 5.0
+"""Standard errors from which on a pressure counts as another one."""
+NAME = "pressure at rest"
+FEW = 25
+"""Samples of a rest whose noise is independent, at least."""
+
+
+@dataclass(frozen=True)
+class Shift:
+    """What the pressures at rest make of a force [N]: `known` is to be taken off."""
+
+    known: float
+    left: Doubt
+
+
+@dataclass(frozen=True)
+class Slope:
+    """dF/dP of one rest [N/Pa]; `half` is None where the value is only the most that is likely."""
+
+    value: float
+    half: float | None
+
+
+Slopes = tuple[Slope, Slope]
+"""Of the rest before a step and of that after it."""
+
+
+def shift(steps: Sequence[Relaxation], slopes: Slopes, pressure: float, rests: tuple[int, int]) -> Shift:
+    """What the pressures at rest add to a force [N], which is that before, times `rests[0]`, and after, `rests[1]`.
+
+    Known where dF/dP is, else doubted where the pressure is another one for certain.
+    """
+    off = np.array([one.pressures for one in steps]) - pressure
+    if not np.isfinite(off).all():
+        return Shift(0.0, Doubt(NAME, "method", 0.0, seen=False))
+    mean = off.mean(axis=0) * rests
+    worth = float(mean @ [slope.value for slope in slopes])
+    if all(slope.half is not None for slope, part in zip(slopes, rests, strict=True) if part):
+        open_ = mean * [slope.half or 0.0 for slope in slopes]
+        half = max(float(np.linalg.norm(open_)), abs(float(open_.sum())))
+        return Shift(worth, Doubt(NAME, "method", half, seen=False))
+    size, apart = abs(worth), abs(float(mean.sum()))
+    noise = max(one.pressure_noise for one in steps) / sqrt(FEW)
+    error = hypot(noise, float(np.std(off @ rests))) / sqrt(len(steps))
+    where = "before and after the steps" if all(rests) else "at rest and that of the operating point"
+    text = f"the pressures {where} differ by {show(apart, 'pressure', 2)}, which may be worth {show(size, 'force', 2)}"
+    reason = f"{text}: the record gives no dF/dP. Do the steps at two pressures, or with a finer regulator"
+    return Shift(0.0, Doubt(NAME, "method", size, apart > CERTAIN * error and size > 0, reason))
+
+
+def slopes_of(key: Cell, cells: Mapping[Cell, Sequence[Steps]], back: bool) -> Slopes:
+    """dF/dP around the steps of a cell, away from the start or `back`."""
+
+    def of(group: Sequence[Steps], other: bool) -> list[Relaxation]:
+        return [one for steps in group for one in (steps.back if other != back else steps.there)]
+
+    at, mine = dict(key), of(cells[key], False)
+    pressure, rest = at.get("pressure", 0.0), [(n, v) for n, v in key if n != "pressure"]
+    others = {
+        dict(cell)["pressure"]: of(group, False)
+        for cell, group in cells.items()
+        if "pressure" in dict(cell) and [(n, v) for n, v in cell if n != "pressure"] == rest
+    }
+    apart = [P for P in others if abs(P - pressure) > APART * max(P, pressure)]
+    nearest = others[min(apart, key=lambda P: abs(P - pressure))] if apart else None
+
+    def slope(side: int, still: Sequence[Relaxation]) -> Slope:
+        place = at.get("start", 0.0) + (at.get("step", 0.0) if (side == 1) != back else 0.0)
+        here = _rest(mine, side)
+        K = abs(float(np.mean([one.static for one in mine])))
+        most = LIKELY * (abs(here[1]) + K * abs(place)) / pressure if pressure > 0 else 0.0
+        chord = None if nearest is None else _chord(here, _rest(nearest, side))
+        return next((one for one in (chord, _on_the_way(still)) if one and 0 < one.value < most), Slope(most, None))
+
+    return slope(0, of(cells[key], True)), slope(1, mine)
+
+
+def _rest(steps: Sequence[Relaxation], side: int) -> tuple[float, float]:
+    """Mean pressure [Pa] and force [N] of the rests before (0) or after (1) steps."""
+    forces = [(one.before, one.relaxed)[side] for one in steps]
+    return float(np.mean([one.pressures[side] for one in steps])), float(np.mean(forces))
+
+
+def _chord(here: tuple[float, float], there: tuple[float, float]) -> Slope:
+    value = (there[1] - here[1]) / (there[0] - here[0])
+    return Slope(value, KNOWN * abs(value))
+
+
+def _on_the_way(steps: Sequence[Relaxation]) -> Slope | None:
+    """dF/dP of ways back at one length, or None where the pressure moves too little, or something else does."""
+    if not steps:
+        return None
+    p, f = (np.concatenate([one.together[i] for one in steps]) for i in (0, 1))
+    swing = float(np.std(p)) if len(p) > 2 else 0.0
+    if swing <= SHOWN * max(noise_of(one.together[0]) for one in steps):
+        return None
+    value = float(p @ f) / float(p @ p)
+    off = float(np.std(f - value * p)) / (abs(value) * swing or 1.0)
+    return Slope(value, float(np.hypot(KNOWN, off)) * abs(value)) if off < LEFT else None

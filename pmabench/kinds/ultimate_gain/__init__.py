@@ -5,8 +5,7 @@
 - protocol files: `protocol`; one trial on the display: `reduction`
 """
 
-from pmabench.base.imported import Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Imported, Kind, Result
 
 RESULTS = (
     Result("K_u", "ultimate gain", "gain", headline=True, positive=True),

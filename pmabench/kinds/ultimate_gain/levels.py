@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import log, pi, sqrt
+from math import log, nan, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.signals import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.relay_fit import simplest
-from pmabench.kinds.ultimate_gain.ways import Examined, lags_of, oscillating
+from pmabench.kinds.ultimate_gain.ways import Examined, Pair, lags_of, oscillating
 from pmabench.model.loop import ComplexArray, Loop, mode, ultimate
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -57,18 +57,18 @@ class Level:
     """Standard deviation that noise alone gives it [1]."""
     amplitudes: tuple[complex, complex] | None = None
     """Of displacement [m] and pressure [Pa] in the mode."""
-    means: tuple[float, float] = (float("nan"), float("nan"))
+    means: tuple[float, float] = (nan, nan)
     """Of displacement [m] and pressure [Pa]."""
 
     @property
     def log_ratio(self) -> float:
         """Natural logarithm of the ratio of successive swings [1]; nan where unknown."""
-        return self.swinging.log_ratio if self.swinging else float("nan")
+        return self.swinging.log_ratio if self.swinging else nan
 
     @property
     def period(self) -> float:
         """[s]; nan where unknown."""
-        return self.swinging.period if self.swinging else float("nan")
+        return self.swinging.period if self.swinging else nan
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
@@ -86,6 +86,14 @@ class Level:
         }
 
 
+@dataclass(frozen=True)
+class Zero(Pair):
+    """Where growth is 0, without what the replay takes off; half widths from the scatter about the line."""
+
+    line: tuple[float, float] = (nan, nan)
+    """Slope [m/Pa] and value at gain 0 of ln ratio, at the set-point."""
+
+
 @dataclass(frozen=True, eq=False)
 class TrialFound(Examined):
     """What one trial says."""
@@ -96,18 +104,17 @@ class TrialFound(Examined):
     """The level with the smallest |ln ratio|."""
     bias: float
     """Of the command [Pa]."""
-    line: tuple[float, float] = (float("nan"), float("nan"))
-    """Slope [m/Pa] and value at gain 0 of ln ratio."""
-    K_u: float = float("nan")
-    half_K_u: float = float("nan")
-    """Half width of the 95 % interval from the scatter about the line."""
-    bias_K_u: float | None = None
-    """By replay; taken off."""
-    T_u: float = float("nan")
-    half_T_u: float = float("nan")
-    bias_T_u: float | None = None
+    zero: Zero = Zero()
+    replayed: tuple[float, float] | None = None
+    """Bias of K_u and T_u by replay, which is taken off; None where no loop shows."""
     friction: float = 0.0
     """Relative shift of K_u by growth that depends on the swing [1]."""
+
+    @property
+    def pair(self) -> Pair:
+        """What it gives; nothing where it is refused."""
+        (K_u, T_u), (off_K, off_T) = self.zero.value, self.replayed or (0.0, 0.0)
+        return Pair() if self.refused else Pair((K_u - off_K, T_u - off_T), self.zero.half)
 
 
 def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
@@ -121,24 +128,21 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
     if nearest is None or len(seen) < FEWEST_LEVELS:
         return TrialFound(levels, tuple(seen), nearest, bias, refused=(_too_few(levels, seen, nearest, ended),))
     used = seen[-MOST_LEVELS:]
-    gains = np.array([level.gain for level in used])
-    ratios = np.array([level.log_ratio for level in used])
-    periods = np.array([level.period for level in used])
-    off = np.array([level.means[0] for level in used]) - float(search.get("setpoint", 0.0))
+    measured = [(level.gain, level.log_ratio, level.period, level.means[0]) for level in used]
+    gains, ratios, periods, places = np.array(measured).T
+    off = places - float(search.get("setpoint", 0.0))
     zero = _zero(gains, ratios, periods, off)
-    friction = _friction(used, zero.line[0] * zero.K_u)
+    friction = _friction(used, zero.line[0] * zero.value[0])
     refused = _against(levels, nearest, used, ended, friction)
-    if not (zero.line[0] > 0 and 0.5 * gains.min() < zero.K_u < 1.2 * gains.max()):
+    if not (zero.line[0] > 0 and 0.5 * gains.min() < zero.value[0] < 1.2 * gains.max()):
         refused.append("growth does not rise with gain, so that no gain can be named at which it is 0")
     if refused:
-        return TrialFound(levels, tuple(used), nearest, bias, zero.line, friction=friction, refused=tuple(refused))
+        return TrialFound(levels, tuple(used), nearest, bias, zero, friction=friction, refused=tuple(refused))
     loop = _identify(used, lag)
-    bias_K, bias_T = _replay(loop, gains, off) if loop is not None else (None, None)
-    K_u, T_u = zero.K_u - (bias_K or 0.0), zero.T_u - (bias_T or 0.0)
+    replayed, doubts = None if loop is None else _replay(loop, gains, off), _doubts(nearest, ratios, friction)
     return TrialFound(
-        levels, tuple(used), nearest, bias, zero.line, K_u, zero.half_K_u, bias_K, T_u, zero.half_T_u, bias_T,
-        abs(friction), loop=loop, doubts=tuple(_doubts(nearest, ratios, friction)),
-    )  # fmt: skip
+        levels, tuple(used), nearest, bias, zero, replayed, abs(friction), loop=loop, doubts=tuple(doubts)
+    )
 
 
 def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, Any]) -> Level:
@@ -153,7 +157,7 @@ def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, An
         saturated = bool(np.any((command < search["low"]) | (command > search["high"])))
     swinging = describe(t, x, noise) if len(t) > 20 else None
     third = third_noise = 0.0
-    amplitudes, means = None, (float("nan"), float("nan"))
+    amplitudes, means = None, (nan, nan)
     if swinging is not None:
         late = t >= swinging.times[0]
         names = ["displacement", "pressure"] if "pressure" in trial.channels else ["displacement"]
@@ -164,24 +168,12 @@ def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, An
         third_noise = noise * sqrt(2.0 / late.sum()) / size
         if len(names) > 1:
             amplitudes = (complex(found[0, 0]), complex(found[0, 1]))
-        means = (float(centre[0]), float(centre[-1]) if len(names) > 1 else float("nan"))
+        means = (float(centre[0]), float(centre[-1]) if len(names) > 1 else nan)
     t0, t1 = float(level["t0"]), float(level["t1"])
     return Level(gain, t0, t1, aim, swinging, saturated, third, third_noise, amplitudes, means)
 
 
-@dataclass(frozen=True)
-class _Zero:
-    """Where growth is 0."""
-
-    K_u: float
-    half_K_u: float
-    T_u: float
-    half_T_u: float
-    line: tuple[float, float]
-    """Slope [m/Pa] and value at gain 0 of ln ratio, at the set-point."""
-
-
-def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> _Zero:
+def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> Zero:
     """Zero of the line through ln ratio over gain, the periods' line there, and half widths of the 95 % intervals.
 
     With five levels and more, both lines also lean on `off`, the distance [m] of a level's mean from the set-point:
@@ -207,7 +199,7 @@ def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> _Zero:
     half_K = error(ratios, growth, at) / abs(float(growth[1]))
     half_T = sqrt(error(periods, clock, at) ** 2 + (float(clock[1]) * half_K) ** 2)
     line = (float(growth[1]), float(growth[0] - growth[1] * centre))
-    return _Zero(centre + beyond, half_K, float(clock @ at), half_T, line)
+    return Zero((centre + beyond, float(clock @ at)), (half_K, half_T), line)
 
 
 def _friction(used: Sequence[Level], slope: float) -> float:
@@ -358,5 +350,5 @@ def _replay(loop: Loop, gains: Array, off: Array) -> tuple[float, float]:
     roots = [mode(loop, float(gain)) for gain in gains]
     periods = np.array([2 * pi / s.imag for s in roots])
     ratios = np.array([pi * s.real / s.imag for s in roots])
-    zero, truth = _zero(gains, ratios, periods, off), ultimate(loop)
-    return zero.K_u - truth.gain, zero.T_u - truth.period
+    (K_u, T_u), truth = _zero(gains, ratios, periods, off).value, ultimate(loop)
+    return K_u - truth.gain, T_u - truth.period

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
-from math import hypot, isfinite, nan, sqrt
+from math import hypot, isfinite, sqrt
 from typing import Any
 
 import numpy as np
@@ -19,19 +18,12 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, change_over, weighed
-from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import STEPS, step_of
 from pmabench.base.quantities import show
+from pmabench.kinds.ultimate_gain import open_loop_form as form
+from pmabench.kinds.ultimate_gain import ways
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
-from pmabench.kinds.ultimate_gain.open_loop_form import (
-    Flow,
-    better_by,
-    flow_limited,
-    gauge_filter,
-    hunting,
-    read_in_steps,
-)
-from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, described, lags_of, limit_of, oscillating
+from pmabench.kinds.ultimate_gain.ways import Examined, GainCell, Pair
 from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -60,6 +52,10 @@ OF_SWING = {"K_u": 5.0, "T_u": 1.0}
 """Share by which K_u and T_u may be off, over a swing of the pressure at rest: seen with 1 to 4 Hz."""
 
 
+Departure = tuple[Doubt, Sequence[float] | Array]
+"""What the trial may depart from its form by, and the shares of K_u and T_u that are its effects."""
+
+
 @dataclass(frozen=True, eq=False)
 class StepsFound(Examined):
     """What one trial says."""
@@ -74,8 +70,13 @@ class StepsFound(Examined):
     amplitude: float = 0.0
     """[Pa]."""
     steps: tuple[Step, ...] = ()
-    departures: tuple[tuple[Doubt, Doubt], ...] = ()
-    """What may be of another form than the loop: its effects on K_u and T_u, as shares."""
+    departures: tuple[Departure, ...] = ()
+    """What may be of another form than the loop."""
+
+    @property
+    def pair(self) -> Pair:
+        """Of its loop, with the scatter of its cycles."""
+        return Pair.of(self.loop, self.cycles)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; what is not known as None."""
@@ -87,14 +88,15 @@ class StepsFound(Examined):
         return {**fact, "cycles": [asdict(cycle) for cycle in self.cycles], "amplitude": self.amplitude}
 
     @property
-    def sided(self) -> Doubt:
-        """What rests that depend on the side they were reached from are worth of K_u and T_u, as a share."""
+    def sided(self) -> Departure:
+        """What rests that depend on the side they were reached from are worth of K_u and T_u."""
         gap = 0.0 if self.friction is None else abs(self.friction.gap)
         reason = (
             f"rests reached from above and from below lie {gap:.2%} of the swing apart: friction, play or creep, which "
             "the fitted loop has not. Take larger steps, or a closed loop"
         )
-        return Doubt("rests that depend on their side", "method", OF_GAP * gap, gap > GAP["doubt"], reason)
+        doubt = Doubt("rests that depend on their side", "method", 0.0, gap > GAP["doubt"], reason)
+        return doubt, (OF_GAP * gap, OF_GAP * gap)
 
     @property
     def bent(self) -> float:
@@ -188,11 +190,11 @@ def _fitted(t: Array, x: Array, P: Array, steps: Sequence[Step], declared: float
     lag, other = declared, None
     delayed = fit(t, x, P, steps, 0.0) if declared else found
     if declared and not isinstance(delayed, str):
-        better = better_by(delayed[:2], found[:2], len(t))
+        better = form.better_by(delayed[:2], found[:2], len(t))
         if better > 0:
             lag, found, delayed = 0.0, delayed, found
         other = delayed[:2] if abs(better) < SURE else None
-    late = gauge_filter(*found[:2])
+    late = form.gauge_filter(*found[:2])
     if late and not isinstance(again := fit(t, x, P, steps, lag + late), str):
         late, other = late - again[1].late, again[:2]
         closer = fit(t, x, P, steps, lag + late)
@@ -224,38 +226,38 @@ def _with_spread(
         (replace(regulator, fill=way, vent=way), replace(moved, tau=(tau, tau)))
         for way, tau in zip((regulator.fill, regulator.vent), moved.tau, strict=True)
     )
-    flow = flow_limited(t, P, known.steps, lag)
-    doubts = _pressures(regulator, hunting(P, t, known.steps), apart)
+    flow = form.flow_limited(t, P, known.steps, lag)
+    doubts = _pressures(regulator, form.hunting(P, t, known.steps), apart)
     doubts += [] if flow is None else [_flow(flow, truth, ends([(flow.small(regulator), moved)]))]
     if other := ends([found.other] if found.other is not None else []):
-        doubts.append(_both(Doubt("delay or filter of the gauge", "method", 1.0, False), _apart(other[0], truth)))
-    read = ends(read_in_steps(parts[0], cycles[0], lag, fitted, sizes))
+        doubts.append((Doubt("delay or filter of the gauge", "method", 0.0, False), _apart(other[0], truth)))
+    read = ends(form.read_in_steps(parts[0], cycles[0], lag, fitted, sizes))
     if read:
         shares = np.array([_apart(one, read[0]) for one in read[1:]])
-        doubts.append(_both(Doubt(STEPS, "method", 1.0, False), 2 * np.sqrt(np.mean(shares**2, axis=0))))
+        doubts.append((Doubt(STEPS, "method", 0.0, False), 2 * np.sqrt(np.mean(shares**2, axis=0))))
     spans = np.max([_apart(end, truth) for end in sides] or [(0.0, 0.0)], axis=0).tolist()
     return replace(known, loop=loop, cycles=tuple(single), spans=(spans[0], spans[1]), departures=tuple(doubts))
 
 
-def _pressures(regulator: Regulator, swing: float, apart: float) -> list[tuple[Doubt, Doubt]]:
+def _pressures(regulator: Regulator, swing: float, apart: float) -> list[Departure]:
     """What a pressure is worth that does not go where it is sent, or swings by itself, by that share of the steps.
 
     `apart` is how far rests of gauge and command may be apart, for their gains and steps [1].
     """
     short = abs(regulator.gain - 1)
-    reason = (
+    astray = (
         f"the steps of the pressure are {short:.1%} off those of the command: it meets a limit, or gauge and "
         "command are not calibrated alike. Take a bias or steps that it reaches, or calibrate both"
     )
-    doubts = [Doubt("pressure over command", "method", 1.0, True, reason)]
-    shares = [(short, 0.0)] if short > apart + OFF else [(0.0, 0.0)]
-    reason = (
+    hunts = (
         f"at rest the pressure swings by {swing:.1%} of the steps (rms), as a regulator that hunts does. Take larger "
         "steps, or settle the regulator"
     )
-    doubts.append(Doubt("pressure that swings by itself", "method", 1.0, True, reason))
-    shares.append((OF_SWING["K_u"] * swing, OF_SWING["T_u"] * swing))
-    return [_both(doubt, share) for doubt, share in zip(doubts, shares, strict=True)]
+    swings = Doubt("pressure that swings by itself", "method", 0.0, True, hunts)
+    return [
+        (Doubt("pressure over command", "method", 0.0, True, astray), (short if short > apart + OFF else 0.0, 0.0)),
+        (swings, (OF_SWING["K_u"] * swing, OF_SWING["T_u"] * swing)),
+    ]
 
 
 def drift_of(t: Array, x: Array, cycles: Sequence[Sequence[Step]]) -> float:
@@ -273,13 +275,7 @@ def _apart(one: Ultimate, other: Ultimate) -> tuple[float, float]:
     return abs(one.gain / other.gain - 1), abs(one.period / other.period - 1)
 
 
-def _both(doubt: Doubt, shares: Sequence[float] | Array) -> tuple[Doubt, Doubt]:
-    """The doubt with its effects on K_u and T_u."""
-    K, T = (replace(doubt, half=float(share)) for share in shares)
-    return K, T
-
-
-def _flow(flow: Flow, truth: Ultimate, small: Sequence[Ultimate]) -> tuple[Doubt, Doubt]:
+def _flow(flow: form.Flow, truth: Ultimate, small: Sequence[Ultimate]) -> Departure:
     """What a valve that may limit the flow is worth: all of it where the steps show one, or a second lag as well."""
     weight = min(1.0, max(0.0, flow.needed) / SHOWN) if flow.better > -ALIKE else 0.0
     reason = (
@@ -287,8 +283,8 @@ def _flow(flow: Flow, truth: Ultimate, small: Sequence[Ultimate]) -> tuple[Doubt
         "the fitted loop has not: a valve that limits the flow, filling and venting that begin after unlike times, or "
         "a pressure that has not settled before the next step. Take smaller steps, or longer holds"
     )
-    doubt = Doubt("a valve that limits the flow", "method", 1.0, weight == 1, reason if flow.better > SURE else "")
-    return _both(doubt, weight * np.max([_apart(one, truth) for one in small] or [(0.0, 0.0)], axis=0))
+    doubt = Doubt("a valve that limits the flow", "method", 0.0, weight == 1, reason if flow.better > SURE else "")
+    return doubt, weight * np.max([_apart(one, truth) for one in small] or [(0.0, 0.0)], axis=0)
 
 
 def samples_of(trial: TrialData, steps: Sequence[Step], period: float) -> tuple[Array, Array, Array]:
@@ -337,9 +333,9 @@ def _loop(regulator: Regulator, moved: Moved, period: float, off: float) -> Loop
     The hold adds half a period; lags of filling and venting, and of both directions, count by their means.
     """
     gain = regulator.gain * (moved.gain + 2 * moved.curvature * off)
-    lags = (*regulator.mean.lags(1.0), *lags_of(sum(moved.tau) / 2, moved.beta))
+    lags = (*regulator.mean.lags(1.0), *ways.lags_of(sum(moved.tau) / 2, moved.beta))
     dead_time = max(0.0, regulator.dead_time + moved.late) + period / 2
-    return oscillating(gain, dead_time, [lag for lag in lags if lag])
+    return ways.oscillating(gain, dead_time, [lag for lag in lags if lag])
 
 
 METHOD = "open-loop"
@@ -353,16 +349,12 @@ class StepsCell(GainCell[StepsFound]):
     """All trials of steps at one operating point."""
 
     called = "trials of steps"
+    methods = (METHOD,)
 
     @property
     def apart(self) -> float:
         """Bound of the time between the commands and the displacement [s]: the loop's dead time holds all of it."""
         return max(super().apart, skew.off([one.run for one in self.members], "displacement"))
-
-    @cached_property
-    def estimates(self) -> list[Estimate]:
-        """K_u and T_u."""
-        return [self._estimate(place, symbol) for place, symbol in enumerate(SYMBOLS)]
 
     def findings(self) -> list[Finding]:
         """What speaks against the trials, what the fitted loop is, and what friction leaves of it."""
@@ -371,7 +363,7 @@ class StepsCell(GainCell[StepsFound]):
         if known is not None and known.loop is not None and known.moved is not None:
             up, down = known.moved.tau
             muscle = f"that of the muscle {up:.3g} s contracting and {down:.3g} s relaxing"
-            text = f"at {self.where} the steps give {described(known.loop)}, {muscle}: {limit_of(known.loop)}"
+            text = f"at {self.where} the steps give {ways.described(known.loop)}, {muscle}: {ways.limit_of(known.loop)}"
             lines.append(Finding("note", text))
         return lines
 
@@ -390,21 +382,18 @@ class StepsCell(GainCell[StepsFound]):
         columns["pressure"] = P[mask] + steps[3].value
         return [self.trace("open-loop", "Open-loop steps", columns, {"setpoint": self.at.get("setpoint", 0.0)})]
 
-    def _estimate(self, place: int, symbol: tuple[str, str, str]) -> Estimate:
-        name, good = ("gain", "period")[place], [one.found for one in self.good]
-        truths = [ultimate(found.loop) for found in good if found.loop is not None]
-        if not truths:
-            return self.empty(*symbol, METHOD)
-        halves = [spread([getattr(cycle, name) for cycle in found.cycles]) for found in good]
-        values = [(getattr(truth, name), nan if half is None else half)
-                  for truth, half in zip(truths, halves, strict=True)]  # fmt: skip
-        value = float(np.mean([one for one, _ in values]))
+    def _estimate(self, place: int, method: str) -> Estimate:
+        good = [one.found for one in self.good]
+        if not good:
+            return self.empty(place, method)
+        pairs = [found.pair for found in good]
+        value = float(np.mean([pair.value[place] for pair in pairs]))
         damping = DAMPING * max(found.spans[place] for found in good)
         bent = 0.0 if place else max(found.bent for found in good) ** 2 / 2
-        parts = Parts(method=value * hypot(damping, bent), skew=self.by_clocks(name))
+        parts = Parts(method=value * hypot(damping, bent), skew=self.by_clocks(place))
         said = "the method part is what unlike lags in the two directions and the bend of the steps are worth"
-        estimate = self.estimate(symbol, METHOD, self.good, values, parts, (said,), alone=ALONE)
-        doubts = [found.sided for found in good] + [pair[place] for found in good for pair in found.departures]
+        estimate = self.estimate(place, method, self.good, pairs, parts, (said,), alone=ALONE)
+        every = [one for found in good for one in (found.sided, *found.departures)]
+        doubts = [replace(doubt, half=value * float(shares[place])) for doubt, shares in every]
         worst = {one.name: one for one in sorted(doubts, key=lambda one: one.half)}
-        doubted = weighed(estimate, [replace(one, half=one.half * value) for one in worst.values()])
-        return skew.settled(doubted, "the commands and the displacement", self.apart)
+        return skew.settled(weighed(estimate, worst.values()), "the commands and the displacement", self.apart)

@@ -10,8 +10,13 @@ from pydantic import Field
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Force, Gain, Length, Load, Pressure, Ratio, Time
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Seek, Set, Step, TrialRecord
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Seek, Set, Step
 from pmabench.protocol.sweep import LengthAxis, Sweep, expand
+
+Point = Mapping[str, float]
+"""Values of an operating point [SI]."""
+Span = tuple[float, float]
+"""Lowest and highest command [Pa]."""
 
 
 class UltimateAxes(Strict):
@@ -25,6 +30,8 @@ class UltimateAxes(Strict):
 class GainSteps(Strict):
     """The law: at each level a small kick, then half periods are counted; the gain rises until swings grow."""
 
+    consent: ClassVar[str] = "the loop is taken to the limit of stability"
+    """What the operator agrees to."""
     start: Gain
     step: Ratio
     levels: Annotated[int, Field(ge=1, le=200)]
@@ -35,10 +42,24 @@ class GainSteps(Strict):
     level_time: Time
     settle: Time
 
+    def check(self, c: Compilation) -> None:
+        """Check what holds for every trial."""
+        _positive(c, self, "gain_steps", "start", "step", "kick", "window", "level_time")
+        if self.step > 0.08 + 1e-12:
+            c.fault(("trial", "gain_steps", "step"), "at most 8 % from level to level")
+        if self.window <= self.kick:
+            c.fault(("trial", "gain_steps", "window"), "must be larger than the kick")
+
+    def steps(self, c: Compilation, point: Point, span: Span, place: Location) -> list[Step]:
+        """What happens while a trial is recorded; commands stay in `span`, `place` is that of the bias."""
+        parameters = {"factor": 1.0 + self.step, **self.model_dump(exclude={"step"})}
+        return _seek("gain-steps", parameters, self.settle + self.levels * self.level_time, point, span)
+
 
 class RelayTest(Strict):
     """The law: the command switches between two values about the bias, at each amplitude in turn."""
 
+    consent: ClassVar[str] = "a relay makes the loop swing"
     amplitudes: Annotated[list[Pressure], Field(min_length=2, max_length=4)]
     """Half of the switching of the command."""
     hysteresis: Annotated[list[Length], Field(min_length=2, max_length=4)]
@@ -55,10 +76,48 @@ class RelayTest(Strict):
     force: tuple[Force, Force] | None = None
     """Window of the measured force."""
 
+    def check(self, c: Compilation) -> None:
+        """Check what holds for every trial."""
+        c.needs_channel("pressure")
+        if self.force is not None:
+            c.needs_channel("force")
+        _positive(c, self, "relay", "level_time", "settle", "window")
+        at: Location = ("trial", "relay")
+        for name, values in (("amplitudes", self.amplitudes), ("hysteresis", self.hysteresis)):
+            for index, value in enumerate(values):
+                c.positive(value, (*at, name, index))
+        if len(self.amplitudes) != len(self.hysteresis):
+            c.fault((*at, "hysteresis"), 'needs as many values as "amplitudes"')
+            return
+        if min(*self.amplitudes, *self.hysteresis) <= 0:
+            return
+        ratios = [h / d for d, h in zip(self.amplitudes, self.hysteresis, strict=True)]
+        if max(ratios) > 1.01 * min(ratios):
+            c.fault((*at, "hysteresis"), "must be in one ratio to the amplitudes, so that friction is seen")
+        if max(self.amplitudes) < 1.5 * min(self.amplitudes):
+            c.fault((*at, "amplitudes"), "the largest must be at least 1.5 times the smallest")
+        if self.window <= 2 * max(self.hysteresis):
+            c.fault((*at, "window"), "must be larger than twice the largest hysteresis")
+        for name, ends in (("measured", self.measured), ("force", self.force)):
+            if ends is not None and not ends[0] < ends[1]:
+                c.fault((*at, name), "the first value must be below the second")
+
+    def steps(self, c: Compilation, point: Point, span: Span, place: Location) -> list[Step]:
+        """As of a rising gain; commands must lie in `span`, the bias in the window of the measured pressure."""
+        d, bias, (low, high) = max(self.amplitudes), point["bias"], span
+        if not (low <= bias - d * (1 - self.asymmetry) and bias + d * (1 + self.asymmetry) <= high):
+            c.fault(place, 'with the largest amplitude lies outside the range "pressure" of the trial')
+        if not self.measured[0] < bias < self.measured[1]:
+            c.fault(place, 'lies outside the window "measured" of the relay')
+        watched = {"pressure": list(self.measured)} | ({} if self.force is None else {"force": list(self.force)})
+        parameters = {**self.model_dump(exclude={"measured", "force"}), "watched": watched}
+        return _seek("relay", parameters, self.settle + len(self.amplitudes) * self.level_time, point, span)
+
 
 class OpenLoop(Strict):
     """No loop: steps of the command, up, back, down and back, from which a model of the loop is fitted."""
 
+    consent: ClassVar[str] = ""
     amplitude: Pressure
     """Height of a step, to both sides of the bias."""
     hold: Time
@@ -66,6 +125,34 @@ class OpenLoop(Strict):
     cycles: Annotated[int, Field(ge=3, le=100)]
     """Of four steps; the scatter between cycles makes the interval."""
     settle: Time
+
+    def check(self, c: Compilation) -> None:
+        """Check what holds for every trial."""
+        c.needs_channel("pressure")
+        _positive(c, self, "open_loop", "amplitude", "hold", "settle")
+
+    def steps(self, c: Compilation, point: Point, span: Span, place: Location) -> list[Step]:
+        """What happens while a trial is recorded; commands stay in `span`, `place` is that of the bias."""
+        bias, (low, high) = point["bias"], span
+        if not low <= bias - self.amplitude < bias + self.amplitude <= high:
+            c.fault(place, 'with the amplitude of the steps lies outside the range "pressure" of the trial')
+        found: list[Step] = [Hold("settle", self.settle)]
+        for value in (bias + self.amplitude, bias, bias - self.amplitude, bias) * self.cycles:
+            found += [Set("open-loop", "pressure", value), Hold("open-loop", self.hold)]
+        return found
+
+
+def _seek(law: str, parameters: dict[str, Any], limit: float, point: Point, span: Span) -> list[Step]:
+    """A search by a law, which takes `limit` [s] at most; its commands stay in `span`."""
+    low, high = span
+    fixed = {"setpoint": point["setpoint"], "bias": point["bias"], "low": low, "high": high}
+    return [Seek("ultimate-gain", law, "pressure", low, high, limit + 5.0, {**parameters, **fixed}, at_limit="flag")]
+
+
+def _positive(c: Compilation, way: Strict, of: str, *names: str) -> None:
+    """Check values of a way that must be above zero."""
+    for name in names:
+        c.positive(getattr(way, name), ("trial", of, name))
 
 
 class UltimateTrial(Strict):
@@ -93,23 +180,17 @@ class UltimateGain(ProtocolHead):
         """The plan: per set-point a ramp to the bias and one search."""
         trial = self.trial
         c.needs_channel("displacement")
-        ways = (trial.gain_steps, trial.relay, trial.open_loop)
-        if sum(way is not None for way in ways) != 1:
+        ways = [way for way in (trial.gain_steps, trial.relay, trial.open_loop) if way is not None]
+        if len(ways) != 1:
             c.fault(("trial",), 'needs one of "gain_steps", "relay" and "open_loop"')
             return c.plan("ultimate-gain", {})
-        if trial.gain_steps is not None:
-            _check_steps(c, trial.gain_steps)
-        if trial.relay is not None:
-            _check_relay(c, trial.relay)
-        if trial.open_loop is not None:
-            c.needs_channel("pressure")
-            for name in ("amplitude", "hold", "settle"):
-                c.positive(getattr(trial.open_loop, name), ("trial", "open_loop", name))
+        way = ways[0]
+        way.check(c)
         c.positive(trial.approach, ("trial", "approach"))
         low, high = trial.pressure
         c.within("pressure", low, ("trial", "pressure", 0))
         c.within("pressure", high, ("trial", "pressure", 1))
-        for index, point in enumerate(expand(self.sweep, c.document)):
+        for point in expand(self.sweep, c.document):
             bias = point.values["bias"]
             if not low <= bias <= high:
                 c.fault(point.places["bias"], 'lies outside the range "pressure" of the trial')
@@ -117,100 +198,14 @@ class UltimateGain(ProtocolHead):
             setpoint = point.values["setpoint"]
             values = {**c.load(point.values["load"], point.places["load"]), "setpoint": setpoint, "bias": bias}
             c.put_on(values)
-            if index == 0:
-                c.precondition()
-            c.trials.append(TrialRecord(index, values, point.repeat))
+            index = c.add_trial(values, point.repeat)
             c.steps += [
                 Ramp("approach", "pressure", 0.0, bias, max(bias, 1.0) / max(trial.approach, 1e-3)),
                 Hold("approach", 2.0),
                 Record("ultimate-gain", True, index),
-                *_steps_of(c, trial, values, point.places["bias"]),
+                *way.steps(c, values, trial.pressure, point.places["bias"]),
                 Record("ultimate-gain", False, index),
                 Set("vent", "pressure", 0.0),
                 Hold("vent", 3.0),
             ]
-        consent = {}
-        if trial.gain_steps is not None:
-            consent = {"consent": "the loop is taken to the limit of stability"}
-        elif trial.relay is not None:
-            consent = {"consent": "a relay makes the loop swing"}
-        return c.plan("ultimate-gain", consent)
-
-
-def _steps_of(c: Compilation, trial: UltimateTrial, point: Mapping[str, float], place: Location) -> list[Step]:
-    """What happens while a trial is recorded; `place` is that of its bias."""
-    bias, (low, high) = point["bias"], trial.pressure
-    if trial.open_loop is not None:
-        steps = trial.open_loop
-        if not low <= bias - steps.amplitude < bias + steps.amplitude <= high:
-            c.fault(place, 'with the amplitude of the steps lies outside the range "pressure" of the trial')
-        found: list[Step] = [Hold("settle", steps.settle)]
-        for value in (bias + steps.amplitude, bias, bias - steps.amplitude, bias) * steps.cycles:
-            found += [Set("open-loop", "pressure", value), Hold("open-loop", steps.hold)]
-        return found
-    if trial.relay is not None:
-        _inside(c, trial.relay, trial.pressure, bias, place)
-    searches = [_relay(trial.relay)] if trial.relay is not None else []
-    searches += [_steps(trial.gain_steps)] if trial.gain_steps is not None else []
-    fixed = {"setpoint": point["setpoint"], "bias": bias, "low": low, "high": high}
-    return [
-        Seek("ultimate-gain", law, "pressure", low, high, limit, {**parameters, **fixed}, at_limit="flag")
-        for law, parameters, limit in searches
-    ]
-
-
-def _check_steps(c: Compilation, law: GainSteps) -> None:
-    for name in ("start", "step", "kick", "window", "level_time"):
-        c.positive(getattr(law, name), ("trial", "gain_steps", name))
-    if law.step > 0.08 + 1e-12:
-        c.fault(("trial", "gain_steps", "step"), "at most 8 % from level to level")
-    if law.window <= law.kick:
-        c.fault(("trial", "gain_steps", "window"), "must be larger than the kick")
-
-
-def _check_relay(c: Compilation, law: RelayTest) -> None:
-    c.needs_channel("pressure")
-    if law.force is not None:
-        c.needs_channel("force")
-    for name in ("level_time", "settle", "window"):
-        c.positive(getattr(law, name), ("trial", "relay", name))
-    for name, values in (("amplitudes", law.amplitudes), ("hysteresis", law.hysteresis)):
-        for index, value in enumerate(values):
-            c.positive(value, ("trial", "relay", name, index))
-    if len(law.amplitudes) != len(law.hysteresis):
-        c.fault(("trial", "relay", "hysteresis"), 'needs as many values as "amplitudes"')
-        return
-    if min(*law.amplitudes, *law.hysteresis) <= 0:
-        return
-    ratios = [h / d for d, h in zip(law.amplitudes, law.hysteresis, strict=True)]
-    if max(ratios) > 1.01 * min(ratios):
-        c.fault(("trial", "relay", "hysteresis"), "must be in one ratio to the amplitudes, so that friction is seen")
-    if max(law.amplitudes) < 1.5 * min(law.amplitudes):
-        c.fault(("trial", "relay", "amplitudes"), "the largest must be at least 1.5 times the smallest")
-    if law.window <= 2 * max(law.hysteresis):
-        c.fault(("trial", "relay", "window"), "must be larger than twice the largest hysteresis")
-    for name, ends in (("measured", law.measured), ("force", law.force)):
-        if ends is not None and not ends[0] < ends[1]:
-            c.fault(("trial", "relay", name), "the first value must be below the second")
-
-
-def _inside(c: Compilation, relay: RelayTest, span: tuple[float, float], bias: float, place: Location) -> None:
-    """The relay's commands must lie in the range `span`, the bias in the window of the measured pressure."""
-    d, (low, high) = max(relay.amplitudes), span
-    if not (low <= bias - d * (1 - relay.asymmetry) and bias + d * (1 + relay.asymmetry) <= high):
-        c.fault(place, 'with the largest amplitude lies outside the range "pressure" of the trial')
-    if not relay.measured[0] < bias < relay.measured[1]:
-        c.fault(place, 'lies outside the window "measured" of the relay')
-
-
-def _steps(law: GainSteps) -> tuple[str, dict[str, Any], float]:
-    """Law, its parameters, and its longest time [s]."""
-    parameters = {"factor": 1.0 + law.step, **law.model_dump(exclude={"step"})}
-    return "gain-steps", parameters, law.settle + law.levels * law.level_time + 5.0
-
-
-def _relay(law: RelayTest) -> tuple[str, dict[str, Any], float]:
-    """Law, its parameters, and its longest time [s]."""
-    watched = {"pressure": list(law.measured)} | ({} if law.force is None else {"force": list(law.force)})
-    parameters = {**law.model_dump(exclude={"measured", "force"}), "watched": watched}
-    return "relay", parameters, law.settle + len(law.amplitudes) * law.level_time + 5.0
+        return c.plan("ultimate-gain", {"consent": way.consent} if way.consent else {})

@@ -9,10 +9,9 @@ Knows the samples and what the search wrote down; not how the bench is built.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from math import hypot, isnan, nan
+from math import hypot, isnan
 from typing import Any
 
 import numpy as np
@@ -26,17 +25,18 @@ from pmabench.kinds.ultimate_gain import RESULTS
 from pmabench.kinds.ultimate_gain import ways as gain_ways
 from pmabench.kinds.ultimate_gain.levels import TrialFound, examine
 from pmabench.kinds.ultimate_gain.open_loop import METHOD as OPEN_LOOP
-from pmabench.kinds.ultimate_gain.open_loop import StepsCell, StepsFound, steps_of
+from pmabench.kinds.ultimate_gain.open_loop import StepsCell, steps_of
 from pmabench.kinds.ultimate_gain.open_loop import examine as examine_steps
-from pmabench.kinds.ultimate_gain.relay import RelayCell, RelayFound, search_of
+from pmabench.kinds.ultimate_gain.relay import RelayCell, search_of
 from pmabench.kinds.ultimate_gain.relay import examine as examine_relay
-from pmabench.kinds.ultimate_gain.ways import SYMBOLS, GainCell
-from pmabench.model.loop import Loop, ultimate
+from pmabench.kinds.ultimate_gain.ways import Examined, GainCell
+from pmabench.model.loop import Loop
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "ultimate-gain"
-NO_LEVELS = "no levels of gain are recorded: no column holds them, but run.json of an exported run does"
+NO_LEVELS = "no levels of gain are recorded"
+ELSEWHERE = f"{NO_LEVELS}: no column holds them, but run.json of an exported run does"
 METHOD = "gain-steps"
 USED = ("finished", "failed")
 """Trials with one of these statuses are looked at; a search that found nothing is a failed trial, and says why."""
@@ -46,6 +46,8 @@ ALONE = "one trial: the repeats part is the scatter about its own line, and repe
 @dataclass(frozen=True)
 class _Cell(GainCell[TrialFound]):
     """All trials with a rising gain at one operating point."""
+
+    methods = (METHOD,)
 
     @property
     def seen(self) -> Loop | None:
@@ -57,26 +59,18 @@ class _Cell(GainCell[TrialFound]):
         """The same, where the skew leaves its dead time something."""
         return self.seen if self.seen is not None and self.apart <= skew.WIDE * self.seen.dead_time else None
 
-    @cached_property
-    def estimates(self) -> list[Estimate]:
-        """K_u and T_u."""
-        return [self._estimate(symbol) for symbol in SYMBOLS]
-
-    def _estimate(self, symbol: tuple[str, str, str]) -> Estimate:
-        """K_u or T_u: the mean of the trials, with its interval in parts."""
-        name, good = symbol[0], [one.found for one in self.good]
+    def _estimate(self, place: int, method: str) -> Estimate:
+        good = [one.found for one in self.good]
         if not good:
-            return self.empty(*symbol, METHOD)
-        values = [(getattr(found, name), getattr(found, f"half_{name}")) for found in good]
-        known = [bias for found in good if (bias := getattr(found, f"bias_{name}")) is not None]
-        mean = float(np.mean([value for value, _ in values]))
-        friction = max(found.friction for found in good) * mean if name == "K_u" else 0.0
+            return self.empty(place, method)
+        pairs = [found.pair for found in good]
+        known = [found.replayed[place] for found in good if found.replayed is not None]
+        mean = float(np.mean([pair.value[place] for pair in pairs]))
+        friction = 0.0 if place else max(found.friction for found in good) * mean
         bias = float(np.mean(known)) if known else None
-        method = None if bias is None else hypot(bias, friction)
+        parts = Parts(method=None if bias is None else hypot(bias, friction))
         unknown = "" if bias is not None else "no method part: the loop behind it could not be identified and replayed"
-        return self.estimate(
-            symbol, METHOD, self.good, values, Parts(method=method), (unknown,), alone=ALONE, bias=bias
-        )
+        return self.estimate(place, method, self.good, pairs, parts, (unknown,), alone=ALONE, bias=bias)
 
     def findings(self) -> list[Finding]:
         """What speaks against the trials, and what the loop is."""
@@ -115,7 +109,7 @@ class _Cell(GainCell[TrialFound]):
         measured = [level for level in found.levels if level.swinging is not None]
         if measured:
             gains = np.array([level.gain for level in measured])
-            slope, start = found.line
+            slope, start = found.zero.line
             columns = {
                 "gain": gains,
                 "log_ratio": np.array([level.log_ratio for level in measured]),
@@ -138,7 +132,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     T_u are held against.
     """
     options = options or {}
-    cells, relays, steps, dropped = _cells(runs)
+    cells, dropped = _cells(runs)
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     traces: list[Trace] = []
@@ -158,7 +152,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
             findings.append(tuning.plausibility(T_u.value, model, K_u.value))
 
-    every: list[GainCell[Any]] = [*steps, *cells, *relays]
+    every = [cell for mine in cells.values() for cell in mine]
     for cell in every:
         estimates += cell.estimates
         findings += cell.findings()
@@ -180,34 +174,43 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "cells": len(every),
             "loops": loops,
             "tuning": settings,
-            "levels": [level for cell in cells for level in cell.facts(lambda found: found.levels)],
-            "relay": [level for cell in relays for level in cell.facts(lambda found: found.levels)],
-            "open_loop": [trial for cell in steps for trial in cell.facts(lambda found: [found])],
+            "levels": [level for cell in cells["levels"] for level in cell.facts(lambda found: found.levels)],
+            "relay": [level for cell in cells["relay"] for level in cell.facts(lambda found: found.levels)],
+            "open_loop": [trial for cell in cells["open_loop"] for trial in cell.facts(lambda found: [found])],
         },
     )
 
 
-def _cells(runs: Sequence[RunData]) -> tuple[list[_Cell], list[RelayCell], list[StepsCell], list[Dropped]]:
+WAYS: Mapping[str, tuple[type[GainCell[Any]], Callable[[RunData, TrialData], Examined]]] = {
+    "open_loop": (StepsCell, examine_steps),
+    "levels": (_Cell, lambda run, trial: examine(run, trial, _search(trial) or {})),
+    "relay": (RelayCell, lambda run, trial: examine_relay(run, trial, search_of(trial) or {})),
+}
+"""Each way, the one that counts first in front: its cells, and what looks at a trial."""
+
+
+def _way_of(trial: TrialData) -> tuple[str, str]:
+    """The way of a trial, and what it lacks for that; empty where nothing is."""
+    way = "open_loop" if steps_of(trial) else "levels" if search_of(trial) is None else "relay"
+    if way == "levels" and _search(trial) is None:
+        return way, NO_LEVELS
+    needed = ("displacement", "pressure") if way == "open_loop" else ("displacement",)
+    return way, next((f"the {name} is not recorded" for name in needed if name not in trial.channels), "")
+
+
+def _cells(runs: Sequence[RunData]) -> tuple[dict[str, list[GainCell[Any]]], list[Dropped]]:
     """The cells of each way, and the trials that are not looked at."""
     dropped: list[Dropped] = []
-    ways: dict[str, list[tuple[RunData, TrialData]]] = {"steps": [], "relay": [], "rising": []}
+    ways: dict[str, list[tuple[RunData, TrialData]]] = {way: [] for way in WAYS}
     for run, trial in [(one, trial) for one in runs for trial in one.trials]:
-        why, way = "", "steps" if steps_of(trial) else "rising" if search_of(trial) is None else "relay"
+        way, why = _way_of(trial)
         if trial.status not in USED:
             why = f"the trial is {trial.status}"
-        elif way == "rising" and _search(trial) is None:
-            why = NO_LEVELS
-        elif "displacement" not in trial.channels:
-            why = "the displacement is not recorded"
-        elif way == "steps" and "pressure" not in trial.channels:
-            why = "the pressure is not recorded"
         if why:
-            dropped.append(Dropped(trial.name, trial.point, why))
+            dropped.append(Dropped(trial.name, trial.point, ELSEWHERE if why == NO_LEVELS else why))
         else:
             ways[way].append((run, trial))
-    cells = _Cell.all_of(ways["rising"], lambda run, trial: examine(run, trial, _search(trial) or {}))
-    relays = RelayCell.all_of(ways["relay"], lambda run, trial: examine_relay(run, trial, search_of(trial) or {}))
-    return cells, relays, StepsCell.all_of(ways["steps"], examine_steps), dropped
+    return {way: cell.all_of(ways[way], look) for way, (cell, look) in WAYS.items()}, dropped
 
 
 def _search(trial: TrialData) -> Mapping[str, Any] | None:
@@ -235,19 +238,7 @@ def of_open_loops(runs: Sequence[RunData]) -> Analysis:
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Ultimate gain and period of one search, for the display."""
-    relay, rising = search_of(trial), _search(trial)
-    found: TrialFound | RelayFound | StepsFound
-    if steps_of(trial) and {"pressure", "displacement"} <= set(trial.channels):
-        found = examine_steps(run, trial)
-        truth = None if found.loop is None else ultimate(found.loop)
-        values = (nan, nan) if truth is None else (truth.gain, truth.period)
-    elif relay is not None and "displacement" in trial.channels:
-        found = examine_relay(run, trial, relay)
-        values = (nan, nan) if found.best is None or found.refused else (found.best.K_u, found.best.T_u)
-    elif rising is not None and "displacement" in trial.channels:
-        found = examine(run, trial, rising)
-        values = found.K_u, found.T_u
-    else:
-        found, values = TrialFound((), (), None, 0.0, refused=("no levels of gain are recorded",)), (nan, nan)
-    K_u, T_u = (None if isnan(value) else float(value) for value in values)
+    way, why = _way_of(trial)
+    found = Examined(refused=(why,)) if why else WAYS[way][1](run, trial)
+    K_u, T_u = (None if isnan(value) else float(value) for value in found.pair.value)
     return [Measured("K_u", "gain", K_u), Measured("T_u", "time", T_u)], [*found.refused, *found.doubts]

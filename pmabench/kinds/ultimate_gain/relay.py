@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from math import hypot, isfinite, pi, sqrt
+from math import hypot, isfinite, nan, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -22,9 +21,10 @@ from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.signals import SEEN, extremes
 from pmabench.base.quantities import show
+from pmabench.kinds.ultimate_gain import ways
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
 from pmabench.kinds.ultimate_gain.relay_fit import command_over, fit, shape_of
-from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, Examined, GainCell, Member, described, limit_of
+from pmabench.kinds.ultimate_gain.ways import DESCRIBED, NOTHING, SYMBOLS, Examined, GainCell, Member, Pair
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
@@ -68,32 +68,33 @@ class RelayLevel:
     """Standard deviation of single periods over their mean [1]."""
     swing: float
     """Half of the peak-to-peak displacement, a [m]."""
-    K_df: float
-    """4 d / (pi sqrt(a^2 - h^2)) [Pa/m]; nan where the swing is not above the hysteresis."""
+    described: Pair
+    """4 d / (pi sqrt(a^2 - h^2)) and the period; nan where the swing is not above the hysteresis."""
     static: float
     """Mean displacement from the centre over mean command from the bias [m/Pa]; nan with a symmetric command."""
     loop: Loop | None = None
-    K_u: float = float("nan")
-    T_u: float = float("nan")
-    half_K_u: float = float("nan")
-    """Half width of the 95 % interval from the scatter between periods."""
-    half_T_u: float = float("nan")
-    half_K_df: float = float("nan")
-    half_period: float = float("nan")
-    coulomb: float = float("nan")
+    fitted: Pair = NOTHING
+    """Of the loop."""
+    coulomb: float = nan
     """What dry friction takes while it moves [Pa], from the balance of pressures."""
-    unlike: float = float("nan")
+    unlike: float = nan
     """Difference of the lags of both directions over their sum [1]."""
-    shape: float = float("nan")
+    shape: float = nan
     """Third harmonic of the displacement over the first, its distance from the fitted loop's [1]."""
-    left: float = float("nan")
+    left: float = nan
     """Distance of the pressure's harmonics from what the fitted loop makes of the command's, over the first [1]."""
+
+    def by(self, method: str) -> Pair:
+        """K_u and T_u by the fit, or by the describing function."""
+        return self.fitted if method == FITTED else self.described
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; what is not known as None."""
-        names = ("amplitude", "hysteresis", "t0", "t1", "period", "variation", "swing", "K_df", "static", "K_u", "T_u",
-                 "coulomb", "unlike", "shape", "left")  # fmt: skip
+        names = ("amplitude", "hysteresis", "t0", "t1", "period", "variation", "swing", "static", "coulomb", "unlike",
+                 "shape", "left")  # fmt: skip
+        K_u, T_u = self.fitted.value
         values = {name: float(getattr(self, name)) for name in names}
+        values |= {"K_df": self.described.value[0], "K_u": K_u, "T_u": T_u}
         return {name: value if isfinite(value) else None for name, value in values.items()}
 
 
@@ -107,6 +108,11 @@ class RelayFound(Examined):
     def best(self) -> RelayLevel | None:
         """The level with the largest amplitude."""
         return max(self.levels, key=lambda level: level.amplitude) if self.levels else None
+
+    @property
+    def pair(self) -> Pair:
+        """Of the fitted loop; nothing where it is refused."""
+        return NOTHING if self.best is None or self.refused else self.best.fitted
 
 
 def search_of(trial: TrialData) -> Mapping[str, Any] | None:
@@ -131,7 +137,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     best = max(known, key=lambda level: level.amplitude)
     if best.variation > PERIOD_VARIATION:
         refused.append(f"the periods vary by {best.variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
-    if not isfinite(best.K_df):
+    if not isfinite(best.described.value[0]):
         refused.append("the swing is not above the hysteresis: the relay did not switch by it")
     if best.loop is None:
         doubts.append("no loop of dead time, lags and gain fits: there is the value of the describing function only")
@@ -150,7 +156,8 @@ def _friction(levels: tuple[RelayLevel, ...], sample: float) -> tuple[list[str],
     if len(levels) < 2 or max(ratio) > (1 + ALIKE) * min(ratio):
         return [], ["one ratio of hysteresis to amplitude at two amplitudes is needed to see friction"]
     small, large = min(levels, key=lambda v: v.amplitude), max(levels, key=lambda v: v.amplitude)
-    change = {"period": small.period / large.period - 1, "gain": small.K_df / large.K_df - 1}
+    K, T = (a / b - 1 for a, b in zip(small.described.value, large.described.value, strict=True))
+    change = {"period": T, "gain": K}
     reason = (
         f"from {show(large.amplitude, 'pressure')} to {show(small.amplitude, 'pressure')} the period changes by "
         f"{change['period']:+.1%} and the gain by {change['gain']:+.1%}, a linear loop keeps both"
@@ -197,15 +204,15 @@ def _measure(
     period = float(periods.mean())
     swing = float(swings.mean()) if len(swings) else 0.0
     quantile = float(student.ppf(0.975, count - 1)) / sqrt(count)
-    K_df = half_df = float("nan")
+    K_df = half_df = nan
     if swing > h:
         K_df = 4 * d / (pi * sqrt(swing**2 - h**2))
         half_df = K_df * quantile * float(np.std(swings, ddof=1)) * swing / (swing**2 - h**2) if len(swings) > 1 else 0
     off = float(command_over(switches, float(ups[0]), float(ups[-1]), 1, 0)[0].real) - float(search["bias"])
-    static = (float(x.mean()) - float(search["centre"])) / off if abs(off) > LOPSIDED * d else float("nan")
+    static = (float(x.mean()) - float(search["centre"])) / off if abs(off) > LOPSIDED * d else nan
     found = RelayLevel(
-        d, h, float(ups[0]), float(ups[-1]), period, float(np.std(periods, ddof=1)) / period, swing, K_df, static,
-        half_K_df=half_df, half_period=quantile * float(np.std(periods, ddof=1)),
+        d, h, float(ups[0]), float(ups[-1]), period, float(np.std(periods, ddof=1)) / period, swing,
+        Pair((K_df, period), (half_df, quantile * float(np.std(periods, ddof=1)))), static,
     )  # fmt: skip
     if P is None:
         return found
@@ -220,21 +227,18 @@ def _measure(
     if whole is None:
         return found
     loop, left = whole
-    truth = ultimate(loop)
     single = [fit(t, x, P, switches, ups[i : i + 3], lag, hold) for i in range(0, count - 1, 2)]
-    each = [ultimate(one[0]) for one in single if one is not None]
-    halves = [float("nan"), float("nan")]
-    if len(each) > 1:
-        wide = float(student.ppf(0.975, len(each) - 1)) / sqrt(len(each))
-        halves = [wide * float(np.std([getattr(one, name) for one in each], ddof=1)) for name in ("gain", "period")]
-    return replace(
-        found, loop=loop, K_u=truth.gain, T_u=truth.period, half_K_u=halves[0], half_T_u=halves[1],
-        shape=shape_of(t, x, switches, ups, loop), left=left,
-    )  # fmt: skip
+    pair = Pair.of(loop, [ultimate(one[0]) for one in single if one is not None])
+    return replace(found, loop=loop, fitted=pair, shape=shape_of(t, x, switches, ups, loop), left=left)
 
 
 FITTED = "relay-fit"
 ALONE = "one trial: the repeats part is the scatter between its periods"
+SAYS = {
+    FITTED: "the method part is the difference between the amplitudes, and what the loop's form is worth",
+    DESCRIBED: "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit",
+}
+"""Method -> what is noted of its values."""
 OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
 """What K_u and T_u may be off, over friction as a share of the amplitude, over the distance of the third harmonic, and
 over their change between the amplitudes: play, a second lag and a slew of the regulator make less of known loops."""
@@ -259,19 +263,26 @@ class RelayCell(GainCell[RelayFound]):
     """All relay trials at one operating point."""
 
     called = "relay trials"
+    methods = (FITTED, DESCRIBED)
 
-    @cached_property
-    def estimates(self) -> list[Estimate]:
-        """K_u and T_u by the fit, then by the describing function."""
-        return [*_estimates(self, FITTED), *_estimates(self, DESCRIBED)]
+    def _estimate(self, place: int, method: str) -> Estimate:
+        best = [(one, level) for one in self.good if (level := one.found.best) is not None]
+        best = [(one, level) for one, level in best if isfinite(level.by(method).value[place])]
+        if not best:
+            reasons = dict.fromkeys(why for one in self.members for why in (*one.found.refused, *one.found.doubts))
+            return replace(self.empty(place, method), note="; ".join(reasons))
+        trials, pairs = [one for one, _ in best], [level.by(method) for _, level in best]
+        parts, described = Parts(method=_method_part(self, best, place, method)), method == DESCRIBED
+        e = self.estimate(place, method, trials, pairs, parts, (SAYS[method],), alone=ALONE, by_command=described)
+        return e if described else weighed(e, _doubts([one.found for one in trials], e.symbol, e.value or 0.0))
 
     def findings(self) -> list[Finding]:
         """What speaks against the trials, and what the fitted loop is."""
         lines, loop = self.said(), self.loop
         if loop is None:
             return lines
-        text = f"at {self.where} the loop fitted to the relay oscillation has {described(loop)}: {limit_of(loop)}"
-        lines.append(Finding("note", text))
+        text = f"at {self.where} the loop fitted to the relay oscillation has {ways.described(loop)}"
+        lines.append(Finding("note", f"{text}: {ways.limit_of(loop)}"))
         best = [level for one in self.good if (level := one.found.best) is not None]
         if static := [level.static for level in best if isfinite(level.static)]:
             text = (
@@ -292,34 +303,6 @@ class RelayCell(GainCell[RelayFound]):
         columns = {"t": trial.t[mask] - begin, **{name: trial.channels[name][mask] for name in names}}
         marks = {"centre": float((search_of(trial) or {}).get("centre", 0.0)), "hysteresis": best.hysteresis}
         return [self.trace("relay", f"Relay oscillation, {show(best.amplitude, 'pressure')}", columns, marks)]
-
-
-def _values(level: RelayLevel, symbol: str, method: str) -> tuple[float, float]:
-    """Value and half width from the scatter between periods, of one level."""
-    name = symbol if method == FITTED else {"K_u": "K_df", "T_u": "period"}[symbol]
-    return getattr(level, name), getattr(level, f"half_{name}")
-
-
-def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
-    says = (
-        "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit"
-        if method == DESCRIBED
-        else "the method part is the difference between the amplitudes, and what the loop's form is worth"
-    )
-    found = []
-    for symbol in SYMBOLS:
-        best = [(one, level) for one in cell.good if (level := one.found.best) is not None]
-        best = [(one, level) for one, level in best if isfinite(_values(level, symbol[0], method)[0])]
-        if not best:
-            reasons = dict.fromkeys(why for one in cell.members for why in (*one.found.refused, *one.found.doubts))
-            found.append(replace(cell.empty(*symbol, method), note="; ".join(reasons)))
-            continue
-        trials, values = [one for one, _ in best], [_values(level, symbol[0], method) for _, level in best]
-        parts = Parts(method=_method_part(cell, best, symbol[0], method))
-        described = method == DESCRIBED
-        e = cell.estimate(symbol, method, trials, values, parts, (says,), alone=ALONE, by_command=described)
-        found.append(e if described else weighed(e, _doubts([one.found for one in trials], symbol[0], e.value or 0.0)))
-    return found
 
 
 def _doubts(trials: Sequence[RelayFound], symbol: str, value: float) -> list[Doubt]:
@@ -350,23 +333,20 @@ def _doubts(trials: Sequence[RelayFound], symbol: str, value: float) -> list[Dou
 
 
 def _method_part(
-    cell: RelayCell, best: Sequence[tuple[Member[RelayFound], RelayLevel]], symbol: str, method: str
+    cell: RelayCell, best: Sequence[tuple[Member[RelayFound], RelayLevel]], place: int, method: str
 ) -> float | None:
     """Half width by the method: the other amplitudes for the fit, the fit for the describing function; clocks added."""
     apart = []
     for one, level in best:
-        value = _values(level, symbol, method)[0]
-        if method == DESCRIBED:
-            others = [_values(level, symbol, FITTED)[0]]
-        else:
-            others = [_values(other, symbol, method)[0] for other in one.found.levels if other is not level]
-        apart += [abs(value - other) for other in others if isfinite(other)]
+        fits = [level] if method == DESCRIBED else [other for other in one.found.levels if other is not level]
+        others = [other.fitted.value[place] for other in fits]
+        apart += [abs(level.by(method).value[place] - other) for other in others if isfinite(other)]
     if not apart:
         return None
+    symbol = SYMBOLS[place][0]
     unlike = [min(1.0, level.unlike if isfinite(level.unlike) else 0.0) for _, level in best]
     form = max(
-        hypot(FORM[symbol], UNLIKE[symbol] * (one + 3 * max(0.0, one - BEYOND))) * _values(level, symbol, method)[0]
+        hypot(FORM[symbol], UNLIKE[symbol] * (one + 3 * max(0.0, one - BEYOND))) * level.by(method).value[place]
         for one, (_, level) in zip(unlike, best, strict=True)
     )
-    shift = cell.by_clocks("gain" if symbol == "K_u" else "period")
-    return sqrt((OF_SIZES * max(apart)) ** 2 + shift**2 + form**2)
+    return hypot(OF_SIZES * max(apart), cell.by_clocks(place), form)

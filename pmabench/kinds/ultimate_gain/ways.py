@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from math import nan
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
@@ -12,10 +14,11 @@ import numpy as np
 from pmabench.analysis import tuning
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, listed, sentences
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.student import half_of_trials
 from pmabench.analysis.shared.trials import by_point, grouped, thinned
 from pmabench.base.quantities import show
-from pmabench.model.loop import Loop, ultimate
+from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -30,6 +33,27 @@ COLUMNS = {"t": "time", "displacement": "length", "model": "length", "pressure":
 """Column of a trace -> its quantity."""
 
 
+@dataclass(frozen=True)
+class Pair:
+    """K_u [Pa/m] and T_u [s]; NaN where there is none."""
+
+    value: tuple[float, float] = (nan, nan)
+    half: tuple[float, float] = (nan, nan)
+    """Half widths of the 95 % intervals by the scatter within one trial; NaN where it is unknown."""
+
+    @classmethod
+    def of(cls, loop: Loop | None, parts: Sequence[Ultimate]) -> Pair:
+        """Of the loop behind a trial, and what parts of the trial alone give."""
+        if loop is None:
+            return NOTHING
+        truth = ultimate(loop)
+        K, T = (spread([getattr(one, name) for one in parts]) for name in ("gain", "period"))
+        return cls((truth.gain, truth.period), (nan if K is None else K, nan if T is None else T))
+
+
+NOTHING = Pair()
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Examined:
     """What was found in one trial."""
@@ -40,6 +64,11 @@ class Examined:
     """What weakens its value."""
     loop: Loop | None = None
     """The loop behind it; None where it does not show."""
+
+    @property
+    def pair(self) -> Pair:
+        """What it gives."""
+        return NOTHING
 
 
 Found = TypeVar("Found", bound=Examined)
@@ -60,6 +89,8 @@ class GainCell(ABC, Generic[Found]):
 
     called: ClassVar[str] = "trials"
     """What its trials are called in findings."""
+    methods: ClassVar[tuple[str, ...]]
+    """The first one counts."""
     at: Mapping[str, float]
     members: tuple[Member[Found], ...]
 
@@ -68,10 +99,14 @@ class GainCell(ABC, Generic[Found]):
         """The loop of the first trial that has one."""
         return next((loop for one in self.good if (loop := one.found.loop) is not None), None)
 
-    @property
+    @cached_property
+    def estimates(self) -> list[Estimate]:
+        """K_u and T_u by each method."""
+        return [self._estimate(place, method) for method in self.methods for place in range(len(SYMBOLS))]
+
     @abstractmethod
-    def estimates(self) -> Sequence[Estimate]:
-        """K_u and T_u, and those by further methods."""
+    def _estimate(self, place: int, method: str) -> Estimate:
+        """K_u (`place` 0) or T_u (1) by a method: the mean of the trials, with its interval in parts."""
 
     @abstractmethod
     def findings(self) -> list[Finding]:
@@ -117,28 +152,29 @@ class GainCell(ABC, Generic[Found]):
             for point, group in by_point(members)
         ]
 
-    def empty(self, symbol: str, unit: str, quantity: str, method: str) -> Estimate:
-        """No value, because of what was refused in all trials."""
+    def empty(self, place: int, method: str) -> Estimate:
+        """No K_u (`place` 0) or T_u (1), because of what was refused in all trials."""
+        symbol, unit, quantity = SYMBOLS[place]
         note = "; ".join(dict.fromkeys(reason for one in self.members for reason in one.found.refused))
         parents = tuple(one.trial.name for one in self.members)
         return Estimate(symbol, None, unit, quantity, method, self.at, note=note, trials=parents)
 
     def estimate(
-        self, symbol: tuple[str, str, str], method: str, of: Sequence[Member[Found]],
-        values: Sequence[tuple[float, float]], parts: Parts, notes: Sequence[str], *, alone: str,
-        bias: float | None = None, by_command: bool = True,
+        self, place: int, method: str, of: Sequence[Member[Found]], pairs: Sequence[Pair], parts: Parts,
+        notes: Sequence[str], *, alone: str, bias: float | None = None, by_command: bool = True,
     ) -> Estimate:  # fmt: skip
-        """The mean of `values`, each with its half width (NaN where it is unknown), of the trials `of`.
+        """The mean of K_u (`place` 0) or of T_u (1) over the `pairs` of the trials `of`.
 
         `parts` holds those by method and clocks; `alone` is what is noted of one trial. `by_command`: the calibration
         is that of the commanded pressure if that has one, else that of the measured pressure.
         """
-        scales, (numbers, halves) = Scales.of(one.run for one in self.members), zip(*values, strict=True)
+        scales = Scales.of(one.run for one in self.members)
+        numbers, halves = [pair.value[place] for pair in pairs], [pair.half[place] for pair in pairs]
         value = float(np.mean(numbers))
         pressure = "pressure_command" if by_command and "pressure_command" in scales.gains else "pressure"
-        used = (pressure, "displacement") if symbol[0] == "K_u" else ()
+        used = () if place else (pressure, "displacement")
         return replace(
-            self.empty(*symbol, method),
+            self.empty(place, method),
             value=value,
             parts=replace(
                 parts, repeats=half_of_trials(numbers, halves), calibration=scales.part(dict.fromkeys(used, value))
@@ -180,15 +216,16 @@ class GainCell(ABC, Generic[Found]):
         """What is written down of every trial, as plain data."""
         return [{"trial": one.trial.name, **level.to_dict()} for one in self.members for level in levels(one.found)]
 
-    def by_clocks(self, name: str) -> float:
-        """Change of the ultimate `gain` or `period` by clocks: pressure and displacement may be so far apart, either
+    def by_clocks(self, place: int) -> float:
+        """Change of K_u (`place` 0) or T_u (1) by clocks: pressure and displacement may be so far apart, either
         way, and the dead time holds all of it.
         """
         if self.apart <= 0 or self.loop is None:
             return 0.0
-        known, dead = float(getattr(ultimate(self.loop), name)), self.loop.dead_time
-        ends = (dead + self.apart, max(dead - self.apart, LEAST_DEAD * dead))
-        return max(abs(float(getattr(ultimate(replace(self.loop, dead_time=end)), name)) - known) for end in ends)
+        dead = self.loop.dead_time
+        times = (dead, dead + self.apart, max(dead - self.apart, LEAST_DEAD * dead))
+        known, *ends = (Pair.of(replace(self.loop, dead_time=time), ()).value[place] for time in times)
+        return max(abs(end - known) for end in ends)
 
 
 def lags_of(tau: float, beta: float) -> tuple[complex, ...]:

@@ -3,8 +3,7 @@
 - `reduction`, with the figure and one trial on the display; protocol files: `protocol`
 """
 
-from pmabench.base.imported import Imported
-from pmabench.base.kind import Kind, Result
+from pmabench.base.kind import Imported, Kind, Result
 
 RESULTS = (
     Result("e_ss", "steady-state error", "ratio", headline=True),

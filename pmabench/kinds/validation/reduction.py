@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import lag_open, lags_of
 from pmabench.analysis.shared.signals import smooth
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
-from pmabench.analysis.shared.trials import grouped, point_of
+from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of, thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
 from pmabench.model.presets import Described
-from pmabench.plotting import pictures, time_plots
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.plotting.motion import overlays
+from pmabench.plotting.pictures import Picture
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "validation"
@@ -41,7 +41,6 @@ NO_MODEL = "the plan holds no model to compare with"
 LAGS = "time constants of the sensors"
 FEWEST = 8
 """Fewest samples of the window."""
-LONGEST_TRACE = 1500
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,11 +229,9 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
     channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
     causes = [n for n in members[0].open if n.startswith(channels) and all(n in step.open for step in members)]
 
-    def estimate(symbol: str, values: list[float], unit: str, quantity: str, part: float | None) -> Estimate:
-        parts = Parts(repeats=spread(values), calibration=part)
-        note = sentences("" if len(values) > 1 else ALONE, scales.lack(channels, channels))
-        mean = float(np.mean(values))
-        return Estimate(symbol, mean, unit, quantity, method, at, parts, len(values), note=note, trials=names)
+    def estimate(symbol: str, kind: tuple[str, str], values: list[float], part: float | None) -> Estimate:
+        lacking = scales.lack(channels, channels)
+        return mean_of_trials(symbol, kind, method, at, names, values, None, part, ALONE, lacking)
 
     def of_mean(by: float) -> float | None:
         """Calibration part of an error in the window; `by`: its change per offset of the displacement [1/m]."""
@@ -255,10 +252,11 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
     x = float(np.mean([step.measured for step in members]))
     known = any(name in scales.gains or name in scales.offsets for name in channels)
     scaled = hypot(grows("gain"), grows("offset")) if known else None
-    e_sim = estimate("e_sim", [_rms(step, method) for step in members], "m", "length", scaled)
+    e_sim = estimate("e_sim", ("m", "length"), [_rms(step, method) for step in members], scaled)
+    share = ("1", "ratio")
     return [
-        estimate("e_ss", [step.error(method) / step.measured for step in members], "1", "ratio", of_mean(1.0 / x)),
-        estimate("e_fs", [step.error(method) / full for step in members], "1", "ratio", of_mean(1.0 / full)),
+        estimate("e_ss", share, [step.error(method) / step.measured for step in members], of_mean(1.0 / x)),
+        estimate("e_fs", share, [step.error(method) / full for step in members], of_mean(1.0 / full)),
         weighed(e_sim, [Doubt(LAGS, "method", grows("lag"), seen=False)]),
     ]
 
@@ -323,7 +321,6 @@ def _trace(step: _Step) -> Trace:
     """Measured and simulated contraction of one step."""
     pressure = step.trial.point.get("pressure", 0.0)
     load = step.trial.point.get("load", 0.0)
-    rows = slice(None, None, max(1, -(-len(step.t) // LONGEST_TRACE)))
     where = show(pressure, "pressure") + (f", {show(load, 'force')}" if load else "")
     columns = {"t": step.t, "displacement": step.x, "model": step.simulated[MEASURED]}
     columns["model, commanded pressure"] = step.simulated[COMMANDED]
@@ -333,7 +330,7 @@ def _trace(step: _Step) -> Trace:
         f"validation-{pressure * 1e-3:g}-{load:g}",
         "validation",
         f"{where}: measured and simulated step",
-        {name: column[rows] for name, column in columns.items()},
+        thinned(columns),
         {"t": "time", **dict.fromkeys(list(columns)[1:], "length")},
         {"pressure": pressure},
     )
@@ -348,29 +345,11 @@ MOST = 12
 """Most steps."""
 
 
-def validations(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
+def validations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """Measured and simulated contraction after each step of pressure."""
-    able = [t for t in traces if pictures.has(t, "t", "displacement", "model")]
-    if not able:
-        return []
-    chosen = pictures.spread(able, MOST)
-    panels = [
-        pictures.panel(t, {"t": "t", "measured": "displacement", "model": "model"}, pictures.head(t)) for t in chosen
-    ]
-    unit = pictures.unit_of(chosen[0], "displacement").unit
-    labels = {"t": pictures.label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"diff. [{unit}]"}
-    misfits = [float(np.sqrt(np.nanmean((p.columns["measured"] - p.columns["model"]) ** 2))) for p in panels]
-    caption = (
-        "Grey: measured; red: the model that the protocol names, driven by the measured pressure. Below: their "
-        f"difference, rms {pictures.reach(misfits)} {unit}. It was fitted to nothing in this run."
-    )
-    caption += pictures.how_many(chosen, able)
-    steps = "; ".join(p.title for p in panels)
-    alt = f"Contraction over time after steps of pressure, measured and simulated, at {steps}."
-    table = pictures.numbers([(pictures.head(t), t) for t in chosen])
-    draw = pictures.bound(time_plots.overlay, panels, labels)
-    title = "Measured and simulated steps"
-    return [pictures.picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    model, title = "the model that the protocol names, driven by the measured pressure", "Measured and simulated steps"
+    nothing = " It was fitted to nothing in this run."
+    return overlays(traces, analysis, model, title, most=MOST, also=nothing, columns=())
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

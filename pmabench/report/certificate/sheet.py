@@ -21,10 +21,9 @@ from pmabench.report.certificate.force_chart import force_picture, stroke_pictur
 from pmabench.report.certificate.quality import Coverage, Sources, coverage, sources
 from pmabench.report.certificate.result_table import ResultTable, result_table
 from pmabench.report.document import provenance
-from pmabench.report.document.front import Verdict, tiles_of
 from pmabench.report.document.tables import two_coordinates
 from pmabench.report.figures.figures import front_pictures
-from pmabench.report.foremost import how_well, left_out
+from pmabench.report.foremost import Verdict, how_well, left_out, tiles_of
 from pmabench.report.words import described, kind_title
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate, Trace
 from pmabench.store.records import RunData

@@ -27,15 +27,14 @@ from pmabench.report.certificate.interactive import assets, chart_data
 from pmabench.report.certificate.sheet import Sheet, sheet_of
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.deviations import Issuer, Item, Said, checklist, deviations, notes_of
-from pmabench.report.document.front import Tile, Verdict, tiles_of, verdict_of
-from pmabench.report.document.grids import Grid, grid
+from pmabench.report.document.grids import Grid, grid, narrow
 from pmabench.report.document.provenance import citation, methods_paragraph
 from pmabench.report.document.special_tables import Parents, budget_table, change_tables, check_tables, reduced_with
 from pmabench.report.document.special_tables import who as who_changed
-from pmabench.report.document.tables import narrow
 from pmabench.report.figures import overlays
 from pmabench.report.figures.characteristic_figures import characteristic
 from pmabench.report.figures.figures import kind_pictures
+from pmabench.report.foremost import Tile, Verdict, tiles_of, verdict_of
 from pmabench.report.words import declared, described, distinct, kind_title
 from pmabench.report.writing import render, write_file
 from pmabench.store.analyses.results import AGREEMENT, Analysis

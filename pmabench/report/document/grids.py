@@ -1,11 +1,13 @@
-"""Tables ready for a page: frames of text with aligned columns, `a ± b` split, rows grouped; knows no format."""
+"""Tables ready for a page: cut where too wide, columns aligned, `a ± b` split, rows grouped; knows no format."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from pmabench.plotting.wording import AT_MOST, UNRESOLVED, WITHHELD, Frame
+from pmabench.plotting.wording import AT_MOST, POINTS, UNRESOLVED, WITHHELD, Frame, clean, point_head
+from pmabench.report.document.tables import Table
 
 MOST_ROWS = 600
 BRIEF = 32
@@ -94,3 +96,66 @@ def grid(frame: Frame, caption: str = "", *, group: bool | None = None) -> Grid:
 def _cell(text: str, align: str) -> Cell:
     pair = _PAIR.fullmatch(text) if align == "pair" else None
     return Cell(pair[1], pair[2]) if pair else Cell(text, muted=text in MUTED)
+
+
+MOST = 7.0
+"""Most columns of values next to those of the operating point; one without intervals counts as `PLAIN` of one."""
+PLAIN = 0.6
+
+
+def narrow(table: Table) -> list[Table]:
+    """The table, or tables whose cells are together those of it; every row of them has a value."""
+    heads = {"method", *(point_head(name) for name in POINTS)}  # of method and operating point; the others are values
+    keys = [c for c in table.frame.columns if c in heads]
+    values = [c for c in table.frame.columns if c not in heads]
+    if _width(table.frame, values) <= MOST:
+        return [table]
+    for key in (key for key in keys if key != "method"):
+        filled = [cell != "" for cell in table.frame[key]]
+        if any(filled) and not all(filled):
+            parts = [replace(table, frame=table.frame.where(has == way for has in filled)) for way in (False, True)]
+            return [one for part in parts for one in narrow(_part(part, keys, _used(part.frame, values), part.caption))]
+    if "method" in keys and len(set(table.frame["method"])) > 1:
+        groups: dict[tuple[str, ...], list[str]] = {}
+        for method in dict.fromkeys(table.frame["method"]):
+            rows = table.frame.where(cell == method for cell in table.frame["method"])
+            groups.setdefault(tuple(_used(rows, values)), []).append(str(method))
+        if len(groups) > 1:
+            return [
+                part
+                for used, methods in groups.items()
+                for part in narrow(_part(table, keys, used, f"{table.caption}: {clean(', '.join(methods))}", methods))
+            ]
+    chunks: list[list[str]] = []
+    for symbol in dict.fromkeys(value.partition(" [")[0] for value in values):
+        alike = [value for value in values if value.partition(" [")[0] == symbol]
+        if chunks and _width(table.frame, [*chunks[-1], *alike]) <= MOST:
+            chunks[-1] += alike
+            continue
+        for value in alike:
+            if value == alike[0] or _width(table.frame, [*chunks[-1], value]) > MOST:
+                chunks.append([])
+            chunks[-1].append(value)
+    captions = [table.caption, *[f"{table.caption} (continued)".lstrip()] * (len(chunks) - 1)]
+    return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
+
+
+def _used(frame: Frame, values: Sequence[str]) -> list[str]:
+    """Columns that have a cell."""
+    return frame.select(values).filled().columns
+
+
+def _width(frame: Frame, columns: Sequence[str]) -> float:
+    """Width of columns together, counted in columns with intervals."""
+    return sum(1.0 if any("±" in str(cell) for cell in frame[c]) else PLAIN for c in columns)
+
+
+def _part(
+    table: Table, keys: Sequence[str], values: Sequence[str], caption: str, methods: Sequence[str] | None = None
+) -> Table:
+    """Some columns of values with the rows that have any, and what of the operating point these rows have."""
+    frame = table.frame.where(
+        (methods is None or row["method"] in methods) and any(row[value] != "" for value in values)
+        for row in table.frame.rows
+    )
+    return Table(caption, frame.select([*_used(frame, keys), *values]))

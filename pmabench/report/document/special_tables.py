@@ -161,13 +161,17 @@ def who(analyses: Sequence[Analysis]) -> Iterator[tuple[tuple[str, ...], str]]:
 
 def change_tables(analysis: Analysis) -> Iterator[Table]:
     """Every coefficient before and after; one table, none without a recalibration."""
-    rows = [row for entry in mappings(get(analysis.facts, "recalibration", "changes")) if (row := _row(entry))]
-    if rows:
+    if rows := change_rows(get(analysis.facts, "recalibration", "changes")):
         caption = (
             "What the recalibration changed: as recorded, as reduced here, difference with the 95 % half width "
             "that the two calibrations leave it"
         )
         yield Table(caption, Frame(rows))
+
+
+def change_rows(changes: Any) -> list[dict[str, str]]:
+    """A row of text for each change of a coefficient, as `Change.to_dict` has it."""
+    return [row for entry in mappings(changes) if (row := _row(entry))]
 
 
 def _row(entry: Mapping[str, Any]) -> dict[str, str]:
@@ -188,7 +192,7 @@ def _row(entry: Mapping[str, Any]) -> dict[str, str]:
         row[head] = "none"
         if is_number(value):
             values[side] = float(value)
-            row[head] = unit.rounded(value, half_of(get(entry, side, "ci95")))
+            row[head] = unit.rounded(value, half_of(value, get(entry, side, "ci95")))
     if len(values) == 2:
         difference, size = values["after"] - values["before"], abs(values["before"])
         half_width, small = entry.get("half_width"), abs(difference) <= SAME * size

@@ -1,4 +1,4 @@
-"""Tables of what analyses found, as frames of text, cut where they are too wide for a page; no estimate.
+"""Tables of what analyses found, as frames of text; no estimate.
 
 Cells are text, rounded as their interval says; numbers for programs are in `csv_files`. Every header names its unit.
 """
@@ -104,9 +104,11 @@ def primary_table(analyses: Sequence[Analysis]) -> tuple[Frame, str]:
     met = {name: {e.at[name] for e in chosen if name in e.at} for name in PLACES - {"pressure"}}
     alike = {name: next(iter(values)) for name, values in met.items() if len(values) == 1}
     slim = [replace(e, at={name: at for name, at in e.at.items() if name not in alike}) for e in chosen]
-    frame = _by_point(
-        slim, declared(analyses), lambda e: _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else "")
-    )
+
+    def column(e: Estimate) -> str:
+        return _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else "")
+
+    frame = pivot_table(slim, declared(analyses), column, by_method=False)
     methods = ", ".join(dict.fromkeys(e.method for e in chosen if set(e.at) & set(alike)))
     return frame, f"{clean(methods)} at {point_text(alike)}" if alike else ""
 
@@ -120,23 +122,8 @@ def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
         members = [e for e in chosen if e.symbol == symbol]
         if symbol in COEFFICIENTS and len({e.method for e in members}) > 1:
             name = ", ".join(part for part in (_column(members[0]), clean(result.title)) if part)
-            tables.append(Table(name, _by_point(members, results, lambda e: clean(e.method))))
+            tables.append(Table(name, pivot_table(members, results, lambda e: clean(e.method), by_method=False)))
     return tables
-
-
-def _by_point(estimates: Sequence[Estimate], results: Mapping[str, Result], column: Callable[[Estimate], str]) -> Frame:
-    """One row per operating point, the columns in the order of `results`."""
-    order = list(results)
-    estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
-    points = in_order((name for e in estimates for name in e.at), POINTS)
-    heads = {name: point_head(name) for name in points}
-    rows: dict[tuple[float, ...], dict[str, str]] = {}
-    for e in estimates:
-        at = {name: round(e.at[name] / point_shown(name)[1].scale, 6) for name in points if name in e.at}
-        place = tuple(at.get(name, float("-inf")) for name in points)
-        rows.setdefault(place, {heads[name]: number(at[name]) for name in at})[column(e)] = cell(e)
-    columns = list(dict.fromkeys([*heads.values(), *(column(e) for e in estimates)]))
-    return Frame([rows[place] for place in sorted(rows)], columns=columns)
 
 
 def other_tables(analysis: Analysis) -> list[Table]:
@@ -177,20 +164,29 @@ def _column(e: Estimate) -> str:
     return shown(e.quantity, e.unit).label(symbol_text(e.symbol, e.coordinate))
 
 
-def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> Frame:
-    """One row per method and operating point, one column per symbol in the order of `results`; text cells."""
-    names = in_order((name for e in estimates for name in e.at), POINTS)
-    columns = list(dict.fromkeys(_column(e) for s in results for e in estimates if e.symbol == s))
-    methods = list(dict.fromkeys(e.method for e in estimates))
-    rows: dict[tuple[int, tuple[float, ...]], dict[str, str]] = {}
+def pivot_table(
+    estimates: Sequence[Estimate],
+    results: Mapping[str, Result],
+    column: Callable[[Estimate], str] = _column,
+    *,
+    by_method: bool = True,
+) -> Frame:
+    """One row per operating point, of each method or of all; columns named by `column` in the order of `results`; text.
+
+    Points that differ by less than 1e-6 of the units that people read are one.
+    """
+    order, methods = list(results), list(dict.fromkeys(e.method for e in estimates))
+    estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
+    heads = {name: point_head(name) for name in in_order((name for e in estimates for name in e.at), POINTS)}
+    rows: dict[tuple[float, ...], dict[str, str]] = {}
     for e in estimates:
-        place = tuple(e.at.get(name, float("-inf")) for name in names)
-        row = rows.setdefault((methods.index(e.method), place), {"method": clean(e.method)})
-        for name in names:
-            row[point_head(name)] = number(e.at[name] / point_shown(name)[1].scale) if name in e.at else ""
-        row[_column(e)] = cell(e)
-    heads = [point_head(name) for name in names]
-    return Frame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns])
+        at = {name: e.at[name] / point_shown(name)[1].scale for name in heads if name in e.at}
+        first = {"method": clean(e.method)} if by_method else {}
+        place = methods.index(e.method) if by_method else 0, *(round(at.get(name, float("-inf")), 6) for name in heads)
+        row = rows.setdefault(place, first | {heads[name]: number(value) for name, value in at.items()})
+        row[column(e)] = cell(e)
+    columns = [*heads.values(), *dict.fromkeys(column(e) for e in estimates)]
+    return Frame([rows[place] for place in sorted(rows)], columns=["method", *columns] if by_method else columns)
 
 
 def two_coordinates(members: Sequence[Estimate], over: str) -> str:
@@ -340,7 +336,7 @@ def tuning_table(analyses: Sequence[Analysis]) -> Frame:
             unit = shown(str(found.get("quantity", "")), str(found.get("unit", "")))
             value = found.get("value")
             if isinstance(value, int | float):
-                row[unit.label(clean(symbol))] = unit.rounded(value, half_of(found.get("ci95")))
+                row[unit.label(clean(symbol))] = unit.rounded(value, half_of(value, found.get("ci95")))
         margins = numbers_of(entry.get("margins"))
         row |= {head: rounded(margins[name] / scale, None, 3) for name, head, scale in _MARGINS if name in margins}
         for name, head, scale in (("overshoot", "overshoot [%]", 100), ("settling", "settling [s]", 1)):
@@ -371,75 +367,12 @@ def is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def half_of(ends: Any) -> float | None:
-    """Half the width of an interval in facts; None where it is none."""
+def half_of(value: float, ends: Any) -> float | None:
+    """How far an interval in facts reaches from its value, one that was cut off at 0 too; None where it is none."""
     pair = isinstance(ends, list | tuple) and len(ends) == 2 and all(map(is_number, ends))
-    return (ends[1] - ends[0]) / 2 if pair else None
+    return max(ends[1] - value, value - ends[0]) if pair else None
 
 
 def numbers_of(value: Any) -> dict[str, float]:
     """The numbers of a mapping; facts may hold anything."""
     return {str(k): float(v) for k, v in value.items() if is_number(v)} if isinstance(value, Mapping) else {}
-
-
-MOST = 7.0
-"""Most columns of values next to those of the operating point; one without intervals counts as `PLAIN` of one."""
-PLAIN = 0.6
-
-
-def narrow(table: Table) -> list[Table]:
-    """The table, or tables whose cells are together those of it; every row of them has a value."""
-    heads = {"method", *(point_head(name) for name in POINTS)}  # of method and operating point; the others are values
-    keys = [c for c in table.frame.columns if c in heads]
-    values = [c for c in table.frame.columns if c not in heads]
-    if _width(table.frame, values) <= MOST:
-        return [table]
-    for key in (key for key in keys if key != "method"):
-        filled = [cell != "" for cell in table.frame[key]]
-        if any(filled) and not all(filled):
-            parts = [replace(table, frame=table.frame.where(has == way for has in filled)) for way in (False, True)]
-            return [one for part in parts for one in narrow(_part(part, keys, _used(part.frame, values), part.caption))]
-    if "method" in keys and len(set(table.frame["method"])) > 1:
-        groups: dict[tuple[str, ...], list[str]] = {}
-        for method in dict.fromkeys(table.frame["method"]):
-            rows = table.frame.where(cell == method for cell in table.frame["method"])
-            groups.setdefault(tuple(_used(rows, values)), []).append(str(method))
-        if len(groups) > 1:
-            return [
-                part
-                for used, methods in groups.items()
-                for part in narrow(_part(table, keys, used, f"{table.caption}: {clean(', '.join(methods))}", methods))
-            ]
-    chunks: list[list[str]] = []
-    for symbol in dict.fromkeys(value.partition(" [")[0] for value in values):
-        alike = [value for value in values if value.partition(" [")[0] == symbol]
-        if chunks and _width(table.frame, [*chunks[-1], *alike]) <= MOST:
-            chunks[-1] += alike
-            continue
-        for value in alike:
-            if value == alike[0] or _width(table.frame, [*chunks[-1], value]) > MOST:
-                chunks.append([])
-            chunks[-1].append(value)
-    captions = [table.caption, *[f"{table.caption} (continued)".lstrip()] * (len(chunks) - 1)]
-    return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
-
-
-def _used(frame: Frame, values: Sequence[str]) -> list[str]:
-    """Columns that have a cell."""
-    return frame.select(values).filled().columns
-
-
-def _width(frame: Frame, columns: Sequence[str]) -> float:
-    """Width of columns together, counted in columns with intervals."""
-    return sum(1.0 if any("±" in str(cell) for cell in frame[c]) else PLAIN for c in columns)
-
-
-def _part(
-    table: Table, keys: Sequence[str], values: Sequence[str], caption: str, methods: Sequence[str] | None = None
-) -> Table:
-    """Some columns of values with the rows that have any, and what of the operating point these rows have."""
-    frame = table.frame.where(
-        (methods is None or row["method"] in methods) and any(row[value] != "" for value in values)
-        for row in table.frame.rows
-    )
-    return Table(caption, frame.select([*_used(frame, keys), *values]))

@@ -15,15 +15,15 @@ from pmabench.analysis.verdict import comparison
 from pmabench.analysis.verdict.comparison import Change, Difference, Side, percent
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, drawable, picture
-from pmabench.plotting.wording import Frame, Shown, clean, in_order, plain_unit, point_text, shown, spoken, symbol_text
-from pmabench.report.document.special_tables import SAME
+from pmabench.plotting.wording import Frame, clean, in_order, plain_unit, point_text, shown, spoken, symbol_text
+from pmabench.report.document.special_tables import change_rows
 from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison, comparison_table
 from pmabench.report.files.csv_files import csv_text, value_cells
 from pmabench.report.terminal import print_grid
 from pmabench.report.words import declared
 from pmabench.report.writing import Page, TextTable, write_file, write_page
-from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate
+from pmabench.store.analyses.results import PUBLISHED, Analysis
 from pmabench.store.folder import plain
 
 if TYPE_CHECKING:
@@ -156,36 +156,18 @@ def curve_rows(curves: Sequence[Comparison]) -> Rows:
 
 NAME = "changes"
 SCHEMA = "pmabench.changes/1"
-HEADS = ("kind", "coefficient", "at", "unit", "before", "after", "difference", "%", "method")
+HEADS = ("kind", "coefficient", "at", "unit", "as recorded", "as reduced here", "difference", "%", "method")
 
 
 def print_changes(changes: Sequence[Change], console: Console) -> None:
-    """A row for each coefficient in display units; the half width of the difference is that of the calibrations."""
+    """A row for each coefficient, as in the report; the half width of the difference is that of the calibrations."""
     rows = []
     for change in changes:
-        e = change.estimate
-        unit = shown(e.quantity, e.unit)
-        difference = change.difference
-        base = None if change.before is None else change.before.value
-        share = "" if difference is None or not base else f"{100 * difference / abs(base):+.2f}"
-        signed = "" if difference is None else _signed(difference, change.half_width, abs(base or 0.0), unit)
-        where = (change.kind, symbol_text(e.symbol, e.coordinate), point_text(e.at), unit.unit)
-        rows.append([*where, _cell(change.before, unit), _cell(change.after, unit), signed, share, e.method])
-    print_grid(console, HEADS, rows, ("kind", "coefficient", "at", "unit", "method"), keys=3)
-
-
-def _cell(estimate: Estimate | None, unit: Shown) -> str:
-    if estimate is None or estimate.value is None:
-        return "none"
-    return unit.rounded(estimate.value, estimate.parts.combined)
-
-
-def _signed(value: float, half: float | None, size: float, unit: Shown) -> str:
-    """Text of a difference between values of this size [SI]; 0 where it is only rounding."""
-    if abs(value) <= SAME * size:
-        return "0"
-    text = unit.rounded(value, half or None)
-    return text if text.startswith(("-", "−")) else f"+{text}"
+        sides = (("as recorded", change.before), ("as reduced here", change.after))
+        known = [(head, e, shown(e.quantity, e.unit)) for head, e in sides if e is not None and e.value is not None]
+        values = {head: unit.rounded(e.value, e.parts.combined) for head, e, unit in known}
+        rows += [{"kind": change.kind, **row, **values} for row in change_rows([change.to_dict()])]
+    print_grid(console, HEADS, Frame(rows, HEADS).cells(), ("kind", "coefficient", "at", "unit", "method"), keys=3)
 
 
 def write_changes(
@@ -201,10 +183,7 @@ def write_changes(
         row |= {"at": point_text(e.at), "unit": plain_unit(unit.unit)}
         for name, side in (("before", change.before), ("after", change.after)):
             cells = value_cells(side) if side is not None else {}
-            row |= {
-                f"{name}{more}": cells.get(key)
-                for key, more in (("value", ""), ("low95", " low95"), ("high95", " high95"))
-            }
+            row |= {name: cells.get("value")} | {f"{name} {end}": cells.get(end) for end in ("low95", "high95")}
         row |= {"difference": unit.of(change.difference), "half width 95 %": unit.of(change.half_width)}
         rows.append(row | {"method": e.method})
     data = {

@@ -11,7 +11,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -171,8 +171,8 @@ def _write_trace(trace: Trace, path: Path) -> None:
 
 def read_analysis(folder: Path) -> Analysis:
     """The inverse of `write_analysis`; raises InvalidFile with what is wrong."""
-    data = _data(folder)
-    with _as_damage(folder / ANALYSIS):
+    data, path = _data(folder), folder / ANALYSIS
+    try:
         curves, traces = (data.pop(name) for name in ("curves", "traces"))
         needed = {name: data[name] for name in ("estimates", "dropped", "findings", "facts")}
         rest: Analysis = _read(Analysis, {**data, **needed, "results": []})
@@ -182,6 +182,10 @@ def read_analysis(folder: Path) -> Analysis:
             traces=tuple(_trace(folder, trace) for trace in traces),
             results=_read(tuple[Result, ...], data.get("results", [])),
         )
+    except KeyError as error:
+        raise invalid(path, f"lacks the entry {error}") from error
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise invalid(path, f"is damaged: {error}") from error
 
 
 def _data(folder: Path) -> dict[str, Any]:
@@ -221,17 +225,6 @@ def runs_of(folder: Path) -> list[Path]:
         if known is not None:
             found.append(known)
     return found
-
-
-@contextmanager
-def _as_damage(path: Path) -> Iterator[None]:
-    """Whatever does not fit becomes one sentence."""
-    try:
-        yield
-    except KeyError as error:
-        raise invalid(path, f"lacks the entry {error}") from error
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise invalid(path, f"is damaged: {error}") from error
 
 
 @lru_cache

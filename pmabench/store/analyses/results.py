@@ -216,9 +216,14 @@ def _known(e: Estimate) -> Estimate:
     return withhold(e, why if widest is None else f"{why}. Most of it is from: {widest.name}")
 
 
-def _ends_at_0(e: Estimate, positive: Set[str]) -> bool:
-    """Whether the interval of an estimate ends at 0: a term of a curve may be below, but one of several times not."""
-    return e.symbol in positive and (not e.coordinate or e.quantity == "time")
+def _as_declared(e: Estimate, positive: Set[str]) -> Estimate:
+    """The estimate of a result of which those that are `positive` cannot be below 0.
+
+    A term of a curve may be below, but one of several times not.
+    """
+    if e.symbol not in positive or (e.coordinate and e.quantity != "time"):
+        return e
+    return replace(e, positive=True) if e.coordinate else _known(replace(e, positive=True))
 
 
 @dataclass(frozen=True)
@@ -331,9 +336,7 @@ class Analysis:
         if self.results:
             check_declared(self.kind, self.results, self.estimates, self.curves)
             positive = {result.symbol for result in self.results if result.positive}
-            estimates = tuple(replace(e, positive=True) if _ends_at_0(e, positive) else e for e in self.estimates)
-            sure = tuple(_known(e) if e.symbol in positive and not e.coordinate else e for e in estimates)
-            object.__setattr__(self, "estimates", sure)
+            object.__setattr__(self, "estimates", tuple(_as_declared(e, positive) for e in self.estimates))
 
     @classmethod
     def of(

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field
 
 from pmabench.base.errors import InvalidFile, invalid
-from pmabench.base.extensions import registered
+from pmabench.base.system import registered
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Time
 from pmabench.store import formats as folder

@@ -264,7 +264,7 @@ def read_apart(kind: str, path: str, pieces: Iterable[bytes], question: Mapping[
     them. The child reads a piece while the caller works on what the one before held. Raises InvalidFile with what is
     wrong with the file, also where reading it ended the child; ReaderMissing where a package is not installed.
     """
-    asked: dict[str, Any] = {"texts": {}, "order": "", **question, "path": path}
+    asked: dict[str, Any] = {"optional": [], "ignored": [], "texts": {}, "order": "", **question, "path": path}
     pending: Answer | None = None
     with _lock:
         for piece, last in _with_last(pieces):

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.base.imported import Commanded
+from pmabench.base.kind import Commanded
 from pmabench.store.importers.motion import Wave, medians, turns, waves
 from pmabench.store.records import Array
 

@@ -16,6 +16,7 @@ from pmabench.store.importers.map_rules import ColumnRule
 from pmabench.store.records import UNUSABLE, Array, Flag, Flags
 
 Bools = NDArray[np.bool_]
+Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -70,12 +71,12 @@ class Report:
     t: Array
     flags: Flags
     found: list[Found] = field(default_factory=list)
-    rows: dict[int, NDArray[np.intp]] = field(default_factory=dict)
+    rows: dict[int, Rows] = field(default_factory=dict)
     """Place in `found` -> rows that it flags."""
 
-    def mark(self, where: Bools, flag: Flag, level: str, kind: str, text: str, channel: str = "") -> None:
-        """Flag samples and report them; nothing happens where there are none."""
-        rows = np.flatnonzero(where)
+    def mark(self, where: Bools | Rows, flag: Flag, level: str, kind: str, text: str, channel: str = "") -> None:
+        """Flag samples, given by rows or as True among all, and report them; nothing happens where there are none."""
+        rows: Rows = np.arange(len(self.t))[where]
         if len(rows) == 0:
             return
         self.flags[rows] |= np.uint16(flag)

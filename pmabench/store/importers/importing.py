@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
-from pmabench.base.imported import Imported
+from pmabench.base.kind import Imported
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.store.folder import PLAN, Copy, run_name
 from pmabench.store.importers import plausible

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import cos, inf, pi, radians, sin, sqrt
-from typing import Any
 
 import numpy as np
 
@@ -75,17 +74,6 @@ class Muscle:
     contraction: float | None
     held: bool
     """Its length is set: force follows pressure."""
-
-
-def muscle_of(specimen: Mapping[str, Any], point: Mapping[str, float], *, held: bool) -> Muscle:
-    """What the specimen of a map and the point of a file say of the muscle [SI]."""
-    diameter, length = (specimen.get(key) for key in ("inner_diameter", "nominal_length"))
-    return Muscle(
-        None if diameter is None else float(diameter),
-        None if length is None else float(length),
-        point.get("contraction"),
-        held,
-    )
 
 
 def slope_of_held(values: Mapping[str, Array], flags: Flags) -> float | None:

@@ -8,20 +8,20 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, pi
+from math import inf
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
-from pmabench.base.imported import Imported
+from pmabench.base.kind import Imported
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.analyses.results import POINT_QUANTITIES
 from pmabench.store.formats.record import TIME
-from pmabench.store.formats.shared.times import Stamps
+from pmabench.store.formats.text import Stamps
 from pmabench.store.importers import map_file
 from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, MapFile, Question, Trials, made, settle
 
@@ -381,11 +381,9 @@ class _Rules:
 
 
 def factor_of(unit: str, quantity: str) -> float:
-    """SI units in one `unit`; a frequency may also be given in rad/s, which is no Hz."""
-    if quantity == "frequency" and unit.replace(" ", "") in {"rad/s", "1/s"}:
-        if unit.startswith("1"):
-            raise ValueError('"1/s" may mean Hz or rad/s; write which')
-        return 1.0 / (2.0 * pi)
+    """SI units in one `unit`; raises ValueError where it is none, or may mean several."""
+    if quantity == "frequency" and unit.replace(" ", "") == "1/s":
+        raise ValueError('"1/s" may mean Hz or rad/s; write which')
     return unit_factor(unit, quantity)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.store.importers import magnitude, midfile, motion
-from pmabench.store.importers.found import Bools, Checked, Found, Report, add_effects, in_words, slope
+from pmabench.store.importers.found import Bools, Checked, Found, Report, Rows, add_effects, in_words, slope
 from pmabench.store.importers.magnitude import Muscle
 from pmabench.store.importers.map_file import Question
 from pmabench.store.records import UNUSABLE, Array, Flag, Flags
@@ -60,15 +60,11 @@ def usual(pressure: Array, other: Array) -> tuple[Array, Array]:
     return np.array(at), np.array(reads)
 
 
-def frozen(report: Report, channel: Checked, other: Checked, good: Bools, follows: bool) -> None:
-    """Flag the samples, of those that are `good`, shape (n,), in which a channel repeats itself while `other` moves.
+def frozen(report: Report, channel: Checked, other: Checked, rows: Rows, follows: bool) -> None:
+    """Flag the samples, of those in `rows`, shape (m,), in which a channel repeats itself while `other` moves.
 
     `follows`: one of the two follows the other at once, so that it is known what a channel should read.
     """
-    rows = np.flatnonzero(good)
-    role = channel.rule.role
-    if len(rows) < 4 * SAMPLES:
-        return
     t, raw, si, ref = report.t[rows], channel.raw[rows], channel.si[rows], other.si[rows]
     changes = np.flatnonzero(np.diff(raw) != 0) + 1
     begins, ends = np.concatenate([[0], changes]), np.concatenate([changes, [len(raw)]])
@@ -82,19 +78,19 @@ def frozen(report: Report, channel: Checked, other: Checked, good: Bools, follow
     likely = np.flatnonzero((seconds > max(SECONDS, pause)) & (lengths >= CLIPPED))
     likely = likely[np.argsort(-lengths[likely], kind="stable")][:LOOKED_AT]
     low, high = float(si.min()), float(si.max())
-    where = np.zeros(len(good), dtype=bool)
+    where = np.zeros(len(rows), dtype=bool)
     moved = 0.0
     for run in likely.tolist():
         begin, end = int(begins[run]), int(ends[run])
         sure = scatters and lengths[run] >= longest and si[begin] not in (low, high, 0.0)
         if sure or (follows and seconds[run] > SLOW and _should_move(si, ref, begin, end)):
-            where[rows[begin:end]] = True
+            where[begin:end] = True
             moved = max(moved, float(np.ptp(ref[begin:end])))
     if where.any():
         longest_time = float(seconds[likely].max())
         by = show(moved, other.rule.quantity, 3)
         text = f"repeats one reading exactly for up to {longest_time:.3g} s while {other.rule.role} moves by {by}"
-        report.mark(where, Flag.STALE, "doubt", "frozen", f"{text}: it was frozen", role)
+        report.mark(rows[where], Flag.STALE, "doubt", "frozen", f"{text}: it was frozen", channel.rule.role)
 
 
 def _should_move(si: Array, ref: Array, begin: int, end: int) -> bool:
@@ -118,11 +114,8 @@ def _should_move(si: Array, ref: Array, begin: int, end: int) -> bool:
     return leap > max(0.5 * should, LEAP * span, 3.0 * nearby)
 
 
-def clipped(report: Report, channel: Checked, other: Checked, good: Bools) -> None:
-    """Flag samples that stay at the very top of what a channel reads while `other` goes on."""
-    rows = np.flatnonzero(good)
-    if len(rows) < 4 * SAMPLES:
-        return
+def clipped(report: Report, channel: Checked, other: Checked, rows: Rows) -> None:
+    """Flag samples, of those in `rows`, that stay at the very top of what a channel reads while `other` goes on."""
     raw, si, ref = channel.raw[rows], channel.si[rows], other.si[rows]
     top = float(si.max())
     at_top = si == top
@@ -141,11 +134,9 @@ def clipped(report: Report, channel: Checked, other: Checked, good: Bools) -> No
     onward = (slope(ref[near], si[near]) or 0.0) * moves
     if onward <= max(PILED * span, 3.0 * float(np.diff(np.unique(si)[-3:]).max())):
         return
-    where = np.zeros(len(good), dtype=bool)
-    where[rows[at_top]] = True
     end, by = show(top, channel.rule.quantity, 4), show(moves, other.rule.quantity, 3)
     text = f"stays at its highest reading, {end}, while {other.rule.role} moves by {by}: it is clipped, or at a stop"
-    report.mark(where, Flag.OVERRANGE, "doubt", "clipped", text, channel.rule.role)
+    report.mark(rows[at_top], Flag.OVERRANGE, "doubt", "clipped", text, channel.rule.role)
 
 
 LEAST = 0.15
@@ -319,12 +310,13 @@ def stopped(t: Array, channels: Sequence[Checked], flags: Flags, held: bool) -> 
     report = Report(t, flags.copy())
     pair = _pair(channels, held)
     good = _good(flags, channels)
-    if pair is not None and good.mean() > 1.0 - CONDEMNED:
+    rows = np.flatnonzero(good)
+    if pair is not None and good.mean() > 1.0 - CONDEMNED and len(rows) >= 4 * SAMPLES:
         with np.errstate(all="ignore"):  # damaged files hold numbers of any size
             for one, other in (pair, pair[::-1]):
-                frozen(report, one, other, good, follows=held)
+                frozen(report, one, other, rows, follows=held)
                 if held:
-                    clipped(report, one, other, good)
+                    clipped(report, one, other, rows)
             add_effects(report, channels)
     return report.flags, report.found
 

@@ -18,7 +18,7 @@ from pmabench.store.exported import Exported, read_record
 from pmabench.store.importers import long, plausible, quality
 from pmabench.store.importers.found import Checked, Found, Summary
 from pmabench.store.importers.long import Seen
-from pmabench.store.importers.magnitude import muscle_of, slope_of_held
+from pmabench.store.importers.magnitude import Muscle, slope_of_held
 from pmabench.store.importers.map_file import Question, made, spelled
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap
 from pmabench.store.importers.plausible import pressure_late
@@ -114,7 +114,9 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     record = _record_of(path, rules)
     looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part, record), _summed)
     seen, found = looked.seen, looked.seen.found + constant
-    muscle = muscle_of(rules.specimen, named.point, held=_held(rules))
+    specimen = rules.file.specimen
+    contraction = named.point.get("contraction")
+    muscle = Muscle(specimen.inner_diameter, specimen.nominal_length, contraction, _held(rules))
     questions: list[Question] = []
     if record is None:
         more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed)

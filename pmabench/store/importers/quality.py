@@ -208,10 +208,8 @@ def spikes(report: Report, channel: Checked, looked_at: Bools) -> None:
         return
     apart = beyond_neighbours(si, swings=not rule.role.endswith("command"))
     limit = rule.spike if rule.spike is not None else spike_limit(si, apart)
-    where = np.zeros(len(channel.si), dtype=bool)
-    where[looked_at] = apart > limit
     text = f"lies beyond all its neighbours by more than {show(limit, rule.quantity, 3)}, alone"
-    report.mark(where, Flag.SUSPECT, "doubt", "spike", text, rule.role)
+    report.mark(np.flatnonzero(looked_at)[apart > limit], Flag.SUSPECT, "doubt", "spike", text, rule.role)
 
 
 def inspect(

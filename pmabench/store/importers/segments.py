@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.imported import Commanded
+from pmabench.base.kind import Commanded
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.store.importers import motion
 from pmabench.store.importers.commands import (

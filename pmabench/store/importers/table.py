@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pmabench.base.errors import invalid, reading
 from pmabench.base.text import printable
 from pmabench.store.formats.record import TIME, Layout, formats
-from pmabench.store.formats.shared.times import Clock, Stamps, step_in
+from pmabench.store.formats.text import Clock, Stamps, step_in
 from pmabench.store.importers.apart import Answer, read_apart
 from pmabench.store.records import Array
 
@@ -162,7 +162,7 @@ class Table:
 def read_table(
     path: Path,
     layout: Layout,
-    wanted: Sequence[str] | None,
+    wanted: Sequence[str],
     optional: Sequence[str] = (),
     ignored: Sequence[str] = (),
     stamps: Stamps | None = None,
@@ -170,19 +170,12 @@ def read_table(
 ) -> Table:
     """The `wanted` columns of a file, and those of `optional` that it has, read in a process apart.
 
-    `wanted` None: all of a format that names them itself; they may differ in length then. `stamps`: how its time is
-    written; the column of time holds seconds then, unless it holds plain numbers. `most`: bytes of text from its
-    beginning that are read. Raises InvalidFile with every fault, at file:line where there is one.
+    `stamps`: how its time is written; the column of time holds seconds then, unless it holds plain numbers. `most`:
+    bytes of text from its beginning that are read. Raises InvalidFile with every fault, at its line where there is one.
     """
-    asked = None if wanted is None else [name for name in wanted if layout.period is None or name != TIME]
-    question = {
-        "layout": layout.model_dump(mode="json"),
-        "wanted": asked,
-        "optional": list(optional),
-        "ignored": list(ignored),
-    }
-    in_pieces = formats()[layout.format].reader is not None
-    table = (_read_pieces if in_pieces else _read_whole)(path, layout.format, question, stamps, most)
+    asked = [name for name in wanted if layout.period is None or name != TIME]
+    question = {"layout": layout.model_dump(mode="json"), "wanted": asked, "optional": optional, "ignored": ignored}
+    table = _read(path, question, stamps, most)
     if layout.period is None:
         return table
     if TIME in table.columns:
@@ -201,30 +194,15 @@ def with_made(table: Table, name: str, make: Callable[[NDArray[np.intp]], Array]
     return replace(table, columns=columns)
 
 
-def _read_whole(path: Path, kind: str, question: Mapping[str, Any], stamps: Stamps | None, most: int | None) -> Table:
-    content = content_of(path)
-    (answer,) = read_apart(kind, str(path), [content], question)
-    columns, head = dict(answer.columns), answer.head
-    started = datetime.fromisoformat(head["started"]) if head.get("started") else None
-    if stamps is not None and stamps.column in columns:
-        clock = Clock(stamps)
-        columns[stamps.column] = clock.seconds(columns[stamps.column])
-        started = clock.started or started
-    doubts = [*head.get("doubts", []), *(_other_matrices(columns, stamps.column) if stamps is not None else [])]
-    lines = Columns()
-    lines.append({LINE: answer.lines})
-    return Table(
-        path=path,
-        sha256=hashlib.sha256(content).hexdigest(),
-        size=len(content),
-        columns=columns,
-        lines=lines,
-        cut_end=bool(head.get("cut_end")),
-        units=dict(zip(answer.columns, head.get("units", []), strict=False)),
-        started=started,
-        doubts=tuple(printable(text) for text in doubts),
-        left_out=tuple(printable(text) for text in head.get("left_out", [])),
-    )
+def read_all(path: Path, layout: Layout) -> tuple[dict[str, Array], dict[str, str], list[str]]:
+    """All columns of a file that names them itself, which may differ in length; units by name; names that are left out.
+
+    Raises InvalidFile where it cannot be read.
+    """
+    question = {"layout": layout.model_dump(mode="json"), "wanted": None}
+    (answer,) = read_apart(layout.format, str(path), [content_of(path)], question)
+    units = dict(zip(answer.columns, answer.head["units"], strict=True))
+    return answer.columns, units, [printable(name) for name in answer.head["left_out"]]
 
 
 def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
@@ -238,32 +216,41 @@ def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
     ]
 
 
-def _read_pieces(path: Path, kind: str, question: Mapping[str, Any], stamps: Stamps | None, most: int | None) -> Table:
-    _check_size(path, MAX_BYTES)
+def _read(path: Path, question: Mapping[str, Any], stamps: Stamps | None, most: int | None) -> Table:
+    kind = question["layout"]["format"]
+    in_pieces = formats()[kind].reader is not None
+    _check_size(path, MAX_BYTES if in_pieces else MAX_WHOLE)
     if stamps is not None:
         question = {**question, "texts": stamps.texts, "order": stamps.order}
     digest, rows = hashlib.sha256(), _Rows(path, stamps)
     with reading(path), path.open("rb") as file:
-        for answer in read_apart(kind, str(path), _pieces(file, digest, most), question):
+        pieces = _pieces(file, digest, most, PIECE if in_pieces else MAX_WHOLE)
+        for answer in read_apart(kind, str(path), pieces, question):
             rows.take(answer)
         size = file.tell()
+    head = rows.head
+    started = datetime.fromisoformat(head["started"]) if head.get("started") else None
+    doubts = [*head.get("doubts", []), *(_other_matrices(rows.columns, stamps.column) if stamps is not None else [])]
     return Table(
         path=path,
         sha256=digest.hexdigest(),
         size=size,
         columns=rows.columns,
         lines=rows.lines,
-        cut_end=rows.cut_end,
-        started=rows.started,
-        cut_row=printable(rows.cut_row),
+        cut_end=bool(head.get("cut_end")),
+        started=rows.started or started,
+        units=dict(zip(rows.columns, head.get("units", []), strict=False)),
+        doubts=tuple(printable(text) for text in doubts),
+        left_out=tuple(printable(text) for text in head.get("left_out", [])),
+        cut_row=printable(head.get("cut_row", "")),
         starts=tuple(rows.starts),
     )
 
 
-def _pieces(file: IO[bytes], digest: Any, most: int | None) -> Iterator[bytes]:
+def _pieces(file: IO[bytes], digest: Any, most: int | None, size: int) -> Iterator[bytes]:
     """The file from its beginning, piece by piece, while its hash is taken; of `most` bytes only whole lines."""
     left = most if most is not None else MAX_BYTES
-    while left > 0 and (piece := file.read(min(PIECE, left))):
+    while left > 0 and (piece := file.read(min(size, left))):
         digest.update(piece)
         left -= len(piece)
         if left <= 0 and most is not None and file.read(1):
@@ -279,7 +266,8 @@ class _Rows:
         self.columns, self.lines = Columns(), Columns()
         self.starts: list[int] = []
         self.started: datetime | None = None
-        self.cut_end, self.cut_row = False, ""
+        self.head: Mapping[str, Any] = {}
+        """Of the last answer: what is said of the file and its end."""
         self._clock: Clock | None = None
 
     def take(self, answer: Answer) -> None:
@@ -301,8 +289,7 @@ class _Rows:
             self.columns.append(columns)
         self.starts += [self.lines.rows + start for start in starts if self.lines.rows + start > 0]
         self.lines.append({LINE: answer.lines})
-        self.cut_end = bool(answer.head.get("cut_end"))
-        self.cut_row = str(answer.head.get("cut_row", ""))
+        self.head = answer.head
 
     def _first_clock(self, stamps: Stamps, t: Array, head: Sequence[str]) -> Clock:
         """The clock of the file; raises InvalidFile where the file itself contradicts the map."""
@@ -328,6 +315,8 @@ def _check_size(path: Path, most: int) -> None:
         raise invalid(path, "is not a file" if path.exists() else "there is no such file")
     with reading(path):
         size = path.stat().st_size
+    if size == 0:
+        raise invalid(path, "is empty")
     if size > most:
         raise invalid(path, f"is larger than {most // 1_000_000} MB; import it in parts")
 

@@ -520,8 +520,8 @@ class RawTerminal:
 
 def test_modbus_registers_are_those_of_the_manual_less_one(tmp_path):
     """Numbers 1000, 1010 and 1201 of the manual: 999, 1009 and 1200 on the wire; set-point and exhaust by function 16."""
+    from pmabench_drivers.alicat import Options
     from pmabench_drivers.alicat.modbus_link import ModbusLink
-    from pmabench_drivers.alicat.options import Options
     from pmabench_drivers.modbus.adapter import Line
 
     terminal = RawTerminal(tmp_path / "c")

@@ -271,3 +271,15 @@ def test_only_this_machine_is_served():
         rig(t7(address="192.168.0.5")),
     ):
         pass
+
+
+def test_a_line_that_is_rescued_stays_an_output(bench):
+    """A look at its own register makes it an input: a valve that is energised to vent would chatter."""
+    _, served, device = bench
+    read, look = [], served.t7._read_line
+    served.t7._read_line = lambda line: (read.append(line), look(line))[1]
+    device.switch("FIO0", on=False)
+    device.rescue("FIO0", 1.0)
+    assert read == []
+    device.open()
+    assert device.is_on("FIO0")

@@ -7,17 +7,117 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from math import isfinite
 from typing import get_args
 
 import numpy as np
 
 from pmabench.store.importers.found import correlation
-from pmabench.store.importers.guess import times
-from pmabench.store.importers.guess.names import BRACKETS, WORDS, split_factor, unit_in, words
 from pmabench.store.importers.guess.proposal import Proposal
 from pmabench.store.importers.guess.shapes import by_shape, lattice
 from pmabench.store.importers.map_file import QUANTITY, PointName, spelled
 from pmabench.store.records import Array
+
+WORDS = {
+    role: set(text.split())
+    for role, text in {
+        "time": "t time zeit elapsed timestamp zeitstempel seconds sec tijd temps x_value datetime date clock uhrzeit "
+        "時間 时间 時刻 시간",
+        "pressure": "p press pressure druck pressao presion pression pma pneu 圧力 压力 壓力 압력",
+        "force": "f force load kraft lc loadcell tension weight cell fuerza forca 荷重 張力 拉力 载荷 하중",
+        "displacement": "x pos position disp displacement dist distance length len stroke weg hub lage lange "
+        "verkurzung kontraktion lvdt pot z contraction extension elongation encoder laser 変位 位移 변위",
+        "command": "cmd command set setpoint sp ref reference desired target soll sollwert vorgabe out output "
+        "demand commanded des vpr u",
+        "not measured": "calc calculated theory theoretical model predicted simulated",
+        "supply": "supply comp compressor tank reservoir source inlet line versorgung speise vor netz",
+        "phase": "phase state step stage branch",
+        "trial": "trial test run versuch lauf",
+        "ambient": "ambient umgebung atmospheric barometer",
+        "flow": "flow mdot massflow durchfluss massenstrom volumenstrom",
+        "other": "volt volts temp temperature temperatura volume humidity sys index count",
+    }.items()
+}
+"""Role of a column -> words in its name that speak for it, in lower case."""
+MEASURED = WORDS["time"] | WORDS["pressure"] | WORDS["force"] | WORDS["displacement"]
+PART = "|".join(word for words in WORDS.values() for word in sorted(words) if len(word) > 2)
+PART += "|ist|istwert|wert|sensor|aufnehmer|geber|messdose|nr|nummer"
+JOINED = re.compile(rf"({PART})s?({PART})(?:s?({PART}))?|\w{{3,}}(druck|kraft|weg|zeit|pressure|force)")
+"""A word of two or three known ones (`Sollweg`, `Drucksollwert`, `targetpos`), or of any and a known one at its end."""
+_SHORT = re.compile(r"([pxfs])(set|setpoint|sp|cmd|command|ref|des|desired|soll|demand|target|ist)")
+"""A quantity and what makes a command of it in one word: `Pset`; s is a length (German: Strecke)."""
+BRACKETS = re.compile(r"[\[({][^\])}]*[\])}]")
+SUPERSCRIPTS = str.maketrans("⁻⁺⁰¹²³⁴⁵⁶⁷⁸⁹", "-+0123456789")
+_POWER = r"10\s*(?:\^|\*\*)\s*[-+]?\d+|1[eE][-+]?\d+"
+_TEN = rf"(?:{_POWER}|10+|0[.,]0*1)"
+"""A power of ten, but not 1: other numbers may be those of a sensor or an axis."""
+_NUMBER = rf"(?:{_POWER}|\d+(?:[.,]\d+)?)"
+_FACTORS = (
+    rf"[*×·]\s*{_NUMBER}|(?<![\w.,])(?:{_NUMBER}\s*[*×·]|{_TEN}\s?[xX](?!\w))",  # *0.1, 10*, 10 x
+    rf"(?<=[\s_()\[\]])[xX]\s?{_NUMBER}(?![^\W_])",  # x10, but not as the name of a column
+    rf"(?<![\w.,])1\s*/\s*\d+(?!\w)|/\s*{_TEN}(?![^\W_])|(?<=[)\]])\s*/\s*{_NUMBER}",  # 1/10, /10
+    rf"(?<![\w.,])(?:{_POWER})",
+)
+_FACTOR = re.compile("|".join(_FACTORS))
+_BEFORE = re.compile(rf"[\[(]\s*({_TEN})\s*([^\W\d][^\])]*)[\])]|[\s_]({_TEN})\s*([^\W\d]\S*)$")
+"""A number right before the unit: `[10 N]`, `in 10 um`."""
+
+
+def split_factor(name: str) -> tuple[str, str]:
+    """A name without what it multiplies its unit by, and that as it is written: `x10`, `/10`, `10` of `[10 N]`.
+
+    `Cell (500 N) [N]` multiplies by nothing: its unit is in brackets by itself.
+    """
+    name = re.sub("[⁻⁺]?[⁰¹²³⁴-⁹]+", lambda power: "^" + power[0].translate(SUPERSCRIPTS), name)
+    span = found.span() if (found := _FACTOR.search(name)) else (0, 0)
+    if found is None and not any(map(spelled, BRACKETS.findall(name))):
+        every = _BEFORE.finditer(name)
+        span = next((m.span(1 if m[1] else 3) for m in every if spelled(m[2] or m[4])), span)
+    factor = name[slice(*span)].strip()
+    return (name[: span[0]] + name[span[1] :], factor) if factor and value_of(factor) != 1.0 else (name, "")
+
+
+def value_of(factor: str) -> float:
+    """The number that a factor is as it is written; 0 where it is none."""
+    base, _, power = re.findall(r"([\d.,]+(?:[eE][-+]?\d+)?)(\s*(?:\^|\*\*)\s*([-+]?\d{1,2}))?", factor)[-1]
+    value = float(base.replace(",", ".")) ** int(power or 1)
+    value = 1.0 / value if value and "/" in factor else value
+    return value if isfinite(value) else 0.0
+
+
+def unit_in(name: str) -> str:
+    """The unit that a name carries: in brackets, else behind `_`, `/`, `,`, a blank or `in`; empty where none."""
+    name, _ = split_factor(name)
+    if found := [unit for text in re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name) if (unit := spelled(text))]:
+        return found[-1]
+    bare = BRACKETS.sub("", name).strip()
+    if rate := re.search(r"(kg|g|m|mm|N|N?l)/(s|min|h)$", bare):
+        return spelled(rate[0])
+    last = re.split(r"[_/,.\s]+", bare)
+    if len(last) > 1 and (len(last[-1]) > 1 or last[-1] in QUANTITY):
+        return spelled(last[-1])
+    joined = re.search(r"(?<=[a-z])([A-Z][A-Za-z]+)$", bare)  # pressureBar; not valveIn, forceMin
+    unit = spelled(joined[1]) or spelled(joined[1].lower()) if joined and len(last) == 1 else ""
+    return unit if QUANTITY.get(unit) in ("pressure", "force", "length", "mass") and unit != "in" else ""
+
+
+def words(name: str) -> set[str]:
+    """The words of a name in lower case, without brackets, digits, the group before `/` and the unit behind it."""
+    parts = BRACKETS.sub(" ", split_factor(name)[0]).split("/")
+    plain = parts[-2] if len(parts) > 1 and spelled(parts[-1]) else parts[-1]
+    plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain)
+    plain = plain.translate(str.maketrans("ãáàâäéêíóõöúüçÃÁÄÉÍÓÖÚÜÇ", "aaaaaeeiooouucaaaeioouuc"))
+    found = {word.lower() for word in re.split(r"[^A-Za-z]+", plain) if word}
+    whole = "_".join(re.split(r"[\s_]+", plain.strip().lower()))
+    for word in (*found, re.sub("[^a-z]", "", whole)):
+        if joined := _SHORT.fullmatch(word):
+            found |= {joined[1].replace("s", "weg"), joined[2]}
+        elif joined := JOINED.fullmatch(word):
+            parts = [part for part in joined.groups() if part]
+            measured = [part for part in parts if part in MEASURED]
+            found |= {part for part in parts if part not in measured[:-1]}  # Druckkraft is a force
+    return found | {whole}
+
 
 OF_MUSCLE = {"pressure", "force", "length"}
 FEW = 0.1
@@ -40,7 +140,7 @@ def choose(proposals: Sequence[Proposal]) -> None:
     for proposal in proposals:
         if not proposal.bare:
             _by_name(proposal)
-    times.choose(proposals)
+    _choose_time(proposals)
     _one_each(proposals)
     for proposal in by_shape(proposals):
         if step := lattice(proposal.good):
@@ -55,7 +155,7 @@ def _exported(proposal: Proposal) -> bool:
     if name in ("trial", "flags", "simulated"):
         proposal.role = name
     elif of is not None and of[1] in get_args(PointName):
-        proposal.role, proposal.extra = "point", [f"of: {of[1]}"]
+        proposal.role, proposal.extra = "point", {"of": of[1]}
     return proposal.role in ("trial", "flags", "simulated", "point")
 
 
@@ -152,3 +252,145 @@ def _moves(values: Array) -> float:
         return 0.0
     scatter = float(np.median(np.abs(np.diff(values)))) or 1e-12
     return float(np.ptp(np.quantile(values, [0.01, 0.99]))) / scatter
+
+
+SAMPLES = {"sample", "samples", "index", "idx", "n", "no", "nr", "number", "scan", "row", "record", "count", "x"}
+"""Words of a column that counts the samples."""
+COUNTS = (
+    ("serial days", "d", 36_526.0, 54_789.0),
+    ("matlab days", "d", 730_486.0, 748_749.0),
+    ("epoch", "s", 0.94e9, 2.53e9),
+    ("labview", "s", 3.03e9, 4.61e9),
+    ("epoch", "ms", 0.94e12, 2.53e12),
+    ("epoch", "us", 0.94e15, 2.53e15),
+    ("epoch", "ns", 0.94e18, 2.53e18),
+)
+"""How written, unit, and the numbers of the years 2000 to 2050."""
+LONGEST_STEP = {"d": 5e-5, "s": 10.0, "ms": 1e4, "us": 1e7, "ns": 1e10}
+"""Median step of a recording that counts so, in that unit; days in longer steps may be seconds."""
+UNLIKE_TIME = "is named or measured like a time"
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
+"""In one unit of a time."""
+USUAL = ("s", "ms", "us")
+"""Units in which recorded times usually are."""
+FASTEST, SLOWEST = 2e4, 2.0
+"""Usual samples a second."""
+SHORTEST = 2.0
+"""A test of a muscle lasts at least so long [s]."""
+BRIEF, RARE = 0.5, 0.5
+"""A file that lasts less than this [s], or has fewer samples a second, is doubted: a muscle takes 0.1 s to fill."""
+
+
+def usual_step(values: Array) -> float:
+    """Median of the steps upward; 0 where there is none."""
+    steps = np.diff(values)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+def counted(values: Array) -> tuple[str, str] | None:
+    """How a column of numbers counts from a day, and in which unit; None where it is a plain number.
+
+    An empty first text: it may be days or a plain number.
+    """
+    if len(values) < 2 or not np.isfinite(values).all():
+        return None
+    step = usual_step(values)
+    for kind, unit, low, high in COUNTS:
+        if low <= float(values.min()) and float(values.max()) <= high and 0 < step:
+            if step <= LONGEST_STEP[unit]:
+                return kind, unit
+            if unit == "d" and step <= 1e-2:
+                return "", unit
+    return None
+
+
+def _rises(values: Array) -> bool:
+    if len(values) < 2 or not np.isfinite(values).all() or np.ptp(values) == 0:
+        return False
+    return float(np.mean(np.diff(values) >= 0)) > 0.99
+
+
+def _choose_time(proposals: Sequence[Proposal]) -> None:
+    """The column that rises: a named one where it does, else any."""
+    named = [p for p in proposals if p.role == "time"]
+    good = [p for p in named if _rises(p.values)]
+    for proposal in named:
+        if proposal not in good:
+            proposal.role = "ignore"
+            proposal.doubts.append(f"{UNLIKE_TIME}, but does not rise")
+    if not good:
+        spare = (p for p in proposals if p.role == "ignore" and not p.unit)
+        good = [p for p in spare if _rises(p.values) and len(set(p.values)) > 9][:1]
+        for proposal in good:
+            proposal.role = "time"
+            proposal.reasons.append("the only column that rises from the first row to the last")
+    good.sort(key=lambda p: float(np.mean(np.diff(p.values) == 0)) > 0.5)  # one that is too coarse comes last
+    for proposal in good[1:]:
+        proposal.role = "ignore"
+        proposal.reasons.append(f'a second time; "{good[0].name[:40]}" is taken')
+    if good:
+        _how_written(good[0])
+
+
+def _how_written(time: Proposal) -> None:
+    """How a time is written, and in which unit, or what is asked about it."""
+    plain = time.written == "number"
+    if plain and (count := counted(time.values)) is not None:
+        time.written, time.unit = count
+        time.reasons.append(f"its numbers are those of {time.written or 'serial days'} of our years")
+    elif not time.unit and bool(np.all(np.diff(time.values) == 1.0)) and words(time.name) & SAMPLES:
+        time.written = "index"
+        time.reasons.append("rises by exactly 1 from row to row: it counts the samples")
+    elif time.factor and time.unit in SECONDS and plain:
+        time.written, time.period = "index", value_of(time.factor) * SECONDS[time.unit]
+    elif not time.unit:
+        _time_unit(time)
+    elif time.unit in USUAL and plain:
+        _said_time(time)
+
+
+def _in_each_unit(time: Proposal) -> dict[str, tuple[float, float, str]]:
+    """Unit that a time may have -> samples a second, how long the file lasts [s], and both in words."""
+    step, many = usual_step(time.values), len(time.values)
+    found = {unit: (1.0 / (step * SECONDS[unit]), step * many * SECONDS[unit]) for unit in USUAL}
+    return {unit: (rate, lasts, f"{rate:.4g} samples a second, {lasts:.4g} s") for unit, (rate, lasts) in found.items()}
+
+
+def _usual_units(time: Proposal, slowest: float) -> list[str]:
+    """The units in which a time is that of a usual test, of so many samples a second at least, in words."""
+    each = _in_each_unit(time).items()
+    return [f"{unit}: {text}" for unit, (rate, lasts, text) in each if FASTEST >= rate >= slowest and lasts >= SHORTEST]
+
+
+def _time_unit(time: Proposal) -> None:
+    step = usual_step(time.values)
+    for unit, (rate, _, _) in _in_each_unit(time).items():
+        if FASTEST >= rate >= SLOWEST:
+            time.unit = unit
+            time.reasons.append(f"steps of {step:.4g}: in {unit} these are {rate:.4g} samples a second")
+            _which_time(time)
+            return
+    time.unit = "s"
+    time.doubts.append(f"steps of {step:.4g}: the unit of time is not given; s is taken")
+    time.question = f'in which unit is "{time.name[:40]}"? Its steps of {step:.4g} are no usual sampling in s, ms or us'
+
+
+def _said_time(time: Proposal) -> None:
+    """Ask for the unit of a time where the given one makes the file an impossible test, another one a usual one."""
+    rate, lasts, text = _in_each_unit(time)[time.unit]
+    usual = _usual_units(time, 10 * SLOWEST)
+    if usual and (lasts < BRIEF or rate < RARE):
+        head = f'"{time.name[:40]}" is in {time.unit} by its name: {text} in all'
+        time.question = f"{head}, which no test of a muscle has: which unit is it? {'; '.join(usual)}"
+
+
+def _which_time(time: Proposal) -> None:
+    """Ask for the unit of a time without one, where several are possible or its heading may mean another one."""
+    possible = _usual_units(time, SLOWEST)
+    text = "; ".join(possible)
+    if bool(np.all(np.diff(time.values) == 1.0)):
+        head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or does it count the samples'
+        time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with their distance)? {text}"
+    elif len(possible) > 1 or time.factor or time.strange or not (time.bare or words(time.name) & WORDS["time"]):
+        head = f'in which unit is "{time.name[:40]}"? {text}{"; " if possible else ""}'
+        time.question = f"{head}for any other write {{is: time, written: index, period: 0.1 ms}} with its length"

@@ -14,23 +14,21 @@ from pathlib import Path
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, PmaError, invalid
-from pmabench.base.imported import Imported
+from pmabench.base.kind import Imported
 from pmabench.files.shipped import shipped_folder
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import Known, read_record
-from pmabench.store.formats import text
 from pmabench.store.formats.mat import alike, is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import choose, proposal
+from pmabench.store.importers.guess.columns import SECONDS, choose, proposal, usual_step
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.proposal import Guess, Proposal
 from pmabench.store.importers.guess.shapes import is_whole
 from pmabench.store.importers.guess.signs import choose_kind, count, share
-from pmabench.store.importers.guess.times import SECONDS, usual_step
 from pmabench.store.importers.map_file import PLACE, spelled
 from pmabench.store.importers.map_rules import read_map
-from pmabench.store.importers.table import Table, content_of, read_table
+from pmabench.store.importers.table import content_of, read_all, read_table
 from pmabench.store.records import Array
 
 LOOKED_AT = 20_000_000
@@ -41,16 +39,16 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
     """One file by itself: its format, and what each of its columns seems to be."""
     content = content_of(path, LOOKED_AT)
     form = format_of(content)
-    if form is text.FORMAT:
+    if form.layout is TextLayout:
         if len(content) == LOOKED_AT:
             content = content[: content.rfind(b"\n") + 1] or content
         return _look_at_text(path, guess_layout(str(path), content), kinds)
     layout = form.layout.model_validate({"format": form.name})
-    table = read_table(path, layout, None)
-    owner = form.together(table.columns)
-    tests, zeros = alike(table.columns, owner)
+    found, units, left_out = read_all(path, layout)
+    owner = form.together(found)
+    tests, zeros = alike(found, owner)
     groups: dict[tuple[str, int], list[str]] = {}
-    for name, values in table.columns.items():
+    for name, values in found.items():
         groups.setdefault((owner[name], len(values)), []).append(name)
     if not groups:
         raise invalid(path, "holds no columns of numbers")
@@ -65,23 +63,23 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
         others = [name for name in others if matrix_of(name) not in tests]
     if others:
         reasons.append(f"columns of other lengths, groups or clocks are left out: {', '.join(others)[:200]}")
-    columns = [_proposal(name, table, groups[group]) for name in groups[group]]
+    columns = [_proposal(name, found[name], units[name], groups[group]) for name in groups[group]]
     if any(column.bare for column in columns):
         reasons.append("columns of a matrix have no names: they are distinguished by what they hold")
     choose(columns)
-    guess = Guess([path], layout, columns, [], [*others, *table.left_out], kinds, reasons={"file": reasons})
+    guess = Guess([path], layout, columns, [], [*others, *left_out], kinds, reasons={"file": reasons})
     if len(tests) > 1:
-        _several(guess, tests, group[0], table.columns)
+        _several(guess, tests, group[0], found)
     if guess.role("time") is None:
         guess.doubts.append('nothing in the file gives the time: say "period" if the samples are evenly apart')
     return guess
 
 
-def _proposal(name: str, table: Table, names: Sequence[str]) -> Proposal:
+def _proposal(name: str, values: Array, said: str, names: Sequence[str]) -> Proposal:
     """A column of a file with units; the columns of a matrix have no names."""
-    matrix, said = matrix_of(name), table.units.get(name, "")
+    matrix = matrix_of(name)
     bare = bool(matrix) and sum(other.startswith(f"{matrix}(:,") for other in names) > 1
-    column = proposal(name, table.columns[name], said, bare=bare)
+    column = proposal(name, values, said, bare=bare)
     column.reasons += [f"the file says its unit, {column.unit}"] if spelled(said) else []
     return column
 
@@ -198,14 +196,14 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
     return True
 
 
-def _as_known(known: Known, unit: str) -> list[str]:
-    """Lines of a map for what a record knows of the calibration of a channel."""
-    lines = {
-        f"expanded_uncertainty: {known.offset_uncertainty:.9g} {unit}": known.offset_uncertainty,
-        f"gain_uncertainty: {100 * known.gain_uncertainty:.9g} %": known.gain_uncertainty,
-        f"sensor_lag: {known.sensor_lag:.9g} s": known.sensor_lag,
+def _as_known(known: Known, unit: str) -> dict[str, str]:
+    """Entries of a map for what a record knows of the calibration of a channel."""
+    entries = {
+        "expanded_uncertainty": (known.offset_uncertainty, f"{known.offset_uncertainty:.9g} {unit}"),
+        "gain_uncertainty": (known.gain_uncertainty, f"{100 * known.gain_uncertainty:.9g} %"),
+        "sensor_lag": (known.sensor_lag, f"{known.sensor_lag:.9g} s"),
     }
-    return [line for line, value in lines.items() if value]
+    return {key: text for key, (value, text) in entries.items() if value}
 
 
 _PARTS = (

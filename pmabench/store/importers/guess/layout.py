@@ -8,14 +8,13 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
 from pmabench.store.formats.record import distinct
-from pmabench.store.formats.shared.times import MINUS, Stamps, seconds_of, step_in
-from pmabench.store.formats.text import MARKS, TextLayout
+from pmabench.store.formats.text import MARKS, MINUS, Stamps, TextLayout, seconds_of, step_in
 from pmabench.store.importers.map_file import spelled
 
 ENOUGH = 0.99
@@ -83,16 +82,6 @@ def interval_in(lines: Sequence[str]) -> float:
         elif match := _INTERVAL.search(line):
             found.add(float(match[1].replace(",", ".")) * {"s": 1.0, "ms": 1e-3}.get(match[2].lower(), 1e-6))
     return found.pop() if len(found) == 1 else 0.0
-
-
-def clock_and_date(kinds: Mapping[str, Written]) -> tuple[str, str]:
-    """Of the columns of times by name the one that holds the time, and the one with its date; empty where none."""
-    whole = next((name for name, each in kinds.items() if each.kind == "date and time"), "")
-    if whole:
-        return whole, ""
-    clock = next((name for name, each in kinds.items() if each.kind == "clock"), "")
-    date = next((name for name, each in kinds.items() if each.kind == "date"), "")
-    return clock, date if clock else ""
 
 
 TABLE = 0.5
@@ -277,9 +266,11 @@ def _step_header(body: _Body, reasons: list[str]) -> tuple[list[str], dict[str, 
 def _stamps(guess: TextGuess, rows: Sequence[Sequence[str]]) -> None:
     """Which of the columns of words are times, and how they are written."""
     kinds = {name: found for name in guess.texts if (found := written([row[guess.names.index(name)] for row in rows]))}
-    time, date = clock_and_date(kinds)
+    first = {each.kind: name for name, each in reversed(kinds.items())}
+    time = first.get("date and time") or first.get("clock", "")
     if not time:
         return
+    date = first.get("date", "") if kinds[time].kind == "clock" else ""
     dated = kinds[date or time]
     guess.open_order = dated.kind != "clock" and not dated.order
     guess.stamps = Stamps(time, kinds[time].kind, date=date, order=dated.order or "day first")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.base.imported import Imported
+from pmabench.base.kind import Imported
 from pmabench.store.formats.record import Layout
 from pmabench.store.records import Array
 
@@ -48,8 +48,8 @@ class Proposal:
     """What its heading multiplies the unit by, as it is written: `x10`, `/10`."""
     strange: str = ""
     """What is written in place of a unit that is not known."""
-    extra: list[str] = field(default_factory=list)
-    """Further lines of the map that are known of it."""
+    extra: dict[str, str] = field(default_factory=dict)
+    """Further entries of the map that are known of it."""
 
     @property
     def good(self) -> Array:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -13,12 +14,17 @@ from pmabench.base.text import printable
 from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked, quantity_of
+from pmabench.store.importers.guess.columns import UNLIKE_TIME
 from pmabench.store.importers.guess.proposal import Guess, Proposal
-from pmabench.store.importers.guess.times import UNLIKE_TIME
 from pmabench.store.importers.map_file import NUMBERS, OPEN, QUANTITY
 
 TRUTH = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 """Texts that YAML may take for something else."""
+
+
+Value: TypeAlias = str | Asked | Mapping[str, "Value"] | Sequence["Value"]
+"""A value of the map, with the questions in it; a text is YAML as it is."""
+Entries: TypeAlias = dict[str, Value]
 
 
 def comment(text: str) -> str:
@@ -31,6 +37,28 @@ def question(asked: Asked) -> str:
     return comment(f"{OPEN} {asked.text}")
 
 
+def entry(head: str, value: Value, indent: str = "  ") -> list[str]:
+    """A value of the map behind its `head`, below the questions in it."""
+    asking = [f"{indent}{question(each)}" for each in _asked(value) if each.text]
+    return [*asking, f"{indent}{head}{_yaml(value)}"]
+
+
+def _asked(value: Value) -> Iterator[Asked]:
+    if isinstance(value, Asked):
+        yield value
+    elif not isinstance(value, str):
+        for inner in value.values() if isinstance(value, Mapping) else value:
+            yield from _asked(inner)
+
+
+def _yaml(value: Value) -> str:
+    if isinstance(value, Asked):
+        return value.scalar
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key}: {_yaml(inner)}' for key, inner in value.items())}}}"
+    return value if isinstance(value, str) else f"[{', '.join(map(_yaml, value))}]"
+
+
 def scalar(text: str) -> str:
     """A YAML scalar that is that text and nothing else."""
     if re.fullmatch(r"[A-Za-z][A-Za-z0-9@ _./()-]*", text) and text.lower() not in TRUTH:
@@ -38,54 +66,46 @@ def scalar(text: str) -> str:
     return json.dumps(text, ensure_ascii=not text.isprintable())
 
 
-def time_lines(column: Proposal, guess: Guess) -> list[str]:
+def _time(column: Proposal, guess: Guess) -> list[str]:
     """A column of time with how it is written, and what is asked about it."""
-    keys: dict[str, str] = {"is": "time"}
-    asking = list(asked.two_clocks(guess.columns))
-    for clock in asking:
-        keys["is"] = clock.scalar
+    clocks = list(asked.two_clocks(guess.columns))
+    keys: Entries = {"is": clocks[-1] if clocks else "time"}
     unit = column.unit or "s"
-    if column.written != "number":
-        keys["written"] = column.written
     if not column.written:
         text = f'are the numbers of "{column.name}" serial days of a spreadsheet, or a time in {unit}?'
-        asking.append(Asked("", f"{text} Write serial days, or number"))
-        keys["written"] = asking[-1].scalar
+        keys["written"] = Asked("", f"{text} Write serial days, or number")
+    elif column.written != "number":
+        keys["written"] = column.written
     if column.written in {"number", "epoch", ""}:
-        keys["unit"] = Asked(unit, "").scalar if column.question else unit
+        keys["unit"] = Asked(unit, "") if column.question else unit
     if column.written == "index":
-        keys["period"] = f"{column.period:.9g} s"
-        text = f'"{column.name}" counts the samples: how far apart are they? For instance 2 ms'
-        if column.factor:
-            text = (
-                f'"{column.name}" has "{column.factor}" with its unit: how long is 1 of its numbers? As it is written '
-            )
-            text += keys["period"]
-        if column.factor or not column.period:
-            asking.append(Asked("", text))
-            keys["period"] = asking[-1].scalar
+        keys["period"] = _period(column)
     if column.order and column.written == "date and time":
-        keys["order"], more = _order(column)
-        asking += more
-    sentence = ", ".join(f"{key}: {value}" for key, value in keys.items())
-    return [*(f"  {question(each)}" for each in asking), f"  {scalar(column.name)}: {{{sentence}}}"]
+        keys["order"] = _order(column)
+    asking = [*([Asked("", column.question)] if column.question else []), *clocks[:-1]]
+    return [*(f"  {question(each)}" for each in asking), *entry(f"{scalar(column.name)}: ", keys)]
 
 
-def date_lines(column: Proposal) -> list[str]:
-    """A column of dates next to one of clock times."""
-    order, asking = _order(column) if column.order else ("", [])
-    text = f", order: {order}" if order else ""
-    return [*(f"  {question(each)}" for each in asking), f"  {scalar(column.name)}: {{is: date{text}}}"]
+def _period(column: Proposal) -> Value:
+    """The distance of the samples that a column counts."""
+    period = f"{column.period:.9g} s"
+    if column.factor:
+        text = f'"{column.name}" has "{column.factor}" with its unit: how long is 1 of its numbers?'
+        return Asked("", f"{text} As it is written {period}")
+    if not column.period:
+        return Asked("", f'"{column.name}" counts the samples: how far apart are they? For instance 2 ms')
+    return period
 
 
-def _order(column: Proposal) -> tuple[str, list[Asked]]:
+def _order(column: Proposal) -> Value:
     if column.order != OPEN:
-        return column.order, []
-    text = f'does day or month come first in "{column.name}"? No date in it shows that: day first, or month first'
-    return Asked("", text).scalar, [Asked("", text)]
+        return column.order
+    return Asked(
+        "", f'does day or month come first in "{column.name}"? No date in it shows that: day first, or month first'
+    )
 
 
-def period_lines(guess: Guess) -> list[str]:
+def _no_time(guess: Guess) -> list[str]:
     """The distance of the samples where no column is a time, or what is asked about it."""
     if guess.role("time") is not None:
         return []
@@ -94,21 +114,19 @@ def period_lines(guess: Guess) -> list[str]:
     doubts = [(each.name, doubt) for each in guess.columns for doubt in each.doubts if doubt.startswith(UNLIKE_TIME)]
     sentence = "".join(f' ("{name}" {doubt})' for name, doubt in doubts)
     text = f"no column is a time{sentence}: were the samples taken at even distances, and at which? For instance 2 ms."
-    which = Asked("", f"{text} A table of points is no recording: report --overlay draws it")
-    return [f"  {question(which)}", f"  period: {which.scalar}"]
+    return entry("period: ", Asked("", f"{text} A table of points is no recording: report --overlay draws it"))
 
 
-def test_lines(guess: Guess) -> list[str]:
+def _tests(guess: Guess) -> list[str]:
     """Several tests in each file, and at which contraction each was held."""
     lines = ["tests:"] if guess.tests else []
     for test in guess.tests:
-        point = ""
+        value: Entries = {"name": scalar(test)}
         if guess.open_point("contraction"):
             text = f'at which contraction was "{test}" held? For instance 8 mm'
-            which = Asked(next((f"{each} mm" for each in asked.LENGTH.findall(test)), ""), text)
-            lines.append(question(which))
-            point = f", point: {{contraction: {which.scalar}}}"
-        lines.append(f"- {{name: {scalar(test)}{point}}}")
+            in_name = next((f"{each} mm" for each in asked.LENGTH.findall(test)), "")
+            value["point"] = {"contraction": Asked(in_name, text)}
+        lines += entry("- ", value, "")
     return lines
 
 
@@ -160,8 +178,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
             lines += _column(column, guess, spans)
     if guess.role("time") is None:
         lines.append('  "@time": {is: time, unit: s}  # made from the period, for no column is a time')
-    lines += test_lines(guess)
-    lines += ["", *_name_lines(guess)]
+    lines += [*_tests(guess), "", *_name_lines(guess)]
     gap = f"{guess.gap * 1e3:.3g} ms" if guess.gap < 1 else f"{guess.gap:.3g} s"
     low, high = (f"{rate:.4g}" for rate in guess.rate)
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
@@ -187,7 +204,7 @@ def _why(guess: Guess, key: str) -> str:
 def _file(guess: Guess) -> list[str]:
     layout, found = guess.layout, [f"  {comment(text)}" for text in guess.reasons.get("file", [])]
     if not isinstance(layout, TextLayout):
-        return ["file:", *found, f"  format: {layout.format}", *period_lines(guess)]
+        return ["file:", *found, f"  format: {layout.format}", *_no_time(guess)]
     lines = ["file:", *found, f"  delimiter: {layout.delimiter}", f"  header: {layout.header}"]
     if layout.names:
         lines.append(f"  names: [{', '.join(scalar(name) for name in layout.names)}]")
@@ -196,137 +213,137 @@ def _file(guess: Guess) -> list[str]:
         value = getattr(layout, key)
         if key == "decimal" and guess.either:
             text = f'is "{guess.either}" a number with decimals, or are its digits grouped?'
-            which = Asked(
-                value, f"{text} For groups write decimal: point and thousands: comma; all numbers change by 1000"
-            )
-            lines += [f"  {question(which)}", f"  decimal: {which.scalar}"]
+            text += " For groups write decimal: point and thousands: comma; all numbers change by 1000"
+            lines += entry("decimal: ", Asked(value, text))
         elif value != TextLayout.model_fields[key].default:
             lines.append(f"  {key}: {str(value).lower()}")
     if layout.comment:
         lines.append(f"  comment: {json.dumps(layout.comment)}")
     if layout.missing:
         lines.append(f"  missing: {json.dumps(layout.missing)}")
-    return lines + period_lines(guess)
+    return lines + _no_time(guess)
 
 
 def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[str]:
     head = [f"  {comment(text)}" for text in column.reasons]
     head += [f"  {comment('DOUBT: ' + text)}" for text in column.doubts]
-    which = Asked(column.role, column.question)
-    asking = [question(which)] if column.question else []
-    role = which.scalar if column.question else column.role
+    name = f"{scalar(column.name)}: "
+    role: Value = Asked(column.role, column.question) if column.question else column.role
     if column.role == "date":
-        return [*head, *date_lines(column)]
+        return [*head, *entry(name, {"is": "date", **({"order": _order(column)} if column.order else {})})]
     known = QUANTITY.get(column.unit) == quantity_of(column) and not column.factor
     if column.role in UNASKED and column.role not in spans and not known:
-        head.append(f"  {comment(UNASKED[column.role])}")
-        return [*head, f"  {scalar(column.name)}: ignore"]
+        return [*head, f"  {comment(UNASKED[column.role])}", f"  {name}ignore"]
     if column.role == "time":
-        return [*head, *(f"  {line}" for line in asking), *time_lines(column, guess)]
+        return [*head, *_time(column, guess)]
     if column.role in NUMBERS or column.role == "point":
-        text = role if column.role == "ignore" else f"{{{', '.join([f'is: {role}', *_marks(column, guess)])}}}"
-        return [*head, *(f"  {line}" for line in asking), f"  {scalar(column.name)}: {text}"]
-    body, why = ([f"unit: {column.unit}", *column.extra], []) if guess.exported else _measured(column, guess, spans)
-    lines = [*asking, f"is: {role}", *body]
-    return [*head, *(f"  {comment(text)}" for text in why), f"  {scalar(column.name)}:", *(f"    {x}" for x in lines)]
+        return [*head, *entry(name, role if column.role == "ignore" else {"is": role, **_marks(column, guess)})]
+    body, why = ({"unit": column.unit, **column.extra}, []) if guess.exported else _measured(column, guess, spans)
+    lines = [line for key, value in {"is": role, **body}.items() for line in entry(f"{key}: ", value, "    ")]
+    return [*head, *(f"  {comment(text)}" for text in why), f"  {name}".rstrip(), *lines]
 
 
-def _marks(column: Proposal, guess: Guess) -> list[str]:
+def _marks(column: Proposal, guess: Guess) -> Entries:
     """Entries of a column that measures nothing: the marks of phases, the coordinate of a point and its unit."""
     if column.role == "point":
         unit = re.fullmatch(r".* \[([^\[\]]*)\]", column.name)
-        return [*column.extra, *([f"unit: {unit[1]}"] if unit and unit[1] else [])]
+        return {**column.extra, **({"unit": unit[1]} if unit and unit[1] else {})}
     if column.role != "phase":
-        return []
+        return {}
     marks = np.unique(column.good)
     names = ("fill", "exhaust") if len(marks) == 2 else [f"phase {mark:g}" for mark in marks]
-    called = ", ".join(f"{scalar(name)}: {mark:g}" for name, mark in zip(names, marks, strict=True))
-    return [f"marks: {{{called}}}", *(["optional: true"] if column.name in guess.optional else [])]
+    called = {scalar(name): f"{mark:g}" for name, mark in zip(names, marks, strict=True)}
+    return {"marks": called, **_optional(column, guess)}
 
 
-def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tuple[list[str], list[str]]:
+def _optional(column: Proposal, guess: Guess) -> Entries:
+    return {"optional": "true"} if column.name in guess.optional else {}
+
+
+def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tuple[Entries, list[str]]:
     """Entries of a column that is measured or commanded, and why."""
     body, why = _scale(column, guess, spans.get(column.role))
     if column.role == "displacement":
-        lines, reasons = _contraction(column, guess)
-        if any(line.startswith(f'unit: "{OPEN}') for line in body):  # the answer is the unit of its zero, too
-            lines = [re.sub(r'zero: ([^"}]+)}', rf'zero: "{OPEN} \1"}}', line) for line in lines]
-        body, why = body + lines, why + reasons
+        contraction, reasons = _contraction(column, guess)
+        if isinstance(body["unit"], Asked) and contraction:  # the answer is the unit of its zero, too
+            zero = contraction["zero"]
+            contraction["zero"] = Asked(zero, "") if isinstance(zero, str) else zero
+        body |= {"contraction": contraction} if contraction else {}
+        why = why + reasons
     zeros = int(np.count_nonzero(column.good == 0))
     if column.unit == "mA" and zeros:
-        body.append("dropout: 0 mA")
+        body["dropout"] = "0 mA"
         why.append(f"{zeros} samples read 0 mA, as a cut wire does")
     blip = _blip(column.good) if column.role.endswith("command") else None
     if blip is not None:
-        body.append(f"blip: {blip:g} {column.unit}")
+        body["blip"] = f"{blip:g} {column.unit}"
         why.append(f"{blip:g} is read in single samples between others only")
-    return body + (["optional: true"] if column.name in guess.optional else []), why
+    return {**body, **_optional(column, guess)}, why
 
 
-def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[list[str], list[str]]:
+def _line(slope: Value, offset: Value) -> Entries:
+    return {"slope": slope, "offset": offset}
+
+
+def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[Entries, list[str]]:
     """Unit, calibration and range of a column, and why."""
     quantity, unit = quantity_of(column), column.unit
     if quantity == "length" and unit in (None, "", "%") and re.search(SHARE, column.name, re.IGNORECASE):
         text = f'"{column.name}" is a share: of which length? The slope is what one unit of it is, as "2.5 mm/count"'
-        return ["unit: count", question(Asked("", text)), f'line: {{slope: "{OPEN}", offset: 0 mm}}'], []
+        return {"unit": "count", "line": _line(Asked("", text), "0 mm")}, []
     if (slope := asked.factor_of(column)) is not None:
         zero = f"0 {'N' if quantity == 'force' else unit}"
         zero = asked.air(unit) if quantity == "pressure" and asked.absolute(column) else zero
-        return [f"unit: {unit}", question(slope), f"line: {{slope: {slope.scalar}, offset: {zero}}}"], []
+        return {"unit": unit, "line": _line(slope, zero)}, []
     if (unit_asked := asked.unit_of(column, guess)) is not None:
-        return [question(unit_asked), f"unit: {unit_asked.scalar}"], []
+        return {"unit": unit_asked}, []
     if QUANTITY.get(unit) == quantity:
         if (air := asked.gauge_of(column)) is not None:
-            return [f"unit: {unit}", question(air), f"line: {{slope: 1 {unit}/{unit}, offset: {air.scalar}}}"], []
+            return {"unit": unit, "line": _line(f"1 {unit}/{unit}", air)}, []
         if quantity == "pressure" and asked.absolute(column):
-            line = f"line: {{slope: 1 {unit}/{unit}, offset: {asked.air(unit)}}}"
-            return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
+            line = _line(f"1 {unit}/{unit}", asked.air(unit))
+            return {"unit": unit, "line": line}, ["absolute by its name: the normal pressure of air is taken off"]
         if (pull := asked.pull_of(column, guess)) is not None:
-            return [f"unit: {unit}", question(pull), f"line: {{slope: {pull.scalar}, offset: 0 {unit}}}"], []
-        return [f"unit: {unit}"], []
+            return {"unit": unit, "line": _line(pull, f"0 {unit}")}, []
+        return {"unit": unit}, []
     if quantity == "force" and unit in asked.WEIGHT:
-        line = f"line: {{slope: {asked.WEIGHT[unit]} N/{unit}, offset: 0 N}}"
-        return [f"unit: {unit}", line], [f"a weight in {unit}, with 9.80665 m/s2"]
+        line = _line(f"{asked.WEIGHT[unit]} N/{unit}", "0 N")
+        return {"unit": unit, "line": line}, [f"a weight in {unit}, with 9.80665 m/s2"]
     return _from_reading(column, quantity, span)
 
 
-def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[list[str], list[str]]:
+def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[Entries, list[str]]:
     """The line from a current, a voltage or counts to the quantity, as far as the usual ranges of sensors give it."""
     unit, (edge, example) = column.unit or "count", EDGE[quantity]
-    low, high = (f"{span.low:g} {span.unit}", f"{span.high:g} {span.unit}") if span else (f"0 {edge}", OPEN)
+    low, high = (f"{span.low:g} {span.unit}", f"{span.high:g} {span.unit}") if span else (f"0 {edge}", "")
     top = float(np.quantile(column.good, 0.999)) if len(column.good) else 0.0
     for known, begin, end, most in LOOPS:
         if unit == known and top <= most:
             why = f"{begin:g} to {end:g} {unit} is a usual range, {top:.4g} {unit} the highest here"
-            points = f'points: [[{begin:g} {unit}, {low}], [{end:g} {unit}, "{high}"]]'
             text = f'which {quantity} is {end:g} {unit} of "{column.name}"? For instance {example}'
-            lines = [points] if span else [question(Asked("", text)), points]
-            return [f"unit: {scalar(unit)}", *lines, *(["range: [3.5 mA, 20.5 mA]"] if unit == "mA" else [])], [why]
+            upper = json.dumps(high) if span else Asked("", text)
+            points: Value = [[f"{begin:g} {unit}", low], [f"{end:g} {unit}", upper]]
+            return {"unit": unit, "points": points, **({"range": "[3.5 mA, 20.5 mA]"} if unit == "mA" else {})}, [why]
     ends = (float(column.good.min()), float(column.good.max())) if len(column.good) else (0.0, 0.0)
     text = f'"{column.name}" reads {ends[0]:.4g} to {ends[1]:.4g} {unit}: '
     if span is not None:
-        text += f"at which readings has it the {quantity} {low}, and {high}?"
-        line = f'points: [["{OPEN}", {low}], ["{OPEN}", {high}]]'
-    else:
-        text += f"which line makes a {quantity} of it? Slope in {edge}/{unit}, offset in {edge}"
-        line = f'line: {{slope: "{OPEN}", offset: "{OPEN}"}}'
-    return [f"unit: {scalar(unit)}", question(Asked("", text)), line], []
+        which = Asked("", f"{text}at which readings has it the {quantity} {low}, and {high}?")
+        return {"unit": scalar(unit), "points": [[which, low], [Asked("", ""), high]]}, []
+    which = Asked("", f"{text}which line makes a {quantity} of it? Slope in {edge}/{unit}, offset in {edge}")
+    return {"unit": scalar(unit), "line": _line(which, Asked("", ""))}, []
 
 
-def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
+def _contraction(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
     """How the reading shows contraction, and why: a free muscle shortens with pressure; a held one pulls less then."""
     which = asked.unit_of(column, guess)
     unit = (which.value if which else column.unit) or "count"
     pressure, force = guess.role("pressure"), guess.role("force")
     unsure = f'does "{column.name}" fall or rise while the muscle shortens? Strokes have the other sign otherwise'
-    open_sign = [
-        question(Asked("rises", unsure)),
-        f"contraction: {{reading: {Asked('rises', '').scalar}, zero: 0 {unit}}}",
-    ]
+    open_sign: Entries = {"reading": Asked("rises", unsure), "zero": f"0 {unit}"}
     if guess.test.held and column.apart and not asked.is_contraction(column):
-        return [line.replace(f"zero: 0 {unit}", f'zero: "{OPEN} 0 {unit}"') for line in open_sign], []
+        return {**open_sign, "zero": Asked(f"0 {unit}", "")}, []
     if guess.test.held:
-        return [], []
+        return {}, []
     others = [c for c in (pressure, force) if c is not None and len(c.good)]
     good = np.isfinite(column.values) & (column.values != 0)
     for other in others:
@@ -355,22 +372,21 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
         rises, zero = together > 0, float(np.median(x[np.quantile(P, 0.02) >= P]))
         why = f"it {'rises' if rises else 'falls'} with the pressure; zero is its reading at the lowest one here"
         if rises and QUANTITY.get(unit) == "length" and abs(zero) < 0.05 * np.ptp(x):
-            return [], []
-    return [f"contraction: {{reading: {'rises' if rises else 'falls'}, zero: {zero:.5g} {unit}}}"], [why]
+            return {}, []
+    return {"reading": "rises" if rises else "falls", "zero": f"{zero:.5g} {unit}"}, [why]
 
 
-def _zero(column: Proposal, unit: str, x: np.ndarray, rises: bool) -> list[str]:
+def _zero(column: Proposal, unit: str, x: np.ndarray, rises: bool) -> Entries:
     """The entry `contraction` of a length that is driven; where it begins is asked for, unless the file says it.
 
     F_ce and x of every result count from there. Contractions that begin at 0 begin at full length.
     """
     reading = "rises" if rises else "falls"
     if rises and abs(float(np.quantile(x, 0.01))) < 0.05 * np.ptp(x):
-        return [f"contraction: {{reading: {reading}, zero: 0 {unit}}}"]
+        return {"reading": reading, "zero": f"0 {unit}"}
     taken = f"0 {unit}" if rises and x.min() > 0 else f"{float(np.quantile(x, 0.01 if rises else 0.99)):.5g} {unit}"
     text = f'what does "{column.name}" read where the muscle has its full length? F_ce and x of all results begin there'
-    asking = Asked(taken, text)
-    return [question(asking), f"contraction: {{reading: {reading}, zero: {asking.scalar}}}"]
+    return {"reading": reading, "zero": Asked(taken, text)}
 
 
 def _blip(values: np.ndarray) -> float | None:
@@ -401,31 +417,27 @@ def _name_lines(guess: Guess) -> list[str]:
     lacking = sorted(key for key in keys if any("{" + key + "}" not in form for form in guess.forms))
     if lacking:
         without = next(form for form in guess.forms if "{" + lacking[0] + "}" not in form)
-        which = Asked("", f'which {", ".join(lacking)} have the files whose name is "{without}"? Their name has none')
-        text = ", ".join(f"{key}: {Asked(f'0 {guess.form_units[key]}', '').scalar}" for key in lacking)
-        lines += [f"  {question(which)}", f"  otherwise: {{{text}}}"]
+        text = f'which {", ".join(lacking)} have the files whose name is "{without}"? Their name has none'
+        values = {key: Asked(f"0 {guess.form_units[key]}", text if key == lacking[0] else "") for key in lacking}
+        lines += entry("otherwise: ", values)
     return [*lines, ""]
 
 
 def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
-    trials, lines = dict(guess.trials), list[str]()
+    trials: Entries = dict(guess.trials)
     channel = guess.role(guess.smallest_of)
-    if "smallest" in trials and channel is not None:
-        trials["smallest"] = _smallest(float(trials["smallest"]), channel, spans.get(guess.smallest_of))
-    at = "" if guess.tests else asked.contraction_of(guess)
-    if isinstance(at, Asked):
-        lines.append(question(at))
-    if at:
-        trials["point"] = f"{{contraction: {at.scalar if isinstance(at, Asked) else at}}}"
-    if trials["by"] == "file" and guess.open_point("frequency"):
-        which = Asked(f"{guess.frequency:.3g} Hz", "which frequency has the sine? It is read off its spectrum only")
-        trials["point"] = f"{{frequency: {which.scalar}}}"
-        lines.append(question(which))
+    if "smallest" in guess.trials and channel is not None:
+        trials["smallest"] = _smallest(float(guess.trials["smallest"]), channel, spans.get(guess.smallest_of))
+    point: Entries = {}
+    if at := "" if guess.tests else asked.contraction_of(guess):
+        point["contraction"] = at
+    if guess.trials["by"] == "file" and guess.open_point("frequency"):
+        text = "which frequency has the sine? It is read off its spectrum only"
+        point["frequency"] = Asked(f"{guess.frequency:.3g} Hz", text)
     if guess.constant and not any("{pressure}" in form for form in guess.forms):
-        which = Asked("", "at which pressure was each file recorded? No column and no name says it. For instance 3 bar")
-        trials["point"] = f"{{pressure: {which.scalar}}}"
-        lines.append(question(which))
-    return [*lines, f"trials: {{{', '.join(f'{key}: {value}' for key, value in trials.items())}}}"]
+        text = "at which pressure was each file recorded? No column and no name says it. For instance 3 bar"
+        point["pressure"] = Asked("", text)
+    return entry("trials: ", {**trials, **({"point": point} if point else {})}, "")
 
 
 def _siblings(guess: Guess) -> list[str]:
@@ -443,8 +455,7 @@ def _analysis(guess: Guess) -> list[str]:
     if found is None:
         return []
     above, others = found
-    also = f", also_at: [{', '.join(others)}]" if others else ""
-    return [question(above), f"analysis: {{force_above: {above.scalar}{also}}}"]
+    return entry("analysis: ", {"force_above": above, **({"also_at": others} if others else {})}, "")
 
 
 def _smallest(reading: float, command: Proposal, span: Span | None) -> str:

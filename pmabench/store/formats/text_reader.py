@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
-from pmabench.store.formats.shared.times import MINUS, Fields, seconds_of
-from pmabench.store.formats.text import MARKS, TextLayout
-from pmabench.store.livestream import arrow_csv, numbers, pa
+from pmabench.store.formats.record import Format
+from pmabench.store.formats.text import MARKS, MINUS, Fields, TextLayout, seconds_of
 from pmabench.store.records import Array
 
 PIECE = 4_000_000
@@ -281,6 +280,8 @@ class TextReader:
 
     def _by_arrow(self, block: str, count: int, delimiter: str) -> dict[str, Array] | None:
         """The columns of a block of plain rows; None where one of them is anything else."""
+        from pmabench.store.livestream import arrow_csv, numbers, pa  # not with the list of formats: it takes long
+
         layout, texts = self.layout, self.texts
         if layout.thousands is not None:
             return None
@@ -453,3 +454,13 @@ class TextReader:
         if problems:
             raise InvalidFile(sorted(problems, key=lambda problem: problem.line)[:SHOWN])
         return columns
+
+
+FORMAT = Format(
+    name="text",
+    title="text",
+    layout=TextLayout,
+    recognise=lambda content: False,  # it is what no other format recognises
+    reader=TextReader,
+    modules=("pmabench.store.livestream",),
+)
