@@ -238,6 +238,20 @@ def test_another_unit_is_refused_when_opened(tmp_path):
             pass
 
 
+def test_with_another_unit_it_is_vented_and_not_measured(tmp_path):
+    """0 is 0 in every unit; a reading in another one would confirm a vent that is none."""
+    with emulated(controller(tmp_path / "c", "ascii", "bar")) as (emulator, [record]):
+        with opened(record) as device:
+            device.write("pressure", 3.0)
+        device = AlicatController(controller(tmp_path / "c", "ascii", "kPa"), RealClock())
+        with contextlib.closing(device):
+            device.open_to_vent()
+            device.write("pressure", 0.0)
+            with pytest.raises(DeviceError, match="the bench expects kPa"):
+                device.start(50.0)
+        assert emulator.log.of("set")[-1]["si"] == 0.0
+
+
 def test_hectopascal_and_millibar_are_one_unit(tmp_path):
     with (
         emulated(controller(tmp_path / "c", "ascii", "mbar")),
