@@ -54,6 +54,8 @@ FOUND = ("test_in_a_shipped_driver_it_is_found", "test_in_the_example_driver_it_
 SHARES = {"test_in_a_shipped_driver_it_is_found": 72}
 SHARE = 12
 """Of the tests of `CONFORMANCE` that wait in real time, every commit takes one in so many; `SHARES` names exceptions."""
+SLOW = 140
+"""Of the slow tests over a wire every commit takes one in so many, whatever its rig: together they take half an hour."""
 IN_REAL_TIME = re.compile(r"^pytestmark = .*\brealtime\b", re.MULTILINE)
 """A file whose tests all wait in real time."""
 LONGEST = "tests/test_pages.py"
@@ -129,7 +131,10 @@ def _taken(waiting):
             places[share] += 1
         else:
             rig = _rig_of(item)
-            taken = rig is None or (rig == RIGS[commit_number() % len(RIGS)] and not item.get_closest_marker("slow"))
+            taken = rig is None or rig == RIGS[commit_number() % len(RIGS)]
+            if rig is not None and item.get_closest_marker("slow"):
+                taken = places["slow"] % SLOW == commit_number() % SLOW
+                places["slow"] += 1
         if taken:
             yield item
 
