@@ -19,8 +19,8 @@ from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
 from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
 from pmabench.kinds.compile import read_protocol
-from pmabench.protocol.idle import Idle, idle_trials, without
 from pmabench.protocol.plan import Plan
+from pmabench.protocol.sweep import Idle, idle_trials, without
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:

@@ -37,8 +37,8 @@ from pmabench.engine.recorder import TrialPeaks
 from pmabench.engine.run import Outcome, run_plan
 from pmabench.kinds import registry
 from pmabench.model.real.muscle import Surface
-from pmabench.protocol.idle import idle_trials
 from pmabench.protocol.plan import Plan
+from pmabench.protocol.sweep import idle_trials
 from pmabench.report.bends import slopes_of
 from pmabench.store.analyses.folder import analyses_below, read_analysis
 from pmabench.store.analyses.results import Analysis

@@ -274,7 +274,7 @@ def _plan(runs: Sequence[RunData]) -> Any:
 def _write(run: RunData, trials: Sequence[int], path: Path) -> None:
     """The protocol of a run with these trials of its plan in place of its sweep."""
     from pmabench.kinds.compile import read_protocol
-    from pmabench.protocol.idle import chosen
+    from pmabench.protocol.sweep import chosen
     from pmabench.report.writing import write_file
 
     document, model = read_protocol(Path(run.path) / "protocol.yaml", ())

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import odeint
+from scipy.optimize import brentq
 
 from pmabench.model.air import Air
 from pmabench.model.curve import Array
@@ -141,24 +142,19 @@ class AirPlant(Plant):
         found = answer(u, t, P, self._tube.at(self.x)[0] / total, share)
         if self._shut or self.air.fill == self.air.vent or (u.settled(t, CLOSE) and not self._leak):
             return found, math.inf
-        side = 1 if fills else -1
-        fastest = max(u.omega, *(mode[1] for mode in u.modes), 0.0)
+        fastest = max((mode[1] for mode in u.modes), default=0.0)
         look = min(LOOK, 2 * math.pi / PER_SWING / fastest) if fastest else LOOK
         grid = np.linspace(t, end, int((end - t) / look) + 2)
-        beyond = np.flatnonzero(side * (u.values(grid) - found.values(grid)) < -CLOSE)
+        beyond = np.flatnonzero((u.values(grid) - found.values(grid)) * (1 if fills else -1) < -CLOSE)
         if beyond.size == 0:
             return found, end
         low, high = float(grid[max(beyond[0] - 1, 0)]), float(grid[beyond[0]])
-        before, after = (side * (u.value(s) - found.value(s)) for s in (low, high))
-        for _ in range(30):  # regula falsi, the end that stays for the second time counting half
-            if not before > 0 or after > -CLOSE:
-                break
-            middle = high - after * (high - low) / (after - before)
-            off = side * (u.value(middle) - found.value(middle))
-            if off > 0:
-                low, before, after = middle, off, 0.5 * after
-            else:
-                high, after, before = middle, off, 0.5 * before
+
+        def apart(at: float) -> float:
+            return u.value(at) - found.value(at)
+
+        if apart(low) * apart(high) < 0:
+            high = float(brentq(apart, low, high, xtol=1e-10))
         return found, max(to_nanosecond(high), to_nanosecond(t + 1e-6))
 
     # -- sliding -------------------------------------------------------------------------------------------------

@@ -74,27 +74,21 @@ class Memory(ABC):
     def along(self, path: Regulated, t: Array, x: Array) -> Array:
         """The values at rising times t [s], where `path` is at x; every piece of `path` since the last call counts."""
         result = np.empty(t.shape)
-        last, done = float(t[-1]), 0
-        while True:
-            trace, end = path.piece(self._time)
+        for trace, until, rows in path.pieces(self._time, t):
             if trace != self._trace:
                 self.turn(self._trace.value(trace.start))
                 self._trace, self._known = trace, trace.start
                 self._turns = np.empty(0)
                 self.turn(trace.value(trace.start))  # where a regulator without lag jumps
-            until = min(end, last)
+            done = rows.start
             for moment in self._turns_before(until):
-                count = int(np.searchsorted(t, moment))
+                count = max(done, int(np.searchsorted(t, moment)))
                 result[done:count] = self.at(x[done:count])
-                done = max(done, count)
+                done = count
                 self.turn(trace.value(moment))
+            result[done : rows.stop] = self.at(x[done : rows.stop])
             self._time = until
-            if end > last:
-                result[done:] = self.at(x[done:])
-                return result
-            count = int(np.searchsorted(t, end))
-            result[done:count] = self.at(x[done:count])
-            done = max(done, count)
+        return result
 
     def _turns_before(self, until: float) -> list[float]:
         """The turns of the piece that are due before `until` [s], each returned once."""
@@ -125,36 +119,22 @@ class Branch(Memory):
 
 
 def turns(trace: Trace, begin: float, end: float) -> Array:
-    """When, between `begin` and `end` [s], the rate of a piece changes its sign; `end` may be infinite without sine."""
-    if trace.modes:
-        return _turns_of_modes(trace, begin, end)
-    if trace.omega == 0:
-        share = trace.decay / (trace.lag * trace.slope) if trace.slope else 0.0
-        moment = trace.start + trace.lag * math.log(share) if share > 1 else -math.inf
-        return np.array([moment]) if begin < moment < end else np.empty(0)
-    grid = np.linspace(begin, end, PERIODS * PER_PERIOD + 1)
-    faded = trace.start + FADED * trace.lag
-    if trace.decay and begin < faded:
-        early = min(end, faded)
-        grid = np.union1d(grid, np.linspace(begin, early, int(4 * (early - begin) / trace.lag) + 2))
-    return _changes(trace, grid)
+    """When, between `begin` and `end` [s], the rate of a piece changes its sign; `end` may be infinite without sine.
 
-
-def _turns_of_modes(trace: Trace, begin: float, end: float) -> Array:
-    """The same for a piece with what fades of second order; after it has faded only a sine turns."""
-    slowest, fastest = min(-mode[0] for mode in trace.modes), max(mode[1] for mode in trace.modes)
-    faded = trace.start + FADED / slowest
-    spacing = min(0.25 / slowest, 2 * math.pi / (PER_PERIOD * max(fastest, trace.omega, 1e-9)))
-    early = min(end, faded)
-    grid = np.linspace(begin, early, int((early - begin) / spacing) + 2) if begin < early else np.empty(0)
-    if trace.omega and math.isfinite(end):
-        grid = np.union1d(grid, np.linspace(begin, end, PERIODS * PER_PERIOD + 1))
-    return _changes(trace, grid)
-
-
-def _changes(trace: Trace, grid: Array) -> Array:
-    """When the rate of a piece changes its sign, looked at on a grid of times [s] first."""
-    rates = trace.rates(grid) if grid.size else np.empty(0)
+    After what fades only a sine turns. The rate is looked at on a grid of times first.
+    """
+    if trace.lag or not trace.modes:
+        return np.empty(0)
+    grid, fading = np.empty(0), [mode for mode in trace.modes if mode[0]]
+    if fading:
+        slowest, fastest = min(-mode[0] for mode in fading), max(mode[1] for mode in fading)
+        spacing = min(0.25 / slowest, 2 * math.pi / (PER_PERIOD * max(fastest, 1e-9)))
+        early = min(end, trace.start + FADED / slowest)
+        grid = np.linspace(begin, early, int((early - begin) / spacing) + 2) if begin < early else grid
+    if trace.omega:
+        periods = np.linspace(begin, end, PERIODS * PER_PERIOD + 1)
+        grid = np.union1d(grid, periods) if grid.size else periods
+    rates = trace.rates(grid)
     change = np.flatnonzero((rates[1:] > 0) != (rates[:-1] > 0))
     return _zeros(trace, grid[change], grid[change + 1], rates[change], rates[change + 1])
 
@@ -197,18 +177,14 @@ class CreepAlong:
     def along(self, path: Regulated, t: Array) -> Array:
         """The sum [as the path] at rising times t [s]; every piece of `path` since the last call counts."""
         result = np.empty(t.shape)
-        last, done = float(t[-1]), 0
-        while True:
-            trace, end = path.piece(self._time)
+        for trace, until, rows in path.pieces(self._time, t):
             if trace != self._path:
                 self._path = trace
                 self._lengths = tuple(
                     answer(trace, self._time, length.value(self._time), lag, self._creep.share)
                     for length, lag in zip(self._lengths, self._creep.times, strict=True)
                 )
-            count = len(t) if end > last else int(np.searchsorted(t, end))
-            part = t[done:count]
-            result[done:count] = sum((length.values(part) for length in self._lengths), np.zeros(part.shape))
-            done, self._time = max(done, count), min(end, last)
-            if end > last:
-                return result
+            part = t[rows]
+            result[rows] = sum((length.values(part) for length in self._lengths), np.zeros(part.shape))
+            self._time = until
+        return result

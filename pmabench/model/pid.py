@@ -1,4 +1,6 @@
-"""A sampled PID controller in discrete form; standard library only, for it runs once per sample. Knows no plant.
+"""A sampled PID controller in discrete form, and a path for its set-point; knows no muscle.
+
+Standard library only, for both are called once per sample.
 
 Ideal form C(s) = K_p (1 + 1/(T_i s) + T_d s / (1 + T_d s / N)), the derivative on the measured value alone, so that a
 step of the set-point r makes no spike. At sample k with error e = r - y, h seconds after the last one (Astrom and
@@ -16,7 +18,10 @@ at the command that was in force, so that taking over at r = y makes no bump.
 
 from __future__ import annotations
 
-from math import inf, isfinite, sqrt
+from bisect import bisect_right
+from collections.abc import Sequence
+from itertools import pairwise
+from math import cos, inf, isfinite, pi, sin, sqrt
 
 ANTI_WINDUP = ("back-calculation", "clamping")
 
@@ -114,3 +119,53 @@ class PID:
         if self.anti_windup == "clamping":
             return 0.0 if self._excess * self._error < 0 else step
         return step + min(1.0, h / self.tracking) * self._excess
+
+
+class ReferencePath:
+    """From `places[0]` over all `places` [m] at no more than `speed` [m/s], with a rest of `rest` [s] at each.
+
+    A cosine move of d takes pi d / (2 speed), x = from + d (1 - cos(pi t / T)) / 2: speed begins and ends with 0.
+
+    Examples
+    --------
+    >>> path = ReferencePath([0.0, 0.02], speed=0.01, rest=1.0)
+    >>> round(path.duration, 4), round(path.place(1.0 + 3.1416 / 2), 6), round(path.speed(1.0 + 3.1416 / 2), 6)
+    (5.1416, 0.01, 0.01)
+    """
+
+    def __init__(self, places: Sequence[float], speed: float, rest: float) -> None:
+        if len(places) < 2 or not all(map(isfinite, places)) or not speed > 0 or not rest >= 0:
+            raise ValueError(f"a path needs two places, a speed above 0 and a rest, not {places}, {speed:g}, {rest:g}")
+        self.places, self.rest = tuple(places), rest
+        self.starts, now = [], rest
+        """When each move begins [s]."""
+        self.times = [0.5 * pi * abs(b - a) / speed for a, b in pairwise(self.places)]
+        """How long each takes [s]."""
+        for time in self.times:
+            self.starts.append(now)
+            now += time + rest
+        self.duration = now
+
+    def _move(self, t: float) -> tuple[int, float]:
+        """Number of the move that has begun at a time, -1 for none, and the share of it that is done [1]."""
+        number = bisect_right(self.starts, t) - 1
+        if number < 0:
+            return -1, 0.0
+        time = self.times[number]
+        return number, min((t - self.starts[number]) / time, 1.0) if time > 0 else 1.0
+
+    def place(self, t: float) -> float:
+        """Place at a time [m]; the last one after the end."""
+        number, share = self._move(t)
+        if number < 0:
+            return self.places[0]
+        way = self.places[number + 1] - self.places[number]
+        return self.places[number] + way * 0.5 * (1.0 - cos(pi * share))
+
+    def speed(self, t: float) -> float:
+        """Rate of the place at a time [m/s]."""
+        number, share = self._move(t)
+        if number < 0 or share >= 1.0:
+            return 0.0
+        way = self.places[number + 1] - self.places[number]
+        return way * 0.5 * pi / self.times[number] * sin(pi * share)

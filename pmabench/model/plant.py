@@ -37,7 +37,7 @@ from scipy.integrate import odeint
 from pmabench.model.curve import Array
 from pmabench.model.motion import NOTHING, Course, Loaded, Motion, Record
 from pmabench.model.muscle import Friction, Muscle
-from pmabench.model.regulator import FADED, Regulated, Regulator, Trace, to_nanosecond
+from pmabench.model.regulator import Regulated, Regulator, Trace, to_nanosecond
 
 RELATIVE = 1e-7
 ABSOLUTE = 5e-9
@@ -68,12 +68,7 @@ def equation(
     f_ce, stiffness = muscle.F_ce.function(), muscle.K.function()
     damping = (muscle.B_c if way > 0 else muscle.B_r).function()
     hold = force + way * muscle.friction.F_c
-    level, ramp, decay, lag = trace.level, trace.slope, trace.decay, trace.lag
-    omega, sin_part, cos_part = trace.omega, trace.sin_part, trace.cos_part
-    pressure = trace.function() if trace.modes else None
-    result = np.empty(2)
-    scale = TIME / mass
-    exp, sin, cos = math.exp, math.sin, math.cos
+    pressure, scale, result = trace.function(t - trace.start), TIME / mass, np.empty(2)
 
     def steady(y: State, since: float) -> State:
         x, w = y.tolist()
@@ -84,33 +79,15 @@ def equation(
 
     def moving(y: State, since: float) -> State:
         x, w = y.tolist()
-        v = w / TIME
-        if pressure is not None:
-            P = pressure(since)
-        else:
-            P = level + ramp * since
-            if decay:
-                P += decay * exp(-since / lag)
-            if omega:
-                P += sin_part * sin(omega * since) + cos_part * cos(omega * since)
-        result[0] = v
-        result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - hold) * scale
-        return result
-
-    def swinging(y: State, since: float) -> State:
-        x, w = y.tolist()
-        v = w / TIME
-        turn = omega * since
-        P = level + (sin_part * sin(turn) + cos_part * cos(turn))
+        v, P = w / TIME, pressure(since)
         result[0] = v
         result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - hold) * scale
         return result
 
     if trace.settled(t, SETTLED_PRESSURE):
-        pull, K, B = f_ce(level) - hold, stiffness(level), damping(level)
+        pull, K, B = f_ce(trace.level) - hold, stiffness(trace.level), damping(trace.level)
         return steady
-    faded = not decay or t - trace.start > FADED * lag
-    return swinging if omega and faded and not ramp and pressure is None else moving
+    return moving
 
 
 def slide(

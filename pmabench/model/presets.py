@@ -180,8 +180,6 @@ BENCH_SECOND = {"natural_frequency": 2.5, "damping_ratio": 0.9}
 BENCH_FOLLOW_LAG = 0.005
 DEAD_TIME = 0.04
 REAL_REGULATOR = Regulator(dead_time=0.02, lag=BENCH_LAG, vent_ratio=1.5)
-REAL_DEPARTURES = ("hysteresis_x", "hysteresis_p", "creep", "bend", "first_cycle")
-"""Overrides for the muscle with bent force, hysteresis and creep only."""
 KINDS = ("ideal", "bench")
 
 
@@ -251,6 +249,21 @@ class Setup:
         return np.asarray(self.parallel * self.muscle.volume(x) + self.hose)  # type: ignore[union-attr]
 
 
+NOT_FOR: tuple[tuple[tuple[str, ...], Callable[[Setup], bool], str], ...] = (
+    (("hysteresis",), lambda setup: setup.hysteresis is None, "; it is for the plant daerden"),
+    (("relaxes",), lambda setup: isinstance(setup.muscle, Muscle | Arm | RealMuscle), "; it is for the plant daerden"),
+    (("conductance_fill", "conductance_vent", "polytropic"), lambda setup: setup.air is None,
+     ": its volume is not known"),
+    (("hysteresis_x", "hysteresis_p", "creep", "bend", "first_cycle"),
+     lambda setup: not isinstance(setup.muscle, RealMuscle), "; it is for the plant real"),
+    (("F_s", "F_c"), lambda setup: isinstance(setup.muscle, RealMuscle), ": its friction is its hysteresis"),
+    (("b_relax",), lambda setup: isinstance(setup.muscle, Arm), ": it has one damping"),
+    (("F_s", "F_c", "b_relax"), lambda setup: not isinstance(setup.muscle, Muscle | Arm | RealMuscle),
+     ": it has no friction and no damping by speed"),
+)  # fmt: skip
+"""Overrides, the setups that have nothing that they could change, and why."""
+
+
 def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
     """The parameters of `plant` (one of `PLANTS`) as `ideal` or `bench`, with overrides.
 
@@ -300,35 +313,24 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
         value = getattr(change, name)
         return float(value) if value is not None else bench if real else ideal
 
-    share = 1.0 if change.friction is None else change.friction
-    if share < 0:
+    if change.friction is not None and change.friction < 0:
         raise ValueError("the factor on friction cannot be negative")
-    muscle = _muscle(setup.muscle, change, share, real=real)
+    if change.b_relax not in {None, "b_contract"}:
+        raise ValueError(f'b_relax can only be "b_contract", not "{change.b_relax}"')
+    for names, lacks, why in NOT_FOR:
+        given = [name for name in names if getattr(change, name) is not None]
+        if given and lacks(setup):
+            raise ValueError(f"{given[0]} is not for the muscle {setup.muscle.name}{why}")
     hysteresis = setup.hysteresis
     if hysteresis is not None:
         height = hysteresis.height if change.hysteresis is None else change.hysteresis
-        hysteresis = replace(hysteresis, height=share * height)
-    else:
-        _refuse(change, ("hysteresis",), muscle, "; it is for the plant daerden")
-    if isinstance(setup.muscle, Muscle | Arm | RealMuscle):
-        _refuse(change, ("relaxes",), muscle, "; it is for the plant daerden")
-    regulator = _regulator(setup.regulator, change, chosen)
+        hysteresis = replace(hysteresis, height=height * (1.0 if change.friction is None else change.friction))
+    muscle, regulator = _muscle(setup.muscle, change, real=real), _regulator(setup.regulator, change, chosen)
     air = None if setup.air is None else _air(setup.air, chosen)
-    if setup.air is None:
-        if change.conductance_fill is not None or change.conductance_vent is not None:
-            raise ValueError(f"conductances are not for the muscle {muscle.name}: its volume is not known")
-        _refuse(change, ("polytropic",), muscle, ": its volume is not known")
     regulator = regulator if air is None else replace(regulator, leak=0.0)
     noise = setup.noise.scaled(chosen("noise", 1.0))
     lag = chosen("follow_lag", setup.follow_lag)
     return Setup(muscle, regulator, noise, lag, hysteresis, air, **_mounted(change))
-
-
-def _refuse(change: Overrides, names: Sequence[str], muscle: AnyMuscle, why: str) -> None:
-    """ValueError for an override that is set and that the muscle does not have."""
-    for name in names:
-        if getattr(change, name) is not None:
-            raise ValueError(f"{name} is not for the muscle {muscle.name}{why}")
 
 
 def _mounted(change: Overrides) -> dict[str, Any]:
@@ -341,22 +343,20 @@ def _mounted(change: Overrides) -> dict[str, Any]:
     return {"relaxes": rubber(change.relaxes) if change.relaxes else None, "hose": hose, "parallel": int(parallel)}
 
 
-def _muscle(muscle: AnyMuscle, change: Overrides, share: float, *, real: bool) -> AnyMuscle:
-    """The muscle with its friction times `share` and changed; ValueError for what it does not have."""
-    if change.b_relax not in {None, "b_contract"}:
-        raise ValueError(f'b_relax can only be "b_contract", not "{change.b_relax}"')
+def _muscle(muscle: AnyMuscle, change: Overrides, *, real: bool) -> AnyMuscle:
+    """The muscle with its friction and damping changed."""
     if isinstance(muscle, RealMuscle):
         return muscle.changed(change)
-    _refuse(change, REAL_DEPARTURES, muscle, "; it is for the plant real")
-    if isinstance(muscle, Muscle):
-        slower: dict[str, Any] = {"B_r": muscle.B_c, "tau_r": None} if change.b_relax else {}
-        return replace(muscle, friction=_friction(muscle.friction, change, share, real=real), **slower)
-    if isinstance(muscle, Arm):
-        if change.b_relax:
-            raise ValueError(f"b_relax is not for the {muscle.name}: it has one damping")
-        return replace(muscle, friction=_friction(muscle.friction, change, share, real=real))
-    _refuse(change, ("F_s", "F_c", "b_relax"), muscle, ": it has no friction and no damping by speed")
-    return muscle
+    if not isinstance(muscle, Muscle | Arm):
+        return muscle
+    given, share = muscle.friction if real else Friction(), 1.0 if change.friction is None else change.friction
+    friction = Friction(
+        F_s=share * (given.F_s if change.F_s is None else change.F_s),
+        F_c=share * (given.F_c if change.F_c is None else change.F_c),
+        speed=muscle.friction.speed,
+    )
+    slower: dict[str, Any] = {"B_r": muscle.B_c, "tau_r": None} if change.b_relax and isinstance(muscle, Muscle) else {}
+    return replace(muscle, friction=friction, **slower)
 
 
 def _regulator(given: Regulator, change: Overrides, chosen: Callable[..., float]) -> Regulator:
@@ -390,16 +390,6 @@ def _air(air: Air, chosen: Callable[..., float]) -> Air | None:
     return air if air.fill or air.vent else None
 
 
-def _friction(given: Friction, change: Overrides, share: float, *, real: bool) -> Friction:
-    """The friction that is asked for, where a muscle has the given one."""
-    base = given if real else Friction()
-    return Friction(
-        F_s=share * (base.F_s if change.F_s is None else change.F_s),
-        F_c=share * (base.F_c if change.F_c is None else change.F_c),
-        speed=given.speed,
-    )
-
-
 @dataclass(frozen=True)
 class Described:
     """A muscle, the regulator before it and the air that it moves, and in words where they come from."""
@@ -427,14 +417,13 @@ class Described:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data: coefficients as polynomials of P, highest power first, joined at breaks (SI)."""
-        muscle = {field.name: getattr(self.muscle, field.name) for field in fields(Muscle)}
         return {
             "source": self.source,
             "domain": list(self.domain),
             "regulator": asdict(self.regulator),
             **({} if self.air is None else {"air": asdict(self.air)}),
             **({} if self.surface is None else {"surface": self.surface.to_dict()}),
-            **{name: _plain(value) for name, value in muscle.items() if value is not None},
+            **{name: value for name, value in asdict(self.muscle).items() if value is not None},
         }
 
     @classmethod
@@ -448,15 +437,8 @@ class Described:
         return cls(muscle, Regulator(**data["regulator"]), str(data["source"]), (float(low), float(high)), air, surface)
 
 
-def _plain(value: Any) -> Any:
-    """A field of a muscle as plain data."""
-    if isinstance(value, Curve):
-        return {"pieces": [list(piece) for piece in value.pieces], "breaks": list(value.breaks)}
-    return asdict(value) if isinstance(value, Friction) else value
-
-
 def _value(name: str, data: Any) -> Any:
-    """The inverse of `_plain`."""
+    """A field of a muscle from plain data."""
     if name == "friction":
         return Friction(**data)
     if isinstance(data, Mapping):

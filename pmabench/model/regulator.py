@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -43,6 +43,10 @@ class Wave(NamedTuple):
         """The commanded values at times t [s]."""
         since = t - self.start
         return np.asarray(self.level + self.slope * since + self.amplitude * np.sin(self.omega * since + self.phase))
+
+    def rate(self, t: float) -> float:
+        """Rate of the commanded value at time t [s]."""
+        return self.slope + self.amplitude * self.omega * math.cos(self.omega * (t - self.start) + self.phase)
 
     def later(self, t: float) -> Wave:
         """The same wave counted from t [s] on."""
@@ -84,6 +88,14 @@ def sine(start: float, origin: float, amplitude: float, frequency: float, cycles
     )
 
 
+def commanded(waves: Sequence[Wave], t: float) -> float:
+    """The value at time t [s] of the wave that began last; the level of the first one before it begins."""
+    for wave in reversed(waves):
+        if wave.start <= t:
+            return wave.level if wave.steady else wave.value(t)
+    return waves[0].level
+
+
 FADED = 40.0
 """After so many lags nothing is left of where a piece began [1]."""
 APART = 1e-5
@@ -92,7 +104,7 @@ NO_MORE = 1e-9
 """What is smaller is left out of a closed form [units]."""
 
 Mode = tuple[float, float, float, float]
-"""What fades: rate r < 0 [1/s], omega w [rad/s], a and b in exp(r s) (a cos(w s) + b sin(w s)) [units]."""
+"""Rate r [1/s], below 0 where it fades and else 0; omega w [rad/s], a and b in exp(r s) (a cos(w s) + b sin(w s))."""
 
 
 @dataclass(frozen=True)
@@ -128,96 +140,93 @@ class Regulator:
 
 
 class Trace(NamedTuple):
-    """A closed form: level + slope s + sin_part sin(omega s) + cos_part cos(omega s) + decay exp(-s / lag) + modes.
-
-    s = t - start [s]; `modes` are what else fades (`Mode`).
-    """
+    """A closed form: level + slope s + the sum of `modes` (`Mode`), s = t - start [s]; at most one does not fade."""
 
     start: float
     level: float
     slope: float = 0.0
-    omega: float = 0.0
-    sin_part: float = 0.0
-    cos_part: float = 0.0
-    decay: float = 0.0
-    lag: float = 1.0
     modes: tuple[Mode, ...] = ()
 
     def value(self, t: float) -> float:
         """Value at time t [s]."""
         since = t - self.start
         value = self.level + self.slope * since
-        if self.decay:
-            value += self.decay * math.exp(-since / self.lag)
-        if self.omega:
-            value += self.sin_part * math.sin(self.omega * since) + self.cos_part * math.cos(self.omega * since)
         for rate, omega, a, b in self.modes:
-            value += math.exp(rate * since) * (a * math.cos(omega * since) + b * math.sin(omega * since))
+            wave = a * math.cos(omega * since) + b * math.sin(omega * since) if omega else a
+            value += math.exp(rate * since) * wave if rate else wave
         return value
 
     def values(self, t: Array) -> Array:
         """Values at times t [s], the first of which is the earliest."""
         since = t - self.start
         value = self.level + self.slope * since if self.slope else np.full(since.shape, self.level, np.float64)
-        if self.decay and len(since) and since[0] < FADED * self.lag:
-            value += self.decay * np.exp(-since / self.lag)
-        if self.omega:
-            value += self.sin_part * np.sin(self.omega * since) + self.cos_part * np.cos(self.omega * since)
-        for rate, omega, a, b in self.modes:
-            if len(since) and -rate * since[0] < FADED:
-                wave = a * np.cos(omega * since) + b * np.sin(omega * since) if omega else a
-                value += np.exp(rate * since) * wave
+        for rate, omega, a, b in self._left(float(since[0])) if len(since) else ():
+            wave = a * np.cos(omega * since) + b * np.sin(omega * since) if omega else a
+            value += np.exp(rate * since) * wave if rate else wave
         return value
-
-    @property
-    def fading(self) -> bool:
-        """Whether it is a level and one exponential."""
-        return not (self.slope or self.omega or self.modes)
-
-    def settled(self, t: float, within: float) -> bool:
-        """Whether from `t` [s] on it stays `within` that of its end."""
-        if self.slope or self.omega:
-            return False
-        if not self.modes:
-            return abs(self.value(t) - self.level) < within
-        since = t - self.start
-        left = abs(self.decay) * math.exp(-since / self.lag)
-        for rate, omega, a, b in self.modes:
-            if omega and -rate * since < 1:  # short of where s exp(r s) begins to fall
-                return False
-            left += math.exp(rate * since) * (abs(a) + abs(b) * min(1.0, omega * since))
-        return left < within
 
     def rates(self, t: Array) -> Array:
         """Rates of change at times t [s], the first of which is the earliest."""
         since = t - self.start
-        rate = np.full(since.shape, self.slope, np.float64)
-        if self.decay and len(since) and since[0] < FADED * self.lag:
-            rate -= self.decay / self.lag * np.exp(-since / self.lag)
-        if self.omega:
-            wave = self.sin_part * np.cos(self.omega * since) - self.cos_part * np.sin(self.omega * since)
-            rate += self.omega * wave
-        for fade, omega, a, b in self.modes:
-            cosine, sine = np.cos(omega * since), np.sin(omega * since)
-            rate += np.exp(fade * since) * ((fade * a + omega * b) * cosine + (fade * b - omega * a) * sine)
-        return rate
+        value = np.full(since.shape, self.slope, np.float64)
+        for rate, omega, a, b in self._left(float(since[0])) if len(since) else ():
+            wave: Array | float = rate * a
+            if omega:
+                wave = (rate * a + omega * b) * np.cos(omega * since) + (rate * b - omega * a) * np.sin(omega * since)
+            value += np.exp(rate * since) * wave if rate else wave
+        return value
 
     def rate(self, t: float) -> float:
         """Rate of change at time t [s]."""
         return float(self.rates(np.array([t]))[0])
 
-    def function(self) -> Callable[[float], float]:
-        """The value over s = t - start [s], made for being called some thousand times."""
-        level, exp = self.level, math.exp
-        plain = not self.slope and not self.omega
-        if plain and not self.modes:
-            decay, lag = self.decay, self.lag
-            return (lambda since: level + decay * exp(-since / lag)) if decay else (lambda since: level)
-        if plain and not self.decay and len(self.modes) == 1:
-            ((rate, omega, a, b),), cos, sin = self.modes, math.cos, math.sin
-            return lambda since: level + exp(rate * since) * (a * cos(omega * since) + b * sin(omega * since))
-        start = self.start
-        return lambda since: self.value(start + since)
+    def _left(self, since: float) -> list[Mode]:
+        """The modes that have not faded `since` [s] after the start."""
+        return [mode for mode in self.modes if -mode[0] * since < FADED]
+
+    @property
+    def omega(self) -> float:
+        """Of the sine that does not fade [rad/s]; 0 for none."""
+        return next((omega for rate, omega, _, _ in self.modes if not rate), 0.0)
+
+    @property
+    def lag(self) -> float:
+        """Time constant [s] where it is a level and one exponential; else 0."""
+        return -1 / self.modes[0][0] if not self.slope and len(self.modes) == 1 and not self.modes[0][1] else 0.0
+
+    def settled(self, t: float, within: float) -> bool:
+        """Whether from `t` [s] on it stays `within` that of its end."""
+        since, left = t - self.start, 0.0
+        for rate, omega, a, b in self.modes:
+            if omega and -rate * since < 1:  # it does not fade, or s exp(r s) does not fall yet
+                return False
+            left += math.exp(rate * since) * (abs(a) + abs(b) * min(1.0, omega * since))
+        return not self.slope and left < within
+
+    def function(self, since: float = 0.0) -> Callable[[float], float]:
+        """The value over s = t - start [s], from `since` on, made for being called some thousand times."""
+        level, slope, modes, exp, cos, sin = self.level, self.slope, self._left(since), math.exp, math.cos, math.sin
+        if len(modes) == 1 and not slope:
+            ((rate, omega, a, b),) = modes
+            if not omega:
+                return lambda s: level + a * exp(rate * s)
+            if not rate:
+                return lambda s: level + (a * cos(omega * s) + b * sin(omega * s))
+            return lambda s: level + exp(rate * s) * (a * cos(omega * s) + b * sin(omega * s))
+
+        def many(s: float) -> float:
+            value = level + slope * s
+            for rate, omega, a, b in modes:
+                wave = a * cos(omega * s) + b * sin(omega * s) if omega else a
+                value += exp(rate * s) * wave if rate else wave
+            return value
+
+        return many if modes or slope else lambda s: level
+
+
+def _fading(size: float, lag: float) -> tuple[Mode, ...]:
+    """One exponential, from `size` on; none without a lag [s]."""
+    return ((-1 / lag, 0.0, size, 0.0),) if size and lag > 0 else ()
 
 
 def answer(trace: Trace, t: float, value: float, lag: float, share: float = 1.0) -> Trace:
@@ -226,45 +235,32 @@ def answer(trace: Trace, t: float, value: float, lag: float, share: float = 1.0)
     Each part c exp(p s) of u comes out as c / (1 + p lag) exp(p s); a p of -1 / lag counts as a little different.
     """
     since = t - trace.start
-    level = share * (trace.level + trace.slope * since)
     slope = share * trace.slope
-    fading = [*trace.modes, (-1 / trace.lag, 0.0, trace.decay, 0.0)] if trace.decay else list(trace.modes)
-    while any(abs(1 + complex(rate, omega) * lag) < APART for rate, omega, _, _ in fading):
+    level = share * (trace.level + trace.slope * since) - slope * lag
+    while any(abs(1 + complex(rate, omega) * lag) < APART for rate, omega, _, _ in trace.modes):
         lag *= 1 + 2 * APART
-    sine = share * _through(0.0, trace.omega, trace.cos_part, trace.sin_part, since, lag) if trace.omega else 0j
     modes = []
-    for rate, omega, a, b in fading:
-        part = share * _through(rate, omega, a, b, since, lag)
-        if abs(part) > NO_MORE:
+    for rate, omega, a, b in trace.modes:
+        p = complex(rate, omega)
+        part = share * complex(a, -b) * cmath.exp(p * since) / (1 + p * lag)
+        if not rate or abs(part) > NO_MORE:
             modes.append((rate, omega, part.real, -part.imag))
-    decay = value - (level - slope * lag) - sine.real - sum(mode[2] for mode in modes)
-    return Trace(t, level - slope * lag, slope, trace.omega, -sine.imag, sine.real, decay, lag, tuple(modes))
+    return Trace(t, level, slope, (*_fading(value - level - sum(mode[2] for mode in modes), lag), *modes))
 
 
-def _through(rate: float, omega: float, a: float, b: float, since: float, lag: float) -> complex:
-    """The c in Re c exp(p s) that a lag makes of exp(p s) (a cos(w s) + b sin(w s)), counted from `since` [s] on."""
-    p = complex(rate, omega)
-    return complex(a, -b) * cmath.exp(p * since) / (1 + p * lag)
+def lagged(wave: Wave, t: float, value: float, lag: float, share: float = 1.0) -> Trace:
+    """The exact answer of `lag` y' = `share` wave - y from y(t) = `value` on; with `lag` 0 the wave itself.
 
-
-def lagged(wave: Wave, t: float, value: float, lag: float) -> Trace:
-    """The exact answer of `lag` y' = wave - y from y(t) = `value` on; with `lag` 0 the wave itself.
-
-    `t` is on the wave's time axis [s]. Particular solution of a first-order lag under a constant, ramp and sine:
-    level + slope (s - T) + A (sin(ws + p) - wT cos(ws + p)) / (1 + (wT)^2).
+    `t` is on the wave's time axis [s].
     """
     if wave.steady:
-        level = wave.level
-        return Trace(t, level, decay=value - level, lag=lag) if lag > 0 else Trace(t, level)
-    level = wave.level + wave.slope * (t - wave.start) - wave.slope * lag
-    phase = wave.omega * (t - wave.start) + wave.phase
-    share = wave.amplitude / (1 + (wave.omega * lag) ** 2)
-    sine, cosine = math.sin(phase), math.cos(phase)
-    sin_part = share * (cosine + wave.omega * lag * sine)
-    cos_part = share * (sine - wave.omega * lag * cosine)
-    omega = wave.omega if wave.amplitude else 0.0
-    decay = value - level - cos_part if lag > 0 else 0.0
-    return Trace(t, level, wave.slope, omega, sin_part, cos_part, decay, lag or 1.0)
+        level = share * wave.level
+        return Trace(t, level, modes=_fading(value - level, lag))
+    since = t - wave.start
+    phase = wave.omega * since + wave.phase
+    sine: Mode = (0.0, wave.omega, wave.amplitude * math.sin(phase), wave.amplitude * math.cos(phase))
+    exact = Trace(t, wave.level + wave.slope * since, wave.slope, (sine,) if wave.amplitude else ())
+    return answer(exact, t, value, lag, share) if lag > 0 else exact
 
 
 def swung(wave: Wave, t: float, value: float, rate: float, pace: float, damping: float) -> Trace:
@@ -275,26 +271,27 @@ def swung(wave: Wave, t: float, value: float, rate: float, pace: float, damping:
     """
     since = t - wave.start
     late = 2 * damping / pace
-    level, slope = wave.level + wave.slope * (since - late), wave.slope
-    omega, sine = (wave.omega, 0j) if wave.amplitude else (0.0, 0j)
+    level, slope, sine = wave.level + wave.slope * (since - late), wave.slope, 0j
+    modes: tuple[Mode, ...] = ()
     if wave.amplitude:
-        share = omega / pace
-        sine = -1j * wave.amplitude * cmath.exp(1j * (omega * since + wave.phase))
+        share = wave.omega / pace
+        sine = -1j * wave.amplitude * cmath.exp(1j * (wave.omega * since + wave.phase))
         sine /= complex(1 - share * share, 2 * damping * share)
+        modes = ((0.0, wave.omega, sine.real, -sine.imag),)
     off = value - level - sine.real
-    moving = rate - slope + omega * sine.imag
+    moving = rate - slope + wave.omega * sine.imag
+    if abs(off) < NO_MORE and abs(moving) < NO_MORE * pace:
+        return Trace(t, level, slope, modes)
     root = pace * math.sqrt(abs(1 - damping * damping))
     if damping <= 1 or root < APART * pace:
         root = max(root, APART * pace)
-        modes: tuple[Mode, ...] = ((-damping * pace, root, off, (moving + damping * pace * off) / root),)
+        modes += ((-damping * pace, root, off, (moving + damping * pace * off) / root),)
     else:
         near = -pace / (damping + root / pace)
         far = -damping * pace - root
         other = (moving - near * off) / (far - near)
-        modes = ((near, 0.0, off - other, 0.0), (far, 0.0, other, 0.0))
-    if abs(off) < NO_MORE and abs(moving) < NO_MORE * pace:
-        modes = ()
-    return Trace(t, level, slope, omega, -sine.imag, sine.real, modes=modes)
+        modes += ((near, 0.0, off - other, 0.0), (far, 0.0, other, 0.0))
+    return Trace(t, level, slope, modes)
 
 
 class Regulated:
@@ -339,10 +336,7 @@ class Regulated:
 
     def setpoint(self, t: float) -> float:
         """The value commanded at time t [s], before the dead time."""
-        for wave in reversed(self._waves):
-            if wave.start <= t:
-                return wave.level if wave.steady else wave.value(t)
-        return self._waves[0].level
+        return commanded(self._waves, t)
 
     def setpoints(self, t: Array) -> Array:
         """The values commanded at rising times t [s], before the dead time."""
@@ -366,14 +360,18 @@ class Regulated:
     def values(self, t: Array) -> tuple[Array, Array]:
         """The output and its rate at rising times t [s]."""
         value, rate = np.empty(t.shape), np.empty(t.shape)
-        done = 0
-        while done < len(t):
-            trace, end = self.piece(float(t[done]))
-            stop = len(t) if end == math.inf else int(np.searchsorted(t, end))
-            part = t[done:stop]
-            value[done:stop], rate[done:stop] = trace.values(part), trace.rates(part)
-            done = stop
+        for trace, _, rows in self.pieces(float(t[0]), t) if len(t) else ():
+            value[rows], rate[rows] = trace.values(t[rows]), trace.rates(t[rows])
         return value, rate
+
+    def pieces(self, begin: float, t: Array) -> Iterator[tuple[Trace, float, slice]]:
+        """Each closed form from `begin` [s] to the last of rising times t [s], until when, and which of t lie there."""
+        last, done, end = float(t[-1]), 0, begin
+        while end <= last:
+            trace, end = self.piece(end)
+            count = len(t) if end > last else int(np.searchsorted(t, end))
+            yield trace, min(end, last), slice(done, count)
+            done = count
 
     def _arrival(self, wave: Wave) -> float:
         return to_nanosecond(wave.start + self.regulator.dead_time)
@@ -392,8 +390,7 @@ class Regulated:
         value = self._trace.value(t)
         if r.natural_frequency:
             rate = self._trace.rate(t)
-            steep = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start) + wave.phase)
-            falls = (wave.value(t) - value or steep) < 0
+            falls = (wave.value(t) - value or wave.rate(t)) < 0
             pace = 2 * math.pi * r.natural_frequency / (r.vent_ratio if falls else 1.0)
             self._trace, self._end = swung(wave, t, value, rate, pace, r.damping_ratio), end
             return
@@ -402,7 +399,7 @@ class Regulated:
             return
         way = self._way(wave, t, value)
         if way == 0:
-            self._trace = Trace(t, 0.0, decay=value, lag=1 / r.leak) if r.leak else Trace(t, value)
+            self._trace = Trace(t, 0.0, modes=_fading(value, 1 / r.leak)) if r.leak else Trace(t, value)
         else:
             edge = wave._replace(level=wave.level - way * r.dead_band)
             self._trace = self._answer(edge, t, value, r.lag * (1 if way > 0 else r.vent_ratio))
@@ -411,16 +408,12 @@ class Regulated:
     def _answer(self, wave: Wave, t: float, value: float, lag: float) -> Trace:
         """The answer of a lag to a wave; a leak in parallel makes it faster and leaves it short of the command."""
         share = 1 / (1 + lag * self.regulator.leak)
-        if share == 1:
-            return lagged(wave, t, value, lag)
-        short = wave._replace(level=share * wave.level, slope=share * wave.slope, amplitude=share * wave.amplitude)
-        return lagged(short, t, value, share * lag)
+        return lagged(wave, t, value, share * lag, share)
 
     def _way(self, wave: Wave, t: float, value: float) -> int:
         """1 filling, -1 venting, 0 resting in the dead band; on an edge, the way that the command goes."""
         band, error = self.regulator.dead_band, wave.value(t) - value
-        rate = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start) + wave.phase)
-        rate += self.regulator.leak * value
+        rate = wave.rate(t) + self.regulator.leak * value
         near = 1e-9 * (1 + abs(value))
         if error > band + near or (error >= band - near and rate > 0):
             return 1
@@ -436,7 +429,7 @@ class Regulated:
             edge, trace = wave.level - (way or 1) * band, self._trace
             if way > 0 or not self.regulator.leak or not trace.level < edge < trace.value(t):
                 return end
-            after = trace.lag * math.log(trace.decay / (edge - trace.level))
+            after = trace.lag * math.log(trace.modes[0][2] / (edge - trace.level))
             return min(end, max(to_nanosecond(t + after), to_nanosecond(t + 1e-9)))
 
         def beyond(at: Array) -> Array:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pmabench.store.analyses.results import Analysis, Estimate
 
 SPECIMEN = "specimen"
+SYMBOLS = ("F_ce", "K", "B_c", "B_r")
 
 
 class RegulatorFile(Strict):
@@ -58,76 +59,72 @@ class ReferenceModel(Strict):
 
 def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, Any] | None:
     """The model as plain data for the plan's settings; None with a problem noted where there is none."""
-    name, place = model.coefficients, (*at, "coefficients")
+    before = len(c.problems)
     try:
-        if name == SPECIMEN:
-            table = _of_specimen(c)
-        elif name.split()[0] in MUSCLES or _plant_file(name):
-            return _of_preset(c, model, at)
-        else:
-            if (folder := _surface_folder(c, name)) is not None:
-                return _of_surface(folder, model)
-            table = _of_analysis(c, name)
-    except (PmaError, ValueError, IndexError) as error:
-        c.fault(place, str(error) or f'"{name}" names no model')
-        return None
-
-    def through(symbol: str) -> Curve:
-        points = table["points"][symbol]
-        return Curve.through([P for P, _ in points], [value for _, value in points])
-
-    force = table["points"]["F_ce"]
-    bad = [s for s in ("K", "B_c", "B_r") if any(value <= 0 for _, value in table["points"][s])]
-    if bad or any(P <= 0 for P, _ in force):
-        c.fault(place, f"{', '.join(bad) or 'pressure'} of {table['source']} is not above zero everywhere")
-        return None
-    regulator, friction = model.regulator, model.friction
-    try:
-        slip = Friction(friction.static, friction.kinetic) if friction else Friction(table["F_c"], table["F_c"])
-        before = Regulator(**regulator.model_dump()) if regulator else Regulator(*table["regulator"])
-    except ValueError as error:
-        c.fault((*at, "friction") if friction else at, str(error))
-        return None
-    length = c.mounted.bench.length
-    muscle = Muscle(
-        name=table["source"],
-        F_ce=tabulated_force([P for P, _ in force], [F for _, F in force]),
-        K=through("K"),
-        B_c=through("B_c"),
-        B_r=through("B_r"),
-        friction=slip,
-        length=length,
-        stop=0.4 * length,
-    )
-    pressures = [P for P, _ in force]
-    return Described(muscle, before, table["source"], (min(pressures), max(pressures))).to_dict()
-
-
-def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, Any] | None:
-    name, _, kind = model.coefficients.partition(" ")
-    source, domain = f"preset {name} {kind.strip() or 'ideal'}", (0.0, 1e7)
-    try:
-        if file := _plant_file(model.coefficients):
-            name, kind = file
-            numbers = _read_plant(c, name)
-            setup = changed(setup_of(numbers), kind)
-            source, domain = f"plant file {name}, {kind}: {numbers['name']}", (0.0, float(numbers["highest_pressure"]))
-        else:
-            setup = preset(name, kind.strip() or "ideal")
-        muscle, regulator, air = setup.muscle, setup.regulator, setup.air
-        if not isinstance(muscle, Muscle) or not isinstance(regulator, Regulator):
-            raise ValueError(f'the plant "{name}" is no three-element muscle with a free end')
-        if model.friction is not None:
-            muscle = replace(muscle, friction=Friction(model.friction.static, model.friction.kinetic))
-        if model.regulator is not None:
-            regulator, air = Regulator(**model.regulator.model_dump()), None
+        found = _found(c, model.coefficients)
     except InvalidFile as error:
         c.problems += error.problems
         return None
-    except ValueError as error:
+    except (PmaError, ValueError) as error:
         c.fault((*at, "coefficients"), str(error))
         return None
-    return Described(muscle, regulator, source, domain, air).to_dict()
+    if model.friction is not None:
+        with c.noting((*at, "friction")):
+            if found.surface is not None:
+                raise ValueError("a muscle as a surface has its own hysteresis; leave friction out")
+            friction = Friction(model.friction.static, model.friction.kinetic)
+            found = replace(found, muscle=replace(found.muscle, friction=friction))
+    if model.regulator is not None:
+        with c.noting((*at, "regulator")):
+            found = replace(found, regulator=Regulator(**model.regulator.model_dump()), air=None)
+    return found.to_dict() if len(c.problems) == before else None
+
+
+def _found(c: Compilation, name: str) -> Described:
+    """What the file, the preset or the folder of that name holds; ValueError or `InvalidFile` where it is none."""
+    if name == SPECIMEN:
+        return _of_specimen(c)
+    if name.partition(" ")[0] in MUSCLES or _plant_file(name):
+        return _of_preset(c, name)
+    return _of_surface(c, name) or _of_analysis(c, name)
+
+
+def _straight(
+    c: Compilation, source: str, points: dict[str, list[tuple[float, float]]], F_c: float, regulator: Regulator
+) -> Described:
+    """Straight lines through `points` over pressure, each pressure once; ValueError where a muscle cannot be so."""
+    lines = {symbol: tuple(zip(*sorted(dict(known).items()), strict=True)) for symbol, known in points.items()}
+    pressures, forces = lines["F_ce"]
+    bad = [symbol for symbol in ("K", "B_c", "B_r") if min(lines[symbol][1]) <= 0]
+    if bad or min(pressures) <= 0:
+        raise ValueError(f"{', '.join(bad) or 'pressure'} of {source} is not above zero everywhere")
+    length = c.mounted.bench.length
+    muscle = Muscle(
+        name=source,
+        F_ce=tabulated_force(pressures, forces),
+        K=Curve.through(*lines["K"]),
+        B_c=Curve.through(*lines["B_c"]),
+        B_r=Curve.through(*lines["B_r"]),
+        friction=Friction(F_c, F_c),
+        length=length,
+        stop=0.4 * length,
+    )
+    return Described(muscle, regulator, source, (min(pressures), max(pressures)))
+
+
+def _of_preset(c: Compilation, text: str) -> Described:
+    name, _, kind = text.partition(" ")
+    kind = kind.strip() or "ideal"
+    if file := _plant_file(text):
+        name, kind = file
+        numbers = _read_plant(c, name)
+        setup = changed(setup_of(numbers), kind)
+        source, highest = f"plant file {name}, {kind}: {numbers['name']}", float(numbers["highest_pressure"])
+    else:
+        setup, source, highest = preset(name, kind), f"preset {name} {kind}", 1e7
+    if not isinstance(setup.muscle, Muscle):
+        raise ValueError(f'the plant "{name}" is no three-element muscle with a free end')
+    return Described(setup.muscle, setup.regulator, source, (0.0, highest), setup.air)
 
 
 def _plant_file(text: str) -> tuple[str, str] | None:
@@ -145,67 +142,48 @@ def _read_plant(c: Compilation, name: str) -> dict[str, Any]:
     return read_plant(path).numbers
 
 
-def _of_specimen(c: Compilation) -> dict[str, Any]:
+def _of_specimen(c: Compilation) -> Described:
     expected = c.mounted.specimen_file.expected
     if expected is None:
         raise ValueError(
             'the specimen file has no "expected" coefficients; name a preset '
             f"({', '.join(MUSCLES)}) or the folder of an analysis"
         )
-    points = sorted(expected.points, key=lambda point: point.pressure)
-    table = {
-        symbol: [(p.pressure, float(getattr(p, symbol))) for p in points] for symbol in ("F_ce", "K", "B_c", "B_r")
+    points = {
+        symbol: [(point.pressure, float(getattr(point, symbol))) for point in expected.points] for symbol in SYMBOLS
     }
-    return {
-        "source": f"specimen file, expected: {expected.source}",
-        "points": _rising(table),
-        "F_c": expected.F_c,
-        "regulator": (0.0, 0.0),
-    }
+    source = f"specimen file, expected: {expected.source}"
+    return _straight(c, source, points, expected.F_c, Regulator(dead_time=0.0))
 
 
-def _of_analysis(c: Compilation, name: str) -> dict[str, Any]:
+def _of_analysis(c: Compilation, name: str) -> Described:
     analysis = read_folder(c, name, ("F_ce", "K", "B_c"))
     primary = analysis.estimates[0].method if analysis.estimates else ""
-
-    def known(symbol: str) -> list[tuple[float, float]]:
-        return [
-            (e.at["pressure"], e.value)
-            for e in analysis.estimates
-            if e.symbol == symbol and e.method == primary and set(e.at) == {"pressure"} and e.value is not None
-        ]
-
-    table = {symbol: known(symbol) for symbol in ("F_ce", "K", "B_c", "B_r")}
-    table["B_r"] = table["B_r"] or table["B_c"]
-    missing = [symbol for symbol, points in table.items() if not points]
-    if missing:
+    points: dict[str, list[tuple[float, float]]] = {symbol: [] for symbol in SYMBOLS}
+    for e in analysis.estimates:
+        if e.symbol in points and e.method == primary and set(e.at) == {"pressure"} and e.value is not None:
+            points[e.symbol].append((e.at["pressure"], e.value))
+    points["B_r"] = points["B_r"] or points["B_c"]
+    if missing := [symbol for symbol, known in points.items() if not known]:
         raise ValueError(f'the analysis "{name}" gives no {", ".join(missing)}')
-    return {
-        "source": f"analysis of {', '.join(analysis.runs)}",
-        "points": _rising(table),
-        "F_c": max(0.0, _overall(analysis, "F_c", "") or 0.0),
-        "regulator": (_first(analysis, "t_d", "dead time", "command-to-pressure"), _first(analysis, "tau_P", "lag")),
-    }
+    F_c = max(0.0, _overall(analysis, "F_c", "") or 0.0)
+    dead_time = _first(analysis, "t_d", "dead time", "command-to-pressure")
+    return _straight(c, _source(analysis), points, F_c, Regulator(dead_time, _first(analysis, "tau_P", "lag")))
 
 
-def _surface_folder(c: Compilation, name: str) -> Path | None:
-    """The first analysis in a folder that holds a muscle as a surface."""
+def _of_surface(c: Compilation, name: str) -> Described | None:
+    """The muscle of the first analysis in a folder that holds one as a surface."""
+    from pmabench.model.identified.library import described as surface
     from pmabench.model.identified.library import holds_surface
     from pmabench.store.analyses.folder import read_analysis
 
-    return next((one for one in _folders(c, name) if holds_surface(read_analysis(one).facts)), None)
+    analyses = (read_analysis(one) for one in _folders(c, name))
+    analysis = next((one for one in analyses if holds_surface(one.facts)), None)
+    return None if analysis is None else surface(analysis.facts, _source(analysis), Regulator(dead_time=0.0))
 
 
-def _of_surface(folder: Path, model: ReferenceModel) -> dict[str, Any]:
-    """The muscle of an analysis of kind surface; ValueError in words."""
-    from pmabench.model.identified.library import described as surface
-    from pmabench.store.analyses.folder import read_analysis
-
-    analysis = read_analysis(folder)
-    if model.friction is not None:
-        raise ValueError("a muscle as a surface has its own hysteresis; leave friction out")
-    regulator = Regulator(**model.regulator.model_dump()) if model.regulator else Regulator(dead_time=0.0)
-    return surface(analysis.facts, f"analysis of {', '.join(analysis.runs)}", regulator).to_dict()
+def _source(analysis: Analysis) -> str:
+    return f"analysis of {', '.join(analysis.runs)}"
 
 
 def _first(analysis: Analysis, symbol: str, *coordinates: str) -> float:
@@ -222,11 +200,6 @@ def _overall(analysis: Analysis, symbol: str, coordinate: str) -> float | None:
         return whole[0]
     values = [e.value for e in matching if e.value is not None]
     return sum(values) / len(values) if values else None
-
-
-def _rising(table: dict[str, list[tuple[float, float]]]) -> dict[str, list[tuple[float, float]]]:
-    """Points by pressure, each pressure once."""
-    return {symbol: sorted(dict(points).items()) for symbol, points in table.items()}
 
 
 def read_folder(c: Compilation, name: str, needed: tuple[str, ...]) -> Analysis:

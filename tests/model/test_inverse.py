@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.model.identified.plant import free_run, led, pressures, rising_root
-from pmabench.model.pid import PID
-from pmabench.model.reference_path import ReferencePath
+from pmabench.model.pid import PID, ReferencePath
 from pmabench.model.regulator import Regulator
 from tests.model.test_identified import PER_PRESSURE, STIFF, muscle
 

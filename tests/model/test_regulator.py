@@ -253,7 +253,7 @@ def test_settled_is_said_only_where_nothing_comes_after(damping):
 
 def test_a_lag_next_to_an_equal_pole_is_the_limit():
     """0.1 y' = exp(-s / 0.1) - y from 0: y = (s / 0.1) exp(-s / 0.1)."""
-    found, t = answer(Trace(0.0, 0.0, decay=1e5, lag=0.1), 0.0, 0.0, 0.1), np.linspace(0, 1, 100)
+    found, t = answer(Trace(0.0, 0.0, modes=((-10.0, 0.0, 1e5, 0.0),)), 0.0, 0.0, 0.1), np.linspace(0, 1, 100)
     np.testing.assert_allclose(found.values(t), 1e5 * t / 0.1 * np.exp(-t / 0.1), atol=2.0)
 
 

@@ -10,8 +10,7 @@ from math import inf, isfinite
 from typing import Any
 
 from pmabench.engine.laws import Timed
-from pmabench.model.pid import PID
-from pmabench.model.reference_path import ReferencePath
+from pmabench.model.pid import PID, ReferencePath
 
 
 class PositionLoop(Timed):

@@ -19,7 +19,7 @@ from pmabench.analysis.shared.signals import SURE, Smooth, smooth
 from pmabench.analysis.shared.skew import late
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of, thinned
 from pmabench.base.quantities import show
-from pmabench.model.reference_path import ReferencePath
+from pmabench.model.pid import ReferencePath
 from pmabench.store.analyses.results import Estimate, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 

@@ -15,7 +15,7 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Ratio, Speed, Time
 from pmabench.kinds.positioning import controller as control
-from pmabench.model.reference_path import ReferencePath
+from pmabench.model.pid import ReferencePath
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Record, Seek, Set
 from pmabench.protocol.reference_model import ReferenceModel, described

@@ -54,7 +54,25 @@ class Path:
 
     def step(self, h: float, P: float) -> Ahead:
         """What the muscle does in the next `h` [s], in which the pressure goes to `P` [Pa], for any contraction."""
-        return Ahead.of(self, h, P)
+        muscle = self.muscle
+        stops_P = np.clip(self.stops_P + (P - self.P) / muscle.stops_P.sizes, -1.0, 1.0)
+        keep_P, begin_P, rise_P, fast_P = lag_shares(muscle.creep_P, h, muscle.fast)
+        lag_P = keep_P * self.lag_P + begin_P * self.P + rise_P * P
+        behind = lag_P - fast_P * P
+        low, high = (
+            float(creep @ behind - held @ stops_P)
+            for creep, held in (
+                (muscle.creep_P.low, muscle.stops_P.low),
+                (muscle.creep_P.high, muscle.stops_P.high),
+            )
+        )
+        keep, begin, rise, fast = lag_shares(muscle.creep_x, h, muscle.fast)
+        lag_x = keep * self.lag_x + begin * self.x
+        shares = muscle.creep_x.low
+        return Ahead(
+            self, Inflated(muscle, P), stops_P, lag_P, lag_x, rise, (low, high),
+            float(shares @ lag_x), float(shares @ (rise - fast)),
+        )  # fmt: skip
 
     def go(self, h: float, P: float, x: float) -> float:
         """Go on for `h` [s] to `P` [Pa] and `x` [m]; the force there, without damping [N]."""
@@ -95,29 +113,6 @@ class Ahead:
     follows: float
     """What creep takes of the contraction at the end [1]."""
 
-    @classmethod
-    def of(cls, path: Path, h: float, P: float) -> Ahead:
-        """The step of `h` [s] to `P` [Pa]."""
-        muscle = path.muscle
-        stops_P = np.clip(path.stops_P + (P - path.P) / muscle.stops_P.sizes, -1.0, 1.0)
-        keep_P, begin_P, rise_P, fast_P = lag_shares(muscle.creep_P, h, muscle.fast)
-        lag_P = keep_P * path.lag_P + begin_P * path.P + rise_P * P
-        behind = lag_P - fast_P * P
-        low, high = (
-            float(creep @ behind - held @ stops_P)
-            for creep, held in (
-                (muscle.creep_P.low, muscle.stops_P.low),
-                (muscle.creep_P.high, muscle.stops_P.high),
-            )
-        )
-        keep, begin, rise, fast = lag_shares(muscle.creep_x, h, muscle.fast)
-        lag_x = keep * path.lag_x + begin * path.x
-        shares = muscle.creep_x.low
-        return cls(
-            path, Inflated(muscle, P), stops_P, lag_P, lag_x, rise, (low, high),
-            float(shares @ lag_x), float(shares @ (rise - fast)),
-        )  # fmt: skip
-
     def stops_x(self, x: float) -> Array:
         """Stops on contraction where the step ends at `x` [m]."""
         path = self.path
@@ -136,14 +131,10 @@ class Ahead:
         return force, stiffness * (1.0 - self.follows) + sliding
 
 
+@lru_cache(maxsize=64)
 def lag_shares(lags: Weights, h: float, fast: float) -> tuple[Array, Array, Array, Array]:
     """What is left of each lag after `h` [s], what it takes of the values at begin and end, and which are fast [1]."""
-    return _lag_shares(tuple(lags.sizes.tolist()), h, fast)
-
-
-@lru_cache(maxsize=64)
-def _lag_shares(times: tuple[float, ...], h: float, fast: float) -> tuple[Array, Array, Array, Array]:
-    T = np.array(times)
+    T = lags.sizes
     keep = np.exp(-h / T)
     rise = 1.0 + np.expm1(-h / T) * T / h
     return keep, 1.0 - keep - rise, rise, (fast > T).astype(np.float64)

@@ -21,7 +21,7 @@ import numpy as np
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import BRAID_ANGLE
 from pmabench.model.library.daerden import ALPHA, ATMOSPHERE, B1, B2, DIAMETER, LENGTH, A
-from pmabench.model.regulator import Regulated, Regulator, Wave
+from pmabench.model.regulator import Regulated, Regulator, Wave, commanded
 
 R_T = 287.0 * 293.15
 """Of air at 20 degrees [J/kg]."""
@@ -207,7 +207,7 @@ class JointPlant:
     def _step(self, h: float) -> None:
         """One step of the midpoint rule."""
         if self._course:
-            ahead = _place(self._course, self.time + h)
+            ahead = commanded(self._course, self.time + h)
             rate = (ahead - self.angle) / h
             middle = self._strained(self.strains, rate, 0.5 * h, self.strains)
             self.strains = self._strained(self.strains, rate, h, middle)
@@ -231,13 +231,3 @@ class JointPlant:
         j = self.joint
         torque = j.torque(angle, turn, self._pressures(t), strains) + self.external
         return (torque - j.damping * turn - j.hanging * math.sin(angle)) / j.inertia
-
-
-def _place(course: Sequence[Wave], t: float) -> float:
-    """Value of a course at a time [s]: that of the wave that began last."""
-    at = course[0]
-    for wave in course[1:]:
-        if wave.start > t:
-            break
-        at = wave
-    return at.value(max(t, at.start))

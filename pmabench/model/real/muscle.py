@@ -154,13 +154,11 @@ class RealMuscle:
         return np.where(v > 0, self.B_c.values(P), self.B_r.values(P))
 
     def changed(self, change: Overrides) -> RealMuscle:
-        """The muscle with its departures from a straight one times the factors of `change`; ValueError as above."""
+        """The muscle with its departures from a straight one times the factors of `change`."""
 
         def factor(value: float | None) -> float:
             return 1.0 if value is None else value
 
-        if change.F_s is not None or change.F_c is not None:
-            raise ValueError(f"F_s and F_c are not for the muscle {self.name}: its friction is its hysteresis")
         over_x = self.over_x.scaled(factor(change.friction) * factor(change.hysteresis_x))
         if change.first_cycle is not None:
             over_x = replace(over_x, extra=change.first_cycle)

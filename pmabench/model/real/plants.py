@@ -131,10 +131,10 @@ class RealPlant(Loaded, Stepped):
             end = min(end, until)
             settled = trace.settled(self.time, SETTLED_PRESSURE)
             pressure, start, most = trace.function(), trace.start, LONGEST if settled else LOOK
-            fading = not settled and trace.fading
+            lag = 0.0 if settled else trace.lag
             while self.time < end:
-                if fading:  # a chord of an exponential misses it by less than |P - level| (h / lag)^2 / 8
-                    most = max(LOOK, trace.lag * math.sqrt(8 * CHORD / max(abs(self._P - trace.level), CHORD)))
+                if lag:  # a chord of an exponential misses it by less than |P - level| (h / lag)^2 / 8
+                    most = max(LOOK, lag * math.sqrt(8 * CHORD / max(abs(self._P - trace.level), CHORD)))
                 left = end - self.time
                 parts = math.ceil(left / min(self._longest, most) * (1 - 1e-9))
                 then = end if parts <= 1 else self.time + left / parts
