@@ -474,6 +474,14 @@ class Device(Protocol):
 
 
 @runtime_checkable
+class OpensToVent(Protocol):
+    """Can be opened where `open` refuses what only matters for measuring, as a fault of a sensor or another range."""
+
+    def open_to_vent(self) -> Identity:
+        """Connect as far as the commands of a safe state need it; nothing is set, moved or commanded."""
+
+
+@runtime_checkable
 class Stream(Protocol):
     """Samples its channels together on one clock."""
 

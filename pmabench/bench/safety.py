@@ -395,10 +395,16 @@ def _vents(c: Compilation, actions: tuple[SafeAction, ...], name: str) -> None:
 
 def _ends_safe(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
     """Every drive is stopped or brought to a place, every valve gets a position, and the dump valve ends open."""
-    moved = {action.target for action in actions if action.do in {"set", "ramp", "stop"}}
     for name, output in c.outputs.items():
-        if output.quantity != "pressure" and name not in moved:
+        if output.quantity == "pressure":
+            continue
+        first = next((n for n, a in enumerate(actions) if a.target == name and a.do in {"set", "ramp", "stop"}), None)
+        if first is None:
             c.fault(("safe_state",), f'leaves "{name}" moving: add "drive_quick_stop: {name}" or "set: {name}"')
+        elif waited := next((a for a in actions[:first] if a.do in WAITED_FOR), None):
+            what = f"{waited.do} {waited.target}".strip()
+            text = f'leaves "{name}" moving while "{what}" goes on, up to {waited.within:g} s: stop it before that'
+            c.fault(("safe_state", first), f'{text}, "drive_quick_stop: {name}" or "set: {name}" first')
     for name in c.valves:
         ends = [action.do for action in actions if action.target == name and action.do in {"open", "close"}]
         if without_number(name)[0] == "dump_valve" and (not ends or ends[-1] != "open"):

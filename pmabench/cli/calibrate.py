@@ -84,6 +84,8 @@ def command(
     for warning in (*uncovered(mounted, request), *not_shown(request)):
         ui.note(f"warning: {warning}")
     done = _run(ui, mounted, request, out, operator, yes=yes)
+    for warning in done.warnings:
+        ui.note(f"warning: {warning}")
     path = None
     if done.fit is not None and done.outcome.exit_code == 0 and done.outcome.folder is not None:
         path = _write(mounted, request, done, into, valid_until.date() if valid_until else None)
@@ -149,6 +151,7 @@ def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, 
         "channel": request.channel,
         "file": str(path) if path is not None else None,
         "fit": as_json(done.fit) if done.fit is not None else None,
+        "warnings": list(done.warnings),
         "outcome": outcome_json(done.outcome),
     }
 

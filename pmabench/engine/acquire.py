@@ -120,6 +120,14 @@ class Acquisition:
             source.heard = self.clock.now()
         self._collected = self._asked = self.clock.now()
 
+    def listen_anew(self) -> None:
+        """Silence counts from now on: nobody has collected while the bench was armed."""
+        with self._lock:
+            for source in self._sources:
+                source.heard = self.clock.now()
+            if self._watch is not None:
+                self._watch.listen_anew()
+
     @property
     def extremes(self) -> dict[str, tuple[float, float]]:
         """Lowest and highest value [SI] of each channel."""

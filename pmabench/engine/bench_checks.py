@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from math import floor, nan
+from math import ceil, floor, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -118,12 +118,14 @@ QUESTIONS, SIGNS = 3, 8
 """Within so many answers a command is carried out (behind a question, and read back), and a watchdog is fed [1]."""
 NEARLY, SAMPLES = 0.99, 0.7
 """A rate that is nearly the one that was asked counts as that, and a line that is used by so much has gaps [1]."""
+APART, SPARE = 3.0, 0.1
+"""So many periods, and so long [s], there may be no sample where one answer is lost or has to wait."""
 
 
 def refuse_slow(
     bench: CompiledBench, identities: Mapping[str, Identity], wanted: float, used: Mapping[str, float]
 ) -> None:
-    """Raise DeviceError where a device answers too slowly for its samples [Hz], its commands or its watchdog."""
+    """Raise DeviceError where a device answers too slowly for its samples [Hz], commands, watchdog, `stale` limits."""
     for device in bench.devices:
         takes, most = identities[device.name].answers, min(wanted, device.fastest or wanted)
         rate, signs = used.get(device.name, most), SIGNS * takes
@@ -140,10 +142,25 @@ def refuse_slow(
             wrong = f"a command that is read back may take {longest}, and the guard waits {1e3 * PATIENCE:.0f} ms;"
         elif 0 < device.watchdog < signs:
             wrong = f"its watchdog may hear nothing for {signs:.2g} s; declare watchdog: {1.2 * signs:.2g} s, or"
+        elif takes:
+            wrong = _too_strict(bench, device, rate)
         if wrong:
             raise DeviceError(
                 device.name, f"takes {1e3 * takes:.0f} ms for an answer: {wrong} use a quicker line (baud)"
             )
+
+
+def _too_strict(bench: CompiledBench, device: DeviceRecord, rate: float) -> str:
+    """What is wrong where a `stale` limit is crossed by one lost answer at a rate [Hz]; empty where none is."""
+    own, apart = {channel.name for channel in device.channels}, APART / rate + SPARE
+    for trip in bench.trips:
+        if trip.kind == "stale" and trip.channel in own and trip.delay < apart * (1 - 1e-9):
+            return (
+                f"at {rate:.3g} Hz there may be no sample for {apart:.2g} s, and the bench trips after {trip.delay:g} "
+                f"s ({trip.source}); declare {{stale: {trip.channel}, for: {ceil(100 * apart) * 10} ms}}, ask for a "
+                "higher rate where the line allows it, or"
+            )
+    return ""
 
 
 ARRIVES = 0.5

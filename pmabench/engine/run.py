@@ -297,6 +297,7 @@ class _Run:
             agree(executor, identities)
             executor.recorder.event("armed", self.clock.now(), bench=self.bench.name)
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
+            acquisition.listen_anew()
             acquisition.pass_time(0.1)
             if self.bench.realtime:
                 self.own.supervision.begin()

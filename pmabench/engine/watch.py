@@ -147,6 +147,11 @@ class Watch:
                     found.append(Trip(limit, 0, now, now - watched.heard))
         return found
 
+    def listen_anew(self) -> None:
+        """Silence counts from the next look on."""
+        for watched in self._watched:
+            watched.heard = None
+
     @staticmethod
     def _inside_once(watched: _Watched, values: Mapping[str, float]) -> bool:
         value, limit = values.get(watched.limit.channel), watched.limit

@@ -438,7 +438,7 @@ class Guard:
     def _submit(self, device: str, act: Callable[[], Act]) -> Call:
         try:
             if device not in self.devices:
-                raise DeviceError(device, "is not open")
+                raise getattr(self.links.opening.get(device), "error", None) or DeviceError(device, "is not open")
             return self.links.submit(device, act())
         except Exception as error:
             return _failed(error)

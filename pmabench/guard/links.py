@@ -25,6 +25,7 @@ from pmabench.bench.interface import (
     Identity,
     Load,
     Motion,
+    OpensToVent,
     OutputRecord,
     Pulses,
     Rescue,
@@ -77,6 +78,8 @@ class Links:
         self._bench, self._clock = bench, clock
         self._owner = Owner if threads else Direct
         self._owners: dict[str, Direct | Owner] = {}
+        self.opening: dict[str, Call] = {}
+        """The last attempt to open each device: why it is not open."""
         self._collecting: dict[str, Call] = {}
         self._able: dict[tuple[str, type[Any]], Any] = {}
         """Capabilities of each device, kept because asking takes longer than most commands."""
@@ -90,16 +93,13 @@ class Links:
 
         With `forgiving`, devices that cannot be opened are left out; otherwise a failure closes those already open.
         """
-        opening: dict[str, Call] = {}
         passed = (Exception,) if forgiving else ()
         try:
             for record in records:
-                owner = self._owners[record.name] = self._owner(record.name)
-                with suppress(*passed):
-                    device = load_driver(record, self._clock)
-                    opening[record.name] = owner.submit(partial(self._open, record.name, device, first))
+                self._owners[record.name] = self._owner(record.name)
+                self.opening[record.name] = self.submit(record.name, partial(self._open, record, first, forgiving))
             until = time.monotonic() + OPENS_WITHIN
-            for name, call in opening.items():
+            for name, call in self.opening.items():
                 with suppress(*passed):
                     self._owners[name].wait(call, max(0.0, until - time.monotonic()))
             self._back = {record.name: 0.0 for record in records if record.name not in self.devices}
@@ -107,8 +107,9 @@ class Links:
             self.close(disarm=False)
             raise
 
-    def _open(self, name: str, device: Device, first: Callable[[str], list[Act]]) -> None:
-        self.identities[name] = device.open()
+    def _open(self, record: DeviceRecord, first: Callable[[str], list[Act]], to_vent: bool) -> None:
+        name, device = record.name, load_driver(record, self._clock)
+        self.identities[name] = (device.open_to_vent if to_vent and isinstance(device, OpensToVent) else device.open)()
         self.devices[name] = device
         if name in self.sampling and isinstance(device, Stream):
             device.start(self.sampling[name])
@@ -137,9 +138,7 @@ class Links:
             due = self._back.get(record.name, inf) <= self._clock.now() and record.name not in self.devices
             if due and self.free(record.name):
                 self._back[record.name] = self._clock.now() + OPENS_AGAIN
-                with suppress(DeviceError):
-                    device = load_driver(record, self._clock)
-                    self.submit(record.name, partial(self._open, record.name, device, first))
+                self.opening[record.name] = self.submit(record.name, partial(self._open, record, first, True))
 
     def call(self, name: str, act: Act) -> Any:
         """Make a call of a device and wait for it."""

@@ -23,7 +23,7 @@ from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set
-from pmabench.session.calibration_file import DOWN, UP, Fit, Point, fit
+from pmabench.session.calibration_file import DOWN, UP, Fit, Point, fit, step
 from pmabench.session.guided import guided_run, load_text, moving_mass, steady
 
 PHASE = "calibration"
@@ -32,6 +32,8 @@ REGULATOR = "pressure_command"
 CALIBRATED = ("force", "pressure", "displacement", "angle", REGULATOR)
 DRIFT = 5e-4
 """Most drift while a point is read, of the channel's range."""
+REACHED = 0.1
+"""An output has reached a point that it is nearer to than by this share of the step to the next one [1]."""
 TRAVEL = 0.1
 """Speed of a driven free end between points, of its highest."""
 
@@ -63,6 +65,8 @@ class Calibrated:
     outcome: Outcome
     fit: Fit | None
     raw_unit: str
+    warnings: tuple[str, ...] = ()
+    """Points that were not reached, each in a sentence."""
 
 
 def calibrate(
@@ -82,6 +86,7 @@ def calibrate(
     quantity = channel.quantity if channel else "pressure"
     points: list[Point] = []
     fits: list[Fit] = []
+    warnings: list[str] = []
 
     def procedure(executor: Executor) -> None:
         if request.nominal and channel is not None and not executor.bench.simulated:
@@ -95,6 +100,10 @@ def calibrate(
             point = work.point(target, way, cycle)
             points.append(point)
             executor.recorder.event("calibration-point", executor.clock.now(), **asdict(point))
+            if channel is not None and output is not None and (why := not_reached(point, request, quantity)):
+                warnings.append(why)
+                about = {"limit": "calibration point", "action": "warn", "value": point.reference}
+                executor.recorder.event("warning", executor.clock.now(), reason=why, **about)
         executor.acquisition.record(on=False)
         found = fit(points, work.reference_uncertainty)
         if said := not_followed(found, points, quantity, raw_unit):
@@ -106,7 +115,19 @@ def calibrate(
     more = {"out": out, "operator_name": operator_name, "progress": progress}
     name = f"calibration of {request.channel}"
     outcome = guided_run(mounted, operator, "calibration", name, procedure, points_of, **more)
-    return Calibrated(outcome, fits[0] if fits else None, raw_unit)
+    return Calibrated(outcome, fits[0] if fits else None, raw_unit, tuple(warnings))
+
+
+def not_reached(point: Point, request: Request, quantity: str) -> str:
+    """A sentence where the output did not come to a point; empty where it did."""
+    allowed = REACHED * step(point.target, request.points) + request.reference_uncertainty
+    if abs(point.reference - point.target) <= allowed:
+        return ""
+    reached, wanted = show(point.reference, quantity, 4), show(point.target, quantity, 4)
+    return (
+        f"{quantity} not reached: {reached} of {wanted} ({point.way}, cycle {point.cycle + 1}): the line takes the "
+        "reading for what it is; look at regulator, valves, supply and the reference itself"
+    )
 
 
 def not_followed(found: Fit, points: Sequence[Point], quantity: str, raw_unit: str) -> str:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
-from math import sqrt
+from math import inf, sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.base.errors import RecordError, VerdictFailed
 from pmabench.base.quantities import QUANTITIES, show
@@ -18,6 +20,9 @@ from pmabench.bench.channels import fit_line, read_calibration
 from pmabench.bench.interface import Scale
 
 UP, DOWN = "up", "down"
+APART = 0.25
+"""Readings at one nominal value that are further apart than this share of the step to the next one are no one point."""
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -59,12 +64,13 @@ def fit(points: Sequence[Point], reference: float) -> Fit:
     The standard uncertainties are combined by their squares (GUM 5.1.2): reference U/2; largest residual,
     half the hysteresis and half the drift as half widths of rectangles (/ sqrt 3, GUM 4.3.7); repeatability.
     One cycle has no repeats but its two ways, so hysteresis counts as scatter there, too: nobody can part them.
+    Readings at one nominal value are one point unless they are `APART`.
     Raises VerdictFailed where the points make no line.
     """
     target, raw, value = (np.array([getattr(p, name) for p in points]) for name in ("target", "raw", "reference"))
     way, cycle = np.array([p.way for p in points]), np.array([p.cycle for p in points])
-    places = [target == place for place in np.unique(target)]
-    means = [(float(raw[at].mean()), float(value[at].mean())) for at in places]
+    places = list(_places(target, value))
+    means = sorted(((float(raw[at].mean()), float(value[at].mean())) for at in places), key=lambda mean: mean[1])
     try:
         scale = fit_line([one for one, _ in means], [one for _, one in means])
     except (ValueError, ZeroDivisionError) as error:
@@ -76,7 +82,7 @@ def fit(points: Sequence[Point], reference: float) -> Fit:
     hysteresis = max((abs(float(up.mean() - down.mean())) for up, down in ways if len(up) and len(down)), default=0.0)
     cells = [off[(target == place) & (way == one)] for place, one in dict.fromkeys((p.target, p.way) for p in points)]
     if len(set(cycle)) == 1:
-        cells = [off[at] for at in places]
+        cells = [off[target == place] for place in np.unique(target)]
     freedom = len(points) - len(cells)  # pooled over points and ways; nothing where nothing was repeated
     repeatability = sqrt(sum(float(np.sum((c - c.mean()) ** 2)) for c in cells) / freedom) if freedom else 0.0
     first = target == target[0]
@@ -91,6 +97,19 @@ def fit(points: Sequence[Point], reference: float) -> Fit:
     )
     known = residual if len(places) > 2 else None
     return Fit(scale, tuple(means), known, hysteresis, repeatability, drift, reference, 2 * sqrt(sum(squares)))
+
+
+def step(target: float, targets: Iterable[float]) -> float:
+    """From a nominal value to the nearest other one [SI]."""
+    return min((abs(other - target) for other in targets if other != target), default=inf)
+
+
+def _places(target: Array, value: Array) -> Iterator[Array]:
+    """Which readings make one point of the line: those at one nominal value, where the reference was there."""
+    for place in np.unique(target):
+        at = target == place
+        together = float(np.ptp(value[at])) <= APART * step(place, target)
+        yield from [at] if together else np.eye(len(target), dtype=bool)[at]
 
 
 def write_calibration(

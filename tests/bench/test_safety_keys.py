@@ -116,13 +116,32 @@ def test_a_safe_state_that_is_not_safe_is_refused(tmp_path, actions, says):
     assert says in str(refused(rig(tmp_path, "safe_state:\n" + actions)))
 
 
-def test_a_drive_that_is_left_moving_is_refused(tmp_path):
-    driven = (
-        "free_end: actuator\nweights: null\nactuator: {stroke: [-2 mm, 60 mm], speed: 500 mm/s, force: 1500 N}\n"
-        "outputs:\n  displacement: {device: daq, output: x, scale: [[0 mm, 0 mm], [60 mm, 60 mm]]}\n"
-        "limits:\n  displacement: {command: 50 mm}\n"
-    )
-    assert 'leaves "displacement" moving' in str(refused(rig(tmp_path, driven)))
+DRIVEN = (
+    "free_end: actuator\nweights: null\nactuator: {stroke: [-2 mm, 60 mm], speed: 500 mm/s, force: 1500 N}\n"
+    "outputs:\n  displacement: {device: daq, output: x, scale: [[0 mm, 0 mm], [60 mm, 60 mm]]}\n"
+    "limits:\n  displacement: {command: 50 mm}\n"
+)
+STOP = "  - {drive_quick_stop: displacement, within: 1 s}\n"
+RAMP = "  - {ramp_down: pressure, at: 100 kPa/s, within: 6 s}\n"
+
+
+@pytest.mark.parametrize(
+    ("actions", "says"),
+    [
+        (VENT + DUMP + END, 'leaves "displacement" moving: add'),
+        (RAMP + DUMP + STOP + END, 'leaves "displacement" moving while "ramp pressure" goes on, up to 6 s'),
+        ("  - {hold: 9 s}\n" + STOP + VENT + DUMP + END, 'moving while "hold" goes on, up to 9 s'),
+        (
+            VENT + DUMP + END + "  - {set: displacement, to: 0 mm, within: 1 s}\n",
+            'moving while "confirm pressure" goes on',
+        ),
+    ],
+)
+def test_a_drive_that_is_left_moving_is_refused(tmp_path, actions, says):
+    """A ramp of 5 s before the quick stop left a drive in its sine for so long."""
+    assert says in str(refused(rig(tmp_path, DRIVEN + "safe_state:\n" + actions)))
+    for first in (STOP, VENT + DUMP + STOP):  # nothing before it is waited for
+        assert "moving" not in str(refused(rig(tmp_path, f"{DRIVEN}safe_state:\n{first}{RAMP}{DUMP}{END}")))
 
 
 @pytest.mark.parametrize(

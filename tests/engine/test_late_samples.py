@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import replace
 
@@ -74,6 +75,19 @@ def sampling(delay, *trips, drift=2e-4):
     acquisition = Acquisition(bench, {"gauge": Queue(clock, delay)}, clock, 500.0, ("supply",), kept)
     acquisition.start()
     return acquisition, kept
+
+
+def test_what_was_not_collected_while_the_bench_was_armed_is_no_silence():
+    """Arming took 1.2 s on a slow line, and a good bench was "silent"."""
+    stale = TripRecord("supply", None, None, 0.6, "vent", "bench.yaml:1:1", "stale")
+    for anew in (True, False):
+        acquisition, _ = sampling(lambda now: 0.0 if now < 1.0 else now - 1.0 if now < 2.5 else 0.0, stale)
+        acquisition.pass_time(1.0)
+        acquisition.clock.wait_until(2.2)
+        if anew:
+            acquisition.listen_anew()
+        with contextlib.nullcontext() if anew else pytest.raises((DeviceError, Tripped), match="no sample for"):
+            acquisition.pass_time(0.4)
 
 
 def ever_later(begins, most):

@@ -12,8 +12,9 @@ import pytest
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import DeviceRecord, SafeAction
+from pmabench.bench.interface import DeviceRecord, Identity, SafeAction
 from pmabench.guard import remote
+from pmabench.guard.guard import Guard
 from pmabench.guard.remote import RemoteGuard, vent_directly
 from pmabench.guard.station import UNCLEAN, Station
 from tests.guard.rig import BENCH, DEVICE, OUTPUT, Rig, bench
@@ -94,8 +95,32 @@ def test_a_vent_that_is_not_confirmed_latches():
     where.folder.mkdir()
     vent = vent_directly(bench(gone), where, "test")
     assert vent.result == "failed"
-    assert "set pressure: failed (dac: is not open)" in vent.actions
+    assert "set pressure: failed (dac: nobody there)" in vent.actions
     assert "safe state failed" in where.latched()
+
+
+class FaultySensor(Rig):
+    """Refuses to be opened because of what it measures, but takes commands."""
+
+    def open_to_vent(self):
+        self._note("open_to_vent")
+        return Identity("test", "rig", "1", "0", simulated=True)
+
+
+@pytest.mark.parametrize("opens", [True, False])
+def test_a_device_that_refuses_what_it_measures_is_opened_for_a_vent(opens):
+    """A broken wire of a sensor kept a terminal closed, and its muscle at 300 kPa."""
+    wrong = {"open": "reports a fault", **({} if opens else {"open_to_vent": "nobody there"})}
+    device = replace(DEVICE, driver="tests.guard.test_direct:FaultySensor", options={"wrong": wrong})
+    vent = vent_directly(bench(device), station(), "test")
+    assert vent.confirmed is opens
+    assert opens or "set pressure: failed (dac: nobody there)" in vent.actions
+    assert (("write", "p", 0.0) in Rig.made["dac"].reported) is opens
+    with (
+        pytest.raises(DeviceError, match="reports a fault"),
+        contextlib.closing(Guard(bench(device), RealClock())) as made,
+    ):
+        made.open()
 
 
 class BehindGuard(Rig):

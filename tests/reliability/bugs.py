@@ -333,8 +333,8 @@ BUGS = (
     Bug(
         "the Modbus library sends a write again when no answer comes",
         "drivers/pmabench_drivers/modbus/adapter.py",
-        "port=int(port), timeout=timeout, retries=0)",
-        "port=int(port), timeout=timeout, retries=3)",
+        "port=place[1], timeout=timeout, retries=0)",
+        "port=place[1], timeout=timeout, retries=3)",
         ("tests/conformance/test_drivers.py::test_over_its_wire[modbus]",),
     ),
     Bug(

@@ -172,6 +172,26 @@ def test_a_cell_that_sees_no_load_is_no_calibration(tmp_path):
     assert not_followed(fit(good, 0.1), good, "force", "count") == ""
 
 
+def test_readings_far_apart_at_one_nominal_pressure_are_points_of_their_own():
+    """A valve stuck at 330 kPa on the way down: 50 and 330 kPa became one point at 190 kPa, and 400 kPa was none."""
+    up, down = (50e3, 200e3, 400e3), (400e3, 200e3, 50e3)
+    stuck = [Point(v, v, v / 100, UP, 0) for v in up] + [Point(v, 330e3, 3300.0, DOWN, 0) for v in down]
+    found = fit(stuck, 100.0)
+    assert sorted(value for _, value in found.points) == pytest.approx([50e3, 200e3, 330e3, 330e3, 330e3, 400e3])
+    near = [Point(v, v + off, (v + off) / 100, way, 0) for way, off in ((UP, 0.0), (DOWN, 30e3)) for v in up]
+    assert [value for _, value in fit(near, 100.0).points] == pytest.approx([65e3, 215e3, 415e3])
+
+
+def test_a_pressure_that_was_not_reached_is_reported():
+    reads = iter((50e3, 200e3, 400e3, 330e3, 330e3, 330e3))
+    request = Request("pressure", (50e3, 200e3, 400e3), "gauge", 1e3, cycles=1)
+    done = calibrate(mounted("mock"), request, ConfirmedBeforehand(), lambda *_: next(reads), None)
+    said = [f"pressure not reached: 330 kPa of {asked} kPa (down, cycle 1)" for asked in (400, 200, 50)]
+    assert [text.partition(": the line")[0] for text in done.warnings] == said
+    good = calibrate(mounted("mock"), request, ConfirmedBeforehand(), truth, None)
+    assert good.warnings == ()
+
+
 def test_readings_that_do_not_change_are_no_calibration():
     with pytest.raises(VerdictFailed, match="make no line"):
         fit(points((UP,), lambda x, way, cycle: 3.0), 0.1)

@@ -202,13 +202,25 @@ class AlicatController(Controlled):
         super().__init__(device, clock)
         self._inputs = [channel.input for channel in device.channels]
         self._link: Link | None = None
+        self._compared = False
         self._reading: Reading | None = None
         """Reading in the answer to a step, in this turn of the thread."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect and learn what the device says of itself; nothing is commanded."""
+        """Connect, learn what the device says of itself, and refuse another unit or source of set-points."""
+        until = monotonic() + OPEN
+        identity = self._connect(until)
+        with self._closed_on_error():
+            self._compare(until)
+        return identity
+
+    def open_to_vent(self) -> Identity:
+        """Connect and learn what the device says of itself: 0 is 0 in every unit, and samples wait for the bench's."""
+        return self._connect(monotonic() + OPEN)
+
+    def _connect(self, until: float) -> Identity:
         from pmabench_drivers.alicat.ascii_link import AsciiLink
         from pmabench_drivers.alicat.modbus_link import ModbusLink
 
@@ -216,13 +228,23 @@ class AlicatController(Controlled):
         kind = AsciiLink if self._options.protocol == ASCII else ModbusLink
         link = self._link = kind(self._device.name, self._device.address, self._options, self._clock)
         with self._closed_on_error():
-            return link.open(monotonic() + OPEN)
+            return link.open(until)
+
+    def _compare(self, until: float) -> None:
+        self._opened().compare(until)
+        self._compared = True
+
+    def start(self, rate: float) -> float:
+        """Poll at `rate` [Hz], or as fast as options and line allow if that is less."""
+        if not self._compared:
+            self._compare(monotonic() + CALL)
+        return super().start(rate)
 
     def close(self) -> None:
         """End polling and let go of the port; the device keeps its set-point."""
         self._following.clear()
         self._streaming = False
-        link, self._link = self._link, None
+        link, self._link, self._compared = self._link, None, False
         self._cycle.stop(JOIN)
         if link is not None:
             link.close()

@@ -196,13 +196,11 @@ class AsciiLink:
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self, deadline: float) -> Identity:
-        """Open the port, read identity and line layout; refuse another unit or set-point source than the bench's."""
+        """Open the port, read identity and line layout."""
         self._open_port()
         with self._turn(deadline):
             about = self._about(deadline)
             self._layout = self._read_layout(deadline)
-            self._refuse_other_unit(self._layout)
-            self._refuse_other_source(deadline)
             self._reports_unit = self._unit_word(deadline, FIRST) is not None
             self._vented, self._unit_at = True, -math.inf
             self._reading("", deadline, FIRST)
@@ -213,6 +211,12 @@ class AsciiLink:
         port, self._port = self._port, None
         if port is not None:
             port.close()
+
+    def compare(self, deadline: float) -> None:
+        """Refuse another unit or set-point source than the bench's."""
+        with self._turn(deadline):
+            self._refuse_other_unit(self._shape)
+            self._refuse_other_source(deadline)
 
     @property
     def fastest(self) -> float:

@@ -85,6 +85,9 @@ class ModbusLink:
         if line is not None:
             line.close()
 
+    def compare(self, deadline: float) -> None:
+        """Nothing: there is no register for the unit or for the source of its set-point."""
+
     @property
     def fastest(self) -> float:
         """Polls a second that the line can carry [Hz]: two questions, 46 characters and the pauses between frames."""

@@ -312,12 +312,13 @@ class FestoCmmt(Watched):
         super().disarm_watchdog()
 
     def held(self) -> dict[str, float | str]:
-        """Its time-out [s], its telegram, its serial number where it has one, and what forbids a motion."""
+        """Its time-out [s], telegram, unit and serial number where it has one, and what forbids a motion."""
         until, line = monotonic() + CALL, self._opened()
         status = line.look(until)
         return {
             "watchdog": line.get(t.TIMEOUT, until) * 1e-3,
             "telegram": line.parameter(t.TELEGRAM, "uint16", until),
+            "unit of the position": f"1e{line.parameter(t.POSITION_PREFIX, 'int8', until):g} m",
             "serial number": line.text(t.SERIAL, until),
             "fault": float(status.fault),
             "control": "by the network" if status.has(t.CONTROL) else "elsewhere",

@@ -4,12 +4,14 @@
 modules; `emulated`: what `pmabench emulate` serves.
 
 What differs from any Modbus device: an output is read back from the module's own inputs; eight digital outputs share a
-register; ranges and data format are compared when it is opened, through the terminal's data system table; the terminal
-has a time-out from the factory on, so it is kept in talk from `open` to `close`.
+register; ranges and data format are compared when it is opened, and read again in turn while it is armed, through the
+terminal's data system table; the terminal has a time-out from the factory on, so it is kept in talk from `open` to
+`close`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, cast
@@ -38,6 +40,8 @@ TABLE = 0.5
 """Longest wait for an answer of the data system table [s]."""
 CLEAR = 0.05
 """Longest wait until the terminal takes back the answer to the question before [s]."""
+SETTINGS = 0.02
+"""So long ranges and formats are read in each call of `held` [s]: a command waits for that."""
 
 
 class FestoCpxE(ModbusDevice):
@@ -59,20 +63,43 @@ class FestoCpxE(ModbusDevice):
         positions = {self._terminal.module_of(name).position for name in names}
         self._used = [module for module in self._terminal.modules if module.position in positions]
         self._alive = Cycle(f"keep alive {device.name}", self._keep_alive, clock)
+        self._compared = False
+        numbers = {self._range_at(channel)[0] for channel in self._terminal.ranges}
+        numbers |= {module.parameter(t.DATA_FORMAT) for module in self._used if module.kind.ranges}
+        self._settings: dict[int, int | None] = dict.fromkeys(sorted(numbers))
+        """Function number of each range and data format, that which was read longest ago first -> what it held then."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
         """Connect, read who it is, and compare modules, data format and ranges with the bench file."""
+        return self._open(self._compare)
+
+    def open_to_vent(self) -> Identity:
+        """Connect and compare the modules: a terminal with a fault, or another range, takes commands all the same.
+
+        What else `open` compares is compared before samples are taken: they shall confirm no vent that is none.
+        """
+        return self._open(self._compare_modules)
+
+    def _open(self, compare: Callable[[NamedLine, float], None]) -> Identity:
         self.close()
         line = self._new_line()
         self._line, until = line, monotonic() + OPEN
+        self._settings, self._compared = dict.fromkeys(self._settings), compare == self._compare
         with self._closed_on_error():
             identity = line.identity(until)
-            self._compare(line, until)
+            compare(line, until)
             self._found = self._get(TIMEOUT, until)
         self._alive.start(KEEP_ALIVE)
         return identity
+
+    def start(self, rate: float) -> float:
+        """Begin to sample at `rate` [Hz]; returns the rate that is used."""
+        if not self._compared:
+            self._compare(self._opened(), monotonic() + CALL)
+            self._compared = True
+        return super().start(rate)
 
     def close(self) -> None:
         """End polling and let go of the connection; the terminal's own time-out runs from then on."""
@@ -99,31 +126,35 @@ class FestoCpxE(ModbusDevice):
 
     # -- what is there, and how it is set -------------------------------------------------------------------------
 
-    def _compare(self, line: Line, until: float) -> None:
-        name, modules = self._device.name, self._terminal.modules
+    def _compare_modules(self, line: Line, until: float) -> None:
+        """Addresses follow from the modules before: with others an output would be somewhere else."""
+        modules = self._terminal.modules
         if (present := self._present(line, until)) != len(modules) + 1:
             message = f"has {present} modules with the bus module, and the bench file names {len(modules) + 1}"
-            raise DeviceError(name, message, "options.modules")
+            raise DeviceError(self._device.name, message, "options.modules")
+
+    def _compare(self, line: Line, until: float) -> None:
+        name = self._device.name
+        self._compare_modules(line, until)
         if faults := self._faulty(line, until):
             raise DeviceError(name, f"reports faults (bits {', '.join(map(str, faults))}): look at the modules' LEDs")
         [status] = line.read("holding", STATUS, 1, until, "status")
         if status & t.FORCED:
             raise DeviceError(name, "has forced inputs or outputs: end the forcing at the terminal")
         for module in self._used:
-            if module.kind.ranges and self._parameter(line, module.parameter(t.DATA_FORMAT), until) & 1:
+            if module.kind.ranges and self._setting(line, module.parameter(t.DATA_FORMAT), until) & 1:
                 message = 'gives linear scaled values: set its data format to "sign + 15 bit"'
                 raise DeviceError(name, message, f"module {module.position} ({module.name})")
         for channel, wanted in self._terminal.ranges.items():
             self._compare_range(line, channel, wanted, until, protected=bool(status & t.PROTECTED))
 
     def _compare_range(self, line: Line, channel: str, wanted: int, until: float, *, protected: bool) -> None:
-        number, shift = self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
-        held = self._parameter(line, number, until)
-        if (code := held >> shift & 0xF) == wanted:
+        number, shift = self._range_at(channel)
+        held = self._setting(line, number, until)
+        if held >> shift & 0xF == wanted:
             return
-        names = {value: key for key, value in t.RANGES.items()}
-        found = f"is set to {names.get(code, f'range {code}')} and the bench file says {names[wanted]}"
-        if not self._terminal.set_ranges:
+        found = f"is set to {_range(held >> shift)} and the bench file says {_range(wanted)}"
+        if not (self._terminal.set_ranges and self._compared):
             raise self._error(f"{found}: set it at the terminal, or let it be set with set_ranges: true", channel)
         if protected:
             raise self._error(f"{found}, and the terminal is write-protected", channel)
@@ -131,12 +162,13 @@ class FestoCpxE(ModbusDevice):
             raise self._error(f"{found}, and it puts out something: bring it to 0 first", channel)
         line.write(16, t.VALUE_IN, [held & ~(0xF << shift) | wanted << shift], until, channel)
         self._ask_table(line, t.ASK | t.WRITE | number, until)
-        if self._parameter(line, number, until) >> shift & 0xF != wanted:
-            raise self._error(f"did not take the range {names[wanted]}", channel)
+        if self._setting(line, number, until) >> shift & 0xF != wanted:
+            raise self._error(f"did not take the range {_range(wanted)}", channel)
 
     def held(self) -> dict[str, float | str]:
-        """Its time-out [s], how many modules it has and which report faults, whether it is forced, and who it is.
+        """Its time-out [s], its modules and which report faults, whether it is forced, who it is, ranges and formats.
 
+        Ranges and data formats are read in turn, some in each call: its data system table is slow, and a command waits.
         It gives no serial number in less than half a second.
         """
         until = monotonic() + CALL
@@ -149,7 +181,31 @@ class FestoCpxE(ModbusDevice):
             "modules with a fault": ", ".join(map(str, self._faulty(line, until))) or "none",
             "forced": "yes" if status & t.FORCED else "no",
             "terminal": " ".join(found[number] for number in sorted(found) if found[number]),
+            **self._settings_held(line, until),
         }
+
+    def _settings_held(self, line: Line, until: float) -> dict[str, float | str]:
+        """Range of each channel and data format of each module; one that has changed is read again in the next call."""
+        enough, found = monotonic() + SETTINGS, dict[str, float | str]()
+        for number, before in list(self._settings.items()):
+            if before is not None and monotonic() > enough:
+                break
+            if self._setting(line, number, until) != before and before is not None:
+                self._settings = {number: self._settings.pop(number), **self._settings}
+                break
+            line.let_samples()
+        for channel in self._terminal.ranges:
+            number, shift = self._range_at(channel)
+            found[f"range of {channel}"] = _range((self._settings[number] or 0) >> shift)
+        for module in self._used:
+            if module.kind.ranges:
+                linear = (self._settings[module.parameter(t.DATA_FORMAT)] or 0) & 1
+                found[f"data format of module {module.position}"] = "linear scaled" if linear else "sign + 15 bit"
+        return found
+
+    def _range_at(self, channel: str) -> tuple[int, int]:
+        """Function number of the range of a channel, and by how many bits it is shifted there."""
+        return self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
 
     @staticmethod
     def _present(line: Line, until: float) -> int:
@@ -161,10 +217,13 @@ class FestoCpxE(ModbusDevice):
         words = line.read("holding", t.FAULTS, 3, until, "faults")
         return [16 * i + bit for i, word in enumerate(words) for bit in range(16) if word >> bit & 1]
 
-    def _parameter(self, line: Line, number: int, until: float) -> int:
-        """The value of a function number."""
+    def _setting(self, line: Line, number: int, until: float) -> int:
+        """The value of a function number; it is remembered as the one that was read last."""
         self._ask_table(line, t.ASK | number, until)
-        return line.read("holding", t.VALUE_OUT, 1, until, f"function {number}")[0]
+        [value] = line.read("holding", t.VALUE_OUT, 1, until, f"function {number}")
+        self._settings.pop(number, None)
+        self._settings[number] = value
+        return value
 
     def _ask_table(self, line: Line, question: int, until: float) -> None:
         """Ask the data system table and wait for its answer."""
@@ -263,6 +322,11 @@ class FestoCpxE(ModbusDevice):
             raise self._error(f"waits {t.SHORTEST:g} s at least, not {seconds:g} s", "watchdog")
         self._get(TIMEOUT)
         return super().arm_watchdog(seconds)
+
+
+def _range(code: int) -> str:
+    """The name of a range."""
+    return next((name for name, known in t.RANGES.items() if known == code & 0xF), f"range {code & 0xF}")
 
 
 def _with_bit(register: Register, value: float, held: int) -> list[int]:

@@ -24,6 +24,7 @@ from typing import Any
 
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # noqa: TID253  (this module is imported by `open`)
 from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TID253
+from pymodbus.framer import FramerRTU  # noqa: TID253
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, Identity
@@ -39,6 +40,8 @@ SHOWN = 0.005
 """Pause between two looks at what a device shows after a command [s]."""
 GIVES_WAY, PATIENT, LONGEST = 0.001, 0.1, 0.3
 """Pause between two looks whether a sample may be asked for; when it goes before questions, and before all [s]."""
+LONGEST_FRAME = 512
+"""Of what came late, so much is kept to find an answer in: two frames [bytes]."""
 PIECE = 0.005
 """Longest wait for bytes of a serial port before the deadline is looked at again [s]."""
 EXCEPTIONS = {
@@ -111,6 +114,10 @@ class _Tcp(ModbusTcpClient):
             raise ConnectionException("the device closed the connection")
         return data
 
+    def waiting(self) -> bytes:
+        """Nothing: a connection with a lost answer has ended."""
+        return b""
+
     def cut(self) -> None:
         """End the connection under a call that waits for it."""
         if (connection := self.socket) is not None:
@@ -138,6 +145,12 @@ class _Rtu(ModbusSerialClient):
                 return data + bytes(self.socket.read(self.socket.in_waiting))
         return b""
 
+    def waiting(self) -> bytes:
+        """The bytes that are there."""
+        with contextlib.suppress(OSError, TypeError):
+            return bytes(self.socket.read(self.socket.in_waiting)) if self.socket is not None else b""
+        return b""
+
     def cut(self) -> None:
         """A serial port is not cut: its calls end by themselves."""
 
@@ -156,6 +169,8 @@ class Line:
         self._lock = threading.Lock()
         self._closed = False
         self._owed: list[tuple[Signature, float]] = []
+        self._late = b""
+        """What came while late answers were waited for."""
         self._overdue = False
         self._calls = set[object]()
         """Calls that wait for their turn or are under way; samples wait for them."""
@@ -297,6 +312,8 @@ class Line:
                 raise DeviceError(self._device, "was closed", what)
             if not self._client.connected:
                 self._connect(deadline, what)
+            if self._owed:
+                self._came(self._client.waiting())  # the library drops it before it sends
             if self._owed and wanted[0] <= LAST_READ:
                 self._wait_until_clean(wanted, deadline, what)
             now = monotonic()
@@ -342,6 +359,7 @@ class Line:
 
     def _lost(self, wanted: Signature) -> None:
         if self.is_serial:
+            self._late = b""
             self._owed.append((wanted, monotonic() + self._slowest))
         else:
             self._client.close()  # type: ignore[no-untyped-call]
@@ -359,7 +377,23 @@ class Line:
                 raise DeviceError(self._device, message, what)
             self._client.deadline = min(deadline, self._owed[0][1])
             with contextlib.suppress(OSError, TypeError):
-                self._client.recv(None)
+                self._came(self._client.recv(None))
+
+    def _came(self, data: bytes) -> None:
+        """Tick off the late answers that are in what came meanwhile."""
+        self._late = (self._late + data)[-LONGEST_FRAME:]
+        self._owed = [item for item in self._owed if not self._has_come(item[0])]
+
+    def _has_come(self, signature: Signature) -> bool:
+        """Whether the late answer to a reading question is in what came meanwhile."""
+        function, size = signature[:2]
+        if function > LAST_READ:
+            return False
+        head = bytes((self._unit_id, function, size // 8 if function in {1, 2} else 2 * size))
+        start = self._late.find(head)
+        frame = self._late[start : start + head[2] + 5] if start >= 0 else b""
+        whole = len(frame) == head[2] + 5
+        return whole and FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big"))
 
     def _connect(self, deadline: float, what: str) -> None:
         self._client.comm_params.timeout_connect = max(0.001, min(deadline - monotonic(), 2.0))

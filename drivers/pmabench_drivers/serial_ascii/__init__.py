@@ -262,7 +262,8 @@ class SerialIndicator(Polled):
         self._splitter = sp.Splitter(self._options.terminator)
         self._flow = Flow(PATIENCE)
         self._heard = 0.0
-        self._late_until = 0.0
+        self._late, self._late_until = b"", 0.0
+        """What has come of a late answer, and until when the rest of it may come [s, monotonic]."""
         self._rate = self._options.rate
         self._problem = ""
         self._failure: DeviceError | None = None
@@ -326,18 +327,18 @@ class SerialIndicator(Polled):
         if self._failure is not None:
             return
         try:
-            if self._opened().drain() and self._late_until:
-                self._late_until = 0.0  # the late answer has come, and is dropped
-            if monotonic() < self._late_until:
-                return
+            self._late += self._opened().drain()
+            *whole, begun = self._late.split(self._options.terminator)
+            if monotonic() < self._late_until and (not whole or begun.strip()):
+                return  # half of the late answer is no answer: the other half would be taken for the next one
             asked = self._clock.now()
             lines, rest = self._exchange(self._options.poll, self._options.timeout)
         except DeviceError as error:
             self._failure = error
             return
         answered = self._clock.now()
+        self._late, self._late_until = rest, monotonic() + self._options.slowest if rest or not lines else 0.0
         if not lines:
-            self._late_until = monotonic() + self._options.slowest
             self._problem = f'"{sp.readable(rest)}" without its end' if rest else "silence"
         elif len(lines) > 1 or rest:
             self._problem = f'more than one answer at a time, from "{sp.readable(lines[0])}" on'

@@ -238,6 +238,20 @@ def test_another_unit_is_refused_when_opened(tmp_path):
             pass
 
 
+def test_with_another_unit_it_is_vented_and_not_measured(tmp_path):
+    """0 is 0 in every unit; a reading in another one would confirm a vent that is none."""
+    with emulated(controller(tmp_path / "c", "ascii", "bar")) as (emulator, [record]):
+        with opened(record) as device:
+            device.write("pressure", 3.0)
+        device = AlicatController(controller(tmp_path / "c", "ascii", "kPa"), RealClock())
+        with contextlib.closing(device):
+            device.open_to_vent()
+            device.write("pressure", 0.0)
+            with pytest.raises(DeviceError, match="the bench expects kPa"):
+                device.start(50.0)
+        assert emulator.log.of("set")[-1]["si"] == 0.0
+
+
 def test_hectopascal_and_millibar_are_one_unit(tmp_path):
     with (
         emulated(controller(tmp_path / "c", "ascii", "mbar")),
@@ -314,6 +328,16 @@ def test_one_lost_answer_is_a_gap_and_no_failure(rig):
     time.sleep(0.4)
     assert len(device.collect().time) > 5
     assert not failure(device, 0.1)
+
+
+def test_answers_that_are_late_for_a_moment_are_a_gap_and_no_failure(tmp_path, protocol):
+    """A computer that did something else for 0.15 s ended a good run: over Modbus nothing was asked for half a second."""
+    record = controller(tmp_path / "c", protocol, slowest="500 ms", timeout="60 ms")
+    with emulated(record, preset="ideal") as (emulator, [record]), opened(record) as device:
+        device.start(50.0)
+        time.sleep(0.2)
+        fault(emulator, "delay", 0.15, count=1)
+        assert not failure(device, 0.6)
 
 
 def test_late_answers_are_never_taken_for_new_ones(tmp_path, protocol):

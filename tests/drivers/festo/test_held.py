@@ -26,6 +26,13 @@ def test_it_is_read_anew_in_time_and_stays_as_it_is(armed):
     device, _inside, before = armed
     assert isinstance(device, Supervised)
     assert before.pop("terminal").startswith("emulator of pmabench CPX-E-EP 1")
+    assert {name: before.pop(name) for name in list(before) if " of " in name} == {
+        "range of ai3.0": "0..10 V",
+        "range of ai3.1": "-10..10 V",
+        "range of ao4.0": "0..10 V",
+        "data format of module 3": "sign + 15 bit",
+        "data format of module 4": "sign + 15 bit",
+    }
     assert before == {"watchdog": 20.0, "modules": 5.0, "modules with a fault": "none", "forced": "no"}
     device.write("ao4.0", 3200.0)
     for _ in range(10):
@@ -57,6 +64,26 @@ def test_what_somebody_changed_shows(armed, name, value, shown, now):
     device, inside, before = armed
     setattr(inside, name, value)
     assert {key: held for key, held in device.held().items() if held != before[key]} == {shown: now}
+
+
+@pytest.mark.parametrize(
+    ("number", "value", "shown", "now"),
+    [
+        (5033, 5 | 2 << 4, "range of ai3.0", "0..20 mA"),
+        (5033, 1 | 3 << 4, "range of ai3.1", "-5..5 V"),
+        (5095, 4, "range of ao4.0", "1..5 V"),
+        (5026, 0xE1, "data format of module 3", "linear scaled"),
+    ],
+)
+def test_a_range_that_somebody_changed_shows(armed, number, value, shown, now):
+    """A gauge at 0..20 mA reads half. Each is asked every few calls, and what has changed in the next one again."""
+    device, inside, before = armed
+    kept, inside.parameters[number] = inside.parameters[number], value
+    changed = lambda: {key: held for key, held in device.held().items() if held != before[key]}  # noqa: E731
+    assert any(changed() for _ in range(5))
+    assert changed() == {shown: now}
+    inside.parameters[number] = kept
+    assert not all(changed() for _ in range(6))
 
 
 def test_outputs_are_read_from_the_terminal_and_not_remembered(armed):

@@ -77,6 +77,23 @@ def test_a_terminal_with_forced_outputs():
         refused(rig, "has forced inputs or outputs")
 
 
+def test_for_a_vent_it_is_opened_with_a_fault_and_gives_samples_only_without():
+    with served() as rig:
+        rig.inside.faults = 1 << 3
+        rig.device.open_to_vent()
+        rig.device.write("ao4.0", 0.0)
+        with pytest.raises(DeviceError, match="reports faults"):
+            rig.device.start(100.0)
+        rig.inside.faults, rig.inside.parameters[RANGE_AI] = 0, 5 | 2 << 4
+        with pytest.raises(DeviceError, match=r"ai3\.0: is set to 0\.\.20 mA"):
+            rig.device.start(100.0)
+        rig.inside.parameters[RANGE_AI] = 1 | 2 << 4
+        assert rig.device.start(100.0) == 100.0
+        rig.device._terminal = type(rig.device._terminal)(rig.device._terminal.modules[:3])
+        with pytest.raises(DeviceError, match="has 5 modules"):
+            rig.device.open_to_vent()
+
+
 def test_values_in_another_format():
     with served() as rig:
         rig.inside.parameters[FORMAT_AI] |= 1

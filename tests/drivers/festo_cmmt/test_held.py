@@ -29,6 +29,7 @@ def test_it_is_read_anew_in_time_and_stays_as_it_is(armed):
     assert before == {
         "watchdog": 20.0,
         "telegram": 111.0,
+        "unit of the position": "1e-6 m",
         "serial number": "EMULATED1",
         "fault": 0.0,
         "control": "by the network",
@@ -76,11 +77,13 @@ def test_what_somebody_changed_shows(armed, name, value, shown, now):
     assert {key: held for key, held in device.held().items() if held != before[key]} == {shown: now}
 
 
-def test_another_telegram_or_drive_shows_and_no_serial_number_is_no_error(armed):
+def test_another_telegram_unit_or_drive_shows_and_no_serial_number_is_no_error(armed):
     device, inside, before = armed
     inside.parameters[3490] = (1).to_bytes(2, "little")
+    inside.parameters[11724] = (0xFB).to_bytes(1, "little")
     inside.parameters[2076] = b"ANOTHER"
-    assert device.held() == {**before, "telegram": 1.0, "serial number": "ANOTHER"}
+    changed = {"telegram": 1.0, "unit of the position": "1e-5 m", "serial number": "ANOTHER"}
+    assert device.held() == {**before, **changed}
     del inside.parameters[2076]
     assert device.held()["serial number"] == ""
 

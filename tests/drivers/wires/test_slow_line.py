@@ -144,13 +144,30 @@ CASES = {
 }
 
 
+def test_a_stale_limit_that_one_lost_answer_crosses_is_refused_before_it_is_armed():
+    """At 6.3 Hz, as advised for 30 ms, 300 ms tripped and latched the bench at the first fill."""
+    bench = mounted("mock-realtime").bench
+    [device], [stale] = bench.devices, [trip for trip in bench.trips if trip.kind == "stale" and trip.action == "vent"]
+    identities = {device.name: Identity("Acme", "R", "1", "1", answers=0.03)}
+    says = r"at 6.3 Hz there may be no sample for 0.58 s, and the bench trips after 0.3 s .*:12:5.*for: 580 ms"
+    for delay in (0.3, 0.57, 0.58):
+        others = tuple(trip for trip in bench.trips if trip.kind != "stale")
+        slow = replace(bench, trips=(*others, replace(stale, delay=delay)))
+        with (
+            contextlib.nullcontext()
+            if delay == 0.58
+            else pytest.raises(DeviceError, match=says.replace("0.3 s", f"{delay} s"))
+        ):
+            refuse_slow(slow, identities, 6.3, {device.name: 6.3})
+
+
 @pytest.mark.parametrize("what", CASES)
 def test_what_a_slow_device_cannot_do_is_said_before_it_is_armed(what):
     wanted, takes, watchdog, says = CASES[what]
     bench = mounted("mock-realtime").bench
     device = replace(bench.devices[0], watchdog=watchdog, fastest=100.0, fastest_from="map.yaml:3:7")
     identities = {device.name: Identity("Acme", "R", "1", "1", answers=takes)}
-    slow = replace(bench, devices=(device,))
+    slow = replace(bench, devices=(device,), trips=())
     with pytest.raises(DeviceError, match=says):
         refuse_slow(slow, identities, wanted, {device.name: min(11.0, wanted)})
     quick = {device.name: Identity("Acme", "R", "1", "1", answers=0.005)}
