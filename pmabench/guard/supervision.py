@@ -195,7 +195,8 @@ class Supervision:
                 before[key] = max(was, min(value, self._uptime.get(name, was)))
                 self._uptime[name] = value
             elif value != was:
-                return f"its {key} was {_shown(was)} when the bench was armed and is {_shown(value)} now: {ELSEWHERE}"
+                why = "" if "fault" in key else f": {ELSEWHERE}"
+                return f"its {key} was {_shown(was)} when the bench was armed and is {_shown(value)} now{why}"
         return ""
 
     def output_differs(self, output: OutputRecord) -> Act:

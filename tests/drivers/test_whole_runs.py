@@ -392,7 +392,7 @@ def test_the_emergency_stop_stops_the_drive(tmp_path, rig):
 ON_THE_WAY = [
     ("festo_cmmt", "drive", "silence", "drive"),
     ("festo_cmmt", "terminal", "silence", "terminal"),
-    ("festo_cmmt", "drive", "watchdog", "reports fault"),
+    ("festo_cmmt", "drive", "watchdog", "fault"),
     *(("can", "bus", fault, "bus") for fault in ("hang-up", "silence", "emergency", "restart", "watchdog")),
     ("can", "board", "silence", "board"),
 ]
