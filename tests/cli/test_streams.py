@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from pmabench.cli import prepare
 from pmabench.cli.main import main
 
 CHECK = ["check", "static-load", "--bench", "mock", "--specimen", "mas-20-250-paper0"]
@@ -55,7 +54,7 @@ def test_a_pipe_that_breaks_inside_the_work_is_never_taken_for_the_output(monkey
     def breaks(*_args, **_kwargs):
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
 
-    monkeypatch.setattr(prepare, "prepare", breaks)
+    monkeypatch.setattr("pmabench.cli.check.prepare", breaks)
     result = CliRunner().invoke(main, CHECK)
     assert result.exit_code == 7
     assert "Broken pipe" in result.stderr

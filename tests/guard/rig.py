@@ -39,7 +39,7 @@ class Rig:
         self.at: dict[str, Callable[[float], float]] = {}
         """What each output holds over bench time [device units]."""
         self.on: dict[str, bool] = {}
-        self.reports: dict[str, float | str] = {"watchdog": 1.0, "uptime": 5.0, "serial": "1"}
+        self.reports: dict[str, float | str] = {"watchdog": 1.0, "uptime": 5.0, "serial": "1", "fault": 0.0}
         self.ignores: bool | str = False
         """Whether it acknowledges commands and carries none out; "both ways": nor those of the second way."""
         self.wrong: dict[str, Any] = dict(device.options.get("wrong", {}))

@@ -257,6 +257,15 @@ def test_a_device_that_changed_by_itself_is_a_trip(change, why):
         ended_by(serving, why, how="trip")
 
 
+def test_a_device_that_has_a_fault_is_a_trip_and_has_not_restarted():
+    with Serving(threads=True) as serving:
+        serving.armed()
+        serving.rig.reports["fault"] = 299.0
+        serving_on(serving)
+        ended_by(serving, "its fault was 0 when the bench was armed and is 299 now", how="trip")
+        assert "restarted" not in serving.service._ended["why"]
+
+
 UPTIMES = {
     # what a counter of milliseconds shows from the arming on, and whether it restarted
     "goes on": ((71001, 71450, 71900, 72350), False),
