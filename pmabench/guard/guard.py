@@ -406,7 +406,7 @@ class Guard:
         stopped = {action.target for action in self._safe.commands if action.do == "stop"} if self._safe else set()
         for record in self.bench.devices:
             kinds: list[Kind] = [FED] if self.feeds(record) else []  # a watchdog must end no ramp and no hold
-            if waits and not _ends(record) & stopped:  # a drive that was told to stop is not ready
+            if waits and not _ends(record) & stopped:  # a drive that was stopped is not ready
                 kinds.append(SAFE)
             try:
                 self.supervision.attend(record, moment, kinds)

@@ -178,7 +178,7 @@ class SafeState:
         """What devices that confirm say of the way they measure."""
         self._floors, self._motions, self._unanswered, self._expected = floors, motions, unanswered, expected
         self._ends: dict[str, float] = {}
-        """Where motions are sent by a ramp [SI]; they are not told to stop yet."""
+        """Where motions are sent by a ramp [SI]; they were not stopped yet."""
         self._ways: dict[str, _Way] = {}
         self._todo = list(actions)
         self._finals = [action for action in actions if action.do in LOOKS]

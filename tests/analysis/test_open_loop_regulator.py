@@ -1,4 +1,4 @@
-"""Open-loop steps behind a regulator that swings in, with one more lag of its own or a gauge that lags behind.
+"""Open-loop steps behind a regulator that swings in, with one more lag of its own, or behind a gauge that is late.
 
 The plant is linear and has its exact solution from sample to sample; the truth is the phase equation, by bisection.
 """

@@ -67,6 +67,7 @@ def test_while_a_device_is_waited_for_the_program_says_that_it_lives(made):
     executor.join()
 
 
+@pytest.mark.realtime
 def test_while_the_second_pair_of_eyes_waits_for_a_device_the_program_says_that_it_lives(made):
     """The executor is at something else; whoever looks instead of it hangs in the device."""
     _, slow, beats = made

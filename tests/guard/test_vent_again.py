@@ -556,7 +556,7 @@ def test_a_drive_that_runs_away_while_a_pressure_is_let_down_ends_no_ramp():
 
 @pytest.mark.parametrize(("speed", "within"), [(30e-3, 0.5), (0.0, 1.3), (-20e-3, None)])
 def test_a_drive_that_does_not_go_to_its_place_is_stopped(speed, within):
-    """It ran the other way to the end of its stroke, and nobody told it to stop."""
+    """It ran the other way to the end of its stroke, and nothing stopped it."""
     ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
     guard, _ = of_both(ramp, SAFE[1], LOOK)
     drive = Rig.made["other"]

@@ -281,7 +281,7 @@ def _apart(one: Ultimate, other: Ultimate) -> tuple[float, float]:
 def _flow(flow: form.Flow, truth: Ultimate, small: Sequence[Ultimate]) -> Departure:
     """What a valve that may limit the flow is worth, where that fits as well as any lags.
 
-    A limit of 90 % of what the steps ask for is not to be told in their noise, and delays them by 0.5 ms all the same.
+    A limit of 90 % of what the steps ask for does not show in their noise, and delays them by 0.5 ms all the same.
     """
     alike = flow.better > -ALIKE
     reason = (
