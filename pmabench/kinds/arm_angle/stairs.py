@@ -27,6 +27,7 @@ from pmabench.analysis.shared.samples import (
     refuse_incomplete,
     step_of,
     sticks,
+    unresolved,
 )
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
@@ -283,7 +284,7 @@ def measure(trial: TrialData, settings: Mapping[str, Any]) -> Stair:
                 by=mean - (rests[-1].angle if rests else start),
                 since=since,
                 arc=float(arc[last].mean()),
-                coarse=_coarse(angle[last], step),
+                coarse=unresolved(angle[last], step),
             )
         )
     if sum(rest.side < 0 for rest in rests) < 2:
@@ -293,17 +294,6 @@ def measure(trial: TrialData, settings: Mapping[str, Any]) -> Stair:
         moved = f"{show(float(found), 'pressure', 3)} of the {show(float(wanted), 'pressure', 3)} that were commanded"
         raise NotUsable(f"over the rests on its way up the measured pressure moves by {moved}: a dead or wrong channel")
     return Stair(trial, tuple(rests), _vented(trial, ramps, good))
-
-
-def _coarse(angle: Array, step: float) -> float:
-    """By how much the mean of samples read in steps may be off [rad]: half a step, less what noise averages out.
-
-    Of noise with a standard deviation of s steps exp(-2 pi^2 s^2) is left, the first harmonic of rounding (Widrow).
-    """
-    if not 0 < step < np.inf:
-        return 0.0
-    noise = max(0.0, float(np.var(angle)) / step**2 - 1 / 12)
-    return 0.5 * step * float(np.exp(-2 * np.pi**2 * noise))
 
 
 def _vented(trial: TrialData, ramps: Sequence[Command], good: NDArray[np.bool_]) -> tuple[float, ...]:
