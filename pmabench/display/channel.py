@@ -39,6 +39,13 @@ class Channel:
     """Of the newest value [s]."""
     stream: str = ""
 
+    def show(self, value: float, least: float, most: float) -> None:
+        """The newest value, and the least and greatest of those that came with it."""
+        self.value = value
+        if isfinite(least) and isfinite(most):
+            self.least = least if self.least is None else min(least, self.least)
+            self.most = most if self.most is None else max(most, self.most)
+
     @property
     def alarm(self) -> int:
         """0: far from a trip limit; 1: within a tenth of it, or beyond what may be commanded; 2: at or beyond it."""

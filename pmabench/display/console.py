@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, TextIO
 
 from rich.console import Console as Rich
@@ -25,14 +26,13 @@ from rich.text import Text
 
 from pmabench.base import terminal
 from pmabench.base.errors import Interrupted, UsageError
-from pmabench.base.text import raw
+from pmabench.base.text import printable, raw
 from pmabench.display.child import LEAVE, Link
 from pmabench.display.follow import awaits_another, run_after
 from pmabench.display.lines import first_line, last_line, plain_line
 from pmabench.display.state import RunState
 from pmabench.display.verdicts import prepare
 from pmabench.display.view import Extra, Question, closing, screen
-from pmabench.display.wording import clean
 
 PERIOD = 0.25
 """A picture at most so often [s], but where a key was pressed."""
@@ -40,13 +40,7 @@ LONGEST_NOTE = 500
 ENTER_SCREEN = b"\x1b[?1049h\x1b[?25l\x1b[2J"
 LINKED = "r repeat this trial  p pause or go on  n note  v vent now  Ctrl-C stop and vent"  # fits 80 columns
 ALONE = "q quits; the run goes on"
-ORPHANED = (
-    "the program of this run died; the guard vents then and keeps the bench tripped. Look at the bench, then:",
-    "pmabench runs show {folder}",
-    "pmabench vent {bench} --reset --operator NAME --because TEXT",
-    "pmabench run --resume {folder}",
-)
-"""What the user can do now; the last line only where the run has trials."""
+ORPHANED = "the program of this run died; the guard vents then and keeps the bench tripped. Look at the bench, then:"
 PRESSED = {
     "r": "repeat this trial",
     "p": "pause at low pressure, or go on",
@@ -242,13 +236,13 @@ class Console:
         lines = closing(self.state, width)
         if self.link is None:
             lines = [*lines, Text(last_line(self.state))]
-        elif self._orphaned:
-            files = self.state.files
-            fields = {"folder": shlex.quote(str(files.folder)), "bench": shlex.quote(str(files.bench.get("name", "")))}
-            lines += [Text(clean(text.format(**fields))) for text in ORPHANED[: None if self.state.trials else -1]]
         ascii_only = "utf" not in (self.stream.encoding or "").lower()
         for line in rendered(lines, width, color=self.color, ascii_only=ascii_only):
             self._print(line)
+        if self._orphaned:
+            for line in wrap(ORPHANED, width):
+                self._print(line)
+            self._print(f"  pmabench continue {shlex.quote(printable(str(self.state.files.folder)))}")  # whole
 
     def _look_for_end(self, behind: bool) -> None:
         if self.link is None:

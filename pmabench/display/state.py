@@ -235,11 +235,8 @@ class RunState:
             channel = self._channel(name, info.quantity, info.low, info.high)
             channel.stream = stream.name
             good = values[np.isfinite(values)]
-            channel.value = float(values[-1])
-            if len(good):
-                low, high = float(good.min()), float(good.max())
-                channel.least = low if channel.least is None else min(low, channel.least)
-                channel.most = high if channel.most is None else max(high, channel.most)
+            ends = (float(good.min()), float(good.max())) if len(good) else (np.nan, np.nan)
+            channel.show(float(values[-1]), *ends)
         seen = int(np.bitwise_or.reduce(block.flags)) if len(block.flags) else 0
         for flag in Flag:
             if flag and seen & flag:
@@ -306,7 +303,8 @@ class RunState:
         if self._live is not None and now - self._live[0] < LIVE and self.trial is None:
             for name, value in self._live[1].items():
                 if name in self.channels:
-                    self.channels[name].value, self.channels[name].age = value, max(0.0, now - self._live[0])
+                    self.channels[name].show(value, value, value)
+                    self.channels[name].age = max(0.0, now - self._live[0])
 
     # -- what is shown ------------------------------------------------------------------------------------------------
 

@@ -200,7 +200,8 @@ def _counts(state: RunState) -> Text:
     line = Text().append("samples   ", FAINT).append(f"{state.rows:,}" + (f" at {rate:g} Hz" if rate else ""))
     silent = state.t - state.samples.newest
     if state.rows and state.status == "running" and silent > SILENT:
-        line.append(f"   none recorded for {silent:.0f} s: the curves end there", STRONG)
+        text = f"none recorded for {silent:.0f} s: the curves end there" if state.trial else "nothing is recorded now"
+        line.append(f"   {text}", STRONG if state.trial else FAINT)
     for name, count in state.counts.items():
         line.append("   ").append(f"{name} {count:,}", WARN if count and name != "slack" else "")
     for stream in state.files.streams.values():

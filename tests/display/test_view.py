@@ -1,6 +1,10 @@
 """The picture: as recorded, at every size, harmless whatever the run says."""
 
+import os
+import pty
 import re
+import socket
+import termios
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.display.channel import Channel
-from pmabench.display.console import LINKED, rendered
+from pmabench.display.child import Link
+from pmabench.display.console import LINKED, Console, rendered
 from pmabench.display.lines import last_line, plain_line
 from pmabench.display.state import RunState
 from pmabench.display.view import Extra, Question, curve, screen
@@ -40,6 +45,40 @@ def running(tmp_path):
     run.begin(2)
     run.contract(2, until=3.0)
     return run
+
+
+def test_what_is_seen_holds_what_is_shown_without_being_recorded(running):
+    """As in a warm-up, and before a hand is let in."""
+    running.end(2)
+    state = RunState(running.folder)
+    now = (running.folder / "streams" / "daq.arrows").stat().st_mtime + 5.0
+    state.live({"pressure": 512e3, "displacement": -3e-3}, now)
+    while state.poll(now):
+        pass
+    pressure = next(line.plain for line in screen(state, 120, 40) if line.plain.startswith("  pressure"))
+    state.files.bench["realtime"] = True
+    assert pressure.split()[1] == "512.0"
+    assert pressure.split("…")[1].split()[0] == "512.0"
+    assert "nothing is recorded now" in next(
+        line.plain for line in screen(state, 120, 40) if line.plain.startswith("samples")
+    )
+
+
+def test_when_the_program_of_the_run_dies_the_next_command_is_there_to_be_copied(running):
+    """Whole, however narrow the terminal; the words before it are wrapped."""
+    master, slave = pty.openpty()
+    termios.tcsetwinsize(master, (24, 40))
+    one, other = socket.socketpair()
+    other.close()
+    with one, os.fdopen(slave, "w", encoding="utf-8") as stream:
+        Console(running.folder, stream, Link(one), color=False).run()
+        shown = b""
+        while not shown.endswith(str(running.folder).encode() + b"\r\n"):
+            shown += os.read(master, 4096)
+    os.close(master)
+    *words, command = shown.decode().rpartition("\x1b[?1049l")[2].split("\r\n")[:-1]
+    assert command == f"  pmabench continue {running.folder}"
+    assert words[-1] == "Look at the bench, then:"
 
 
 @pytest.mark.parametrize("size", [(80, 24), (120, 40)])
