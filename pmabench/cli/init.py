@@ -65,7 +65,7 @@ def command(
 ) -> None:
     """Write a lab folder DIR from at most 20 questions: bench, specimen, protocol, and all that they need.
 
-    Enter takes the value in brackets; ? explains; b goes back; - leaves what is not known yet, to be confirmed later.
+    Enter takes the value in brackets, which is to be confirmed later; ? explains; b goes back.
     Answers are kept in DIR/answers.yaml: an interrupted `init DIR` goes on there.
     """
     _refuse_full(folder)
@@ -80,7 +80,9 @@ def command(
     else:
         asked = _answers(ui, folder, answers, single)
         files = {**_lab(asked), ANSWERS: asked.text_of_file()}
-        count = sum(files[name].count("# TO CONFIRM") for name in ("bench.yaml", "specimen.yaml"))
+        count = sum(
+            files[name].partition("\nto_confirm:")[2].count("\n  - ") for name in ("bench.yaml", "specimen.yaml")
+        )
         note = f"{count} values are marked TO CONFIRM: look them up; nothing runs on real devices before"
     files |= _schemas(files)
     _write(folder, files)
@@ -199,7 +201,9 @@ def ask(ui: Ui, answers: Answers, keep: Callable[[], object]) -> None:
     """
     from pmabench.bench.lab.questions import MOST
 
-    ui.note("Enter takes the value in brackets; ? explains, b goes back, - is for what you do not know yet.")
+    ui.note(
+        "Enter takes the value in brackets, marked TO CONFIRM; type what you know yourself. ? explains, b goes back."
+    )
     done: list[str] = []
     while True:
         questions = answers.questions()
@@ -228,17 +232,18 @@ def _typed(question: Question, answers: Answers, place: str) -> str:
     click.echo(f"\n{place}  {question.text}" + (f"   ({hint})" if hint else ""), err=True)
     for number, (key, words) in enumerate(choices, start=1):
         click.echo(f"   {number}  {words}" + ("" if key == words else f"  [{key}]"), err=True)
+    proposed = "  " if default is None else f"   [{default}]"
     while True:
-        typed = str(click.prompt("  ", default=default, prompt_suffix="> ", err=True)).strip()
+        typed = str(click.prompt(proposed, default="", show_default=False, prompt_suffix="> ", err=True)).strip()
         if typed == EXPLAIN:
             say(f"   {question.explain}")
             continue
         if typed == BACK:
             return BACK
-        if typed == UNKNOWN:
-            if not question.needed and default is not None:
+        if typed in {"", UNKNOWN}:
+            if default is not None:
                 return UNKNOWN
-            say("   this answer is needed: nothing else says it")
+            say("   an answer is needed here: nothing else says it")
             continue
         if choices and typed.isdecimal() and 0 < int(typed) <= len(choices):
             typed = choices[int(typed) - 1][0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -88,7 +89,7 @@ def test_an_actuator_is_watched_to_both_sides(tmp_path: Path) -> None:
 
 
 def test_typed_answers_and_an_answers_file_write_the_same_files(tmp_path: Path) -> None:
-    """Enter takes a default as an answer; what is left open with - is as if it had not been answered."""
+    """Enter takes what is proposed, and - too: nobody has said it then, and it is to be confirmed."""
     lines = {
         **{"make": "Festo", "type": "DMSP-20-250N", "serial": "?\nA017", "never_above": "\n-\n700\n700 kPa"},
         **{"mounted": "-", "supply": "800 kPa, relief 900 kPa\n800 kPa, relief 680 kPa", "daq": "1"},
@@ -101,8 +102,14 @@ def test_typed_answers_and_an_answers_file_write_the_same_files(tmp_path: Path) 
     given = YAML(typ="safe").load(kept.read_text())
     assert given["serial"] == "A017"
     assert given["mounted"] is None
-    assert given["inner_diameter"] == "20 mm"
+    assert given["inner_diameter"] is None
     assert given["contraction"] is None
+    assert given["sensors"] is None
+    bench = YAML(typ="safe").load((tmp_path / "typed" / "bench.yaml").read_text())
+    assert {"channels.pressure.range", "outputs.pressure.scale", "channels.force.input"} <= set(bench["to_confirm"])
+    specimen = YAML(typ="safe").load((tmp_path / "typed" / "specimen.yaml").read_text())
+    count = len(bench["to_confirm"]) + len(specimen["to_confirm"])
+    assert f"{count} values are marked TO CONFIRM" in " ".join(out.split())
     assert given["daq"] == "labjack"
     assert given["never_above"] == "700 kPa"
     call("init", str(tmp_path / "again"), "--answers", str(kept))
@@ -110,6 +117,22 @@ def test_typed_answers_and_an_answers_file_write_the_same_files(tmp_path: Path) 
     words = [word for key, value in given.items() if key != "asked" for word in ("--answer", f"{key}={value or ''}")]
     call("init", str(tmp_path / "options"), *words)
     assert contents(tmp_path / "options") == contents(tmp_path / "again")
+
+
+def test_the_proposed_protocol_moves_the_muscle(tmp_path: Path) -> None:
+    """Of a thin muscle and few heavy plates: lighter loads would allow no pressure that lifts the others."""
+    answered(
+        tmp_path / "lab",
+        {
+            **{"make": "Festo", "type": "DMSP-10-200", "nominal_length": "200 mm", "inner_diameter": "10 mm"},
+            **{"never_above": "8 bar", "contraction": "25 %", "stack": "hanger 1 kg, plates 4 x 5 kg, pulley"},
+            "supply": "700 kPa, relief none",
+        },
+    )
+    files = [name if name.startswith("--") else str(tmp_path / "lab" / name) for name in FILES]
+    said = call("check", *files)
+    idle = re.search(r"(\d+) of (\d+) trials are not expected to lift", said)
+    assert idle is None or int(idle[1]) < 0.25 * int(idle[2]), said
 
 
 def test_an_interrupted_init_goes_on_where_it_was(tmp_path: Path) -> None:

@@ -163,7 +163,7 @@ class PlantFile(Strict):
     """Where the numbers come from."""
     length: Annotated[q.Length, _within(1e-3, 10, "length")]
     """Nominal, without pressure."""
-    highest_pressure: Annotated[q.Pressure, _within(1e3, 1e6, "pressure")]
+    highest_pressure: Annotated[q.Pressure, _within(1e3, 2e6, "pressure")]
     """Up to which the law holds; the simulated regulator goes no higher."""
     regulator: RegulatorFile = RegulatorFile()
     noise: NoiseFile = NoiseFile()

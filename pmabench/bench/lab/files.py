@@ -22,6 +22,7 @@ from pmabench.bench.lab.reading import GRAVITY, QUANTITY_OF, Scale
 from pmabench.bench.session import Stack
 from pmabench.files.document import Document, read_document, validate
 from pmabench.model.real.muscle import Surface
+from pmabench.store.records import Array
 
 COLUMN = 60
 """Where comments begin, in lines that are shorter."""
@@ -46,7 +47,7 @@ class Sheet:
         if self.answers.said(key):
             self._noted(line, f"{SOURCES.get(key, 'as said')}, asked {self.answers.asked.isoformat()}")
         else:
-            self.guessed(line, "derived, not asked", *places)
+            self.guessed(line, "proposed by init", *places)
 
     def guessed(self, line: str, why: str, *places: str) -> None:
         """A line with a derived value at `places`, which are to be confirmed."""
@@ -314,8 +315,12 @@ def specimen_text(answers: Answers) -> str:
 
 LOADS, PRESSURES = 9, 7
 """Steps of a sweep."""
+ENOUGH = 4
+"""Loads that a line of force over contraction wants."""
 LIFTED = (0.1, 0.7)
 """Lightest and heaviest load, as shares of the force at the highest pressure."""
+LIFTS = 0.2
+"""Share of the highest contraction to which the lowest pressure lifts the lightest load."""
 STRONGER = 1.25
 """How much more a muscle may pull than predicted, and still stays short of its highest contraction."""
 SHORT_OF = 0.85
@@ -341,9 +346,10 @@ def protocol_text(shipped: str, answers: Answers, specimen: SpecimenFile) -> str
 
 def _with_weights(text: str, answers: Answers, limits: Limits, muscle: PredictedMuscle) -> str:
     surface = Surface(**muscle.numbers["surface"])
-    loads = _loads(answers, surface, 0.85 * limits.command)
-    top = _highest(surface, loads[0] * GRAVITY, limits)
-    low = min(0.3 * top, top - 10e3)
+    loads, top = _loads(answers, surface, limits)
+    P = np.linspace(0.3, 0.6, 61) * top
+    pull = surface.force(np.full(P.shape, LIFTS * limits.contraction), P)
+    low = min(float(np.append(P[pull >= loads[0] * GRAVITY], P[-1])[0]), top - 10e3)
     step = max(round((top - low) / (PRESSURES - 1) / 5e3) * 5, 1)
     first = round(low / 5e3) * 5
     last = first + (PRESSURES - 1) * step
@@ -359,17 +365,27 @@ def _with_weights(text: str, answers: Answers, limits: Limits, muscle: Predicted
     return _replaced(text, values)
 
 
-def _loads(answers: Answers, surface: Surface, pressure: float) -> list[float]:
-    """Loads that hanger and plates make [kg], spread over what the muscle lifts at the pressure [Pa]."""
-    force = float(surface.force(np.array(0.0), np.array(pressure)))
+def _loads(answers: Answers, surface: Surface, limits: Limits) -> tuple[list[float], float]:
+    """Loads that hanger and plates make [kg], and the highest pressure for them [Pa].
+
+    The lightest one limits the pressure, and so the heaviest that is lifted: the one with `ENOUGH` above it, and of
+    these the widest range.
+    """
     given = answers.value("stack")
     totals = np.round(Stack(given.hanger, given.plates).loads[1:], 6)
-    low, high = (share * force / GRAVITY for share in LIFTED)
-    within = totals[(totals >= low) & (totals <= high)]
+
+    def lifted(lightest: float) -> tuple[Array, float]:
+        top = _highest(surface, lightest * GRAVITY, limits)
+        low, high = (share * float(surface.force(np.array(0.0), np.array(top))) / GRAVITY for share in LIFTED)
+        return totals[(totals >= max(low, lightest)) & (totals <= max(high, lightest))], top
+
+    found = [lifted(float(lightest)) for lightest in totals]
+    within, top = max(found, key=lambda one: (min(len(one[0]), ENOUGH), one[0][-1] / one[0][0] if len(one[0]) else 0.0))
     if not len(within):
-        within = totals[np.argsort(np.abs(totals - high))[:1]]
+        force = float(surface.force(np.array(0.0), np.array(top)))
+        within = totals[np.argsort(np.abs(totals - LIFTED[1] * force / GRAVITY))[:1]]
     wanted = np.linspace(within[0], within[-1], LOADS)
-    return sorted({float(within[np.argmin(np.abs(within - one))]) for one in wanted})
+    return sorted({float(within[np.argmin(np.abs(within - one))]) for one in wanted}), top
 
 
 def _highest(surface: Surface, lightest: float, limits: Limits) -> float:

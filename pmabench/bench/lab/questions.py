@@ -280,9 +280,9 @@ def _table() -> tuple[Question, ...]:
         Question("type", "Type", "As on its label, for instance DMSP-20-250N.", _plain(reading.text)),
         Question("serial", "Serial number", "What tells this muscle from others of its type.", _plain(reading.text),
                  default=lambda _answers: "unknown"),
-        Question("nominal_length", "Nominal length", "Between the fittings, as ordered: 250 mm.", _plain(length),
-                 default=nominal_length),
-        Question("inner_diameter", "Inner diameter", "Without pressure: 20 mm.", _plain(length),
+        Question("nominal_length", "Nominal length", "Between the fittings, as ordered; for instance 250 mm.",
+                 _plain(length), default=nominal_length),
+        Question("inner_diameter", "Inner diameter", "Without pressure; for instance 20 mm.", _plain(length),
                  default=diameter),
         Question("never_above", "Highest pressure that the muscle may ever see",
                  "By the maker's data sheet, or what your own was tested with. It limits everything else.",
@@ -294,8 +294,8 @@ def _table() -> tuple[Question, ...]:
         Question("free_end", "What is at the free end", "What the muscle pulls.", _choice(_free_ends),
                  default=lambda _answers: "weights", choices=_free_ends),
         Question("stack", "Hanger and plates", "hanger 1 kg, plates 10 x 5 kg + 1 x 2 kg, carriage 2 kg, pulley. The"
-                 " carriage is what moves with the stack; pulley: over one.", _plain(reading.stack),
-                 default=stack, asked=lambda answers: answers.text("free_end") == "weights"),
+                 " carriage moves with the stack; leave pulley out where the stack hangs directly.",
+                 _plain(reading.stack), default=stack, asked=lambda answers: answers.text("free_end") == "weights"),
         Question("actuator", "Stroke, speed and force of the actuator", "60 mm, 100 mm/s, 2000 N",
                  _plain(reading.actuator), default=actuator,
                  asked=lambda answers: answers.text("free_end") == "actuator"),
@@ -305,7 +305,8 @@ def _table() -> tuple[Question, ...]:
         Question("address", "Its address", "IP address, device name or port; of a device with a register map also the"
                  " file: 192.168.0.10:502, registers.yaml.", _address, default=address, asked=_has_daq),
         Question("inputs", "What is on each input", "pressure AIN0, displacement AIN1, force AIN2, command AIN3; with"
-                 " an actuator also actuator AIN4. What both are set to is looped into inputs.", _inputs,
+                 " an actuator also actuator AIN4. Loop each output back into a spare input, which records the command"
+                 " with the measurement. An encoder needs a device that reads one: docs/devices.md.", _inputs,
                  default=inputs, asked=_has_daq),
         Question("sensors", "What each sensor gives over its range", "By their data sheets: pressure 0 V..10 V = 0"
                  " kPa..1000 kPa; displacement 0 V..10 V = 0 mm..100 mm; force 0 V..10 V = 0 N..2000 N.",
