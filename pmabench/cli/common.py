@@ -232,7 +232,7 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
         return [(name, text) for name, _, text in (value.partition("=") for value in values)]
 
     return with_options(
-        click.option("--set", "settings", multiple=True, callback=split, metavar="NAME=VALUE", help="Change a value."),
+        click.option("--set", "settings", multiple=True, callback=split, metavar="NAME=VALUE", help="Change a value of the protocol: sweep.repeat.count=1."),
         click.option(
             "--specimen", type=SPECIMEN, required=required, help="Specimen file, or the name of a shipped one."
         ),

@@ -65,11 +65,17 @@ class RunFolder(click.Path):
         return [CompletionItem(name) for name in found] or [CompletionItem(incomplete, type="dir")]
 
 
+def tail_of(name: str) -> str:
+    """The last signs of the name of a run or an analysis, as it is typed; the whole name where it has none."""
+    tail = name.rpartition("_")[2]
+    return tail if TAIL.fullmatch(tail) else name
+
+
 def short(folder: Path) -> str:
     """A run or analysis as it is shortest typed here: `runs/3efe`, where no other folder there ends so."""
     path = folder.resolve()
-    tail = path.name.rpartition("_")[2]
-    alone = TAIL.fullmatch(tail) and len([one for one in folder.parent.glob(f"*_{tail}") if one.is_dir()]) == 1
+    tail = tail_of(path.name)
+    alone = tail != path.name and len([one for one in folder.parent.glob(f"*_{tail}") if one.is_dir()]) == 1
     return typed(path.with_name(tail) if alone else path)
 
 

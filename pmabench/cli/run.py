@@ -110,7 +110,9 @@ def run_or_resume(
         out = out or resume.resolve().parent
     protocol, bench, specimen = files
     if protocol is None or bench is None or specimen is None:
-        raise UsageError("a run needs PROTOCOL, --bench and --specimen (or --resume RUN)")
+        named = (("PROTOCOL", protocol), ("--bench", bench), ("--specimen", specimen))
+        lacking = " and ".join(name for name, given in named if given is None)
+        raise UsageError(f"a run needs PROTOCOL, --bench and --specimen, or --resume RUN; missing: {lacking}")
     prepared = prepare(protocol, bench, specimen, settings)
     continues = None
     if resume is not None:
@@ -363,7 +365,12 @@ def _reset(bench: str, operator: str, because: str, *, yes: bool) -> int:
 
 def _agreed(question: str, command: str) -> bool:
     """Whether a person says yes; without a terminal nobody can, and the command for it is named."""
-    if sys.stdin.isatty() and click.confirm(question, err=True):
+    answer = "" if sys.stdin.isatty() else "n"
+    while answer not in ("y", "yes", "n", "no"):
+        if answer:
+            say("type y for yes, n for no")
+        answer = click.prompt(f"{question} [y/N]", default="n", show_default=False, err=True).strip().lower()
+    if answer.startswith("y"):
         return True
     say(f"not done; later:  {command}")
     return False

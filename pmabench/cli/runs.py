@@ -14,7 +14,7 @@ from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.system import user_name
 from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields
-from pmabench.cli.names import PATH, RunFolder
+from pmabench.cli.names import PATH, RunFolder, tail_of, typed
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pmabench.store.verify import Finding
 
 
+WIDE = 160
+"""From so many columns on a list of runs holds their long names, too."""
 ENDED_EARLY = ("interrupted", "aborted", "tripped", "error")
 """How a run ends that may have trials left."""
 
@@ -49,15 +51,22 @@ def list_runs(ui: Ui, folder: Path) -> None:
     def human() -> None:
         from pmabench.store.since import Added, Since
 
+        console = ui.console(columns=300)
+        tails = Counter(tail_of(row["folder"]) for row in rows)
         table = []
         for row in rows:
+            tail = tail_of(row["folder"])
+            run = typed((folder / (tail if tails[tail] == 1 else row["folder"])).resolve())
             here, before = row["trials_finished"], row["trials_before"]
             trials = f"{before + here}/{row['trials_planned']}" + (f" ({here} here)" if before else "")
             length = f"{row['duration']:.0f} s" if row["duration"] is not None else ""
             mark = "*" if row["added"] or row["late"] else ""
-            table.append([row["id"], row["status"] + mark, trials, length, row["specimen"]])
-        texts = ("id", "status", "specimen")
-        print_grid(ui.console(columns=200), ["id", "status", "trials", "duration", "specimen"], table, texts)
+            begun = str(row["date"])[:16].replace("T", " ")
+            table.append([run, begun, row["kind"], row["status"] + mark, trials, length, row["specimen"], row["id"]])
+        heads = ["run", "begun (UTC)", "kind", "status", "trials", "duration", "specimen", "id"]
+        count = len(heads) if ui.verbose or console.width >= WIDE else len(heads) - 1
+        texts = [head for head in heads if head not in ("trials", "duration")]
+        print_grid(console, heads[:count], [line[:count] for line in table], texts)
         for row in rows:
             for sentence in Since(tuple(Added(name, "") for name in row["added"]), row["late"]).sentences:
                 click.echo(f"* {row['id']}: {sentence}")
