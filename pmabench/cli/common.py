@@ -146,6 +146,16 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
     return command
 
 
+class Group(click.Group):
+    """Commands below one name; the first sentence of each is shown in full."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Print the table of commands; click itself would cut each sentence at the end of its line."""
+        with formatter.section("Commands"):
+            commands = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx))
+            formatter.write_dl([(name, one.get_short_help_str(300)) for name, one in commands if one is not None])
+
+
 def prepare_streams() -> None:
     """Streams that take any text: closed ones lead nowhere, signs that a terminal lacks or would obey are spelled."""
     sys.stdout, sys.stderr = _prepared(sys.stdout), _prepared(sys.stderr)
@@ -232,7 +242,14 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
         return [(name, text) for name, _, text in (value.partition("=") for value in values)]
 
     return with_options(
-        click.option("--set", "settings", multiple=True, callback=split, metavar="NAME=VALUE", help="Change a value of the protocol: sweep.repeat.count=1."),
+        click.option(
+            "--set",
+            "settings",
+            multiple=True,
+            callback=split,
+            metavar="NAME=VALUE",
+            help="Change a value of the protocol: sweep.repeat.count=1.",
+        ),
         click.option(
             "--specimen", type=SPECIMEN, required=required, help="Specimen file, or the name of a shipped one."
         ),

@@ -14,6 +14,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from pmabench.base.errors import UsageError
 from pmabench.files.shipped import shipped_folder
 
 HEAD = 2000
@@ -48,14 +49,10 @@ class RunFolder(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """A path, or the last four signs of a name, which no other folder there has: `runs/3efe`, `3efe`."""
-        path = Path(value)
-        if TAIL.fullmatch(path.name) and not path.exists():
-            places = [path.parent] if len(path.parts) > 1 else [Path(), Path("runs"), Path("analyses")]
-            found = [one for place in places for one in place.glob(f"*_{path.name}") if one.is_dir()]
-            if len(found) > 1:
-                self.fail(f'"{value}" is the end of several names: {", ".join(map(str, found))}', param, ctx)
-            value = found[0] if found else value
-        return super().convert(value, param, ctx)
+        try:
+            return super().convert(in_full(Path(value)), param, ctx)
+        except UsageError as error:
+            self.fail(str(error), param, ctx)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """The newest folders below `runs` and `analyses` here that begin like `incomplete`, else any folder."""
@@ -63,6 +60,17 @@ class RunFolder(click.Path):
         found = [str(one) for place in places if place.is_dir() for one in place.iterdir() if one.is_dir()]
         found = sorted((name for name in found if name.startswith(incomplete)), reverse=True)[:MOST]
         return [CompletionItem(name) for name in found] or [CompletionItem(incomplete, type="dir")]
+
+
+def in_full(path: Path) -> Path:
+    """The folder that a short path names (`runs/3efe`, `3efe`), else the path itself."""
+    if not TAIL.fullmatch(path.name) or path.exists():
+        return path
+    places = [path.parent] if len(path.parts) > 1 else [Path(), Path("runs"), Path("analyses")]
+    found = [one for place in places for one in place.glob(f"*_{path.name}") if one.is_dir()]
+    if len(found) > 1:
+        raise UsageError(f'"{path}" is the end of several names: {", ".join(map(str, found))}')
+    return found[0] if found else path
 
 
 def tail_of(name: str) -> str:

@@ -13,7 +13,7 @@ import click
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.system import user_name
 from pmabench.base.text import printable
-from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.common import Group, Ui, common, fields
 from pmabench.cli.names import PATH, RunFolder, tail_of, typed
 from pmabench.report.terminal import print_grid
 
@@ -28,7 +28,7 @@ ENDED_EARLY = ("interrupted", "aborted", "tripped", "error")
 """How a run ends that may have trials left."""
 
 
-@click.group(name="runs")
+@click.group(name="runs", cls=Group)
 def command() -> None:
     """List, show and verify recorded runs."""
 

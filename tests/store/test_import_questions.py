@@ -312,7 +312,7 @@ def test_open_questions_are_refused_answered_or_go_along(tmp_path):
     assert "[until then: kPa]" in reported
     words = ["import", path, "--map", tmp_path / "map.yaml", "--out"]
     refused = call(*words, tmp_path / "none", code=3)
-    assert "which unit is it? bar: at most 498 kPa" in refused
+    assert "which unit is it? Read in bar: at most 498 kPa" in refused
     assert "--set 'columns.P [kPa].unit=...'" in refused
     assert not (tmp_path / "none").exists()
     reported = call(*words, tmp_path / "typo", "--set", "columns.P.unit=bar", code=3)
