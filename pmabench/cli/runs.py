@@ -129,7 +129,9 @@ def _print_run(data: RunData, after: Mapping[str, str]) -> None:
             click.echo(printable(f"  {name:12} {manifest[name]}"))
     if unproven := manifest.get("scales_not_proven"):
         click.echo(printable(f"  {'scales':12} not proven: emulated by the bench file itself: {', '.join(unproven)}"))
-    rows = sum(len(t.t) for t in data.trials)
+    ends = [event.data.get("counts") for event in data.events if event.kind == "end"]
+    counts = ends[-1] if ends and isinstance(ends[-1], Mapping) else {}
+    rows = sum(len(t.t) for t in data.trials) or int(counts.get("rows") or 0)
     states = Counter(t.status for t in data.trials if not t.again)
     finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
     others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
@@ -140,6 +142,7 @@ def _print_run(data: RunData, after: Mapping[str, str]) -> None:
         click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
     for channel in data.channels.values():
         click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
+    _print_session(data)
     if result := vented(data):
         click.echo(f"  {'vent':12} {result}")
     _print_rest(data)
@@ -191,6 +194,22 @@ def trials_left(data: RunData) -> int:
     done = {t.index for t in data.trials if t.status == "finished" and not t.again}
     done |= set(before) if isinstance(before, list) else set()
     return int(data.manifest.get("trials_planned") or 0) - len(done)
+
+
+def _print_session(data: RunData) -> None:
+    """What self-test, warm-up and zeros gave."""
+    from pmabench.display.wording import OF_SESSIONS
+
+    for event in data.events:
+        if event.kind not in OF_SESSIONS:
+            continue
+        head, colon, text = OF_SESSIONS[event.kind](event.data)[0].partition(": ")
+        if colon:
+            click.echo(f"  {head:12} {text}")
+        checks = event.data.get("checks") if event.kind == "self-test" else None
+        for check in (one for one in checks or () if isinstance(one, Mapping) and one.get("verdict") != "ok"):
+            said = f"{check.get('name')}: {check.get('verdict')}"
+            click.echo(printable(f"  {'':12} {said}{'; ' if check.get('hint') else ''}{check.get('hint') or ''}"))
 
 
 def _print_rest(data: RunData) -> None:
