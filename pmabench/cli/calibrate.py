@@ -89,7 +89,7 @@ def command(
     path = None
     if done.fit is not None and done.outcome.exit_code == 0 and done.outcome.folder is not None:
         path = _write(mounted, request, done, into, valid_until.date() if valid_until else None)
-    _show_result(ui, mounted, request, done, path, quantity)
+    _show_result(ui, mounted, request, done, path)
     return done.outcome.exit_code
 
 
@@ -143,9 +143,10 @@ def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, unt
     )
 
 
-def _show_result(ui: Ui, mounted: Mounted, request: Request, done: Calibrated, path: Path | None, quantity: str) -> None:
+def _show_result(ui: Ui, mounted: Mounted, request: Request, done: Calibrated, path: Path | None) -> None:
     from pmabench.session.calibration import REGULATOR, as_json, budget, uncovered
 
+    quantity = CHANNEL_QUANTITY[request.channel]
     data: dict[str, Any] = {
         "schema": "pmabench.calibrated/1",
         "channel": request.channel,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from errno import EPIPE
 from functools import reduce, wraps
 from pathlib import Path
+from textwrap import wrap
 from threading import Event, Thread, Timer
 from time import monotonic
 from typing import TYPE_CHECKING, Any, TextIO, cast
@@ -154,6 +155,13 @@ class Group(click.Group):
         with formatter.section("Commands"):
             commands = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx))
             formatter.write_dl([(name, one.get_short_help_str(300)) for name, one in commands if one is not None])
+
+
+def labelled(label: str, text: str, width: int) -> str:
+    """A line with a label, and further lines of the same text below its beginning; words are never broken."""
+    head = f"  {label:<10}"
+    lines = wrap(text, width, initial_indent=head, subsequent_indent=" " * len(head), break_long_words=False)
+    return "\n".join(lines) or head.rstrip()
 
 
 def prepare_streams() -> None:

@@ -67,7 +67,8 @@ def in_full(path: Path) -> Path:
     if not TAIL.fullmatch(path.name) or path.exists():
         return path
     places = [path.parent] if len(path.parts) > 1 else [Path(), Path("runs"), Path("analyses")]
-    found = [one for place in places for one in place.glob(f"*_{path.name}") if one.is_dir()]
+    ends = [one for place in places for one in place.glob(f"*_{path.name}") if one.is_dir()]
+    found = list({one.name: one for one in reversed(ends)}.values())  # a run before the analysis called after it
     if len(found) > 1:
         raise UsageError(f'"{path}" is the end of several names: {", ".join(map(str, found))}')
     return found[0] if found else path

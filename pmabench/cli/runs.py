@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +14,7 @@ import click
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.system import user_name
 from pmabench.base.text import printable
-from pmabench.cli.common import Group, Ui, common, fields
+from pmabench.cli.common import Group, Ui, common, fields, labelled
 from pmabench.cli.names import PATH, RunFolder, tail_of, typed
 from pmabench.report.terminal import print_grid
 
@@ -122,11 +123,11 @@ def _print_run(data: RunData, after: Mapping[str, str]) -> None:
     from pmabench.analysis.verdict.checks import unresolved_of
     from pmabench.display.wording import point_text
 
-    manifest = data.manifest
+    manifest, width = data.manifest, shutil.get_terminal_size((100, 24)).columns
     click.echo(f"{data.id}\n  {data.kind}, {data.status}{', SIMULATED' if data.simulated else ''}")
     for name in ("protocol", "source", "bench", "operator", "started_utc", "why"):
         if manifest.get(name):
-            click.echo(printable(f"  {name:12} {manifest[name]}"))
+            click.echo(labelled(f"{name:12} ", printable(manifest[name]), width))
     if unproven := manifest.get("scales_not_proven"):
         click.echo(printable(f"  {'scales':12} not proven: emulated by the bench file itself: {', '.join(unproven)}"))
     ends = [event.data.get("counts") for event in data.events if event.kind == "end"]
