@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import json
 import os
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 import click
 
 from pmabench.base.errors import InvalidFile, PmaError, RecordError, UsageError
-from pmabench.base.text import Spelled, raw, spelled
+from pmabench.base.text import Spelled, in_ascii, raw, spelled
 from pmabench.cli.names import BENCH, PROTOCOL, SPECIMEN
 
 if TYPE_CHECKING:
@@ -166,6 +167,7 @@ def labelled(label: str, text: str, width: int) -> str:
 
 def prepare_streams() -> None:
     """Streams that take any text: closed ones lead nowhere, signs that a terminal lacks or would obey are spelled."""
+    codecs.register_error("in-ascii", in_ascii)
     sys.stdout, sys.stderr = _prepared(sys.stdout), _prepared(sys.stderr)
 
 
@@ -173,7 +175,7 @@ def _prepared(stream: TextIO | None) -> TextIO:
     if stream is None:
         stream = Path(os.devnull).open("w")  # noqa: SIM115
     if isinstance(stream, io.TextIOWrapper):
-        stream.reconfigure(errors="backslashreplace")
+        stream.reconfigure(errors="in-ascii")
     return stream if isinstance(stream, Spelled) else cast("TextIO", Spelled(stream))
 
 
