@@ -317,7 +317,7 @@ def _left(folder: Path, data: RunData) -> tuple[int, str]:
     if after["resume"]:
         return trials_left(data), ""
     if data.status in ENDED_EARLY and not any(trial.status == "finished" for trial in data.trials):
-        return 0, "nothing of this run can be processed or continued; run the protocol again"
+        return 0, "nothing of it can be processed or continued; run the protocol again"
     if without_trials(folder):
         return 0, f"nothing: a run of kind {data.kind} has no trials to process"
     return 0, f"pmabench process {typed(folder.resolve())}"

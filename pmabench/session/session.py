@@ -258,7 +258,7 @@ class SessionFailed(PmaError):
         self.exit_code = outcome.exit_code
         vent = f"; vent {outcome.vent.result}" if outcome.vent is not None else ""
         again = "; the same command begins with a session again"
-        where = f" (recorded in {outcome.folder})" if outcome.folder is not None else ""
+        where = f"\nrecorded in {outcome.folder}" if outcome.folder is not None else ""
         said = f"the session before the run ended early, {outcome.status}: {outcome.why}{vent}{again}{where}"
         super().__init__(said)
 
