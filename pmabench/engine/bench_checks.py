@@ -18,7 +18,7 @@ import numpy as np
 
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import show
-from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity
+from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity, ProofTest
 from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.recorder import Recorder
@@ -193,6 +193,15 @@ def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
 
 FILLED = 0.8
 """Of the asked pressure, from where on the bench counts as filled."""
+RESTS = 0.2
+"""So long must the pressure be where it was commanded [s]."""
+OFF = 0.1, 0.01
+"""How far from its command a pressure may rest, for gains and offsets of gauge and regulator: shares of the command and
+of the regulator's range [1]."""
+GIVES_WAY = 0.1
+"""By this share must the pressure fall at an open dump valve while the regulator still commands it."""
+ALONE = 1.0
+"""So long may that take [s]."""
 
 
 def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recorder: Recorder) -> None:
@@ -213,6 +222,8 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
             f"the proof test asked for {show(proof.pressure, 'pressure')}, and after {proof.fill:g} s {measured} is "
             "measured: no supply, a shut valve, or the pressure channel is wired wrongly"
         )
+    _refuse_astray(bench, acquisition, proof, filled - asked)
+    alone = _valves_alone(bench, guard, acquisition, proof)
     vented_at = clock.now()
     for output in bench.pressures:
         guard.set(output.name, output.safe)
@@ -227,9 +238,71 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
         )
     guard.valves(closed=True)
     guard.release()
-    recorder.event(
-        "proof-test", clock.now(), pressure=proof.pressure, filled_in=filled - asked, vented_in=vented - vented_at
-    )
+    times = {"filled_in": filled - asked, "vented_in": vented - vented_at}
+    recorder.event("proof-test", clock.now(), pressure=proof.pressure, dump_valve_in=alone, **times)
+
+
+def _refuse_astray(bench: CompiledBench, acquisition: Acquisition, proof: ProofTest, filled_in: float) -> None:
+    """Raise LimitTripped where a pressure does not come to rest where it was commanded, from either side."""
+    channels = {channel.name: channel for channel in bench.channels}
+    within = {
+        output.name: OFF[0] * proof.pressure
+        + OFF[1] * output.high
+        + channels[output.name].calibration.uncertainty(proof.pressure)
+        for output in bench.pressures
+    }
+    bounds = {name: (proof.pressure - off, proof.pressure + off) for name, off in within.items()}
+    if acquisition.pass_time(max(1.0, proof.fill - filled_in), _Resting(bounds)) is None:
+        raise LimitTripped(
+            f"the proof test asked for {show(proof.pressure, 'pressure')}, and {_measured(acquisition, list(within))} "
+            f"is measured, further off than {show(max(within.values()), 'pressure', 2)}: the scale of the regulator or "
+            "of the gauge is wrong, or the gauge reads absolute pressure"
+        )
+
+
+class _Resting:
+    """Stop rule: each of these channels was between its two bounds for `RESTS`."""
+
+    def __init__(self, bounds: Mapping[str, tuple[float, float]]) -> None:
+        self._bounds = bounds
+        self._since: dict[str, float] = {}
+
+    def __call__(self, block: Samples) -> int | None:
+        for name in self._bounds.keys() & block.values.keys():
+            low, high = self._bounds[name]
+            inside = (block.values[name] > low) & (block.values[name] < high)
+            if not inside[-1]:
+                self._since.pop(name, None)
+            elif name not in self._since or not inside.all():
+                self._since[name] = float(block.t[np.flatnonzero(np.append(False, inside[:-1]) < inside)[-1]])
+        newest = float(block.t[-1])
+        rests = all(name in self._since and newest - self._since[name] >= RESTS for name in self._bounds)
+        return len(block.t) - 1 if rests else None
+
+
+def _valves_alone(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, proof: ProofTest) -> float | None:
+    """Open the dump valves while the regulators still command the pressure; the time until it gives way [s].
+
+    None where the bench has no dump valve, or fewer than muscles and not all gave way. Raises LimitTripped where one
+    that has its own did not, or none did: a valve that is not connected passes every vent of a regulator that works.
+    """
+    valves = [valve.name for valve in bench.valves if valve.safe == "open"]
+    if not valves:
+        return None
+    names, opened_at = [output.name for output in bench.pressures], acquisition.clock.now()
+    for output in bench.pressures:
+        acquisition.commanded.set(output.name, opened_at, output.safe)  # it falls as commanded: no burst
+    guard.valves(closed=False)
+    below = (1 - GIVES_WAY) * proof.pressure
+    found = acquisition.pass_time(ALONE, _crossing(names, below=below))
+    gave = [name for name in names if acquisition.latest.get(name, nan) < below]
+    if found is None and len(gave) < (len(names) if len(valves) >= len(names) else 1):
+        raise LimitTripped(
+            f"the proof test of {' and '.join(valves)} failed: {ALONE:g} s after it was opened "
+            f"{_measured(acquisition, names)} is measured, while the regulator still commands "
+            f"{show(proof.pressure, 'pressure')}: look at the valve's plug, its air, and at what is in its way"
+        )
+    return None if found is None else found - opened_at
 
 
 def _measured(acquisition: Acquisition, names: Sequence[str]) -> str:
