@@ -334,26 +334,43 @@ SPAN = 0.5
 """How long it is looked at [s]."""
 
 
+GROSS = 0.5
+"""A reading that is off by more than this share of the load is of a wrong unit, sign or plug [1]."""
+UNDER_PRESSURE = 100e3
+"""At so much more than when the load was put on a muscle contracts, and its free end does not go down [Pa]."""
+
+
 class LoadImplausible(VerdictFailed):
-    """The load cell and the plates do not agree."""
+    """The load cell and the plates do not agree, or the free end goes the wrong way."""
 
 
 @dataclass(frozen=True)
 class LoadVerdict:
-    """What the cell reads of a load at rest, mean over `SPAN` [N]."""
+    """What the cell reads of a load at rest, mean over `SPAN` [N], and the contraction since it was put on [m]."""
 
     expected: float
     measured: float
     tolerance: float
     asked: str
+    contraction: float
 
     @property
     def ok(self) -> bool:
         """Whether they agree."""
-        return abs(self.measured - self.expected) <= self.tolerance
+        return self.contraction > 0 and abs(self.measured - self.expected) <= self.tolerance
+
+    @property
+    def gross(self) -> bool:
+        """Whether a channel must be wrong, whatever is tolerated: of another sign, unit or plug."""
+        return self.contraction < 0 or abs(self.measured - self.expected) > max(self.tolerance, GROSS * self.expected)
 
     def __str__(self) -> str:
         """One sentence with the weight of the plates and the reading of the cell."""
+        if self.contraction < 0:
+            return (
+                f"under pressure the displacement falls by {show(-self.contraction, 'length', 3)}: its channel counts "
+                "backwards, or is exchanged with another one; look at its calibration and its plug"
+            )
         reads = f"the load cell reads {self.measured:.2f} N for a load at rest of {self.expected:.2f} N"
         if self.ok:
             return f"{reads}, within {self.tolerance:.2f} N"
@@ -371,12 +388,13 @@ class LoadCheck:
         self._cell = channels.get("force")
         self._possible = bench.free_end == "weights" and self._cell is not None and "displacement" in channels
         self._share = bench.load_tolerance
-        self._pending: tuple[float, str, float] | None = None
+        self._pending: tuple[float, str, float, float] | None = None
         self._kept: dict[str, tuple[Array, Array]] = {}
 
-    def put_on(self, force: float, asked: str, displacement: float | None) -> None:
-        """Hands put F_L = `force` [N] on, with the free end at `displacement` [m]."""
-        self._pending = (force, asked, displacement or 0.0) if self._possible and force > 0 else None
+    def put_on(self, force: float, asked: str, latest: Mapping[str, float]) -> None:
+        """Hands put F_L = `force` [N] on, while `latest` was measured."""
+        place, P = (latest.get(name, 0.0) for name in ("displacement", "pressure"))
+        self._pending = (force, asked, place, P) if self._possible and force > 0 else None
         self._kept = {}
 
     def watch(self) -> Stop | None:
@@ -387,7 +405,7 @@ class LoadCheck:
         return self._keep
 
     def _keep(self, block: Samples) -> None:
-        for name in ("force", "displacement"):
+        for name in ("force", "displacement", "pressure"):
             if name in block.values:
                 t, y = self._kept.get(name, (block.t[:0], block.t[:0]))
                 t, y = np.concatenate((t, block.t)), np.concatenate((y, block.values[name]))
@@ -396,15 +414,17 @@ class LoadCheck:
 
     def verdict(self) -> LoadVerdict | None:
         """The verdict when the load has hung still at the end of what was watched, else None."""
-        if self._pending is None or len(self._kept) < 2:
+        if self._pending is None or not {"force", "displacement"} <= self._kept.keys():
             return None
-        force, asked, before = self._pending
+        force, asked, before, vented = self._pending
         (t, x), (_, pull) = self._kept["displacement"], self._kept["force"]
         if len(t) < 5 or t[-1] - t[0] < 0.5 * SPAN or not (np.isfinite(x).all() and np.isfinite(pull).all()):
             return None
-        if x.mean() - before < LIFTED or x.max() - x.min() > STILL or self._cell is None:
+        contraction, P = float(x.mean()) - before, self._kept.get("pressure", (t, np.zeros(1)))[1]
+        moves = contraction > LIFTED or (contraction < -LIFTED and P.min() > vented + UNDER_PRESSURE)
+        if not moves or x.max() - x.min() > STILL or self._cell is None:
             return None
         self._pending = None
         known = self._cell.calibration
         tolerance = self._share * force + known.offset_uncertainty + known.gain_uncertainty * force
-        return LoadVerdict(force, float(pull.mean()), tolerance, asked)
+        return LoadVerdict(force, float(pull.mean()), tolerance, asked, contraction)
