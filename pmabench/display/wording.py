@@ -120,8 +120,9 @@ def event_text(event: Event) -> tuple[str, str] | None:
         asked, filled, vented = (float(data.get(key) or 0.0) for key in ("pressure", "filled_in", "vented_in"))
         alone = data.get("dump_valve_in")
         valve = f"gives way to the dump valve in {alone:.2g} s, " if isinstance(alone, int | float) else ""
-        text = f"filled to {quantity('pressure').show(asked, 4)} in {filled:.2g} s, {valve}empty {vented:.2g} s after venting"
-        return f"proof test of the vent path: {text}", "info"
+        empty = f"{valve}empty {vented:.2g} s after venting"
+        full = f"filled to {quantity('pressure').show(asked, 4)} in {filled:.2g} s"
+        return f"proof test of the vent path: {full}, {empty}", "info"
     if kind == "vent":
         result = clean(data.get("result", ""))
         return f"vent {result}", "info" if result == "confirmed" else "fault"
