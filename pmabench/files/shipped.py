@@ -43,5 +43,5 @@ def find_file(kind: str, name: str) -> Path:
     if path.name == name and (other := next(others, None)):
         raise invalid(name, f"is a shipped {other}, where a {kind} is expected")
     near = nearest(name, sorted(file.stem for file in shipped_folder(kind).glob("*.yaml")))
-    more = near or "; `pmabench list` shows those that there are"
+    more = near or "; `pmabench list` shows what there is"
     raise invalid(name, f"there is no such file, and no shipped {kind} of that name{more}")
