@@ -11,7 +11,7 @@ import pypdf
 import pytest
 
 from pmabench.base.errors import UsageError
-from pmabench.report.document.content import content_of
+from pmabench.report.document.content import content_of, page_of
 from pmabench.report.document.deviations import Said
 from pmabench.report.document.pdf import packed, pdf_bytes, write_pdf
 from pmabench.report.document.workbook import workbook_bytes, write_workbook
@@ -65,6 +65,14 @@ def test_the_pdf_says_what_the_page_says(content, pdf):
         assert words in first
     assert 4 < len(reader.pages) < 40
     assert len(pdf) < 600_000
+
+
+def test_appendices_have_the_names_of_the_page(content, pdf):
+    page = page_of(content)
+    named = re.findall(r"<summary id=.*?><b>(\w)</b> ([^<\n]*\w)", page)
+    outline = pypdf.PdfReader(io.BytesIO(pdf)).outline
+    assert [entry.title.split(" ", 1) for entry in outline if not isinstance(entry, list)] == [[*one] for one in named]
+    assert len(named) >= 8
 
 
 def _object(reader, number):

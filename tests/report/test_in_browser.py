@@ -114,6 +114,28 @@ def test_appendices_that_are_open_are_printed(browser, tmp_path):
     page.close()
 
 
+ASTRAY = """[...document.querySelectorAll('.appendix table')].flatMap(table => {
+  const row = [...table.querySelectorAll('tbody tr')].find(row => row.cells[0].scope !== 'rowgroup');
+  let at = 0;
+  return [...table.tHead.rows[0].cells].flatMap(head => {
+    const below = [];
+    for (let wide = 0; wide < head.colSpan; wide += row.cells[at++].colSpan) below.push(row.cells[at].getBoundingClientRect());
+    const {left, right} = head.getBoundingClientRect();
+    const off = Math.abs(left - below[0].left) + Math.abs(right - below.at(-1).right);
+    return off > 1 ? [head.innerText] : [];
+  });
+})"""
+
+
+@pytest.mark.parametrize("width", [680, 1000])
+def test_every_head_is_above_its_column(browser, pages, width):
+    page = browser.open(pages("all four tests"), width=width)
+    page.run("document.querySelectorAll('details').forEach(part => part.open = true)")
+    assert page.run("document.querySelectorAll('.appendix th.pair').length") > 10
+    assert page.run(ASTRAY) == []
+    page.close()
+
+
 def test_curves_are_drawn_anew_with_values_zoom_and_methods(browser, pages):
     page = browser.open(pages("all four tests"), width=1100, height=900)
     page.wait("document.querySelectorAll('.live canvas').length === document.querySelectorAll('.chart').length")

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from pmabench.plotting.pictures import Picture, drawable
-from pmabench.plotting.wording import brief, clean, number
+from pmabench.plotting.wording import brief, clean, number, spoken
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.coefficient_charts import coefficient_picture, surface_picture
 from pmabench.report.certificate.force_chart import force_picture, stroke_picture
@@ -64,7 +64,6 @@ class Sheet:
     statistics: list[tuple[str, str]]
     checks: list[tuple[str, str, str]]
     findings: list[str]
-    more: int
     method: str
     seals: list[tuple[str, str]]
     """Run, and the hash of its seal, shortened."""
@@ -84,13 +83,13 @@ def sheet_of(
     tests = [drawable(a) for a in analyses if a.kind != AGREEMENT]
     table, members, over = result_table(tests)
     main = _main(tests, members)
+    covered = coverage(main, runs) if main else None
+    table = replace(table, notes=[*table.notes, *_counted(members, over, covered)])
     less = ROW / 2 * max(0, len(table.rows) + len(table.notes) - USUAL)
     pictures, used = _pictures([*analyses, *published], members, over, less)
     tiles = [tile for tile in tiles_of(analyses) if tile.symbol not in table.symbols]
     item, about = _item(runs)
     title = kind_title(main.kind) if main else ""
-    covered = coverage(main, runs) if main else None
-    findings, more = quality.findings(tests, failed)
     return Sheet(
         item=item,
         about=about,
@@ -106,8 +105,7 @@ def sheet_of(
         sources=sources(members, over) if members else None,
         statistics=quality.statistics(main) if main else [],
         checks=quality.checks(main) if main else [],
-        findings=findings,
-        more=more,
+        findings=quality.findings(tests, failed),
         method=_method(main),
         seals=[
             (str(row["run"]), str(row["sha256 of seal.json"])[:16])
@@ -116,6 +114,15 @@ def sheet_of(
         ],
         used=used,
     )
+
+
+def _counted(members: Sequence[Estimate], over: str, covered: Coverage | None) -> list[str]:
+    """A note where a trial counts at several operating points, as a stroke does."""
+    n: dict[float, int] = {}
+    for e in members:
+        n[e.at[over]] = max(e.n, n.get(e.at[over], 0))
+    passed = f"n: trials that passed this {spoken(over)}; one trial passes several"
+    return [passed] if covered and sum(n.values()) > covered.used else []
 
 
 def _main(tests: Sequence[Analysis], members: Sequence[Estimate]) -> Analysis | None:
@@ -169,12 +176,10 @@ def _followed(analysis: Analysis) -> Analysis:
 
 
 def _item(runs: Sequence[RunData]) -> tuple[str, str]:
-    """What was tested: make and type; serial and size. Several specimens are counted."""
+    """What was tested: make and type; serial and size."""
     known = provenance.specimens(runs)
     if not known:
         return "Pneumatic muscle", ""
-    if len(known) > 1:
-        return f"{len(known)} specimens", "; ".join(name for name, _ in known[:4])
     name, about = known[0]
     head, _, serial = name.partition(", serial ")
     size = [part for part in about.split(", ") if not part.startswith(("mounted", "braid")) and "cycles" not in part]
@@ -203,7 +208,8 @@ def _columns(tests: Sequence[Analysis], main: Analysis | None, runs: Sequence[Ru
     mounted = next((about for _, about in provenance.specimens(runs) if "mounted" in about), "")
     mounted = mounted[mounted.find("mounted") :].partition(" (")[0].partition(", ")[0]
     benches = [name for name, _ in provenance.benches(runs)]
-    conditions = [f"{benches[0]}{f' and {len(benches) - 1} more' if len(benches) > 1 else ''}" if benches else ""]
+    others = {0: "", 1: " and another bench"}.get(len(benches[1:]), f" and {len(benches[1:])} other benches")
+    conditions = [f"{benches[0]}{others}"] if benches else []
     rate = f"sampled at {number(rates[0])} Hz" if len(rates) == 1 else ""
     conditions += [", ".join(part for part in (mounted, rate) if part)]
     when, who = provenance.when(runs), provenance.operators(runs)
