@@ -42,7 +42,7 @@ def _unconfirmed(mounted: Mounted) -> str:
     """A sentence where somebody still has to look up what stands on the card."""
     if not (mounted.bench.realtime and mounted.unconfirmed):
         return ""
-    return 'Values of this bench are still guesses. Put no air on it before somebody looked them up: see "pmabench check".'
+    return 'Values of this bench are still guesses. Put no air on it before they are looked up; see "pmabench check".'
 
 
 def failure_story(mounted: Mounted) -> list[tuple[str, str]]:

@@ -5,7 +5,7 @@ With `--overlay FILE.csv[:LABEL]` published tables, read with their units, for t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ import click
 from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
 from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.common import Ui, common, no_pipes
-from pmabench.cli.names import FILE, RunFolder
+from pmabench.cli.names import FILE, FOLDER, RunFolder
 
 if TYPE_CHECKING:
     from pmabench.cli.process import Processed
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", required=True, type=FILE, help="The HTML file.")
 @click.option("--pdf", type=FILE, help="Also as a tagged PDF; needs the extra pdf.")
 @click.option("--xlsx", type=FILE, help="Also as a workbook; needs the extra xlsx.")
+@click.option("--figures", type=FOLDER, metavar="FOLDER", help="Also each figure as SVG.")
 @click.option(
     "--overlay", "overlays", multiple=True, metavar="FILE.csv[:LABEL]", help="Published points for the figures."
 )
@@ -50,6 +51,7 @@ def command(
     output: Path,
     pdf: Path | None,
     xlsx: Path | None,
+    figures: Path | None,
     overlays: tuple[str, ...],
     title: str | None,
     long: bool,
@@ -67,6 +69,7 @@ def command(
     from pmabench.store.since import as_sealed
 
     no_pipes(output, pdf, xlsx)
+    also = {"pdf": pdf, "xlsx": xlsx, "figures": figures}
     published: list[Published] = []
     if overlays:
         published = read_overlays(overlays)
@@ -77,7 +80,7 @@ def command(
         behind = chains(given or [run for folder in folders for run in runs_of(folder)])
         about = {"sources": [str(path) for path in sources], "title": title, "long": long, **issuer}
         key = page_key(used, behind, about) if all(as_sealed(run) for run in behind) else ""
-    page = None if fresh or pdf or xlsx or not key else kept(used[0].parent, key)
+    page = None if fresh or any(also.values()) or not key else kept(used[0].parent, key)
     if page is not None:
         for line in page.remarks:
             ui.note(line)
@@ -87,7 +90,7 @@ def command(
         from pmabench.report.document.deviations import Issuer
 
         said: dict[str, Any] = {"title": title, "published": published, "issuer": Issuer(**issuer)}
-        written, page = _written(ui, *known.analysed(ui), output, pdf, xlsx, long=long, **said)
+        written, page = _written(ui, *known.analysed(ui), output, also, long=long, **said)
         if key:
             keep(used[0].parent, key, page)
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}
@@ -95,14 +98,14 @@ def command(
 
 
 def _written(
-    ui: Ui, analyses: list[Analysis], runs: list[RunData], output: Path, pdf: Path | None, xlsx: Path | None,
+    ui: Ui, analyses: list[Analysis], runs: list[RunData], output: Path, also: Mapping[str, Path | None],
     *, long: bool, **about: Any,
 ) -> tuple[dict[str, str], KeptPage]:  # fmt: skip
     """Write the report in each format that is wanted, `about` as in `content_of`; what was written, and the page."""
     from pmabench.cli.sources import since_lines
     from pmabench.kinds.reduce import of_one_specimen
     from pmabench.plotting.svg import import_what_draws
-    from pmabench.report.document.content import content_of, page_of
+    from pmabench.report.document.content import content_of, page_of, write_figures
     from pmabench.report.many import added_to
     from pmabench.report.writing import KeptPage, write_file
 
@@ -113,14 +116,16 @@ def _written(
     content = content_of(analyses, of_one_specimen(runs), **about)
     page = replace(page, text=page_of(content, long=long))
     written = {"path": str(write_file(output, page.text, "the report"))}
-    if pdf is not None:
+    if pdf := also["pdf"]:
         from pmabench.report.document.pdf import write_pdf
 
         written["pdf"] = str(write_pdf(content, pdf))
-    if xlsx is not None:
+    if xlsx := also["xlsx"]:
         from pmabench.report.document.workbook import write_workbook
 
         written["xlsx"] = str(write_workbook(content, analyses, xlsx))
+    if figures := also["figures"]:
+        written["figures"] = str(write_figures(content, figures))
     return written, page
 
 

@@ -5,13 +5,14 @@ import io
 import re
 import sys
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import openpyxl
 import pypdf
 import pytest
 
 from pmabench.base.errors import UsageError
-from pmabench.report.document.content import content_of, page_of
+from pmabench.report.document.content import content_of, page_of, write_figures
 from pmabench.report.document.deviations import Said
 from pmabench.report.document.pdf import packed, pdf_bytes, write_pdf
 from pmabench.report.document.workbook import workbook_bytes, write_workbook
@@ -125,6 +126,8 @@ def test_the_workbook_holds_numbers_with_their_units(content, tmp_path):
     rows = [dict(zip(heads, (c.value for c in row), strict=True)) for row in sheet.iter_rows(min_row=5)]
     row = next(row for row in rows if row["method"] == "measured-pressure" and row["P [kPa]"] == 400)
     assert row["K [N/mm]"] == pytest.approx(K.value / 1e3)
+    column = sheet[sheet.cell(4, heads.index("K [N/mm]") + 1).column_letter]
+    assert {cell.number_format for cell in column[4:] if isinstance(cell.value, float)} == {"0.0000"}, "five digits"
     budget = [[cell.value for cell in row] for row in book["Budgets"].iter_rows(min_row=4)]
     assert dict(zip(*budget[:2], strict=True))["half width 95 %"] == pytest.approx(line.half / 1e3)
     assert dict(zip(*budget[:2], strict=True))["share"] == pytest.approx(1.0)
@@ -168,3 +171,11 @@ def test_pictures_of_notes_are_shown_and_damaged_ones_named(content):
     assert "Picture rig.png" in alternatives(reader.root_object["/StructTreeRoot"], set())
     words = " ".join(" ".join(page.extract_text() for page in reader.pages[:3]).split())
     assert "hose (attached: cut.png)" in words
+
+
+def test_every_figure_is_a_file_for_a_paper(content, tmp_path):
+    write_figures(content, tmp_path / "figures")
+    files = sorted((tmp_path / "figures").iterdir())
+    assert len(files) == len(content.front) + sum(len(section.figures) for section in content.sections)
+    for file in files:
+        assert ElementTree.parse(file).getroot().tag == "{http://www.w3.org/2000/svg}svg"
