@@ -48,7 +48,7 @@ def write_comparison(
     """Write the page; raises RecordError where it cannot be."""
     simulated = a.simulated or b.simulated
     sides = [_drawn(side, found.differences, which) for which, side in (("a", a), ("b", b))]
-    drawn = over_pressure(sides, declared([*a.analyses, *b.analyses]))
+    drawn = over_pressure(sides, declared([*a.analyses, *b.analyses]), [_named(side) for side in (a, b)])
     scores = _scores(found.differences, simulated=simulated)
     heads, rows = rows_of(a, b, found.differences)
     curve_heads, curve_table = curve_rows(curves)
@@ -70,9 +70,14 @@ def write_comparison(
     )
 
 
+def _named(side: Side) -> str:
+    """The side in a legend, where a letter alone would be taken for a symbol."""
+    return side.name if len(side.name) > 1 else f"side {side.name}"
+
+
 def _drawn(side: Side, differences: Sequence[Difference], which: str) -> Analysis:
     """The compared values of a side as an analysis, whose method is the name of the side."""
-    estimates = [replace(getattr(d, which), method=side.name, coordinate=d.a.coordinate) for d in differences]
+    estimates = [replace(getattr(d, which), method=_named(side), coordinate=d.a.coordinate) for d in differences]
     kind = PUBLISHED if side.published else "comparison"
     return drawable(Analysis(kind, (), simulated=side.simulated, estimates=tuple(estimates)))
 
