@@ -41,6 +41,12 @@ def sharp():
     return [replace(made, estimates=tuple(estimates))]
 
 
+def long_serial():
+    specimen = {"make": "Festo", "type": "MAS-20", "serial": f"SN-{'0123456789' * 14}", "nominal_length": 0.25,
+                "inner_diameter": 0.02}  # fmt: skip
+    return [samples.run("contraction-relaxation", specimen=specimen)]
+
+
 REPORTS = {
     "narrow intervals": (sharp, lambda: [samples.run("contraction-relaxation")]),
     "many pressures": (fine, lambda: [samples.run("contraction-relaxation")]),
@@ -50,6 +56,7 @@ REPORTS = {
     "ultimate gain": (lambda: [samples.ultimate_gain()], lambda: [samples.run("ultimate-gain")]),
     "withheld": (lambda: [withheld()], lambda: [samples.run("contraction-relaxation")]),
     "a foreign kind": (lambda: [echo()], lambda: []),
+    "a long serial number": (fine, long_serial),
     "nothing": (lambda: [], lambda: []),
     "hostile": (hostile_analyses, hostile_runs),
 }

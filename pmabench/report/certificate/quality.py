@@ -94,7 +94,7 @@ def checks(analysis: Analysis) -> list[tuple[str, str, str]]:
 def findings(tests: Sequence[Analysis], failed: Sequence[str]) -> list[str]:
     """What costs most, at most three."""
     found, _ = costliest(tests, failed)
-    return [f"{text[:1].upper()}{text[1:]}" for text in (brief(text, LONGEST) for text in found)]
+    return [f"{text[:1].upper()}{text[1:]}" for text in (brief(printed(text), LONGEST) for text in found)]
 
 
 COLORS = {"repeats": BLUE, "calibration": BROWN, "method": GREEN, "drift": QUIET, "skew": DARK}

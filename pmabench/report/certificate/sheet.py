@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from pmabench.plotting.pictures import Picture, drawable
-from pmabench.plotting.wording import brief, clean, number, spoken
+from pmabench.plotting.wording import brief, clean, number, printed, spoken
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.coefficient_charts import coefficient_picture, surface_picture
 from pmabench.report.certificate.force_chart import force_picture, stroke_picture
@@ -37,7 +37,7 @@ INTERVALS = (
     "U is the half width of the 95 % interval: scatter between trials, what the estimator adds and calibrations, added "
     "as squares."
 )
-FORMULA = re.compile(r": ([^:;.]{5,90}? = [^,;:.]{2,60})")
+FORMULA = re.compile(r": ([^:;.]{1,90}? = [^,;:.]{2,60})")
 
 
 @dataclass(frozen=True)
@@ -181,8 +181,14 @@ def _item(runs: Sequence[RunData]) -> tuple[str, str]:
     if not known:
         return "Pneumatic muscle", ""
     name, about = known[0]
+    if name == provenance.UNNAMED:
+        return f"{name[:1].upper()}{name[1:]}", "type and serial number are not recorded"
     head, _, serial = name.partition(", serial ")
-    size = [part for part in about.split(", ") if not part.startswith(("mounted", "braid")) and "cycles" not in part]
+    size = [
+        part
+        for part in about.split(", ")
+        if part and not part.startswith(("mounted", "braid")) and "cycles" not in part
+    ]
     return head, ", ".join([f"serial {serial}"] * bool(serial) + size)
 
 
@@ -190,7 +196,7 @@ def _sentence(verdict: Verdict, main: Analysis | None, known: str, failed: Seque
     """How well, in what range, what was left out; first of all why not, where it is not good."""
     parts = []
     if verdict.level != "good":
-        why = brief(failed[0], 200) if failed else verdict.text.rstrip(".")
+        why = brief(printed(failed[0]), 200) if failed else verdict.text.rstrip(".")
         parts.append(f"{why[:1].upper()}{why[1:]}.".replace("….", "…"))
     if known:
         parts.append(f"{known} (95 % intervals).")
@@ -217,7 +223,7 @@ def _columns(tests: Sequence[Analysis], main: Analysis | None, runs: Sequence[Ru
     tested += [" by ".join(part for part in (when, who) if part)]
     model = described(main.estimates[0].method) if main and main.estimates else ""
     formula = FORMULA.search(model)
-    fitted = [formula[1].strip()] if formula else []
+    fitted = [formula[1].strip()] if formula and formula[1].count("(") == formula[1].count(")") else []
     fitted += [f"method: {clean(main.estimates[0].method, 60)}"] if main and main.estimates else []
     found = {"Tested": tested, "Conditions": conditions, "Traceable to": _traceable(runs), "Model": fitted}
     return [(head, kept) for head, lines in found.items() if (kept := [clean(line, 160) for line in lines if line])]
