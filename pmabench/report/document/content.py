@@ -180,19 +180,6 @@ def content_of(
     )
 
 
-def standalone(picture: Picture, font: str) -> str:
-    """The SVG of a figure as a file of its own."""
-    return picture.svg.replace("<svg ", f'<svg xmlns="http://www.w3.org/2000/svg" font-family="{font}" ', 1)
-
-
-def write_figures(content: Content, folder: Path) -> Path:
-    """Write every figure as `figure-N.svg` into `folder`; raises RecordError where one cannot be written."""
-    for item in (*content.front, *(figure for section in content.sections for figure in section.figures)):
-        svg = standalone(item.picture, "Inter, Helvetica, Arial, sans-serif")
-        write_file(folder / f"figure-{item.n}.svg", svg, "the figure")
-    return folder
-
-
 def write_page(content: Content, path: Path, *, long: bool = False) -> Path:
     """Write a report's content as a page; raises RecordError where it cannot be written."""
     return write_file(path, page_of(content, long=long), "the report")
