@@ -161,18 +161,23 @@ def curve_rows(curves: Sequence[Comparison]) -> Rows:
 
 NAME = "changes"
 SCHEMA = "pmabench.changes/1"
-HEADS = ("kind", "coefficient", "at", "unit", "as recorded", "as reduced here", "difference", "%", "method")
+HEADS = ("coefficient", "at", "unit", "as recorded", "as reduced here", "difference", "%")
 
 
 def print_changes(changes: Sequence[Change], console: Console) -> None:
-    """A row for each coefficient, as in the report; the half width of the difference is that of the calibrations."""
+    """A table for each kind and method; the half width of the difference is that of the calibrations."""
+    from rich.text import Text
+
     rows = []
     for change in changes:
         sides = (("as recorded", change.before), ("as reduced here", change.after))
         known = [(head, e, shown(e.quantity, e.unit)) for head, e in sides if e is not None and e.value is not None]
         values = {head: unit.rounded(e.value, e.parts.combined) for head, e, unit in known}
         rows += [{"kind": change.kind, **row, **values} for row in change_rows([change.to_dict()])]
-    print_grid(console, HEADS, Frame(rows, HEADS).cells(), ("kind", "coefficient", "at", "unit", "method"), keys=3)
+    for kind, method in dict.fromkeys((row["kind"], row["method"]) for row in rows):
+        console.print(Text(f"{kind}, {method}", style="italic"))
+        mine = [row for row in rows if (row["kind"], row["method"]) == (kind, method)]
+        print_grid(console, HEADS, Frame(mine, HEADS).cells(), ("coefficient", "at", "unit"), keys=2)
 
 
 def write_changes(
