@@ -17,9 +17,10 @@ from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, Tr
 from pmabench.bench.safety import RATE_OF
 
 
-def _has_stop(mounted: Mounted) -> bool:
-    """Whether an emergency stop is wired to an input: a contact whose name has "stop" in it."""
-    return any("stop" in record.name for device in mounted.bench.devices for record in device.interlocks)
+def _has_stop(mounted: Mounted) -> bool | None:
+    """Whether an emergency stop is wired to an input; None where contacts are, of which none has "stop" in its name."""
+    names = [record.name for device in mounted.bench.devices for record in device.interlocks]
+    return any("stop" in name for name in names) or (None if names else False)
 
 
 def _by_hand(mounted: Mounted) -> str:
@@ -33,7 +34,7 @@ def _protection(mounted: Mounted) -> str:
         "normally-open dump valve": mounted.bench_file.normally_open_dump,
         "emergency stop": _has_stop(mounted),
     }
-    has, lacks = ([name for name, known in there.items() if known is way] for way in (True, False))
+    has, lacks = ([name for name, known in there.items() if known is way] for way in (True, False))  # None: not known
     text = f"People are protected by the {', the '.join([*has, 'shield'])}."
     return text + (f" This bench file names NO {' and NO '.join(lacks)}." if lacks else "")
 

@@ -119,3 +119,6 @@ def test_the_card_names_only_what_the_bench_has(tmp_path):
     assert "names NO relief valve and NO emergency stop." in text
     assert "NOT CONFIRMED Values of this bench are still guesses." in text
     assert "Reviewed by nobody" in text
+    other = text_of(render_card(card_of(rig(tmp_path, old="name: e-stop", new="name: door"))))
+    assert "protected by the relief valve, the normally-open dump valve, the shield." in other
+    assert "names NO" not in other, "the contact may be a stop by another name"
