@@ -482,8 +482,8 @@ def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequ
         )
     groups = grouped(counted, lambda d: (d.kind, d.a.symbol, d.a.coordinate, tuple(d.a.at)))
     names = Counter(key[:3] for key in groups)
-    for (*key, at), group in groups.items():
-        yield _sentence(group, whole=not at and names[tuple(key)] > 1)
+    for (kind, symbol, coordinate, at), group in groups.items():
+        yield _sentence(group, whole=not at and names[kind, symbol, coordinate] > 1)
     yield from (Finding("note", f"not compared: {text}") for text in missing)
     yield from _cautions(a, b, differences)
 
