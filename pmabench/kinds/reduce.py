@@ -26,6 +26,7 @@ from pmabench.analysis.verdict.sessions import with_sessions
 from pmabench.base.errors import UsageError, did_you_mean, invalid
 from pmabench.base.kind import Result, load
 from pmabench.base.quantities import show
+from pmabench.base.text import clean
 from pmabench.kinds import registry
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Dropped, Estimate
 from pmabench.store.records import RunData
@@ -47,6 +48,17 @@ def specimen_of(run: RunData) -> str:
     if not isinstance(specimen, Mapping):
         return str(specimen or "")
     return f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
+
+
+def of_one_specimen(runs: Sequence[RunData]) -> Sequence[RunData]:
+    """The runs, for a report; UsageError where a reader would take values of one specimen for those of another."""
+    names = list(dict.fromkeys(specimen_of(run) or "not named" for run in runs))
+    if len(names) > 1:
+        raise UsageError(
+            f"a report is of one specimen, and these runs are of {len(names)}: {clean('; '.join(names), 200)}. "
+            "Write one report for each; `pmabench compare` compares them"
+        )
+    return runs
 
 
 def _whose(run: RunData) -> tuple[str, bool]:

@@ -141,3 +141,17 @@ def test_a_table_is_no_first_side_and_a_folder_without_analyses_none(folders, tm
     assert "holds no analysis" in call("compare", folders[0], tmp_path / "empty", code=3).output
     table.write_text("pressure [bar],B_c [N.s/mm]\n2,6.06\n")
     assert "matches no figure" in call("compare", folders[0], table, code=3).output
+
+
+def test_whether_both_agree_is_the_first_sentence(folders, tmp_path):
+    one, two = folders
+    page = tmp_path / "c.html"
+    (first, *_) = json.loads(call("compare", one, two, "--json").output)["findings"]
+    assert first["text"].startswith("1 of 6 differences are larger than their 95 % interval")
+    same = write_analysis(Analysis("contraction-relaxation", ("r3",), False, tuple(estimates((6e3, 7e3, 8e3), (160, 270, 380)))),
+                          tmp_path / "three")  # fmt: skip
+    (first, *_) = json.loads(call("compare", same, two, "--json", "-o", page).output)["findings"]
+    assert first["text"].startswith("A and B agree: 0 of 6 differences")
+    text = page.read_text()
+    assert text.count("filled: side A, open: side B, a little aside") == 2
+    assert text.index("A and B agree") < text.index(": agree at all 3 points")
