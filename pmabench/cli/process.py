@@ -268,9 +268,9 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     print_coefficients(analyses, console)
     for analysis in analyses:
         if analysis.dropped:
-            console.print(
-                f"{analysis.kind}: {len(analysis.dropped)} trials not used; the report lists each with its reason"
-            )
+            count = len(analysis.dropped)
+            trials = f"{count} trial{'s'[: count > 1]} not used"
+            console.print(f"{analysis.kind}: {trials}; the report lists each with its reason")
         for finding in analysis.findings:
             text = clean(f"{finding.level}: {printed(finding.text)}").replace(" ± ", "\u00a0±\u00a0")
             kept = fill(text, console.width, break_long_words=False, break_on_hyphens=False)
