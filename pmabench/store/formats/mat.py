@@ -51,7 +51,7 @@ def together(columns: Mapping[str, Array]) -> dict[str, str]:
 
 
 def _places(name: str) -> list[str]:
-    """The matrix of a column and the structs around it, from the inside: `a.b(:,1)` -> `a.b`, `a`, and the file."""
+    """The matrix of a column and the structs around it, innermost first: `a.b(:,1)` -> `a.b`, `a`, "" (the file)."""
     places = [matrix_of(name)] if matrix_of(name) else []
     inside = matrix_of(name) or name
     while "." in inside:

@@ -89,7 +89,7 @@ def in_groups(columns: Mapping[str, Array]) -> dict[str, str]:
 class Format:
     """One format of files that other programs write; either `read` or `reader` is given.
 
-    Both run in a separate process that has no other file open and little memory, since a damaged file may do anything.
+    Both run in a separate process without other open files and with limited memory, in case a file is damaged.
     """
 
     name: str
