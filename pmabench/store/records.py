@@ -85,8 +85,8 @@ class TrialData:
     """One trial with its samples.
 
     `channels` maps `pressure` [Pa], `displacement` [m, contraction positive], `force` [N], `pressure_command` [Pa],
-    `displacement_command` [m] (those that the bench has) to arrays as long as `t` [s]. A value that another stream
-    has no value of near a time is NaN there, and the sample is flagged GAP.
+    `displacement_command` [m] (those that the bench has) to arrays as long as `t` [s]. Where another
+    stream has no value near a sample time its channels are NaN, and the sample is flagged GAP.
     """
 
     run: str
@@ -319,7 +319,7 @@ def _cuts(events: Sequence[Event]) -> list[_Cut]:
 
 
 def _sent_within(command: Command, took: float) -> Command:
-    """A command that its device had at some time until it answered, `took` [s] later: half way, give or take `late`."""
+    """A command that its device received within `took` [s]: at the middle of that time, with the tolerance `late`."""
     return replace(command, t=command.t + 0.5 * took, data={**command.data, "late": 0.5 * took})
 
 

@@ -40,7 +40,7 @@ def archive(live: Path, target: Path) -> tuple[int, str, bool]:
     """
     with files.whole(target) as part:
         with live.open("rb") as file:
-            source = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last batch that is on it
+            source = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last batch on it
         reader = LiveReader(pa.py_buffer(source))
         digests = _write(part, reader, source)
         arrivals = reader.arrivals
@@ -203,7 +203,7 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
     streams = _turn(folder / files.STREAMS)
     if streams.failure is not None:
         text = str(files.cannot_write(folder, streams.failure))
-        known = status == "error" and files.reason_of(streams.failure) in why  # a full disk is named once
+        known = status == "error" and files.reason_of(streams.failure) in why  # not reported twice
         status, why = "error", why if known else f"{text}; before that: {status} {why}".rstrip()
     _tidy(folder)
     manifest = files.read_manifest(folder)

@@ -117,7 +117,7 @@ class RunWriter:
         return cls(folder, full, events)
 
     def open_stream(self, name: str, columns: Sequence[Mapping[str, Any]], rate: float) -> None:
-        """Begin a stream of one device, with its columns as `asdict(ChannelRecord)` and its rate [Hz, 0: none]."""
+        """Begin a stream of one device with its columns as `asdict(ChannelRecord)` and its rate [Hz, 0: irregular]."""
         self._check()
         if name in self._streams:
             raise RecordError(f"stream {name} is open already")
@@ -190,8 +190,7 @@ class RunWriter:
                 self._lines.clear()
 
     def _try(self, path: Path, act: Callable[[], None], failures: type[Exception] = OSError) -> bool:
-        """Run `act`, which writes `path`; returns whether it succeeded. The first failure of a run is stored for
-        `_check`.
+        """Run `act`, which writes `path`; returns whether it succeeded. The first failure is stored for `_check`.
 
         The threads catch every kind of error: the run is then no longer recorded, and the engine must be informed.
         """

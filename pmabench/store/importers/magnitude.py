@@ -251,8 +251,7 @@ def _pace(seconds: float) -> Question:
 
 
 def _exchanged(report: Report, P: Array, F: Array) -> None:
-    """Report force and pressure of a held muscle that look exchanged: force moves at the lowest pressure, not vice
-    versa.
+    """Report force and pressure of a held muscle that look exchanged: force moves while pressure is at its lowest.
 
     A contracted muscle pulls only above some pressure: its force rests while the pressure moves.
     """

@@ -260,8 +260,10 @@ class ColumnFile(Strict):
     reference: Text = ""
     """Source of the scale."""
     written: Written = "number"
-    """Form of a column of time: `number` counts units from any zero; `index` counts samples, `period` apart; `header
-    step` counts samples with Start and Increment from the header; `clock` is HH:MM:SS, within one day or with a column
+    """Form of a column of time.
+
+    `number` counts units from any zero; `index` counts samples, `period` apart; `header step` counts samples with Start
+    and Increment from the header; `clock` is HH:MM:SS, within one day or with a column
     `is: date`; `date and time` has both in one text; `epoch` counts units since 1970, `labview` seconds since 1904;
     `serial days` and `matlab days` count days, as in spreadsheets and datenum.
     """

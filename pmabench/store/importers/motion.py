@@ -204,7 +204,7 @@ def _alike(t: Array, values: Array, marks: list[int], start: int, stop: int) -> 
 
 
 def _fitted(t: Array, values: Array, begin: int, end: int, halves: int) -> list[Wave]:
-    """The sine of a stretch: its frequency from its turns, then from the drift of its phase; empty where none fits."""
+    """The sine of a stretch: frequency from turning points, refined by the phase drift; empty if none fits."""
     times, part = t[begin : end + 1], values[begin : end + 1]
     frequency = halves / 2 / float(times[-1] - times[0])
     for _ in range(2):

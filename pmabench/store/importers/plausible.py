@@ -46,7 +46,7 @@ PILED = 0.04
 
 
 def usual(pressure: Array, other: Array) -> tuple[Array, Array]:
-    """What a channel usually reads at a pressure: middles of classes and medians, both shape (k,), k <= 40."""
+    """Usual reading over pressure: medians of pressure and of the channel in each class, shape (k,), k <= 40."""
     low, high = float(pressure.min()), float(pressure.max())
     place = np.minimum((BINS * (pressure - low) / ((high - low) or 1.0)).astype(np.intp), BINS - 1)
     order = np.argsort(place, kind="stable")
@@ -94,7 +94,7 @@ def frozen(report: Report, channel: Checked, other: Checked, rows: Rows, follows
 
 
 def _should_move(si: Array, ref: Array, begin: int, end: int) -> bool:
-    """Whether, outside `begin` to `end`, a channel moves while `ref` is in the same range of values as inside."""
+    """Whether a channel should have moved from `begin` to `end`, judged by its readings elsewhere at equal `ref`."""
     rest = np.ones(len(si), dtype=bool)
     rest[begin:end] = False
     if rest.sum() < 2 * BINS or np.ptp(ref[begin:end]) <= 0.02 * np.ptp(ref):
@@ -162,7 +162,7 @@ MATTERS = 0.01
 
 
 def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool:
-    """Report where force lies later or earlier than pressure by more than 0.15 s, of what is `good`, shape (n,)."""
+    """Report a lag or lead of force against pressure above `LEAST`; returns whether there is. `good`: shape (n,)."""
     rows = np.flatnonzero(good & motion.later(report.t))
     if len(rows) < 200:
         return False
@@ -220,7 +220,7 @@ def _lag(F: Array, P: Array, most: int) -> float:
 
 
 def _goes_on(first: Array, second: Array, shift: int) -> float | None:
-    """How much `second` changes in `shift` points after a stop or turn of `first`, by its change in those before."""
+    """Change of `second` in `shift` points after stops or reversals of `first`, relative to that before; else None."""
     before = np.concatenate([np.zeros(shift), first[shift:] - first[:-shift]])
     after = np.concatenate([first[shift:] - first[:-shift], np.zeros(shift)])
     large = np.abs(before) > 0.3 * float(np.max(np.abs(before)))

@@ -126,7 +126,7 @@ def _longer(where: Bools, most: int) -> Bools:
 
 
 def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools:
-    """Those runs of `here` that are entered and left by a leap of at least `least`, and from the same level."""
+    """Mask of runs of `here` that are entered and left by a jump above `least` and return to the same level."""
     out = np.zeros(len(here), dtype=bool)
     rows = np.flatnonzero(looked_at & ~here)
     for begin, end in runs(here):
