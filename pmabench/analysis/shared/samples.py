@@ -90,7 +90,7 @@ class Noise:
 
 
 def noise_of(y: Array) -> float:
-    """Standard deviation of the white noise on `y`, shape (n,), from its third differences; robust to the signal.
+    """Standard deviation of the white noise on `y`, shape (n,), from third differences; 0 with fewer than 8 samples.
 
     The third difference of white noise has 20 times its variance.
     """

@@ -91,7 +91,7 @@ def _kernel(half: int, order: int, lag: float) -> Array:
 
 
 def _convolved(y: Array, kernel: Array) -> Array:
-    """Weighted sums about each sample; before and after the samples it rests at the mean of the first and last."""
+    """Weighted sums about each sample, shape (n,); the signal is extended by means of its first and last samples."""
     half = len(kernel) // 2
     ends = float(y[: half + 1].mean()), float(y[-half - 1 :].mean())
     return np.correlate(np.pad(y, half, constant_values=ends), kernel, "valid")

@@ -88,7 +88,7 @@ class Swing:
         return float(np.arctan2(-self.ratio.imag, -self.ratio.real))
 
     def less(self, loss: float) -> Swing:
-        """The same with a loss that is smaller [N]; the width at mid stroke changes by twice that."""
+        """A copy with the loss reduced by `loss` [N] and the width at mid stroke by twice that."""
         return Swing(
             self.frequency, self.amplitude, self.ratio + 1j * loss / self.amplitude, self.area, self.width - 2 * loss
         )

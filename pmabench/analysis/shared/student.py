@@ -80,7 +80,7 @@ def mean_with_half(values: Sequence[float] | Array) -> tuple[float, float | None
 
 
 def half_of_trials(values: Sequence[float] | Array, halves: Sequence[float]) -> float | None:
-    """95 % half width of the mean of trials: by that of each, NaN where it is unknown, or by their scatter if wider."""
+    """95 % half width of the mean of trials: from `halves` of each (NaN: unknown) or their scatter, the larger."""
     within = sqrt(float(np.mean(np.square(halves))) / len(values))
     known = [half for half in (within, mean_with_half(values)[1]) if half is not None and not isnan(half)]
     return max(known, default=None)
