@@ -24,8 +24,9 @@ SLIDES = 0.0003
 WIDTHS_X = (0.003, 0.01, 0.03, 0.08, 0.23)
 """Half widths of the stops on contraction, over its range: 0.15 to 12 mm of 52 mm."""
 WIDTHS_P = (1 / 60, 1 / 20, 1 / 6, 0.3)
-"""Half widths of the stops on pressure, over the highest pressure: 10 to 180 kPa of 600 kPa. One of half the range
-would never slip and be a spring, which is in the surface already.
+"""Half widths of the stops on pressure, over the highest pressure: 10 to 180 kPa of 600 kPa.
+
+One of half the range would never slip and be a spring, which is in the surface already.
 """
 TIMES = (0.3, 0.95, 3.0, 9.5, 30.0, 95.0, 300.0)
 """Time constants of creep [s], two per decade, so that sums can follow straight lines over the logarithm of time."""
