@@ -2,6 +2,7 @@
 
 Results do not depend on the number of workers: each item is processed alone, and its number is returned with it.
 Standard library only; `distributed` is imported where a cluster is used.
+
 Workers of a cluster read the runs and write the analyses themselves: they must see the same folders under the same
 names, and have the same pmabench. Dask usually starts each with `MALLOC_TRIM_THRESHOLD_=65536`, which returns memory
 so often that numpy takes twice as long.

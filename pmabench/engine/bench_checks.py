@@ -18,7 +18,7 @@ import numpy as np
 
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import show
-from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity
+from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity, ProofTest
 from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.recorder import Recorder
@@ -200,6 +200,15 @@ def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
 
 FILLED = 0.8
 """Share of the commanded pressure from which on the bench counts as filled."""
+RESTS = 0.2
+"""Time for which the pressure must stay within its bounds [s]."""
+OFF = 0.1, 0.01
+"""Largest deviation of a resting pressure from its command, as shares of the command and of the regulator's range [1],
+for gains and offsets of gauge and regulator."""
+GIVES_WAY = 0.1
+"""Relative fall of the pressure that an open dump valve must cause while the regulator still commands it."""
+ALONE = 1.0
+"""Largest time until that fall [s]."""
 
 
 def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recorder: Recorder) -> None:
@@ -220,6 +229,8 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
             f"the proof test asked for {show(proof.pressure, 'pressure')}, and after {proof.fill:g} s {measured} is "
             "measured: no supply, a shut valve, or the pressure channel is wired wrongly"
         )
+    _refuse_astray(bench, acquisition, proof, filled - asked)
+    alone = _valves_alone(bench, guard, acquisition, proof)
     vented_at = clock.now()
     for output in bench.pressures:
         guard.set(output.name, output.safe)
@@ -234,9 +245,71 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
         )
     guard.valves(closed=True)
     guard.release()
-    recorder.event(
-        "proof-test", clock.now(), pressure=proof.pressure, filled_in=filled - asked, vented_in=vented - vented_at
-    )
+    times = {"filled_in": filled - asked, "vented_in": vented - vented_at}
+    recorder.event("proof-test", clock.now(), pressure=proof.pressure, dump_valve_in=alone, **times)
+
+
+def _refuse_astray(bench: CompiledBench, acquisition: Acquisition, proof: ProofTest, filled_in: float) -> None:
+    """Raise LimitTripped where a pressure does not settle near its command, above or below."""
+    channels = {channel.name: channel for channel in bench.channels}
+    within = {
+        output.name: OFF[0] * proof.pressure
+        + OFF[1] * output.high
+        + channels[output.name].calibration.uncertainty(proof.pressure)
+        for output in bench.pressures
+    }
+    bounds = {name: (proof.pressure - off, proof.pressure + off) for name, off in within.items()}
+    if acquisition.pass_time(max(1.0, proof.fill - filled_in), _Resting(bounds)) is None:
+        raise LimitTripped(
+            f"the proof test asked for {show(proof.pressure, 'pressure')}, and {_measured(acquisition, list(within))} "
+            f"is measured, further off than {show(max(within.values()), 'pressure', 2)}: the scale of the regulator or "
+            "of the gauge is wrong, or the gauge reads absolute pressure"
+        )
+
+
+class _Resting:
+    """Stop rule: all channels have been within their bounds for `RESTS`."""
+
+    def __init__(self, bounds: Mapping[str, tuple[float, float]]) -> None:
+        self._bounds = bounds
+        self._since: dict[str, float] = {}
+
+    def __call__(self, block: Samples) -> int | None:
+        for name in self._bounds.keys() & block.values.keys():
+            low, high = self._bounds[name]
+            inside = (block.values[name] > low) & (block.values[name] < high)
+            if not inside[-1]:
+                self._since.pop(name, None)
+            elif name not in self._since or not inside.all():
+                self._since[name] = float(block.t[np.flatnonzero(np.append(False, inside[:-1]) < inside)[-1]])
+        newest = float(block.t[-1])
+        rests = all(name in self._since and newest - self._since[name] >= RESTS for name in self._bounds)
+        return len(block.t) - 1 if rests else None
+
+
+def _valves_alone(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, proof: ProofTest) -> float | None:
+    """Open the dump valves while the regulators still command the pressure; returns the time until it falls [s].
+
+    None where the bench has no dump valve, or fewer than muscles and not all gave way. Raises LimitTripped where one
+    that has its own did not, or none did: a valve that is not connected passes every vent of a regulator that works.
+    """
+    valves = [valve.name for valve in bench.valves if valve.safe == "open"]
+    if not valves:
+        return None
+    names, opened_at = [output.name for output in bench.pressures], acquisition.clock.now()
+    for output in bench.pressures:
+        acquisition.commanded.set(output.name, opened_at, output.safe)  # it falls as commanded: no burst
+    guard.valves(closed=False)
+    below = (1 - GIVES_WAY) * proof.pressure
+    found = acquisition.pass_time(ALONE, _crossing(names, below=below))
+    gave = [name for name in names if acquisition.latest.get(name, nan) < below]
+    if found is None and len(gave) < (len(names) if len(valves) >= len(names) else 1):
+        raise LimitTripped(
+            f"the proof test of {' and '.join(valves)} failed: {ALONE:g} s after it was opened "
+            f"{_measured(acquisition, names)} is measured, while the regulator still commands "
+            f"{show(proof.pressure, 'pressure')}: look at the valve's plug, its air, and at what is in its way"
+        )
+    return None if found is None else found - opened_at
 
 
 def _measured(acquisition: Acquisition, names: Sequence[str]) -> str:
@@ -268,26 +341,43 @@ SPAN = 0.5
 """Time over which the load is observed [s]."""
 
 
+GROSS = 0.5
+"""Relative deviation of a reading from the load above which unit, sign or plug must be wrong [1]."""
+UNDER_PRESSURE = 100e3
+"""Rise of the pressure since the load was put on at which a muscle must contract [Pa]."""
+
+
 class LoadImplausible(VerdictFailed):
-    """The load cell and the plates do not agree."""
+    """Raised where load cell and plates do not agree, or the free end moves the wrong way."""
 
 
 @dataclass(frozen=True)
 class LoadVerdict:
-    """Comparison of the load cell's reading (mean over `SPAN`) with the weight of a load at rest; all forces in N."""
+    """Reading of the load cell for a load at rest, mean over `SPAN` [N], and contraction since it was put on [m]."""
 
     expected: float
     measured: float
     tolerance: float
     asked: str
+    contraction: float
 
     @property
     def ok(self) -> bool:
-        """Whether reading and weight agree within the tolerance."""
-        return abs(self.measured - self.expected) <= self.tolerance
+        """Whether reading and weight agree within the tolerance, and the muscle did not extend under pressure."""
+        return self.contraction > 0 and abs(self.measured - self.expected) <= self.tolerance
+
+    @property
+    def gross(self) -> bool:
+        """Whether sign, unit or plug of a channel must be wrong, whatever the tolerance."""
+        return self.contraction < 0 or abs(self.measured - self.expected) > max(self.tolerance, GROSS * self.expected)
 
     def __str__(self) -> str:
         """One sentence with the weight of the plates and the reading of the cell."""
+        if self.contraction < 0:
+            return (
+                f"under pressure the displacement falls by {show(-self.contraction, 'length', 3)}: its channel counts "
+                "backwards, or is exchanged with another one; look at its calibration and its plug"
+            )
         reads = f"the load cell reads {self.measured:.2f} N for a load at rest of {self.expected:.2f} N"
         if self.ok:
             return f"{reads}, within {self.tolerance:.2f} N"
@@ -305,12 +395,13 @@ class LoadCheck:
         self._cell = channels.get("force")
         self._possible = bench.free_end == "weights" and self._cell is not None and "displacement" in channels
         self._share = bench.load_tolerance
-        self._pending: tuple[float, str, float] | None = None
+        self._pending: tuple[float, str, float, float] | None = None
         self._kept: dict[str, tuple[Array, Array]] = {}
 
-    def put_on(self, force: float, asked: str, displacement: float | None) -> None:
-        """Note that a load of `force` [N] was put on by hand, with the free end at `displacement` [m]."""
-        self._pending = (force, asked, displacement or 0.0) if self._possible and force > 0 else None
+    def put_on(self, force: float, asked: str, latest: Mapping[str, float]) -> None:
+        """Note that a load of `force` [N] was put on by hand; `latest` are the values measured then [SI]."""
+        place, P = (latest.get(name, 0.0) for name in ("displacement", "pressure"))
+        self._pending = (force, asked, place, P) if self._possible and force > 0 else None
         self._kept = {}
 
     def watch(self) -> Stop | None:
@@ -321,7 +412,7 @@ class LoadCheck:
         return self._keep
 
     def _keep(self, block: Samples) -> None:
-        for name in ("force", "displacement"):
+        for name in ("force", "displacement", "pressure"):
             if name in block.values:
                 t, y = self._kept.get(name, (block.t[:0], block.t[:0]))
                 t, y = np.concatenate((t, block.t)), np.concatenate((y, block.values[name]))
@@ -330,15 +421,17 @@ class LoadCheck:
 
     def verdict(self) -> LoadVerdict | None:
         """The verdict if the load hung still at the end of the observed samples, else None."""
-        if self._pending is None or len(self._kept) < 2:
+        if self._pending is None or not {"force", "displacement"} <= self._kept.keys():
             return None
-        force, asked, before = self._pending
+        force, asked, before, vented = self._pending
         (t, x), (_, pull) = self._kept["displacement"], self._kept["force"]
         if len(t) < 5 or t[-1] - t[0] < 0.5 * SPAN or not (np.isfinite(x).all() and np.isfinite(pull).all()):
             return None
-        if x.mean() - before < LIFTED or x.max() - x.min() > STILL or self._cell is None:
+        contraction, P = float(x.mean()) - before, self._kept.get("pressure", (t, np.zeros(1)))[1]
+        moves = contraction > LIFTED or (contraction < -LIFTED and P.min() > vented + UNDER_PRESSURE)
+        if not moves or x.max() - x.min() > STILL or self._cell is None:
             return None
         self._pending = None
         known = self._cell.calibration
         tolerance = self._share * force + known.offset_uncertainty + known.gain_uncertainty * force
-        return LoadVerdict(force, float(pull.mean()), tolerance, asked)
+        return LoadVerdict(force, float(pull.mean()), tolerance, asked, contraction)

@@ -343,8 +343,7 @@ def is_number(value: Any) -> TypeGuard[float]:
 
 
 def _rounded(value: Any) -> float:
-    """A coordinate rounded to twelve digits, so that 2.3 bar and 230 kPa, which differ in the last digit, are equal.
-    """
+    """A coordinate rounded to twelve digits, so that 2.3 bar and 230 kPa, which differ in the last digit, are equal."""
     return float(f"{float(value):.12g}")
 
 

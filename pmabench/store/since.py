@@ -274,8 +274,7 @@ def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str
 
 @cache
 def program() -> str:
-    """Hash of the code of pmabench and its extensions that affects results and reports, and of library versions.
-    """
+    """Hash of the code of pmabench and its extensions that affects results and reports, and of library versions."""
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parents[1]
     for place in [*(root / part for part in PARTS), *_extensions()]:

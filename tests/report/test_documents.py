@@ -5,14 +5,16 @@ import io
 import re
 import sys
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import openpyxl
 import pypdf
 import pytest
 
 from pmabench.base.errors import UsageError
-from pmabench.report.document.content import content_of
+from pmabench.report.document.content import content_of, page_of
 from pmabench.report.document.deviations import Said
+from pmabench.report.document.figure_files import write_figures
 from pmabench.report.document.pdf import packed, pdf_bytes, write_pdf
 from pmabench.report.document.workbook import workbook_bytes, write_workbook
 from pmabench.store.analyses.results import Parts, Source
@@ -58,6 +60,22 @@ def test_the_pdf_is_tagged_and_describes_every_figure(content, pdf):
     assert len(pictures) >= 10
 
 
+def test_figures_as_files_of_their_own_are_whole_and_at_their_size_in_print(content, tmp_path):
+    """Each SVG is XML by itself, as wide as at most the text of an A4 page, refers to nothing and says SIMULATED."""
+    folder = write_figures(content, tmp_path / "figures")
+    files = sorted(folder.glob("*.svg"))
+    pictures = [item.picture for item in [*content.front, *(f for s in content.sections for f in s.figures)]]
+    assert len(files) == len(pictures)
+    captions = (folder / "captions.txt").read_text("utf-8")
+    for number, (path, picture) in enumerate(zip(files, pictures, strict=True), start=1):
+        root = ElementTree.fromstring(path.read_bytes())
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+        assert 72 < float(root.get("width").removesuffix("pt")) <= 7.3 * 72
+        assert not [value for one in root.iter() for key, value in one.items() if "href" in key and value[0] != "#"]
+        assert not picture.simulated or "SIMULATED" in "".join(root.itertext())
+        assert f"{path.name}\n  Figure {number}: {picture.title}" in captions
+
+
 def test_the_pdf_says_what_the_page_says(content, pdf):
     reader = pypdf.PdfReader(io.BytesIO(pdf))
     first = " ".join(reader.pages[0].extract_text().split())
@@ -65,6 +83,14 @@ def test_the_pdf_says_what_the_page_says(content, pdf):
         assert words in first
     assert 4 < len(reader.pages) < 40
     assert len(pdf) < 600_000
+
+
+def test_appendices_have_the_names_of_the_page(content, pdf):
+    page = page_of(content)
+    named = re.findall(r"<summary id=.*?><b>(\w)</b> ([^<\n]*\w)", page)
+    outline = pypdf.PdfReader(io.BytesIO(pdf)).outline
+    assert [entry.title.split(" ", 1) for entry in outline if not isinstance(entry, list)] == [[*one] for one in named]
+    assert len(named) >= 8
 
 
 def _object(reader, number):
@@ -117,6 +143,8 @@ def test_the_workbook_holds_numbers_with_their_units(content, tmp_path):
     rows = [dict(zip(heads, (c.value for c in row), strict=True)) for row in sheet.iter_rows(min_row=5)]
     row = next(row for row in rows if row["method"] == "measured-pressure" and row["P [kPa]"] == 400)
     assert row["K [N/mm]"] == pytest.approx(K.value / 1e3)
+    column = sheet[sheet.cell(4, heads.index("K [N/mm]") + 1).column_letter]
+    assert {cell.number_format for cell in column[4:] if isinstance(cell.value, float)} == {"0.0000"}, "five digits"
     budget = [[cell.value for cell in row] for row in book["Budgets"].iter_rows(min_row=4)]
     assert dict(zip(*budget[:2], strict=True))["half width 95 %"] == pytest.approx(line.half / 1e3)
     assert dict(zip(*budget[:2], strict=True))["share"] == pytest.approx(1.0)

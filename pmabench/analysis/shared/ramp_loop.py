@@ -5,9 +5,11 @@ After a turn the force approaches the other branch as exp(-distance/w), at any s
 
     gap  = 2 h - 2 h/(1 + E) (exp(-d1/w) + exp(-d2/w))
     mean = mean without hysteresis + h/(1 + E) (exp(-d1/w) - exp(-d2/w))
-    The gap does not contain the curve without hysteresis, so h and w are found independently of it. Measures one trial
-    of slow ramps. The torque of a joint over its angle is evaluated in the same way with other `Axes`: it falls while
-    the angle rises, as the force does while the muscle contracts (`joint`).
+
+The gap does not contain the curve without hysteresis, so h and w are found independently of it.
+
+Measures one trial of slow ramps. The torque of a joint over its angle is evaluated in the same way with other `Axes`:
+it falls while the angle rises, as the force does while the muscle contracts (`joint`).
 """
 
 from __future__ import annotations

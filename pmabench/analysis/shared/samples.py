@@ -1,5 +1,4 @@
-"""Samples of one trial: noise, quantisation and lag of channels, onset of motion, change still to come at rest.
-"""
+"""Samples of one trial: noise, quantisation and lag of channels, onset of motion, change still to come at rest."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ class Frame:
         return np.linspace(self.P.low, self.P.high, max(2, round(self.P.span / STEP) + 1))
 
     def straight(self, P: Array, x: Array) -> Array:
-        """A straight line over contraction whose height and slope are straight lines between `pressures`."""
+        """Columns of a line over contraction, with intercept and slope linear between `pressures`, shape (n, 2 k)."""
         hats = np.column_stack([np.interp(P, self.pressures, one) for one in np.eye(len(self.pressures))])
         return np.hstack([hats, -hats * x[:, None]])
 

@@ -2,6 +2,7 @@
 
 Each kind of test has a function `offers`, named in its record; its values are compared with those of all other kinds
 wherever both have one.
+
 Also conversion of several like muscles in parallel to a single one: forces and volumes add up, contraction and
 pressure are shared (paper 2: the arm's force is 4 f). Friction between the muscles, or one that is longer than the
 others, shows as a difference from a single muscle.
@@ -241,6 +242,7 @@ def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: st
 
     `offers` are those of all `analyses`; `instead` is the advice for a muscle whose force is not linear. Values without
     an interval are not compared, and reported in a finding.
+
     Two values agree where |E_n| is at most 1, which one in twenty comparisons exceeds by chance. Results are refused
     beyond `Comparison.limit`, which chance exceeds in one of a hundred campaigns. Calibration errors that both tests
     share are counted in both, which makes the judgement milder.

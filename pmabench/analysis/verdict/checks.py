@@ -3,6 +3,7 @@
 A check is plain data in `Analysis.facts["checks"]`, so that reports made from files have it too. Checks of trials
 (spread of repeats, first repeat, drift) are made here for every kind of test with a value per trial; those of the
 pooled fit come from the kind.
+
 Imports store unanswered questions, benches store doubts about their files (another muscle than the simulated one).
 Every analysis of such runs repeats them.
 """

@@ -5,6 +5,7 @@ are at least 2.66 = 3 / d2 times the mean moving range from the mean of the firs
 They are wider for few first values and for many later ones (Student's t of a prediction, Bonferroni). Eight values or
 more in a row on one side of the centre, beyond its uncertainty, are a shift. At most about one in twenty charts of an
 unchanged muscle has an alarm.
+
 A pressure cycle is one rise of the commanded pressure from 50 kPa or less to 100 kPa or more; of several muscles the
 one with most cycles counts. Cycles of a closed loop between two commands (ultimate gain, positioning) are not
 commanded and not counted, but its time is.
