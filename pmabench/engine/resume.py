@@ -76,9 +76,8 @@ def remaining(plan: Plan, done: set[int]) -> tuple[Step, ...]:
     """The plan's steps without those of finished trials.
 
     An operator request is kept if a trial remains before the next request, with the steps between it and the first
-    trial
-    after it (preconditioning, pressurising) and the steps right before each remaining trial. Preconditioning is always
-    repeated: after a pause the specimen starts anew.
+    trial after it (preconditioning, pressurising) and the steps right before each remaining trial. Preconditioning is
+    always repeated: after a pause the specimen starts anew.
     """
     kept: list[Step] = []
     prepares = [step for step in plan.steps if step.phase == "precondition"]
@@ -100,9 +99,8 @@ def with_reference(
     """`steps` after a repeat of the plan's reference trial, with the number `index`; and that trial.
 
     It shows whether the specimen is still the same, and does not count as a trial of the plan. None where it is not
-    needed:
-    no trial left, no reference trial in the plan, or the first remaining trial is a reference trial. `alone`: without
-    `steps`, for runs whose trials are chosen afterwards.
+    needed: no trial left, no reference trial in the plan, or the first remaining trial is a reference trial. `alone`:
+    without `steps`, for runs whose trials are chosen afterwards.
     """
     reference = next((trial for trial in plan.trials if trial.reference), None)
     first = next((step.trial for step in steps if isinstance(step, Record) and step.trial is not None), None)
@@ -205,8 +203,7 @@ class Choosing:
     """Supplies an executor with the steps of one chosen trial after the other.
 
     `choose` returns the next trial from what is recorded; while it computes, it must call its argument repeatedly,
-    which
-    lets bench time pass.
+    which lets bench time pass.
     """
 
     def __init__(self, executor: Executor, choose: Callable[[Callable[[], None]], Chosen | NoMore]) -> None:

@@ -136,17 +136,13 @@ def run_plan(
     """Execute `plan` on the mounted bench and record it in a new folder below `out` (None: dry run, nothing is stored).
 
     `about` is added to the manifest. `procedure` runs on the armed bench: the plan's steps, or a guided procedure
-    (session,
-    calibration, jog) that uses the executor's guard, acquisition, operator and recorder, with the same limits and the
-    same
-    ending. `before_proof` runs before the proof test, without pressure. `trying` receives the samples of a dry run.
-    With
-    `further` (see `Choosing`) trials are chosen one by one instead of in the plan's order.
+    (session, calibration, jog) that uses the executor's guard, acquisition, operator and recorder, with the same limits
+    and the same ending. `before_proof` runs before the proof test, without pressure. `trying` receives the samples of a
+    dry run. With `further` (see `Choosing`) trials are chosen one by one instead of in the plan's order.
 
     The bench is driven to its safe state whatever ends the run, and the result of that is recorded before the run is
     sealed. `begun` is called with the new folder. Raises DeviceError, LimitRefused or RecordError only before anything
-    was
-    commanded, InvalidFile for a bench in real time with unconfirmed values.
+    was commanded, InvalidFile for a bench in real time with unconfirmed values.
     """
     mounted.refuse_unconfirmed()
     bench = mounted.bench
@@ -190,8 +186,7 @@ def _no_long_collection() -> Iterator[None]:
     """Collect garbage once now, and keep the collector from pausing the run later.
 
     A full collection stops all threads: 0.37 s were measured on a busy computer, longer than the guard tolerates a
-    silent
-    engine.
+    silent engine.
     """
     gc.collect()
     gc.freeze()

@@ -113,8 +113,7 @@ class Spacing:
 
     A poll at an absolute deadline that is late by x periods makes one step of 1 + x; the next steps are shorter by x in
     total when the polls catch up, but not if a sample is missing. So for x near 1 or more the following samples decide,
-    and
-    until they arrive the newest samples are `open`.
+    and until they arrive the newest samples are `open`.
     """
 
     def __init__(self, rate: float) -> None:

@@ -108,8 +108,7 @@ class Watch:
         """Limits exceeded in this block for longer than their delay, and those that are met again, in order of time.
 
         `t` [s] and each of `values` [SI] have shape (n,); `now` [s] is the arrival of the last sample that was not old.
-        NaN
-        counts as outside. Nothing is reported after the first trip that ends the run.
+        NaN counts as outside. Nothing is reported after the first trip that ends the run.
         """
         found: list[Trip] = []
         for watched in self._watched:

@@ -212,7 +212,7 @@ class Chamber:
         return 1.0 + gone, (mean - 1.0 - gone) * begin + (1.0 - mean) * end + bend * bow
 
     def _turned(self, step: Step, w: float, after: float, *, fills: bool) -> float:
-        """w after one step with reversed flow [Pa m^3k]; `after`: the result if the flow did not reverse."""
+        """Return w after one step with reversed flow [Pa m^3k]; `after`: the result if the flow did not reverse."""
         (_, room, _), (begin, _, end), _ = step.ends
         error, left = begin - w, end - after
         z = max(self._pace(fills) * step.duration * room, SLIGHT)

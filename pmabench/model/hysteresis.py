@@ -119,10 +119,9 @@ class Branch(Memory):
 
 
 def turns(trace: Trace, begin: float, end: float) -> Array:
-    """Times between `begin` and `end` [s] at which the rate of a piece changes sign; without sine `end` may be
-    infinite.
+    """Times between `begin` and `end` [s] at which the rate of a piece changes sign.
 
-    The rate is first evaluated on a grid; after the fading parts only a sine can reverse.
+    Without a sine `end` may be infinite. The rate is first evaluated on a grid; after the fading parts only a sine can reverse.
     """
     if trace.lag or not trace.modes:
         return np.empty(0)

@@ -126,10 +126,9 @@ def loop_at(
 
     The pressure is searched in `domain` [Pa]; slopes over pressure are central differences over +- `SPAN`, which are
     exact for parabolas, even if tabulated every 2 SPAN. Damping and the regulator's lag are means of both directions;
-    friction and hysteresis are not part of a linear loop. `mass` [kg] and `sample_period` [s] as in
-    `muscle_loop`.
+    friction and hysteresis are not part of a linear loop. `mass` [kg] and `sample_period` [s] as in `muscle_loop`.
 
-    Raises ValueError where no pressure of the domain holds the contraction, or where more pressure contracts no more.
+    Raises ValueError where no pressure in `domain` holds the contraction, or where contraction does not rise there.
     """  # fmt: skip
     low, high = domain
 

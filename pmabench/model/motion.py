@@ -181,7 +181,7 @@ class Record:
         return int(self.t.searchsorted(end)) - self.done
 
     def grid(self, now: float, end: float) -> tuple[Array, NDArray[np.intp]]:
-        """Times from `now` to `end` with all samples before `end`, filled up where these are far apart; their rows."""
+        """Times from `now` to `end` with all samples due, at most `GAP` apart [s], and the indices of the samples."""
         samples = self.due(self.count(end))
         times = np.concatenate(([now], samples[samples > now + INSTANT], [end]))
         if np.diff(times).max() > GAP:

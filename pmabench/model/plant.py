@@ -273,10 +273,9 @@ class Plant(Loaded):
         return record.motion()
 
     def reach(self, until: float, longest: float = STEP) -> None:
-        """Simulate to `until` [s] in implicit steps of at most `longest` [s], for loops that are closed at every
-        sample.
+        """Simulate to `until` [s] in implicit steps of at most `longest` [s].
 
-        Linearly implicit: pressure and coefficients at the middle of the step, friction and damping in closed form
+        For loops that are closed at every sample. Linearly implicit: pressure and coefficients at the middle of the step, friction and damping in closed form
         (`glide`), the spring by the trapezoidal rule; stable for any mass.
         """
         while self.time < until:
@@ -284,7 +283,7 @@ class Plant(Loaded):
             self._steps(trace, min(end, until), longest)
 
     def _piece(self) -> tuple[Trace, float]:
-        """How the pressure goes now, and until when [s]; where it begins to fall, relax as after the one before it."""
+        """Current course of the pressure and its end [s]; where it starts to fall, the muscle is set to relaxation."""
         trace, end = self.supply.piece(self.time)
         if self._trace is not None and trace != self._trace:
             before, self._trace = self._trace.value(trace.start), trace
@@ -393,7 +392,7 @@ class Plant(Loaded):
         return x, v, trace
 
     def _first_event(self, course: Course, t: Array, x: Array, v: Array) -> int | None:
-        """Index of the first time after t[0] at which the muscle has turned, become slow, landed or settled."""
+        """Index of the first time after t[0] at which the muscle has reversed, become slow, landed or settled."""
         event = self.way * v < self.muscle.friction.knee
         event |= x > self.muscle.stop if self.way > 0 else x < 0
         slow = np.flatnonzero(np.abs(v) < SETTLED_SPEED)
@@ -404,7 +403,7 @@ class Plant(Loaded):
         return int(event.argmax()) if event.any() else None
 
     def _refine(self, t: Array, x: Array, v: Array, i: int) -> tuple[float, float, bool]:
-        """Moment, place, and whether it lands, of the event between t[i - 1] and t[i], by straight lines."""
+        """Time [s] and position [m] of the event between t[i - 1] and t[i], interpolated, and whether it is landing."""
         stop = self.muscle.stop
         bound = stop if self.way > 0 and x[i] > stop else 0.0 if self.way < 0 and x[i] < 0 else None
         if bound is not None:
@@ -431,7 +430,7 @@ class Plant(Loaded):
         return CREEP if calm and self._damping[self.way](P) > 2 * self.muscle.friction.slope else LAUNCH
 
     def _stepwise(self, trace: Trace, end: float, record: Record, longest: float, speed: float) -> None:
-        """Slide in steps of at most `longest` until `end`, or until it turns, rests or is as fast as `speed`."""
+        """Slide in steps of at most `longest` [s] until `end`, reversal, rest, or the speed `speed` [m/s]."""
         way, samples, x, v = self.way, record.due(record.count(end)).tolist(), [], []
         due = 0
         while self.time < end and self.way == way and way * self.v < speed:

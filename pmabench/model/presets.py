@@ -196,7 +196,7 @@ class Setup:
     hysteresis: Hysteresis | None = None
     """Hysteresis of a driven end; None for none."""
     air: Air | None = None
-    """Where the regulator has to move it; None where the pressure does not depend on the motion."""
+    """Air flow of the regulator; None where the pressure does not depend on the motion."""
     relaxes: Creep | None = None
     """Relaxation of the rubber, at a driven end; None for none."""
     hose: float = 0.0
@@ -303,7 +303,10 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
 
 
 def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
-    """`setup` as it is (`bench`) or without friction, noise and lags (`ideal`), with overrides; ValueError as above."""
+    """`setup` unchanged (`bench`) or without friction, noise and lags (`ideal`), with overrides.
+
+    Raises ValueError for an unknown kind or an invalid override.
+    """
     if kind not in KINDS:
         raise ValueError(f'no preset "{kind}"; known: {", ".join(KINDS)}')
     real = kind == "bench"
@@ -401,7 +404,7 @@ class Described:
     domain: tuple[float, float]
     """Range of pressures in which the coefficients are known [Pa]; they are extrapolated outside."""
     air: Air | None = None
-    """Where the regulator has to move it; None where the pressure does not depend on the motion."""
+    """Air flow of the regulator; None where the pressure does not depend on the motion."""
     surface: IdentifiedMuscle | None = None
     """An identified muscle that is simulated in place of `muscle`, its three-element form."""
 

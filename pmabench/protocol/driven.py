@@ -194,8 +194,7 @@ def not_pushed_together(
 
     `motion(share)` returns the contractions over one period and the period [s] for a motion of `share` times the wanted
     size. `size` is that size and `pace` the speed or frequency, each with its quantity and name. No check for a
-    specimen
-    file without a braid angle.
+    specimen file without a braid angle.
     """
     specimen, bench = c.mounted.specimen_file, c.mounted.bench
     if specimen.braid_angle is None or pressure <= 0:

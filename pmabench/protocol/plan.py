@@ -188,8 +188,8 @@ class Control(Step):
     """A closed loop over several quantities: `law` of the engine's table steers each of `aims` inside its range [SI].
 
     It opens valves for times that their devices measure, or sends set-points. It ends by its own stop rule, after at
-    most
-    `limit` [s]. `parameters` and `at_limit` as in `Seek`; what it found becomes an event `found` with its `result`.
+    most `limit` [s]. `parameters` and `at_limit` as in `Seek`; what it found becomes an event `found` with its
+    `result`.
     """
 
     kind: ClassVar[str] = "control"

@@ -49,8 +49,7 @@ class ReferenceModel(Strict):
 
     `coefficients` is `specimen` (the expected values of its file), the name of a preset or a plant file with its kind
     (`paper0 ideal`, `muscle.yaml bench`), or the folder of an analysis: one that gives F_ce, K and B_c over pressure,
-    or
-    one of kind surface.
+    or one of kind surface.
     """
 
     coefficients: Annotated[str, Field(min_length=1, max_length=400)]

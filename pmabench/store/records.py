@@ -156,8 +156,7 @@ class ClockInfo:
     uncertainty: float = 0.0
     """Half width of the 95 % interval of t over the whole stream [s], without constant delays."""
     how: str = "stated equal"
-    """`stated equal`, `clock event`, `host arrivals` (fitted to arrival times), or `stamped by the computer`, which
-    polled the samples."""
+    """Their source: `stated equal`, `clock event`, `host arrivals` (a fit), or `stamped by the computer` (polled)."""
 
     @property
     def offset(self) -> float:

@@ -38,8 +38,9 @@ PLACE = 0.02
 STILL = 1e-9
 """Amplitude below which there is no motion but rounding [m]."""
 COARSE, JUMPS = 0.15, 0.4
-"""Largest quantisation step over the swing that is evaluated. Above the second share the channel has two or three
-values and jumps, which is judged by its form.
+"""Largest quantisation step over the swing that is evaluated.
+
+Above the second share the channel has two or three values and jumps, which is judged by its form.
 """
 FEWEST = 12
 """Fewest samples of a cycle."""

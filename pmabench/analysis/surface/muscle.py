@@ -33,8 +33,9 @@ TIMES = (0.3, 0.95, 3.0, 9.5, 30.0, 95.0, 300.0)
 SETTLED = 5.0
 """Time for which the muscle has been at its first position before a record begins [s]."""
 FAST = 5.0
-"""Lags with shorter time constants [s] are counted from their final value, so that the surface is the muscle this long
-after a motion: slow tests do not separate faster creep from stiffness.
+"""Lags with shorter time constants [s] are counted from their final value.
+
+So the surface is the muscle this long after a motion: slow tests do not separate faster creep from stiffness.
 """
 LAW = np.maximum(0.0, 1.0 - np.abs(np.arange(len(TIMES))[:, None] - np.array([0.0, 3.0, 6.0])) / 3.0)
 """Weights of the lags in each column of creep: linear in the logarithm of time between three of them."""

@@ -1,8 +1,8 @@
 """A platform tilted by three muscles about a joint with two axes: pose, moments and stiffness, pressures, tilt.
 
 It turns by phi about the x axis, which is fixed to the base, then by psi about its own y axis. The muscles are anchored
-on a circle at 90, 210 and 330 deg and hang vertically while it is level. Paper 3 prints the
-chain of computations but no dimensions: all numbers are assumed.
+on a circle at 90, 210 and 330 deg and hang vertically while it is level. Paper 3 prints the chain of computations but
+no dimensions: all numbers are assumed.
 """
 
 from __future__ import annotations
@@ -79,14 +79,13 @@ def pose(phi: Array, psi: Array, circle: Array, height: Array) -> Pose:
 
 
 def gravity(phi: Array, psi: Array, mass: Array, height: Array) -> Array:
-    """Moment of the platform's weight about phi and psi [N.m], first axis the angle; angles [rad], m [kg], z [m]."""
+    """Moment of the weight about phi and psi [N.m], axes (angle, ...); angles [rad], `mass` [kg], `height` [m]."""
     moment: Array = mass * G * height * np.array([np.sin(phi) * np.cos(psi), np.cos(phi) * np.sin(psi)])
     return moment
 
 
 def allocation(moment: Array, arms: Array) -> tuple[Array, Array]:
-    """Smallest forces [N] of three muscles for a moment, and forces without a moment: F = first + any multiple of
-    second.
+    """Smallest forces [N] of three muscles for a moment, and forces without one: F = first + k second.
 
     `moment`: J^T F [N.m], axes (angle, ...); `arms`: J [m/rad], axes (muscle, angle, ...).
     """

@@ -120,8 +120,7 @@ def _crossings(a: Array, b: Array) -> list[int]:
 
 
 def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, follows: bool) -> bool:
-    """Report lasting jumps of a channel relative to pressure, from one sample to the next; returns whether there are
-    any.
+    """Report lasting jumps of a channel relative to pressure between two samples; returns whether there are any.
 
     `follows`: the channel follows pressure without delay, as the force of a held muscle; otherwise only jumps at
     constant pressure count.
