@@ -121,7 +121,8 @@ class Branch(Memory):
 def turns(trace: Trace, begin: float, end: float) -> Array:
     """Times between `begin` and `end` [s] at which the rate of a piece changes sign.
 
-    Without a sine `end` may be infinite. The rate is first evaluated on a grid; after the fading parts only a sine can reverse.
+    Without a sine `end` may be infinite. The rate is first evaluated on a grid; after the fading parts only a sine can
+    reverse.
     """
     if trace.lag or not trace.modes:
         return np.empty(0)

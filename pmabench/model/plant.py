@@ -275,8 +275,8 @@ class Plant(Loaded):
     def reach(self, until: float, longest: float = STEP) -> None:
         """Simulate to `until` [s] in implicit steps of at most `longest` [s].
 
-        For loops that are closed at every sample. Linearly implicit: pressure and coefficients at the middle of the step, friction and damping in closed form
-        (`glide`), the spring by the trapezoidal rule; stable for any mass.
+        For loops that are closed at every sample. Linearly implicit: pressure and coefficients at the middle of the
+        step, friction and damping in closed form (`glide`), the spring by the trapezoidal rule; stable for any mass.
         """
         while self.time < until:
             trace, end = self._piece()

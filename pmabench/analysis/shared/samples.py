@@ -336,7 +336,6 @@ def nothing_moved(trial: TrialData, channel: str) -> bool:
     """Whether a channel of a trial changed by less than its noise; False with too few samples.
 
     The change is the range of the means over parts of the trial; the noise is the scatter of neighbouring samples.
-    With fewer than two parts nothing is said.
     """
     if channel not in trial.channels:
         return False
