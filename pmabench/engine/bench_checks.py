@@ -170,7 +170,7 @@ def _too_strict(bench: CompiledBench, device: DeviceRecord, rate: float) -> str:
 
 
 ARRIVES = 0.5
-"""Time within which a drive on its way to its safe position must come nearer [s] ..."""
+"""Time within which a drive that moves to its safe position must come nearer [s] ..."""
 NEARER = 0.1
 """... by at least this share of the deviation that its `following` limit allows."""
 

@@ -1,4 +1,4 @@
-"""The executor: runs the steps of a plan in order, whatever the clock; knows no device and no file format."""
+"""The executor: runs the steps of a plan in order, with any clock; independent of devices and file formats."""
 
 from __future__ import annotations
 

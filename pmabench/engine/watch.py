@@ -1,4 +1,4 @@
-"""Checks every measured sample against the limits; knows no steps and no devices."""
+"""Checks every measured sample against the limits; independent of steps and devices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Air that a regulator moves into and out of a driven muscle, so that pressure depends on motion; knows no muscle.
+"""Air that a regulator moves into and out of a driven muscle, so that pressure depends on motion.
 
 With w = (P + P_atm) V^k the chamber equation of paper 3 is w' = (k r T C / V) (g - w), g = (u + P_atm) V^k, for a flow
 C (u - P) towards the regulator's pressure u: a first-order lag with a time-varying rate, for any V(t). A step uses as

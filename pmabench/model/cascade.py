@@ -1,4 +1,4 @@
-"""Muscles in series, each with its own pressure steps, over time; knows no file and no drawing.
+"""Muscles in series, each with its own pressure steps, over time.
 
 Without inertia the same force F_L acts in the whole chain. So each muscle moves as if it were alone with this load, and
 the contractions add up. Forces do not: the sum of F_ce that paper 1 plots is a sum of coefficients, and never acts at

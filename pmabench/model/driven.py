@@ -1,4 +1,4 @@
-"""The driven-end plant: an actuator sets the contraction, the force follows in closed form; knows no device driver.
+"""The driven-end plant: an actuator sets the contraction, the force follows in closed form.
 
 Physics
 -------

@@ -1,4 +1,4 @@
-"""Rate-independent hysteresis along a path given in closed form; knows no muscle.
+"""Rate-independent hysteresis along a path given in closed form.
 
 `Memory` finds the reversals of the path; subclasses define the memory between them: `Branch` here, stops in
 `pmabench.model.real.plants`.

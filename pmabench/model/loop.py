@@ -1,4 +1,4 @@
-"""Closed loops in theory: ultimate gain, margins, set-point steps of a gain with dead time and lags; knows no data.
+"""Closed loops in theory: ultimate gain, margins, set-point steps of a gain with dead time and lags.
 
 The plant is G(s) = k_g exp(-L s) / prod(1 + T_i s), command [Pa] to displacement [m].
 """

@@ -1,4 +1,4 @@
-"""A discrete PID controller, and a path for its set-point; knows no muscle.
+"""A discrete PID controller, and a path for its set-point.
 
 Standard library only, because both are called once per sample.
 

@@ -1,6 +1,6 @@
 """The free-end plant: muscle, regulator and load as an initial-value problem, solved from event to event.
 
-Knows no device driver, no channel, no noise. Driven end: `pmabench.model.driven`.
+Independent of device drivers, channels and noise. Driven end: `pmabench.model.driven`.
 
 Physics
 -------

@@ -1,7 +1,7 @@
 """Commands over time, and the response of a regulator: dead time and a lag of first or second order.
 
-Everything is piecewise in closed form: constants, ramps, sines. Knows no muscle. Used for the pressure of a regulator,
-which a dump valve or a fault may override, and for the position of an actuator with a follow error.
+Everything is piecewise in closed form: constants, ramps, sines. Used for the pressure of a regulator, which a dump
+valve or a fault may override, and for the position of an actuator with a follow error.
 """
 
 from __future__ import annotations

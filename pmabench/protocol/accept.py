@@ -1,4 +1,4 @@
-"""The `accept` section of a protocol: limits that results must meet; knows no analysis.
+"""The `accept` section of a protocol: limits that results must meet.
 
 `process` applies the limits, and ends with exit code 6 where one is not met.
 """

@@ -1,4 +1,4 @@
-"""The run folder as files: names, hashes, atomic writing of small files, lines of events, status; knows no samples.
+"""The run folder as files: names, hashes, atomic writing of small files, lines of events, status.
 
 Standard library only, so that listing runs starts fast.
 

@@ -1,4 +1,4 @@
-"""The law `gain-steps`: raise a proportional gain level by level until the loop keeps oscillating; knows no device.
+"""The law `gain-steps`: raise a proportional gain level by level until the loop keeps oscillating.
 
 It ends by itself before the oscillation leaves its window or the command saturates. Standard library only: it runs
 once per sample. What the levels say about K_u is worked out later, from the samples.
@@ -53,7 +53,7 @@ class GainSteps:
     """Proportional control u = bias + K_p (aim - y) with K_p raised in steps (Ziegler and Nichols 1942).
 
     First the loop settles at the starting gain while the bias is trimmed to the set-point. Then come the levels: at
-    each the aim moves by `kick`, unless the loop still swings by itself, and half periods are counted.
+    each the aim moves by `kick`, unless the loop already oscillates, and half periods are counted.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class GainSteps:
         return command
 
     def _begin(self, t: float) -> None:
-        """Open a level; kick the loop if it does not swing by itself."""
+        """Start a level; kick the loop if it does not oscillate already."""
         sizes = self._swings.sizes
         kick = 0.0
         if not sizes or sizes[-1] < self.kick / 2:

@@ -1,7 +1,7 @@
 """The law `joint`: two antagonistic muscles turn a joint to angles and hold it there with a given stiffness.
 
 Feed-forward: both pressures that hold the reference angle at the wanted stiffness, from a table. Feedback: the integral
-of the error is a torque, which the table turns into a difference of the pressures. Knows no device, no muscle, no plan.
+of the error is a torque, which the table turns into a difference of the pressures. Independent of devices and plans.
 """
 
 from __future__ import annotations

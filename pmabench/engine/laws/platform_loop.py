@@ -2,7 +2,7 @@
 
 Paper 3's chain: angle error, moment, inverse kinematics, forces, inverse muscle, valves. The paper takes kinematics and
 contraction from the measured attitude; this cancels the muscles' own stiffness with a delayed sensor and overshoots. So
-they come from the reference here unless `chain` selects the paper's way. Knows no device and no plan.
+they come from the reference here unless `chain` selects the paper's way. Independent of devices and plans.
 """
 
 from __future__ import annotations

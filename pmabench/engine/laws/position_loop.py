@@ -1,4 +1,4 @@
-"""The law `pid`: a P, PI or PID controller takes a channel to a set-point and holds it there; knows no device, no plan.
+"""The law `pid`: a P, PI or PID controller takes a channel to a set-point and holds it there.
 
 Standard library only: it runs once per sample. The discrete form of the PID is in `pmabench.model.pid`.
 """

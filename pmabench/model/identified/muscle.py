@@ -1,4 +1,4 @@
-"""An identified muscle as plain numbers, and its static force at an operating point; knows no fit and no time.
+"""An identified muscle as plain numbers, and its static force at an operating point.
 
     F = F_s(P, x) - sum w_k(P) S_k[x] - sum q_m(x) S_m[P] - B(P, sign x') x' + K(P, x) c[x] + d(x)[P]
 

@@ -1,4 +1,4 @@
-"""Description of a model: inputs, outputs, domain, source, reference values; knows no model and no units.
+"""Description of a model: inputs, outputs, domain, source, reference values; independent of single models.
 
 A model is a pure function of named values, all SI, with broadcasting, decorated with `described`: every call is checked
 against the domain before the calculation, and OutsideDomain gives the reason.

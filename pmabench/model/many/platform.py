@@ -6,7 +6,7 @@ Geometry and signs are those of `model.library.platform`. Numbers are assumed; p
 
 For the control of a platform, `tilt` and `Lags` give the attitude from accelerations, `Inverse` the pressures for a
 moment, and `on_time` the opening time of a valve. The chain is paper 3's: angle errors, inverse kinematics, forces,
-inverse muscle, valves. It knows no device and no plan; a real platform has its own numbers.
+inverse muscle, valves. A real platform has its own numbers.
 """
 
 from __future__ import annotations

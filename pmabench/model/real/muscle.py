@@ -1,4 +1,4 @@
-"""A muscle with nonlinear force, hysteresis and creep: its parameters and its force; knows no time.
+"""A muscle with nonlinear force, hysteresis and creep: its parameters and its force.
 
     F = F_s(x - x_c, P) - H(P) sum w S_r[x] / r - H_P sum q S_rho[P] / rho - B(P, sign x') x',  never below 0
 
@@ -6,7 +6,7 @@
   (A + A_P P) e(eps) + (C eps + D) P + E, e = exp(-s eps) (form after Sarosi 2012), or a straight line if
   `bend` is 0.
 * S_r[u] is a stop: a spring that slides at +-r, S <- min(r, max(-r, S + du)). S_r[x] starts at 0, S_rho[P] at -rho in a
-vented muscle.
+  vented muscle.
 * x_c creeps after x: the sum of x_j, T_j x_j' = share x - x_j.
 * B is B_c(P) in contraction and B_r(P) in relaxation.
 

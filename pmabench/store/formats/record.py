@@ -76,7 +76,7 @@ class Recorded:
 
 
 def begins(*marks: bytes) -> Callable[[bytes], bool]:
-    """A function that tells whether a file begins with one of `marks`."""
+    """A function that returns whether a file begins with one of `marks`."""
     return lambda content: content.startswith(marks)
 
 

@@ -1,4 +1,4 @@
-"""Reads columns of numbers from text with a given layout, piece by piece; guesses nothing and knows no channels.
+"""Reads columns of numbers from text with a given layout, piece by piece, without guessing.
 
 Arrow converts simple pieces. A piece that it refuses, or in which it finds numbers that are not finite, is read again
 line by line, to accept what the map allows and to report faults with their lines.
@@ -434,7 +434,7 @@ class TextReader:
         )
 
     def _each(self, rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> dict[str, Array]:
-        """Convert every wanted field by itself; raises InvalidFile with the first faults and their places."""
+        """Convert every wanted field separately; raises InvalidFile with the first faults and their places."""
         problems: list[Problem] = []
         columns: dict[str, Array] = {}
         for name in self.taken:

@@ -1,6 +1,6 @@
 """An import map as plain SI rules, with scales, ranges, limits and names resolved; mistakes have their place.
 
-Reads only the map; knows no data.
+Reads only the map, no data.
 """
 
 from __future__ import annotations

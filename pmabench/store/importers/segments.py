@@ -217,7 +217,7 @@ def _sine_by_sine(part: Segment, how: Commanded, all_rows: _Rows) -> list[Segmen
 def _at_one_point(part: Segment, commands: Sequence[Mapping[str, Any]], all_rows: _Rows) -> Segment:
     """A trial shortened before its first and after its last command to the time with an unchanged operating point.
 
-    Between two trials somebody exchanges a weight and enters it: that change belongs to neither trial.
+    Between two trials a weight is exchanged and entered: that change belongs to neither trial.
     """
     if not commands:
         return part

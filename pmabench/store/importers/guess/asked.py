@@ -47,7 +47,7 @@ AIR = (9e4, 1.06e5)
 SHARES = (0.0, 0.02, 0.05, 0.1)
 """Thresholds of force to try, as shares of the range from lowest to highest."""
 CHANGES = 0.02
-"""If the thresholds change the slope by more than this share, the threshold is asked for."""
+"""Relative change of the slope by the thresholds above which the user is asked for the threshold."""
 SAME_MOMENT = 1e-3
 """Two time columns that differ by less than this [s] give the same times."""
 LENGTH = re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?mm)")
@@ -213,7 +213,7 @@ def gauge_of(column: Proposal) -> Asked | None:
 
 
 def absolute(column: Proposal) -> bool:
-    """Whether the name of a pressure says that it is absolute: `P abs`, `Pabs`, `p_abs`."""
+    """Whether the name of a pressure marks it as absolute: `P abs`, `Pabs`, `p_abs`."""
     return bool(re.search(r"(?:\b|_|p|druck|pressure)abs", column.name, re.IGNORECASE))
 
 
@@ -246,7 +246,7 @@ def contraction_of(guess: Guess) -> Asked | str:
 
 
 def is_contraction(column: Proposal) -> bool:
-    """Whether the name of a displacement says that it is a contraction."""
+    """Whether the name of a displacement marks it as a contraction."""
     return bool(words(column.name) & CONTRACTIONS) and not column.bare
 
 
