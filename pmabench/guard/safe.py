@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from math import inf, nan
 
+from pmabench.base.errors import NotSent
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES
 from pmabench.bench.interface import SafeAction
 from pmabench.guard.owner import PATIENCE, Call
@@ -199,7 +200,7 @@ class SafeState:
         self.away: set[str] = set()
         """Those of them whose device is to be opened anew."""
         self.refusing: set[str] = set()
-        """Targets that acknowledged it, and hold something else."""
+        """Targets whose device answers, and does not obey: it refused the command, or holds something else."""
         self.unmoved: set[str] = set()
         """Channels that have not fallen, or not come to rest, after all commands."""
         self.commands: list[SafeAction] = []
@@ -418,7 +419,7 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        refuses = bool(wrong and sent.said())
+        refuses = bool(wrong and (sent.said() or isinstance(way.error, NotSent)))
         (self.refusing.add if refuses else self.refusing.discard)(target)
         if wrong and not refuses:
             self.missing.setdefault(target, now)

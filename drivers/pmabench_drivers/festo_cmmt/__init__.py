@@ -13,14 +13,15 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import DeviceRecord, Identity, Segment
 from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cmmt.telegram import POSITION, SET_POINT, CmmtOptions, Path, read_options
@@ -37,6 +38,8 @@ ANSWER = 0.1
 """Longest wait for one answer [s]."""
 LOOK = 0.003
 """Pause between two looks whether the drive has done what was commanded [s]."""
+SLOWER = 0.9
+"""A drive that brakes is so much slower in the second half of a call [1]."""
 
 
 class FestoCmmt(Watched):
@@ -199,7 +202,10 @@ class FestoCmmt(Watched):
             self._path.follow(segment)
 
     def halt(self, output: str) -> None:
-        """Give up the motion: the drive brakes as hard as it may and holds the place; returns once it has stopped."""
+        """Give up the motion: the drive brakes as hard as it may and holds the place; returns once it has stopped.
+
+        One that neither stops nor gets slower does not obey: it is switched off.
+        """
         self._scale(output)
         until = monotonic() + CALL
         with self._turn:
@@ -208,9 +214,15 @@ class FestoCmmt(Watched):
         on = before.on if before is not None else self._look(until).has(t.ENABLED)
         with suppress(Unanswered):  # the cycle goes on telling it; the drive's word decides
             self._replace(t.Command(on=on, stop=True), until)
+        way: list[tuple[float, int]] = []
         while not (status := self._look(until)).has(t.STOPPED):
+            way.append((monotonic(), status.position))
             if monotonic() > until - LOOK:
-                raise self._error(f"was commanded to stop and still moves (status word 0x{status.word:04x})", output)
+                moves = f"was commanded to stop and still moves (status word 0x{status.word:04x})"
+                if _gets_slower(way):
+                    raise self._error(moves, output)
+                self._replace(t.Command(stop=True), monotonic() + ANSWER / 2)
+                raise NotSent(self._device.name, f"{moves}: it is switched off", output)
             sleep(LOOK)
         with self._turn:
             self._path.rest_at(status.position)
@@ -343,3 +355,11 @@ class FestoCmmt(Watched):
 
     def _put(self, register: Register, value: float, deadline: float, *, checked: bool = True) -> None:
         self._opened().put(register, value, deadline, checked=checked)
+
+
+def _gets_slower(way: Sequence[tuple[float, float]]) -> bool:
+    """Whether places [s, any unit] come closer to each other: the second half of the time is slower than the first."""
+    if len(way) < 3:
+        return False
+    paces = [abs(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise((way[0], way[len(way) // 2], way[-1]))]
+    return paces[1] < SLOWER * paces[0]

@@ -80,7 +80,7 @@ class Command:
     task: bool = False
     """A motion to `target` is under way or done; its rising edge starts one."""
     stop: bool = False
-    """The motion is given up and the place is held."""
+    """The motion is given up and the place is held; with power off it is braked until it stands."""
     acknowledge: bool = False
     target: int = 0
     velocity: int = 0
@@ -88,7 +88,7 @@ class Command:
 
     def words(self) -> list[int]:
         """The registers from `PROCESS_OUT` on."""
-        control = NO_COAST_STOP | NO_QUICK_STOP | ENABLE | NO_INTERMEDIATE_STOP | BY_PLC
+        control = NO_COAST_STOP | ENABLE | NO_INTERMEDIATE_STOP | BY_PLC | (self.on or not self.stop) * NO_QUICK_STOP
         control |= self.on * ON | self.task * TASK | self.acknowledge * ACKNOWLEDGE | (not self.stop) * KEEP_TASK
         numbers = [*encode(SIGNED, self.target), *encode(UNSIGNED, self.velocity)]
         return [control, ABSOLUTE | CONTINUOUS | MDI, 0, 0, self.override, *numbers, FULL, FULL]

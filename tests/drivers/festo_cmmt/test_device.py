@@ -4,8 +4,9 @@ import time
 from itertools import pairwise
 
 import pytest
+from pmabench_drivers.festo_cmmt import telegram as t
 
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import Segment
 from tests.drivers.common import timed, until
 from tests.drivers.festo_cmmt.rigs import drive, served
@@ -134,6 +135,19 @@ def test_a_drive_that_does_not_stop_is_reported(rig, monkeypatch):
     monkeypatch.setattr(rig.inside, "_hold", lambda: None)
     why = "drive.position: was commanded to stop and still moves"
     assert until(lambda: why in str(timed(device.halt, "position")[1]), 2)
+
+
+@pytest.mark.parametrize(("pace", "obeys"), [(lambda t: 450 * t, False), (lambda t: 2e5 * t - 3e5 * t * t, True)])
+def test_a_drive_that_creeps_on_after_its_stop_is_switched_off_and_one_that_brakes_is_not(
+    rig, monkeypatch, pace, obeys
+):
+    """It crept for 5.7 s, and was told to stop 40 times."""
+    device, begun = on(rig), time.monotonic()
+    monkeypatch.setattr(device, "_look", lambda _until: t.Status(0x0B07, round(pace(time.monotonic() - begun)), 0))
+    with pytest.raises(DeviceError, match="and still moves") as raised:
+        device.halt("position")
+    assert isinstance(raised.value, NotSent) != obeys
+    assert until(lambda: rig.inside.enabled == obeys, 2)
 
 
 # -- refusals -------------------------------------------------------------------------------------------------------

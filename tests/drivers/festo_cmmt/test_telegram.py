@@ -14,6 +14,7 @@ def test_a_command_is_the_words_that_the_drive_expects():
     # bits 0 to 6 and 10; MDI, absolute, continuous; target and velocity low word first; 100 % acceleration
     assert command.words() == [0x047F, 0x9100, 0, 0, 0x2000, 0xEE90, 0xFFFE, 95, 0, 0x4000, 0x4000]
     assert t.Command(on=True, stop=True).words()[0] == 0x042F  # the task is rejected, the power stays on
+    assert t.Command(stop=True).words()[0] == 0x042A  # a quick stop, and no power after it
     assert t.Command(acknowledge=True).words()[0] == 0x04BE
 
 
