@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
+from math import inf
 from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
@@ -60,7 +61,9 @@ class FestoCmmt(Watched):
         self._line: DriveLink | None = None
         self._turn = threading.Lock()
         """Held for a moment while what is commanded is replaced; never while the drive is waited for."""
-        self._path = Path(clock.now)
+        self._fastest = max((output.rate / abs(output.scale.slope) for output in device.outputs), default=0.0) or inf
+        """Speed of the actuator [user units/s]."""
+        self._path = Path(clock.now, self._fastest)
         self._forget()
 
     def _forget(self) -> None:
