@@ -268,7 +268,10 @@ class SafeState:
         return self.missing.keys() | self.refusing
 
     def _check_ways(self, now: float, latest: Mapping[str, float]) -> None:
-        """End ramps and holds that a pressure does not follow, and stop a motion that does not go to its place."""
+        """End the ramp of a pressure that does not follow, or a hold, and stop a motion that does not go to its place.
+
+        A pressure that does not fall after that either shows no effect of the commands.
+        """
         for name, value in latest.items():
             end = self._ends.get(name)
             if value != value or (end is None and (name in self._motions or not self.waits)):
@@ -277,11 +280,12 @@ class SafeState:
             far, near = (abs(value - end), abs(expected - end)) if end is not None else (value, expected)
             if self._ways.setdefault(name, _Way(now)).fails(far, near, slack, now):
                 del self._ways[name]
-                self.fault(f"{name}: does not follow what the safe state commands")
-                if end is None:
-                    self.hurry()
-                else:
-                    self._halt(name, now)
+                what = f"{name}: does not follow what the safe state commands"
+                if what in self.faults:
+                    self.unmoved.add(name)
+                    continue
+                self.fault(what)
+                self._end_way(name, now)
 
     def fault(self, text: str) -> None:
         """Note what went wrong."""
@@ -294,11 +298,15 @@ class SafeState:
         self._since = self._repeated = now
         self._ramp, self._watched = None, []
 
-    def _halt(self, name: str, now: float) -> None:
-        """Stop a motion that was sent to a place."""
-        if self._ramp is not None and self._ramp.action.target == name:
+    def _end_way(self, name: str, now: float) -> None:
+        """Stop a motion, or send what is left for a pressure now, and wait for it no more; others keep their ramps."""
+        motion = name in self._motions
+        left = [action for action in self._todo if action.target == name and action.do in {"ramp", "set"}]
+        if self._todo and (self._todo[0] in left or (self._todo[0].do == "hold" and not motion)):
             self._go_on(now)
-        self._send(SafeAction("stop", name, 0.0, PATIENCE), now)
+        self._todo = [action for action in self._todo if action not in left]
+        for action in [SafeAction("stop", name, 0.0, PATIENCE)] if motion else left:
+            self._send(self._at_once(action), now)
 
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
         """Whether the next action may begin."""
@@ -357,7 +365,7 @@ class SafeState:
             back = (value is not None and watched.look(value, now)) or back
             watched.since = None if self._sent else watched.since
             if watched.unmoved(now) and watched.action.target in self._ends:
-                self._halt(watched.action.target, now)
+                self._end_way(watched.action.target, now)
                 watched.bad = None
             elif watched.unmoved(now):
                 self.unmoved.add(watched.action.target)
