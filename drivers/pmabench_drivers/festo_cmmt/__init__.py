@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, NotSent
-from pmabench.bench.interface import DeviceRecord, Identity, Segment
+from pmabench.bench.interface import Block, DeviceRecord, Identity, Segment
 from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cmmt.telegram import POSITION, SET_POINT, CmmtOptions, Path, read_options
 from pmabench_drivers.modbus import CALL, Watched
@@ -39,6 +39,8 @@ ANSWER = 0.1
 """Longest wait for one answer [s]."""
 LOOK = 0.003
 """Pause between two looks whether the drive has done what was commanded [s]."""
+LEAP = 2.0
+"""A place that moves so many times as fast as the actuator can [1] is a zero that was lost."""
 SLOWER = 0.9
 """A drive that brakes is so much slower in the second half of a call [1]."""
 
@@ -71,6 +73,9 @@ class FestoCmmt(Watched):
         """What is sent in each cycle; None: nothing was commanded yet."""
         self._every, self._slot, self._begun = 0, -1, 0.0
         self._release = False
+        self._before: tuple[float, int] | None = None
+        """When it was asked last [s, bench time], and where it was."""
+        self._leapt = ""
         self._per_second = 1.0
         """Velocity units of the drive for one position unit a second."""
 
@@ -127,10 +132,17 @@ class FestoCmmt(Watched):
         self._refuse_rate(rate)
         self._opened()
         self._cycle.note(None)
+        self._leapt = ""
         self._samples.take()
         every = max(1, round(self._options.rate / rate))
         self._begun, self._slot, self._every = self._clock.now(), -1, every
         return self._options.rate / every
+
+    def collect(self) -> Block:
+        """What was sampled since the last call; an error once cycles have failed for 0.25 s, or its place has leapt."""
+        if self._leapt:
+            raise self._error(self._leapt, POSITION)
+        return super().collect()
 
     def stop(self) -> None:
         """Take no more samples; a motion goes on."""
@@ -169,9 +181,15 @@ class FestoCmmt(Watched):
                 self._slot = slot
                 known = {POSITION: float(status.position), SET_POINT: float(round(set_point))}
                 self._keep([known[name] for name in self._inputs], asked, answered)
-        command = self._command
-        if command is not None and command.on and not status.has(t.ENABLED):
+        command, before = self._command, self._before
+        on = command is not None and command.on
+        self._before = (asked, status.position) if on else None
+        if on and not status.has(t.ENABLED):
             raise self._error(self._off(status))
+        took, moved = (answered - before[0], status.position - before[1]) if before is not None else (0.0, 0)
+        if abs(moved) > LEAP * self._fastest * took:
+            within = f"within {1e3 * took:.0f} ms"
+            self._leapt = f"its place leapt by {moved} counts {within}, faster than it can move: was its zero set anew?"
 
     def _off(self, status: t.Status) -> str:
         """Why the drive is not under power."""
@@ -334,6 +352,7 @@ class FestoCmmt(Watched):
             "watchdog": line.get(t.TIMEOUT, until) * 1e-3,
             "telegram": line.parameter(t.TELEGRAM, "uint16", until),
             "unit of the position": f"1e{line.parameter(t.POSITION_PREFIX, 'int8', until):g} m",
+            "unit of the velocity": f"1e{line.parameter(t.VELOCITY_PREFIX, 'int8', until):g} m/s",
             "serial number": line.text(t.SERIAL, until),
             "fault": float(status.fault),
             "control": "by the network" if status.has(t.CONTROL) else "elsewhere",
