@@ -115,11 +115,12 @@ class _Watched:
         """Whether the commands show no effect on it."""
         return self.bad is not None and now - self.bad >= NO_EFFECT and not self.falls
 
-    def outcome(self, good: bool) -> str:
+    def outcome(self, good: bool, now: float) -> str:
         """What is said of it at the end."""
         action, value = self.action, self.value
         name, within = f"{action.do} {action.target}", f"within {action.within:g} s"
-        measured = "nothing measured" if value is None else _shown(action, value)
+        ago = f" {now - self.seen:.2g} s ago" * (now - self.seen > STAYS)
+        measured = "nothing measured" if value is None else _shown(action, value) + ago
         if action.do == "rest":
             return f"{name}: {measured}, {'at rest' if good else f'and not at rest {within}'}"
         if good:
@@ -243,7 +244,7 @@ class SafeState:
         if over and not self._sent and heard:
             late = self._late()
             good = [watched.lasts(now, late) for watched in self._watched]
-            self.outcome += [watched.outcome(ok) for watched, ok in zip(self._watched, good, strict=True)]
+            self.outcome += [watched.outcome(ok, now) for watched, ok in zip(self._watched, good, strict=True)]
             if self._unanswered() > -inf:
                 self.outcome.append(UNANSWERED)
             self.outcome += (differs := [f"{call.result}; its values confirm nothing" for call in asked if call.result])
@@ -300,12 +301,11 @@ class SafeState:
 
     def _end_way(self, name: str, now: float) -> None:
         """Stop a motion, or send what is left for a pressure now, and wait for it no more; others keep their ramps."""
-        motion = name in self._motions
         left = [action for action in self._todo if action.target == name and action.do in {"ramp", "set"}]
-        if self._todo and (self._todo[0] in left or (self._todo[0].do == "hold" and not motion)):
+        if self._todo and (self._todo[0] in left or (self._todo[0].do == "hold" and name not in self._motions)):
             self._go_on(now)
         self._todo = [action for action in self._todo if action not in left]
-        for action in [SafeAction("stop", name, 0.0, PATIENCE)] if motion else left:
+        for action in [SafeAction("stop", name, 0.0, PATIENCE)] if name in self._motions else left:
             self._send(self._at_once(action), now)
 
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:

@@ -744,3 +744,12 @@ def test_a_command_that_failed_latches_even_where_the_pressure_has_gone():
     vent = until_over(guard, 0.01, LOW)
     assert vent.result == "commanded"
     assert guard.state is State.TRIPPED
+
+
+def test_a_value_from_before_the_line_was_closed_is_said_with_its_age():
+    guard, _ = armed(bench(safe_state=(*SAFE[:3], SafeAction("confirm", "pressure", 20e3, 5.0))))
+    guard.begin_safe()
+    for _ in range(9):
+        advance(guard, 0.1, HIGH)
+    vent = until_over(guard, 0.1, {})
+    assert "confirm pressure: 300 kPa 4.3 s ago, not below 20 kPa within 5 s" in vent.actions
