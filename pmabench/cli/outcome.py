@@ -146,7 +146,8 @@ def _vent_words(outcome: Outcome, confirmed: str = "vent confirmed") -> str:
     if outcome.vent is None:
         return ""
     words = confirmed if outcome.vent.confirmed else f"vent {outcome.vent.result}"
-    return f"; {words}{MAY_COME if UNANSWERED in outcome.vent.actions else ''}"
+    late = UNANSWERED in outcome.vent.actions and outcome.status not in FINISHED  # a lost step of a ramp is made up
+    return f"; {words}{MAY_COME if late else ''}"
 
 
 @contextmanager

@@ -188,7 +188,7 @@ class SafeState:
             self._todo.pop()
         self._begin, self._rescue, self._look = begin, rescue, look
         self._sent: list[_Sent] = []
-        self._since = self._repeated = now
+        self._begun = self._since = self._repeated = now
         self._ramp: _Sent | None = None
         self._doubts = self._emptier = 0
         """How often in a row the device of a ramp did not say where it is, and its muscle was measured emptier."""
@@ -242,11 +242,9 @@ class SafeState:
         asked = self._asked or []
         heard = all(call.done.is_set() for call in asked) or now - self._since >= ANSWERS
         if over and not self._sent and heard:
-            late = self._late()
-            good = [watched.lasts(now, late) for watched in self._watched]
+            good = [watched.lasts(now, self._late()) for watched in self._watched]
             self.outcome += [watched.outcome(ok, now) for watched, ok in zip(self._watched, good, strict=True)]
-            if self._unanswered() > -inf:
-                self.outcome.append(UNANSWERED)
+            self.outcome += [UNANSWERED] * (self._unanswered() > self._begun - LINGERS)
             self.outcome += (differs := [f"{call.result}; its values confirm nothing" for call in asked if call.result])
             low = bool(good) and all(good) and not differs
             self.outcome += [f"{name}: {LEFT}" for name in sorted(self.unsettled) if low]
@@ -443,9 +441,7 @@ class SafeState:
             return ""  # asked while it goes on
         if sent.look is None or (sent.look.done.is_set() and sent.look.error is not None):
             sent.look = self._look(sent.action)  # again where it failed: the second way may have made a new connection
-        if sent.look is None:
-            return ""
-        if (said := sent.said()) is not None:
+        if (said := "" if sent.look is None else sent.said()) is not None:
             return said
         if now - sent.since < ANSWERS:
             return None

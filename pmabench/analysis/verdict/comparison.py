@@ -286,9 +286,15 @@ def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate
 
 
 def _terms(analysis: Analysis) -> Iterator[Estimate]:
-    """Terms of curves over the coordinate itself, which mean the same in every analysis of the same form."""
+    """Terms of curves over the coordinate itself, which mean the same in every analysis of the same form.
+
+    A term that is a coefficient of the analysis, as the slope of a line is, is compared as that.
+    """
+    known = {(e.symbol, e.value, frozenset(e.at.items())) for e in analysis.estimates}
     for curve in analysis.curves:
         for term in curve.terms if not curve.normalised else ():
+            if (term.symbol, term.value, frozenset(term.at.items())) in known:
+                continue
             yield replace(term, coordinate=f"{TERM}{curve.form}, {term.coordinate}")
 
 
