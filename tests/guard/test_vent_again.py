@@ -521,7 +521,7 @@ def test_a_muscle_that_does_not_follow_ends_its_own_ramp_and_leaves_the_other_on
     """The other one was let go in a step, and the joint thrown by 30 degrees."""
     names = ("pressure_1", "pressure_2")
     ramps = [SafeAction("ramp", name, 0.0, 5.0, 100e3) for name in names]
-    guard, rig = armed(replace(PAIR, safe_state=(*ramps, *PAIR.safe_state[2:])))
+    guard, rig = armed(replace(PAIR, safe_state=(*ramps, *PAIR.safe_state[3:], *PAIR.safe_state[2:])))
     for name in names:
         guard.set(name, 300e3)
     rig.reported.clear()
@@ -618,6 +618,21 @@ def test_what_comes_after_a_ramp_of_a_drive_that_was_stopped_takes_its_time():
 
     until(guard, lambda: Rig.made["other"].values("halt"), measure)
     assert until(guard, lambda: rig.values("write"), measure) == pytest.approx(2.0, abs=0.15)
+
+
+def test_a_drive_that_leaves_its_place_is_stopped_and_ends_no_hold():
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, rig = of_both(ramp, replace(HOLD, within=2.0), SAFE[1], LOOK)
+    guard.set("displacement", 3e-3)
+    guard.set("pressure", 300e3)
+    rig.reported.clear()
+    guard.begin_safe()
+
+    def measure(t):
+        return {"pressure": 300e3, "displacement": max(3e-3 - 10e-3 * t, 0.0) + 20e-3 * max(t - 0.6, 0.0)}
+
+    assert until(guard, lambda: Rig.made["other"].values("halt"), measure) < 1.2
+    assert until(guard, lambda: rig.values("write"), lambda _t: measure(0.6)) > 1.0
 
 
 @pytest.mark.parametrize("moves", [lambda t: 3e-3 + 20e-3 * t, lambda t: 6e-3 * max(t - 0.3, 0.0)])

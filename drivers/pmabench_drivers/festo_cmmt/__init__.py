@@ -63,9 +63,9 @@ class FestoCmmt(Watched):
         self._line: DriveLink | None = None
         self._turn = threading.Lock()
         """Held for a moment while what is commanded is replaced; never while the drive is waited for."""
-        self._fastest = max((output.rate / abs(output.scale.slope) for output in device.outputs), default=0.0) or inf
+        self._top_speed = max((output.rate / abs(output.scale.slope) for output in device.outputs), default=0.0) or inf
         """Speed of the actuator [user units/s]."""
-        self._path = Path(clock.now, self._fastest)
+        self._path = Path(clock.now, self._top_speed)
         self._forget()
 
     def _forget(self) -> None:
@@ -187,7 +187,7 @@ class FestoCmmt(Watched):
         if on and not status.has(t.ENABLED):
             raise self._error(self._off(status))
         took, moved = (answered - before[0], status.position - before[1]) if before is not None else (0.0, 0)
-        if abs(moved) > LEAP * self._fastest * took:
+        if abs(moved) > LEAP * self._top_speed * took:
             within = f"within {1e3 * took:.0f} ms"
             self._leapt = f"its place leapt by {moved} counts {within}, faster than it can move: was its zero set anew?"
 
