@@ -181,8 +181,10 @@ class _Raw:
     offsets: Mapping[str, float]
 
 
-def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], options: Mapping[str, Any]) -> Further:
-    """The papers' estimates and the dead times; `found` are the primary method's."""
+def compare(
+    campaign: Campaign, recorded: Campaign, pooled: Pooled, found: Sequence[Estimate], options: Mapping[str, Any]
+) -> Further:
+    """The papers' estimates and the dead times; `found` are the primary method's, `recorded` is as of `gauge`."""
     primary, moved = pooled.fit, set(pooled.segments.trial.tolist())
     seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
     seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}
@@ -225,7 +227,7 @@ def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], optio
         for step in steps
     ]
     ordered = sorted(estimates, key=lambda e: (e.method, (*SYMBOLS, "tau_c", "tau_r").index(e.symbol)))
-    regulator = {P: fitted for P, (fitted, _) in responses(campaign).items()}
+    regulator = {P: fitted for P, (fitted, _) in responses(recorded).items()}
     widths = bandwidth.estimates(campaign, found, regulator)
     return Further(
         (*ordered, *_dead_times(campaign, moved), *widths),
