@@ -2,8 +2,11 @@
 
 from functools import cache
 
+import numpy as np
 import pytest
 
+from pmabench.kinds.contraction_relaxation.bandwidth import Response
+from pmabench.kinds.contraction_relaxation.gauge import Late
 from pmabench.kinds.contraction_relaxation.reduction import reduce
 from tests.analysis.test_contraction_sensors import DEAD, RATE, TAU, recorded
 from tests.judge.record import lagged
@@ -34,3 +37,38 @@ def test_a_filter_of_the_force_cell_is_no_lag_of_the_regulator():
     assert "second lag" not in found
     assert found["lag"].value == pytest.approx(TAU, rel=0.01)
     assert found["dead time"].value == pytest.approx(DEAD, abs=1e-3)
+
+
+@pytest.mark.parametrize(("filtered", "declared"), [(0.003, 0.0), (0.02, 0.0), (0.005, 0.005), (0.04, 0.04)])
+def test_a_filter_of_the_gauge_is_no_dead_time_and_no_lag_of_the_regulator(filtered, declared):
+    """It was taken off as a delay and shown as a second lag: t_d 25.1, 5.8, 22.1 and -12.8 ms of 28."""
+    found = times("pressure", filtered, declared)
+    assert "second lag" not in found
+    assert found["lag"].value == pytest.approx(TAU, rel=0.01)
+    assert holds(found["dead time"], DEAD)
+    assert found["dead time"].parts.combined < 1.2e-3
+    assert holds(found["command-to-pressure"], DEAD)
+
+
+def test_a_filter_shorter_than_a_sample_period_is_in_the_interval_of_the_dead_time():
+    assert holds(times("pressure", 0.0019)["dead time"], DEAD)
+    assert times("", 0.0)["dead time"].parts.combined < 1e-4
+
+
+def test_a_declared_delay_of_the_gauge_is_taken_off_as_one():
+    late = recorded(
+        read_as=lambda name, values, _chance: np.roll(values, 10) if name == "pressure" else values,
+        known={"pressure": {"sensor_lag": 0.02}},
+    )
+    found = reduce([late], {"regulator": True, "replays": 0}).estimates
+    mine = {e.coordinate: e for e in found if e.method == "regulator-response" and not e.at}
+    assert {*mine} == {"dead time", "lag"}
+    assert mine["dead time"].value == pytest.approx(DEAD, abs=2e-4)
+    assert mine["dead time"].parts.combined < 5e-4
+
+
+def test_with_another_second_lag_the_gauge_may_have_either():
+    slow = Response((0.05, 0.09, 0.03), (1e-4, 1e-4, 1e-4), 0.01, 0.0)
+    assert slow.of_regulator(Late(0.01, 0.002, 1e-3, 1e-3), 2e-3).unsure == (0.012, 0.0, 0.0)
+    brief = Response((0.05, 0.09, 0.004), (1e-4, 1e-4, 1e-4), 0.01, 0.0)
+    assert brief.of_regulator(Late(), 2e-3).unsure == (0.0, 0.0, 0.004)

@@ -48,7 +48,8 @@ METHODS = {
     ),
     "regulator-response": (
         "Dead time and one lag, or two where the corrected Akaike criterion asks for them, fitted to the mean step of "
-        "the measured pressure at each pressure, over the time since the command."
+        "the measured pressure at each pressure, over the time since the command. A lag as long as that of the gauge, "
+        "declared or found, is that of its filter and left out; without one the gauge counts as late by it."
     ),
     "bandwidth, by coefficients": (
         "Where the gain from the pressure command to small contractions first falls by 3 dB: the regulator's lags, "

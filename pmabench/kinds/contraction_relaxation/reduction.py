@@ -79,14 +79,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs)}
     if campaign is None or pooled is None:
         return _without_fit(runs, campaign, dropped, reason, {**facts, "trials_used": 0})
-    recorded, campaign, diagnosis = gathered(campaign, pooled.diagnosis), pooled.campaign, pooled.diagnosis
+    recorded, late = gathered(campaign, pooled.diagnosis)
+    campaign, diagnosis = pooled.campaign, pooled.diagnosis
     estimates, curves = estimates_of(campaign, pooled)
     joint = compare(campaign, pooled, options)
     polished = output_error.compare(campaign, pooled, estimates, options)
-    stepwise = exponentials.compare(campaign, recorded, pooled, estimates, options)
+    stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
     resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
-    response, described = regulator(recorded) if options.get("regulator") else ([], [])
+    response, described = regulator(recorded, late) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     asked = (("joint", joint.facts), ("output_error", polished.facts), ("bootstrap", resampled))
     others = (joint, polished, stepwise)
