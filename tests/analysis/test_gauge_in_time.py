@@ -1,14 +1,17 @@
-"""The regulator's times under sensors with filters and delays; the muscle is integrated by scipy."""
+"""The regulator's times, and the loop by model, under sensors with filters and delays; the muscle is integrated by scipy."""
 
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from pmabench.kinds.contraction_relaxation.bandwidth import Response
 from pmabench.kinds.contraction_relaxation.gauge import Late
 from pmabench.kinds.contraction_relaxation.reduction import reduce
-from tests.analysis.test_contraction_sensors import DEAD, RATE, TAU, recorded
+from pmabench.kinds.ultimate_gain.model_gain import by_model
+from tests.analysis.test_contraction_sensors import DEAD, RATE, TAU, TRUE, recorded
+from tests.analysis.test_ultimate_gain import theory
 from tests.judge.record import lagged
 
 
@@ -72,3 +75,21 @@ def test_with_another_second_lag_the_gauge_may_have_either():
     assert slow.of_regulator(Late(0.01, 0.002, 1e-3, 1e-3), 2e-3).unsure == (0.012, 0.0, 0.0)
     brief = Response((0.05, 0.09, 0.004), (1e-4, 1e-4, 1e-4), 0.01, 0.0)
     assert brief.of_regulator(Late(), 2e-3).unsure == (0.0, 0.0, 0.004)
+
+
+@pytest.mark.parametrize("declared", [0.02, 0.0])
+def test_the_loop_by_model_waits_for_its_displacement_sensor(declared):
+    """Declared and true it was left out: K_u of the muscle alone, 10 half widths too large, T_u 128 too short."""
+    run = recorded(
+        read_as=lambda name, values, _chance: np.roll(values, 10) if name == "displacement" else values,
+        known={"displacement": {"sensor_lag": declared}} if declared else None,
+    )
+    load, x = 100.0, 0.015
+    P = brentq(lambda P: TRUE["F_ce"](P) - load - TRUE["K"](P) * x, 2e5, 5e5)
+    F_slope, K_slope = (TRUE[name](P + 50) / 100 - TRUE[name](P - 50) / 100 for name in ("F_ce", "K"))
+    K, B = TRUE["K"](P), 0.5 * (TRUE["B_c"](P) + TRUE["B_r"](P))
+    true = theory((F_slope - K_slope * x) / K, DEAD + 0.02 + 0.5 / RATE, TAU, B / K)
+    found = by_model(reduce([run], {"regulator": True, "replays": 0}), [x], load, 0.0, 1 / RATE)
+    for e, value in zip(found.estimates, true, strict=True):
+        assert abs(e.value - value) < e.parts.combined < 0.08 * value
+    assert any("waits for its displacement sensor, 0.02 s" in f.text for f in found.findings)

@@ -43,7 +43,7 @@ BEFORE, AFTER = 0.1, 2.0
 """What of a step is fitted: from so long before the command to so long after it [s]."""
 FALL = 6.0
 """A second lag is reported where the corrected Akaike criterion falls by more than this."""
-NAMES = ("dead time", "lag", "second lag")
+NAMES, SENSOR = ("dead time", "lag", "second lag"), "displacement sensor"
 IN_TIME = Late()
 BLURRED = 0.75
 """A second lag up to this share of a sample period is what sampling makes of steps, at any times between samples."""
@@ -172,10 +172,11 @@ def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
     return z, slope
 
 
-def regulator(campaign: Campaign, late: Late = IN_TIME) -> tuple[list[Estimate], list[Finding]]:
+def regulator(campaign: Campaign, late: Late = IN_TIME, sensor: Late = IN_TIME) -> tuple[list[Estimate], list[Finding]]:
     """Dead time and lags [s] at each tested pressure and over all of them, and how well they describe the steps.
 
-    The campaign is as of `gauge`, and its pressure `late`.
+    The campaign is as of `gauge`, and its pressure `late`. A displacement `sensor` that is late is a line of its own:
+    a loop has it, too.
     """
     found = responses(campaign, late)
     if not found:
@@ -186,6 +187,9 @@ def regulator(campaign: Campaign, late: Late = IN_TIME) -> tuple[list[Estimate],
         for place, (value, error, unsure) in enumerate(zip(one.times, one.errors, one.unsure, strict=True))
     ]
     whole = [e for place, name in enumerate(NAMES) for e in _over_all(campaign, place, name, found)]
+    if sensor.lag:
+        parts, n = Parts(0.0, sensor.unsure), len(campaign.trials)
+        whole.append(Estimate("t_d", sensor.lag, "s", "time", METHOD, {}, parts, n, coordinate=SENSOR))
     worst, (one, _) = max(found.items(), key=lambda item: item[1][0].rms)
     lags = " and ".join(show(lag, "time", 3) for lag in one.times[1:])
     text = (
