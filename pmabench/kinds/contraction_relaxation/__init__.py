@@ -5,6 +5,7 @@
 - whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`, by the pressure of `gauge`
+- sessions that do not fit one muscle: `days`
 - where asked for: chosen forms over pressure in `joint`; output error in `output_error`
 - by paper 1: `paper1`, made of `paper1_steps`
 - further trials: what they would add in `predicted`, what is known so far in `known`, the choice in `next_trial`
