@@ -166,6 +166,10 @@ def _units_agree(path: Path, columns: Sequence[ColumnRule], units: Mapping[str, 
         said, mapped = spelled(units.get(column.column, "")), spelled(column.raw_unit)
         if said and mapped and said != mapped and column.back == (1.0, 0.0):
             text = f'says that the unit of "{column.column}" is {said}, the map says {mapped}'
+            way = f'"written: index" with "period: 1 {mapped}"'
+            if column.is_channel:
+                way = f'"unit: {said}" with "line: {{slope: 1 {mapped}/{said}, offset: 0 {mapped}}}"'
+            text += f"; where its label is wrong write {way}"
             problems.append(Problem(str(path), 0, 0, text))
     if problems:
         raise InvalidFile(problems)
