@@ -137,6 +137,17 @@ def test_a_unit_of_time_that_no_test_has_is_asked_for(tmp_path):
     assert asked(file(tmp_path / "held_7mm_Test1.csv", {"time (s)": 100 * T, "P [kPa]": P, "F [N]": F})) == {}
 
 
+def test_minutes_without_a_unit_are_asked_for(tmp_path):
+    """20 s at 100 samples a second, in minutes, were taken for 0.33 s at 6000; such a rate nobody sets."""
+    for rate in (50.0, 100.0, 200.0):
+        t = np.arange(len(T)) / rate
+        path = file(tmp_path / "held_8mm_Test1.csv", {"time": t / 60.0, "P [kPa]": P, "F [N]": F}, 9)
+        question = asked(path)["columns.time.unit"]
+        assert question.used == "s"
+        assert f"min: {rate:g} samples a second" in question.question
+        assert asked(file(path, {"time": t, "P [kPa]": P, "F [N]": F})) == {}
+
+
 def test_sentinels_make_no_ramps(tmp_path):
     wrong = P.copy()
     wrong[::50] = -999.25
