@@ -14,6 +14,7 @@ from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import Proposal, choose, unit_in, words
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.map_file import questions_of
+from pmabench.store.importers.prepare import prepare
 from tests.importing import guess_files, read_map
 
 T = np.arange(0, 20, 0.01)
@@ -167,6 +168,39 @@ def test_an_absolute_pressure_that_does_not_say_so_is_asked_for(tmp_path):
     found = asked(path)
     assert list(found) == ["columns.P [kPa].line.offset"]
     assert found["columns.P [kPa].line.offset"].used == "-101.325 kPa"
+
+
+@pytest.mark.parametrize(
+    ("names", "point"),
+    [
+        (("iso_8p5kg", "iso_12p5kg"), {"mass": (8.5, 12.5)}),  # both were 5 kg
+        (("load_80N_t1", "load_120N_t1"), {"load": (80.0, 120.0)}),  # nothing was read: repeats of one test
+        (("step_8000g", "step_12000g"), {"mass": (8.0, 12.0)}),
+        (("iso_-8mm", "iso_-4mm"), {"contraction": (-8e-3, -4e-3)}),  # the sign was lost
+        (("iso_stretch8mm", "iso_stretch4mm"), {"contraction": (8e-3, 4e-3)}),
+        (("len242mm", "len250mm"), {"contraction": (0.242, 0.25)}),
+        (("iso_7p5mm", "iso_0p5mm"), {"contraction": (7.5e-3, 0.5e-3)}),
+    ],
+)
+def test_numbers_in_names_that_may_be_others_are_asked_for(tmp_path, names, point):
+    files = [file(tmp_path / f"{name}.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F}) for name in names]
+    ((key, values),) = point.items()
+    text = map_text(guess_files(files), {})
+    assert f"name_tells.units.{key}" in {each.what for each in questions_of(Document("map.yaml", text))}
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    answers = [("trials.point.contraction", "1 mm")] if key != "contraction" else []
+    rules = read_map(tmp_path / "map.yaml", answers, unresolved=True)
+    assert [prepare(path, rules).named.point[key] for path in files] == pytest.approx(values)
+
+
+@pytest.mark.parametrize(
+    "names", [("iso_8mm_500N", "iso_4mm_500N"), ("gap3mm_8mm_2g", "gap3mm_4mm_2g"), ("x8mm", "x4mm")]
+)
+def test_usual_names_are_not(tmp_path, names):
+    files = [file(tmp_path / f"{name}.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F}) for name in names]
+    guess = guess_files(files)
+    assert not [each for each in questions_of(Document("map.yaml", map_text(guess, {}))) if "name" in each.what]
+    assert set(guess.form_units) == {"contraction"}
 
 
 def test_the_contraction_that_no_name_shows_is_asked_for(tmp_path):
