@@ -403,3 +403,46 @@ def test_questions_of_maps_that_people_wrote(tmp_path):
     (problem,) = caught.value.problems
     assert (problem.line, problem.message.split(";")[0]) == (7, "not answered: no file gives it")
     assert Path(problem.path).name == "map.yaml"
+
+
+def findings(path):
+    """Kinds and levels of what an import of one file by its guessed map finds."""
+    (path.parent / "map.yaml").write_text(map_text(guess_files([path]), {}), encoding="utf-8")
+    prepared = prepare(path, read_map(path.parent / "map.yaml", unresolved=True))
+    return {each.kind: each for each in prepared.findings}, prepared
+
+
+@pytest.mark.parametrize(("swap", "period", "late", "expected"), [
+    (False, 0.0, 15, False), (True, 0.0, 15, True), (False, 0.2, 15, False),
+])  # fmt: skip
+def test_a_pressure_before_its_command_is_doubted(tmp_path, swap, period, late, expected):
+    """Command and measured pressure that were exchanged were imported without a word; a fast sine shows no order."""
+    t = 0.01 * np.arange(4000)
+    command = 100.0 * np.floor(t / 4) if not period else 200 + 100 * np.sin(2 * np.pi * t / period)
+    reached, rng = np.full(len(t), command[0]), np.random.default_rng(2)
+    for i in range(1, len(t)):
+        reached[i] = reached[i - 1] + (command[max(0, i - late)] - reached[i - 1]) / 12.0
+    reached += rng.normal(0, 0.2, len(t))
+    x = 0.02 * np.concatenate([np.zeros(10), reached[:-10]])
+    one, two = ("P_act [kPa]", "P_set [kPa]")[:: -1 if swap else 1]
+    path = file(tmp_path / "a.csv", {"t [s]": t, one: reached, two: command, "x [mm]": x})
+    found, _ = findings(path)
+    assert ("led" in found) == expected
+    assert not expected or "exchanged" in found["led"].text
+
+
+@pytest.mark.parametrize("every", [3, 20])
+def test_a_channel_with_blanks_is_one_of_numbers(tmp_path, every):
+    """A force that was written in every third row or less was "words, not numbers", and dropped without a question."""
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F})
+    head, *lines = path.read_text().splitlines()
+    blank = [line if k % every == 0 else f"{line.rpartition(',')[0]}," for k, line in enumerate(lines)]
+    path.write_text("\n".join([head, *blank]) + "\n")
+    found, prepared = findings(path)
+    force = next(channel.si for channel in prepared.checked if channel.rule.role == "force")
+    assert force[::every] == pytest.approx(F[::every], abs=1e-3)
+    assert found["missing"].level == "doubt"
+    path.write_text(
+        "\n".join([f"{head},note", *(f"{line},{'valve on' if k == 9 else ''}" for k, line in enumerate(lines))])
+    )
+    assert [column.reasons[0] for column in guess_files([path]).columns][-1] == "holds words, not numbers"
