@@ -33,6 +33,8 @@ from pmabench.store.records import RunData
 
 MOST_REASONS = 3
 NUMBER = re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
+OF_FILE = re.compile(r"^[^:]*\.\w{1,5}: ")
+"""The file that a reason of an import begins with."""
 
 
 def results_of(kind: str) -> tuple[Result, ...]:
@@ -183,10 +185,14 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
 def _withheld(analysis: Analysis) -> list[str]:
     """One sentence for each reason to withhold, with the values that it concerns.
 
-    Reasons that differ in their numbers alone are one reason, with the numbers of the first value.
+    Reasons that differ in their numbers and files alone are one reason, with those of the first value.
     """
     withheld = [estimate for estimate in analysis.estimates if estimate.withheld]
-    return [_sentence(alike) for alike in grouped(withheld, lambda e: NUMBER.sub("", e.note)).values()]
+    return [_sentence(alike) for alike in grouped(withheld, _reason).values()]
+
+
+def _reason(estimate: Estimate) -> str:
+    return NUMBER.sub("", OF_FILE.sub("", estimate.note))
 
 
 def _sentence(withheld: Sequence[Estimate]) -> str:

@@ -42,6 +42,16 @@ def test_differences_are_reported_with_their_e_n(folders):
     assert (data["a"]["runs"], data["b"]["simulated"]) == (["r1"], True)
 
 
+def test_a_folder_is_found_by_the_short_path_that_process_prints(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    kind = "contraction-relaxation"
+    for name, K in (("20261130-0720_M_013a", 6060.0), ("20261130-0721_M_0cd4", 6000.0)):
+        made = Analysis(kind, (name,), False, tuple(estimates((K, 7000.0, 8000.0), (160.0, 270.0, 380.0))))
+        write_analysis(made, tmp_path / "analyses" / name / kind)
+    assert "furthest apart at 200 kPa: +0.06 N/mm" in call("compare", "analyses/013a", "0cd4").output
+    assert "there is no such folder" in call("compare", "analyses/0000", "0cd4", code=3).output
+
+
 def test_beyond_the_limit_is_exit_6(folders):
     reported = call("compare", *folders, "--accept", "E_n<=1", "-q", code=6).output
     assert reported == "NOT ACCEPTED: K at 200 kPa: E_n +2.12, accepted 1\n"

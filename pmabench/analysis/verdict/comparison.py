@@ -287,9 +287,15 @@ def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate
 
 
 def _terms(analysis: Analysis) -> Iterator[Estimate]:
-    """Terms of curves over the coordinate itself, which mean the same in every analysis of the same form."""
+    """Terms of curves over the coordinate itself, which mean the same in every analysis of the same form.
+
+    A term that is a coefficient of the analysis, as the slope of a line is, is compared as that.
+    """
+    known = {(e.symbol, e.value, frozenset(e.at.items())) for e in analysis.estimates}
     for curve in analysis.curves:
         for term in curve.terms if not curve.normalised else ():
+            if (term.symbol, term.value, frozenset(term.at.items())) in known:
+                continue
             yield replace(term, coordinate=f"{TERM}{curve.form}, {term.coordinate}")
 
 
@@ -476,8 +482,8 @@ def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequ
         )
     groups = grouped(counted, lambda d: (d.kind, d.a.symbol, d.a.coordinate, tuple(d.a.at)))
     names = Counter(key[:3] for key in groups)
-    for (*key, at), group in groups.items():
-        yield _sentence(group, whole=not at and names[tuple(key)] > 1)
+    for (kind, symbol, coordinate, at), group in groups.items():
+        yield _sentence(group, whole=not at and names[kind, symbol, coordinate] > 1)
     yield from (Finding("note", f"not compared: {text}") for text in missing)
     yield from _cautions(a, b, differences)
 
