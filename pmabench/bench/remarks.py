@@ -140,8 +140,25 @@ def _drives(c: Compilation) -> Iterator[str]:
             )
 
 
+BEYOND = 1.5
+"""A line that is closed stays closed for 1.5 times its watchdog, after 0.7 s without effect; then it is opened [s]."""
+
+
+def _hasty_confirmations(c: Compilation) -> Iterator[str]:
+    """A line where a vent is judged before a device is back that was left to its watchdog."""
+    longest = max((file.watchdog or 0.0 for file in c.bench.devices.values()), default=0.0)
+    needs = 1.5 * longest + BEYOND
+    for action in c.bench.safe_state:
+        if longest and action.confirm and action.within is not None and action.within < needs:
+            yield (
+                f"{action.within:g} s to confirm {action.confirm}: a device that does not obey is left to its watchdog "
+                f"of {longest:g} s, and not heard before that; remedy: within {needs:g} s or more"
+            )
+
+
 def _of_a_real_bench(c: Compilation) -> Iterator[str]:
     yield from _watchdogs(c)
+    yield from _hasty_confirmations(c)
     yield from _drives(c)
     if not c.bench.pressures:
         return

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from math import inf, nan
 
+from pmabench.base.errors import NotSent
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES
 from pmabench.bench.interface import SafeAction
 from pmabench.guard.owner import PATIENCE, Call
@@ -114,11 +115,12 @@ class _Watched:
         """Whether the commands show no effect on it."""
         return self.bad is not None and now - self.bad >= NO_EFFECT and not self.falls
 
-    def outcome(self, good: bool) -> str:
+    def outcome(self, good: bool, now: float) -> str:
         """What is said of it at the end."""
         action, value = self.action, self.value
         name, within = f"{action.do} {action.target}", f"within {action.within:g} s"
-        measured = "nothing measured" if value is None else _shown(action, value)
+        ago = f" {now - self.seen:.2g} s ago" * (now - self.seen > STAYS)
+        measured = "nothing measured" if value is None else _shown(action, value) + ago
         if action.do == "rest":
             return f"{name}: {measured}, {'at rest' if good else f'and not at rest {within}'}"
         if good:
@@ -186,7 +188,7 @@ class SafeState:
             self._todo.pop()
         self._begin, self._rescue, self._look = begin, rescue, look
         self._sent: list[_Sent] = []
-        self._since = self._repeated = now
+        self._begun = self._since = self._repeated = now
         self._ramp: _Sent | None = None
         self._doubts = self._emptier = 0
         """How often in a row the device of a ramp did not say where it is, and its muscle was measured emptier."""
@@ -199,7 +201,7 @@ class SafeState:
         self.away: set[str] = set()
         """Those of them whose device is to be opened anew."""
         self.refusing: set[str] = set()
-        """Targets that acknowledged it, and hold something else."""
+        """Targets whose device answers, and does not obey: it refused the command, or holds something else."""
         self.unmoved: set[str] = set()
         """Channels that have not fallen, or not come to rest, after all commands."""
         self.commands: list[SafeAction] = []
@@ -240,11 +242,9 @@ class SafeState:
         asked = self._asked or []
         heard = all(call.done.is_set() for call in asked) or now - self._since >= ANSWERS
         if over and not self._sent and heard:
-            late = self._late()
-            good = [watched.lasts(now, late) for watched in self._watched]
-            self.outcome += [watched.outcome(ok) for watched, ok in zip(self._watched, good, strict=True)]
-            if self._unanswered() > -inf:
-                self.outcome.append(UNANSWERED)
+            good = [watched.lasts(now, self._late()) for watched in self._watched]
+            self.outcome += [watched.outcome(ok, now) for watched, ok in zip(self._watched, good, strict=True)]
+            self.outcome += [UNANSWERED] * (self._unanswered() > self._begun - LINGERS)
             self.outcome += (differs := [f"{call.result}; its values confirm nothing" for call in asked if call.result])
             low = bool(good) and all(good) and not differs
             self.outcome += [f"{name}: {LEFT}" for name in sorted(self.unsettled) if low]
@@ -267,7 +267,10 @@ class SafeState:
         return self.missing.keys() | self.refusing
 
     def _check_ways(self, now: float, latest: Mapping[str, float]) -> None:
-        """End ramps and holds that a pressure does not follow, and stop a motion that does not go to its place."""
+        """End the ramp of a pressure that does not follow, or a hold, and stop a motion that does not go to its place.
+
+        A pressure that does not fall after that either shows no effect of the commands.
+        """
         for name, value in latest.items():
             end = self._ends.get(name)
             if value != value or (end is None and (name in self._motions or not self.waits)):
@@ -276,11 +279,12 @@ class SafeState:
             far, near = (abs(value - end), abs(expected - end)) if end is not None else (value, expected)
             if self._ways.setdefault(name, _Way(now)).fails(far, near, slack, now):
                 del self._ways[name]
-                self.fault(f"{name}: does not follow what the safe state commands")
-                if end is None:
-                    self.hurry()
-                else:
-                    self._halt(name, now)
+                what = f"{name}: does not follow what the safe state commands"
+                if what in self.faults:
+                    self.unmoved.add(name)
+                    continue
+                self.fault(what)
+                self._end_way(name, now)
 
     def fault(self, text: str) -> None:
         """Note what went wrong."""
@@ -293,11 +297,14 @@ class SafeState:
         self._since = self._repeated = now
         self._ramp, self._watched = None, []
 
-    def _halt(self, name: str, now: float) -> None:
-        """Stop a motion that was sent to a place."""
-        if self._ramp is not None and self._ramp.action.target == name:
+    def _end_way(self, name: str, now: float) -> None:
+        """Stop a motion, or send what is left for a pressure now, and wait for it no more; others keep their ramps."""
+        left = [action for action in self._todo if action.target == name and action.do in {"ramp", "set"}]
+        if self._todo and (self._todo[0] in left or (self._todo[0].do == "hold" and name not in self._motions)):
             self._go_on(now)
-        self._send(SafeAction("stop", name, 0.0, PATIENCE), now)
+        self._todo = [action for action in self._todo if action not in left]
+        for action in [SafeAction("stop", name, 0.0, PATIENCE)] if name in self._motions else left:
+            self._send(self._at_once(action), now)
 
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
         """Whether the next action may begin."""
@@ -356,7 +363,7 @@ class SafeState:
             back = (value is not None and watched.look(value, now)) or back
             watched.since = None if self._sent else watched.since
             if watched.unmoved(now) and watched.action.target in self._ends:
-                self._halt(watched.action.target, now)
+                self._end_way(watched.action.target, now)
                 watched.bad = None
             elif watched.unmoved(now):
                 self.unmoved.add(watched.action.target)
@@ -418,7 +425,7 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        refuses = bool(wrong and sent.said())
+        refuses = bool(wrong and (sent.said() or isinstance(way.error, NotSent)))
         (self.refusing.add if refuses else self.refusing.discard)(target)
         if wrong and not refuses:
             self.missing.setdefault(target, now)
@@ -434,9 +441,7 @@ class SafeState:
             return ""  # asked while it goes on
         if sent.look is None or (sent.look.done.is_set() and sent.look.error is not None):
             sent.look = self._look(sent.action)  # again where it failed: the second way may have made a new connection
-        if sent.look is None:
-            return ""
-        if (said := sent.said()) is not None:
+        if (said := "" if sent.look is None else sent.said()) is not None:
             return said
         if now - sent.since < ANSWERS:
             return None

@@ -20,7 +20,7 @@ from pmabench_drivers.canbus.drive import Drive
 from pmabench_drivers.canbus.link import Link, Rows, Signals, open_adapter
 from pmabench_drivers.canbus.node import Node, Transducer
 from pmabench_drivers.canbus.options import READY, Options, read_options
-from pmabench_drivers.shared.device import Driver, refuse_nonsense, stepped
+from pmabench_drivers.shared.device import HURRY, Driver, refuse_nonsense, stepped
 from pmabench_drivers.shared.link import JOIN, Cycle, Samples, opened
 from pmabench_drivers.shared.options import Reader
 
@@ -29,8 +29,6 @@ CALL = 0.18
 OPEN = 1.9
 PATIENCE = 0.25
 """So long [s] SYNCs may go unanswered before `collect` says so; what is lost till then is a gap in the samples."""
-CATCH_UP = 1.5
-"""After a stall of the computer a drive is led back to its sine at most so many times as fast as the sine itself."""
 EMULATED_ADAPTER = "SIM0"
 """Serial number of an emulated adapter: what comes over it is never taken for a real muscle."""
 ROOM = 0.02
@@ -231,7 +229,7 @@ class CanBus(Driver):
             if value is None:
                 continue
             own = 2 * math.pi * segment.frequency * abs(segment.amplitude)
-            drive.lead_to(value, min(CATCH_UP * own, output.rate / abs(output.scale.slope)) * self._options.sync)
+            drive.lead_to(value, min(HURRY * own, output.rate / abs(output.scale.slope)) * self._options.sync)
             if over and round(drive.lead) == round(value) and self._following.get(name) is segment:
                 self._following.pop(name, None)
 

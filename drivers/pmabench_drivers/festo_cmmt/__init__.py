@@ -13,15 +13,17 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
+from math import inf
 from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import DeviceRecord, Identity, Segment
+from pmabench.base.errors import DeviceError, NotSent
+from pmabench.bench.interface import Block, DeviceRecord, Identity, Segment
 from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cmmt.telegram import POSITION, SET_POINT, CmmtOptions, Path, read_options
 from pmabench_drivers.modbus import CALL, Watched
@@ -37,6 +39,10 @@ ANSWER = 0.1
 """Longest wait for one answer [s]."""
 LOOK = 0.003
 """Pause between two looks whether the drive has done what was commanded [s]."""
+LEAP = 2.0
+"""A place that moves so many times as fast as the actuator can [1] is a zero that was lost."""
+SLOWER = 0.9
+"""A drive that brakes is so much slower in the second half of a call [1]."""
 
 
 class FestoCmmt(Watched):
@@ -57,7 +63,9 @@ class FestoCmmt(Watched):
         self._line: DriveLink | None = None
         self._turn = threading.Lock()
         """Held for a moment while what is commanded is replaced; never while the drive is waited for."""
-        self._path = Path(clock.now)
+        self._top_speed = max((output.rate / abs(output.scale.slope) for output in device.outputs), default=0.0) or inf
+        """Speed of the actuator [user units/s]."""
+        self._path = Path(clock.now, self._top_speed)
         self._forget()
 
     def _forget(self) -> None:
@@ -65,6 +73,9 @@ class FestoCmmt(Watched):
         """What is sent in each cycle; None: nothing was commanded yet."""
         self._every, self._slot, self._begun = 0, -1, 0.0
         self._release = False
+        self._before: tuple[float, int] | None = None
+        """When it was asked last [s, bench time], and where it was."""
+        self._leapt = ""
         self._per_second = 1.0
         """Velocity units of the drive for one position unit a second."""
 
@@ -121,10 +132,17 @@ class FestoCmmt(Watched):
         self._refuse_rate(rate)
         self._opened()
         self._cycle.note(None)
+        self._leapt = ""
         self._samples.take()
         every = max(1, round(self._options.rate / rate))
         self._begun, self._slot, self._every = self._clock.now(), -1, every
         return self._options.rate / every
+
+    def collect(self) -> Block:
+        """What was sampled since the last call; an error once cycles have failed for 0.25 s, or its place has leapt."""
+        if self._leapt:
+            raise self._error(self._leapt, POSITION)
+        return super().collect()
 
     def stop(self) -> None:
         """Take no more samples; a motion goes on."""
@@ -163,9 +181,15 @@ class FestoCmmt(Watched):
                 self._slot = slot
                 known = {POSITION: float(status.position), SET_POINT: float(round(set_point))}
                 self._keep([known[name] for name in self._inputs], asked, answered)
-        command = self._command
-        if command is not None and command.on and not status.has(t.ENABLED):
+        command, before = self._command, self._before
+        on = command is not None and command.on
+        self._before = (asked, status.position) if on else None
+        if on and not status.has(t.ENABLED):
             raise self._error(self._off(status))
+        took, moved = (answered - before[0], status.position - before[1]) if before is not None else (0.0, 0)
+        if abs(moved) > LEAP * self._top_speed * took:
+            within = f"within {1e3 * took:.0f} ms"
+            self._leapt = f"its place leapt by {moved} counts {within}, faster than it can move: was its zero set anew?"
 
     def _off(self, status: t.Status) -> str:
         """Why the drive is not under power."""
@@ -199,7 +223,10 @@ class FestoCmmt(Watched):
             self._path.follow(segment)
 
     def halt(self, output: str) -> None:
-        """Give up the motion: the drive brakes as hard as it may and holds the place; returns once it has stopped."""
+        """Give up the motion: the drive brakes as hard as it may and holds the place; returns once it has stopped.
+
+        One that neither stops nor gets slower does not obey: it is switched off.
+        """
         self._scale(output)
         until = monotonic() + CALL
         with self._turn:
@@ -208,9 +235,15 @@ class FestoCmmt(Watched):
         on = before.on if before is not None else self._look(until).has(t.ENABLED)
         with suppress(Unanswered):  # the cycle goes on telling it; the drive's word decides
             self._replace(t.Command(on=on, stop=True), until)
+        way: list[tuple[float, int]] = []
         while not (status := self._look(until)).has(t.STOPPED):
+            way.append((monotonic(), status.position))
             if monotonic() > until - LOOK:
-                raise self._error(f"was commanded to stop and still moves (status word 0x{status.word:04x})", output)
+                moves = f"was commanded to stop and still moves (status word 0x{status.word:04x})"
+                if _gets_slower(way):
+                    raise self._error(moves, output)
+                self._replace(t.Command(stop=True), monotonic() + ANSWER / 2)
+                raise NotSent(self._device.name, f"{moves}: it is switched off", output)
             sleep(LOOK)
         with self._turn:
             self._path.rest_at(status.position)
@@ -319,6 +352,7 @@ class FestoCmmt(Watched):
             "watchdog": line.get(t.TIMEOUT, until) * 1e-3,
             "telegram": line.parameter(t.TELEGRAM, "uint16", until),
             "unit of the position": f"1e{line.parameter(t.POSITION_PREFIX, 'int8', until):g} m",
+            "unit of the velocity": f"1e{line.parameter(t.VELOCITY_PREFIX, 'int8', until):g} m/s",
             "serial number": line.text(t.SERIAL, until),
             "fault": float(status.fault),
             "control": "by the network" if status.has(t.CONTROL) else "elsewhere",
@@ -343,3 +377,11 @@ class FestoCmmt(Watched):
 
     def _put(self, register: Register, value: float, deadline: float, *, checked: bool = True) -> None:
         self._opened().put(register, value, deadline, checked=checked)
+
+
+def _gets_slower(way: Sequence[tuple[float, float]]) -> bool:
+    """Whether places [s, any unit] come closer to each other: the second half of the time is slower than the first."""
+    if len(way) < 3:
+        return False
+    paces = [abs(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise((way[0], way[len(way) // 2], way[-1]))]
+    return paces[1] < SLOWER * paces[0]

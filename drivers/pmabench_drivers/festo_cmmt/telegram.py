@@ -5,8 +5,9 @@ festo-edcon 1.0, read as a description of the wire. Words are in registers as th
 
 A sine is streamed. In each cycle the drive gets the velocity that brings it to the sine's value at the end of the
 cycle, and a target beyond that in the same direction: so it never brakes for a target on the way, and goes on smoothly
-where a cycle comes late. The target is never outside the sine's own crests. What the drive loses by its acceleration is
-seen in where it is, and made up slowly.
+where a cycle comes late. The target is never outside the sine's own crests, and after a stall it catches up no faster
+than `HURRY` and the actuator allow. What the drive loses by its acceleration is seen in where it is, and made up
+slowly.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
 
 from pmabench.bench.interface import DeviceRecord, Segment
 from pmabench_drivers.modbus.registers import Register, decode, encode
-from pmabench_drivers.shared.device import stepped
+from pmabench_drivers.shared.device import HURRY, stepped
 from pmabench_drivers.shared.options import Reader
 
 PROCESS_OUT, PROCESS_IN = 0, 100
@@ -80,7 +81,7 @@ class Command:
     task: bool = False
     """A motion to `target` is under way or done; its rising edge starts one."""
     stop: bool = False
-    """The motion is given up and the place is held."""
+    """The motion is given up and the place is held; with power off it is braked until it stands."""
     acknowledge: bool = False
     target: int = 0
     velocity: int = 0
@@ -88,7 +89,7 @@ class Command:
 
     def words(self) -> list[int]:
         """The registers from `PROCESS_OUT` on."""
-        control = NO_COAST_STOP | NO_QUICK_STOP | ENABLE | NO_INTERMEDIATE_STOP | BY_PLC
+        control = NO_COAST_STOP | ENABLE | NO_INTERMEDIATE_STOP | BY_PLC | (self.on or not self.stop) * NO_QUICK_STOP
         control |= self.on * ON | self.task * TASK | self.acknowledge * ACKNOWLEDGE | (not self.stop) * KEEP_TASK
         numbers = [*encode(SIGNED, self.target), *encode(UNSIGNED, self.velocity)]
         return [control, ABSOLUTE | CONTINUOUS | MDI, 0, 0, self.override, *numbers, FULL, FULL]
@@ -134,10 +135,10 @@ def speed(wanted: float) -> tuple[int, int]:
 
 
 class Path:
-    """Positions in user units of the drive; `clock` gives bench time [s]."""
+    """Positions in user units of the drive; `clock` gives bench time [s], `fastest` is the actuator's speed [1/s]."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
+    def __init__(self, clock: Callable[[], float], fastest: float = inf) -> None:
+        self._clock, self._fastest = clock, fastest
         self._segment: Segment | None = None
         self._since, self._from, self._to, self._velocity = 0.0, 0.0, 0.0, 0.0
         self._off = 0.0
@@ -187,12 +188,13 @@ class Path:
         if value is None:
             return None
         reach = value - self._profile(now) - self._off
-        velocity = abs(reach) / cycle
         target = value
         swing = abs(segment.amplitude)
+        own = 2 * math.pi * segment.frequency * swing
+        velocity = min(abs(reach) / cycle, HURRY * own, self._fastest)
         if over:
             self.end()
-            velocity = max(velocity, 2 * math.pi * segment.frequency * swing)  # whatever it lags by, it arrives
+            velocity = max(velocity, own)  # whatever it lags by, it arrives
         else:
             target = min(max(value + math.copysign(abs(reach), reach), segment.origin - swing), segment.origin + swing)
         self._leave(target, velocity)

@@ -26,7 +26,7 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # noqa: TID253 
 from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TID253
 from pymodbus.framer import FramerRTU  # noqa: TID253
 
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, Identity
 from pmabench_drivers.modbus.registers import BIT_TABLES, READ
 from pmabench_drivers.shared.link import Still, Unanswered, always, turn, who
@@ -57,6 +57,8 @@ EXCEPTIONS = {
     11: "the gateway got no answer from it",
 }
 """Exception code -> what the device says with it."""
+NO_REFUSAL = (5, 6, 10, 11)
+"""Of those, the ones after which it may be carried out, or the next time."""
 
 CALLS = {
     "holding": "read_holding_registers",
@@ -334,11 +336,13 @@ class Line:
             self.heard = monotonic()
             self.quickest = min(self.quickest, self.heard - now)
             if answer.function_code > FAILED:
-                if any(signature[0] == wanted[0] for signature, _until in self._owed):
+                if owed := any(signature[0] == wanted[0] for signature, _until in self._owed):
                     self._lost(wanted)  # it may be the answer that is owed: then this one's is still to come
                 code = answer.exception_code
                 words = EXCEPTIONS.get(code, "which the specification does not define")
-                raise DeviceError(self._device, f"answers with exception {code}: {words}", what)
+                certain = not owed and wanted[0] > LAST_READ and code not in NO_REFUSAL
+                kind = NotSent if certain else DeviceError
+                raise kind(self._device, f"answers with exception {code}: {words}", what)
             return answer
 
     def _next_answer(self) -> Any:

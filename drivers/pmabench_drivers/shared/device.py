@@ -22,6 +22,12 @@ from pmabench_drivers.shared.options import Place, Reader, options_of
 
 STEPS = 100.0
 """Rate at which ramps and sines are stepped where no polling sets it [Hz]."""
+MOTIONS = ("length", "angle")
+"""Quantities of outputs that move."""
+HURRY = 1.5
+"""After a stall of computer or link, a motion is led back to its ramp or sine at most so many times as fast as that."""
+STALL = 0.05
+"""A step that comes so late [s] comes after a stall."""
 
 
 def refuse_nonsense(device: str, output: str, segment: Segment) -> None:
@@ -178,6 +184,8 @@ class Stepped(Driver):
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         self._following = {}
+        self._led: dict[str, tuple[Segment, float, float]] = {}
+        """Output -> the segment of its last step, the moment of it that was sent, and when [s, bench time]."""
         self.unanswered = -math.inf
         """When a step was sent last of which nobody knows whether it was carried out [s, bench time]."""
         super().__init__(device, clock)
@@ -208,7 +216,7 @@ class Stepped(Driver):
         """Send the value of this moment of every segment, the last one of which ends it; the first error."""
         failure: DeviceError | None = None
         for output, segment in list(self._following.items()):
-            value, last = stepped(segment, self._clock.now(), self._outputs[output].resolution)
+            value, last = stepped(segment, self._moment(output, segment), self._outputs[output].resolution)
             if value is None:
                 continue
             still = partial(self._follows, output, segment)
@@ -221,6 +229,18 @@ class Stepped(Driver):
                 if last and still():
                     self._following.pop(output, None)
         return failure
+
+    def _moment(self, output: str, segment: Segment) -> float:
+        """The moment of a segment [s, bench time] whose value is sent now; a motion does not leap after a stall."""
+        now = self._clock.now()
+        if self._outputs[output].quantity not in MOTIONS or now < segment.start:
+            return now
+        of, led, before = self._led.get(output, (None, 0.0, 0.0))
+        if of is not segment:
+            led = before = segment.start
+        moment = min(now, led + HURRY * min(now - before, STALL))
+        self._led[output] = segment, moment, now
+        return moment
 
     def _follows(self, output: str, segment: Segment) -> bool:
         return self._following.get(output) is segment

@@ -18,7 +18,7 @@ The bandwidth is where |G| first falls to 1/sqrt(2). Friction, which holds small
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf, log, pi, sqrt
 
@@ -26,10 +26,12 @@ import numpy as np
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import sentences
+from pmabench.analysis.shared.samples import UNDECLARED
 from pmabench.analysis.shared.student import half_width, mean_with_half
 from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.verdict.agreement import weighted
 from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.gauge import Late
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
 from pmabench.kinds.contraction_relaxation.values import aicc
@@ -41,7 +43,10 @@ BEFORE, AFTER = 0.1, 2.0
 """What of a step is fitted: from so long before the command to so long after it [s]."""
 FALL = 6.0
 """A second lag is reported where the corrected Akaike criterion falls by more than this."""
-NAMES = ("dead time", "lag", "second lag")
+NAMES, SENSOR = ("dead time", "lag", "second lag"), "displacement sensor"
+IN_TIME = Late()
+BLURRED = 0.75
+"""A second lag up to this share of a sample period is what sampling makes of steps, at any times between samples."""
 FEWEST = 20
 STEPS, NUDGE, GAIN = 100, 1.5e-8, 1e-10
 """A fit takes so many steps at most, with slopes over so small a change, until the sum of squares falls by less."""
@@ -56,6 +61,39 @@ class Response:
     rms: float
     aicc: float
     """Corrected Akaike criterion."""
+    single: Response | None = None
+    """Of two lags, the best fit with one."""
+    unsure: tuple[float, ...] = ()
+    """Half widths of what else is open of the times [s]."""
+    filtered: bool = False
+    """Whether a filter of the gauge was seen, which is none of the lags."""
+
+    def of_regulator(self, late: Late, period: float) -> Response:
+        """The same without what the gauge makes of it, sampled every `period` [s].
+
+        A lag as long as that of the gauge is its filter; without one it has a delay; with another second lag it may
+        have either. A short second lag of a gauge of which nothing is known may be that of its filter.
+        """
+        dead, *lags = self.times
+        which = late.filter_in(lags, self.errors[1:])
+        if which is not None:
+            kept = [1 + i for i in range(len(lags)) if i != which]
+            times, errors = ([each[i] for i in kept] for each in (self.times, self.errors))
+            unsure = (late.half_sample, *(0.0 for _ in kept))
+            return replace(
+                self, times=(dead + late.declared, *times), errors=(self.errors[0], *errors), unsure=unsure,
+                filtered=True,
+            )  # fmt: skip
+        one = self.single
+        if one is not None and lags[1] < period:
+            moved = abs(one.times[0] - dead) if lags[1] > BLURRED * period else 0.0
+            return replace(
+                one, times=(one.times[0] - late.found, *one.times[1:]), unsure=(hypot(moved, late.unsure), 0.0)
+            )
+        short = [T if i and T < UNDECLARED and not late.lag else 0.0 for i, T in enumerate(lags)]
+        return replace(
+            self, times=(dead - late.found, *lags), unsure=(late.lag if len(lags) > 1 else late.unsure, *short)
+        )
 
 
 def response(t: Array, y: Array) -> Response | None:
@@ -64,8 +102,7 @@ def response(t: Array, y: Array) -> Response | None:
     if one is None:
         return None
     two = _fitted(t, y, 2)
-    needless = two is None or two.aicc > one.aicc - FALL or two.times[2] < float(np.median(np.diff(t)))
-    return one if needless else two
+    return one if two is None or two.aicc > one.aicc - FALL else replace(two, single=one)
 
 
 def step(since: Array, times: Sequence[float]) -> Array:
@@ -135,17 +172,24 @@ def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
     return z, slope
 
 
-def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
-    """Dead time and lags [s] at each tested pressure and over all of them, and how well they describe the steps."""
-    found = responses(campaign)
+def regulator(campaign: Campaign, late: Late = IN_TIME, sensor: Late = IN_TIME) -> tuple[list[Estimate], list[Finding]]:
+    """Dead time and lags [s] at each tested pressure and over all of them, and how well they describe the steps.
+
+    The campaign is as of `gauge`, and its pressure `late`. A displacement `sensor` that is late is a line of its own:
+    a loop has it, too.
+    """
+    found = responses(campaign, late)
     if not found:
         return [], [Finding("note", "the regulator's dead time and lag are not identifiable: no step of the pressure")]
     estimates = [  # intervals at one pressure from the residual
-        _estimate(campaign, place, {"pressure": P}, value, Parts(NORMAL * error, 0.0), trials)
+        _estimate(campaign, place, {"pressure": P}, value, Parts(NORMAL * error, unsure), trials)
         for P, (one, trials) in found.items()
-        for place, (value, error) in enumerate(zip(one.times, one.errors, strict=True))
+        for place, (value, error, unsure) in enumerate(zip(one.times, one.errors, one.unsure, strict=True))
     ]
     whole = [e for place, name in enumerate(NAMES) for e in _over_all(campaign, place, name, found)]
+    if sensor.lag:
+        parts, n = Parts(0.0, sensor.unsure), len(campaign.trials)
+        whole.append(Estimate("t_d", sensor.lag, "s", "time", METHOD, {}, parts, n, coordinate=SENSOR))
     worst, (one, _) = max(found.items(), key=lambda item: item[1][0].rms)
     lags = " and ".join(show(lag, "time", 3) for lag in one.times[1:])
     text = (
@@ -155,7 +199,7 @@ def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
     return [*estimates, *whole], [Finding("note", text)]
 
 
-def responses(campaign: Campaign) -> dict[float, tuple[Response, tuple[str, ...]]]:
+def responses(campaign: Campaign, late: Late) -> dict[float, tuple[Response, tuple[str, ...]]]:
     """Fit to the mean step at each tested pressure [Pa], with the names of its trials; none where none fits."""
     found: dict[float, tuple[Response, tuple[str, ...]]] = {}
     for P in campaign.tested:
@@ -163,8 +207,20 @@ def responses(campaign: Campaign) -> dict[float, tuple[Response, tuple[str, ...]
         if rises:
             fitted = response(rises[0][1], np.mean([y for _, _, y in rises], axis=0))
             if fitted is not None:
-                found[P] = fitted, tuple(name for name, _, _ in rises)
+                found[P] = fitted.of_regulator(late, 1 / campaign.rate), tuple(name for name, _, _ in rises)
     return found
+
+
+ONSET = 0.2
+"""Share of the time constant of a filter by which it delays an onset that is read off the samples."""
+
+
+def behind(found: Iterable[Response], late: Late) -> tuple[float, float]:
+    """How late the onset of the pressure is in the samples, and what is open of that [s]; a filter hardly delays it."""
+    steps = list(found)
+    if any(one.filtered for one in steps):
+        return ONSET * late.lag - late.declared, ONSET * late.lag
+    return late.found, max((one.unsure[0] for one in steps), default=late.lag)
 
 
 def _rise(campaign: Campaign, number: int, P: float) -> tuple[str, Array, Array] | None:
@@ -190,17 +246,17 @@ def _over_all(
     campaign: Campaign, place: int, name: str, found: Mapping[float, tuple[Response, tuple[str, ...]]]
 ) -> list[Estimate]:
     """Mean of one time over the pressures, which are unlike conditions: the method part reaches to the farthest."""
-    mine = [(one.times[place], one.errors[place]) for one, _ in found.values() if len(one.times) > place]
+    mine = [one for one, _ in found.values() if len(one.times) > place]
     if len(mine) < 2:
         return []
-    values, errors = np.array(mine).T
+    values, errors, unsure = np.array([(one.times[place], one.errors[place], one.unsure[place]) for one in mine]).T
     mean = float(values.mean())
     half = NORMAL * float(np.sqrt(np.sum(errors**2))) / len(values)
     reach = float(np.max(np.abs(values - mean)))
     trials = tuple(trial for _, names in found.values() for trial in names)
     low, high = (show(float(end), "time", 3) for end in (values.min(), values.max()))
     note = f"{name}: mean over {len(mine)} pressures, from {low} to {high}"
-    return [_estimate(campaign, place, {}, mean, Parts(half, reach), trials, note)]
+    return [_estimate(campaign, place, {}, mean, Parts(half, hypot(reach, unsure.max())), trials, note)]
 
 
 def _estimate(

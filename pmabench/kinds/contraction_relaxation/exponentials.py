@@ -22,6 +22,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import bandwidth
 from pmabench.kinds.contraction_relaxation.bandwidth import responses
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
+from pmabench.kinds.contraction_relaxation.gauge import Late
 from pmabench.kinds.contraction_relaxation.intervals import AT_REST, CORRECTED, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
@@ -181,8 +182,11 @@ class _Raw:
     offsets: Mapping[str, float]
 
 
-def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], options: Mapping[str, Any]) -> Further:
-    """The papers' estimates and the dead times; `found` are the primary method's."""
+def compare(
+    campaign: Campaign, gathered: tuple[Campaign, Late], pooled: Pooled, found: Sequence[Estimate],
+    options: Mapping[str, Any],
+) -> Further:  # fmt: skip
+    """The papers' estimates and the dead times; `found` are the primary method's, `gathered` is as of `gauge`."""
     primary, moved = pooled.fit, set(pooled.segments.trial.tolist())
     seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
     seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}
@@ -225,10 +229,13 @@ def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], optio
         for step in steps
     ]
     ordered = sorted(estimates, key=lambda e: (e.method, (*SYMBOLS, "tau_c", "tau_r").index(e.symbol)))
-    regulator = {P: fitted for P, (fitted, _) in responses(campaign).items()}
+    recorded, late = gathered
+    regulator = {P: fitted for P, (fitted, _) in responses(recorded, late).items()}
     widths = bandwidth.estimates(campaign, found, regulator)
+    of_motion = Late.of(recorded, pooled.diagnosis, "displacement")
+    behind = {"pressure": bandwidth.behind(regulator.values(), late), "motion": (of_motion.found, of_motion.lag)}
     return Further(
-        (*ordered, *_dead_times(campaign, moved), *widths),
+        (*ordered, *_dead_times(recorded, moved, behind), *widths),
         tuple(through for through in curves if through is not None),
         (*_findings(estimates), *bandwidth.findings(widths)),
         {"steps": table},
@@ -349,8 +356,10 @@ def _spread(over: str, ends: tuple[float, float]) -> str:
     return f"mean over {over}, from {low} to {high}: the method part reaches to the farther end"
 
 
-def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
+def _dead_times(campaign: Campaign, moved: set[int], behind: Mapping[str, tuple[float, float]]) -> list[Estimate]:
     """Dead times of the contractions, per pressure and over all; those of motion only from trials that did move.
+
+    `behind`: how late the onsets of pressure and motion are in the samples, and what is open of that [s].
 
     The motion waits for the pressure to exceed what the load asks for: loads are unlike conditions for it, pressures
     are for all of them. The method part reaches to the farthest condition: a mean over them is not that of one.
@@ -363,18 +372,30 @@ def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
         for kind, value in dead_times(samples.t, samples.channels, samples.ok, command.t).items():
             timed = command.recorded or not kind.startswith("command")
             if timed and (number in moved or not kind.endswith("motion")):
-                found.append((kind, number, value))
+                found.append((kind, number, value - _behind(kind, behind)[0]))
     estimates = []
     for kind in KINDS:
         members = [(number, value) for of, number, value in found if of == kind]
         tested = sorted(grouped(members, lambda one: campaign.trials[one[0]].point["pressure"]).items())
-        estimates += [_dead_time(campaign, kind, {"pressure": P}, group) for P, group in tested]
-        estimates += [_dead_time(campaign, kind, {}, members)] if len(tested) > 1 else []
+        unsure = _behind(kind, behind)[1]
+        estimates += [_dead_time(campaign, kind, {"pressure": P}, group, unsure) for P, group in tested]
+        estimates += [_dead_time(campaign, kind, {}, members, unsure)] if len(tested) > 1 else []
     return estimates
 
 
-def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Sequence[tuple[int, float]]) -> Estimate:
-    """One kind of dead time at one pressure, or over all of them; `group` holds trial numbers and times [s]."""
+def _behind(kind: str, behind: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
+    """How much too long a kind of dead time is in the samples, and what is open of that [s]."""
+    since, until = kind.split("-to-")
+    (first, unsure), (last, more) = behind.get(since, (0.0, 0.0)), behind[until]
+    return last - first, hypot(unsure, more)
+
+
+def _dead_time(
+    campaign: Campaign, kind: str, at: dict[str, float], group: Sequence[tuple[int, float]], unsure: float
+) -> Estimate:
+    """One kind of dead time at one pressure, or over all of them; `group` holds trial numbers and times [s], of which
+    all may be off by `unsure` [s].
+    """
     numbers = [number for number, _ in group]
     motion = kind.endswith("motion")
     conditions = [float(campaign.cells[n]) if motion else campaign.trials[n].point["pressure"] for n in numbers]
@@ -387,7 +408,7 @@ def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Seque
     else:
         channel = "displacement" if motion else "pressure"
         between, skewed = f"command and {channel}", skew.off(campaign.runs, channel)
-    parts = Parts(half, hypot(0.5 / campaign.rate, reach), 0.0, skewed)
+    parts = Parts(half, hypot(0.5 / campaign.rate, reach, unsure), 0.0, skewed)
     note, names = sentences(ONCE if half is None else "", note), tuple(map(campaign.name, numbers))
     found = Estimate("t_d", mean, "s", "time", ONSET, at, parts, len(group), note=note, trials=names, coordinate=kind)
     return skew.settled(found, between, skewed)

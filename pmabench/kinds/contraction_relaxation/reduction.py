@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import simulated, skew
 from pmabench.analysis.shared.samples import NotUsable, Samples
-from pmabench.analysis.shared.trials import reference_findings
+from pmabench.analysis.shared.trials import grouped, reference_findings, session_of
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials, output_error
+from pmabench.kinds.contraction_relaxation import RESULTS, checks, days, exponentials, output_error
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_sensors
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
+from pmabench.kinds.contraction_relaxation.gauge import Late, gathered
 from pmabench.kinds.contraction_relaxation.intervals import (
     Cause,
     Pooled,
@@ -78,21 +79,23 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs)}
     if campaign is None or pooled is None:
         return _without_fit(runs, campaign, dropped, reason, {**facts, "trials_used": 0})
+    recorded, late = gathered(campaign, pooled.diagnosis)
     campaign, diagnosis = pooled.campaign, pooled.diagnosis
     estimates, curves = estimates_of(campaign, pooled)
     joint = compare(campaign, pooled, options)
     polished = output_error.compare(campaign, pooled, estimates, options)
-    stepwise = exponentials.compare(campaign, pooled, estimates, options)
+    stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
     resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
-    response, described = regulator(campaign) if options.get("regulator") else ([], [])
+    sensor = Late.of(recorded, diagnosis, "displacement")
+    response, described = regulator(recorded, late, sensor) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     asked = (("joint", joint.facts), ("output_error", polished.facts), ("bootstrap", resampled))
     others = (joint, polished, stepwise)
     every = (*estimates, *(e for other in others for e in other.estimates))
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
-    return Analysis.of(
+    analysis = Analysis.of(
         KIND,
         runs,
         results=RESULTS,
@@ -116,6 +119,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
+    sessions = list(grouped(runs, session_of).values()) if diagnosis.reason else []
+    alone = [reduce(one, options) for one in sessions] if len(sessions) > 1 else []
+    return days.of_each(analysis, alone, ORDERS) or analysis
 
 
 def _without_fit(

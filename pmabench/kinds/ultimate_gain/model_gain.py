@@ -24,6 +24,7 @@ from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts
 METHOD = "model"
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")
 RESPONSE = "regulator-response"
+SENSOR, FILTER = "displacement sensor", "filter of the sensor"
 FEWEST = 3
 """Pressures below which slopes over pressure cannot be found."""
 LEAST = 0.1
@@ -73,20 +74,26 @@ class Fitted:
     def loop(
         self, values: Sequence[float], x: float, load: float, mass: float, period: float, way: str = ""
     ) -> tuple[float, Loop]:
-        """Pressure [Pa] and loop at x [m], `load` [N]; `way` is whose damping counts, `B_c` or `B_r`; or both."""
+        """Pressure [Pa] and loop at x [m], `load` [N]; `way` is whose damping counts, `B_c` or `B_r`; or both.
+
+        A displacement sensor that is late has a delay, with the way `FILTER` a filter.
+        """
         points: dict[str, list[tuple[float, float]]] = {symbol: [] for symbol in SYMBOLS}
-        times = {"dead time": 0.0, "lag": 0.0, "second lag": 0.0}
+        times = dict.fromkeys(("dead time", "lag", "second lag", SENSOR), 0.0)
         for e, value in zip(self.estimates, values, strict=True):
             if e.symbol in points:
                 points[e.symbol].append((e.at["pressure"], value))
             else:
                 times[e.coordinate] = value
-        chosen = (points[way if way and symbol[0] == "B" else symbol] for symbol in SYMBOLS)
+        chosen = (points[way if way in points and symbol[0] == "B" else symbol] for symbol in SYMBOLS)
         F_ce, K, B_c, B_r = (_through(sorted(known), self.domain) for known in chosen)
         muscle = Muscle(METHOD, F_ce, K, B_c, B_r)
-        regulator = Regulator(max(0.0, times["dead time"]), max(0.0, times["lag"]))
+        delay, further = times["dead time"] + times[SENSOR], [times["second lag"]]
+        if way == FILTER:
+            delay, further = times["dead time"], [*further, times[SENSOR]]
+        regulator = Regulator(max(0.0, delay), max(0.0, times["lag"]))
         P, loop = loop_at(muscle, regulator, x, load, self.domain, mass=mass, sample_period=period)
-        return P, replace(loop, lags=(*loop.lags, times["second lag"])) if times["second lag"] > 0 else loop
+        return P, replace(loop, lags=(*loop.lags, *(lag for lag in further if lag > 0)))
 
     def bend(self, P: float, x: float, loop: Loop) -> float:
         """Share by which k_g may be off where F_ce or K have a kink between the pressures of the campaign [1]."""
@@ -185,7 +192,7 @@ def _estimates(
         return found.gain, found.period
 
     found = pair(values)
-    ways = [pair(values, way) for way in ("B_c", "B_r")]
+    ways = [pair(values, way) for way in ("B_c", "B_r", FILTER)]
     slopes: list[tuple[float, float]] = []
     for i, e in enumerate(fitted.estimates):
         step = NUDGE * (e.parts.combined or 0.0) or 1e-6 * abs(values[i])
@@ -202,7 +209,8 @@ def _estimates(
             worth[cause] = added if assessed else None
         damping = DAMPING * abs(ways[0][place] - ways[1][place])
         bent = bend * found[place] if symbol == "K_u" else 0.0
-        worth["method"] = hypot(worth["method"] or 0.0, damping, bent)
+        filtered = abs(ways[2][place] - found[place])
+        worth["method"] = hypot(worth["method"] or 0.0, damping, bent, filtered)
         parts = Parts(**worth)  # type: ignore[arg-type]
         n = max(e.n for e in fitted.estimates)
         note = "from coefficients over pressure and the regulator's lag; no loop was closed"
@@ -223,5 +231,11 @@ def _doubts(analysis: Analysis, fitted: Fitted, load: float) -> list[Finding]:
     if low > fitted.domain[0] or high < fitted.domain[1]:
         ends = f"from {show(low, 'pressure', 4)} to {show(high, 'pressure', 4)}"
         said.append(Finding("note", f"B_r is known {ends}; beyond, it goes on along straight lines"))
+    sensor = next((e for e in fitted.estimates if e.coordinate == SENSOR), None)
+    if sensor is not None:
+        late = show(sensor.value or 0.0, "time", 3)
+        said.append(
+            Finding("note", f"the loop waits for its displacement sensor, {late}: with a faster one K_u is larger")
+        )
     said.append(Finding("note", f"set-points hold for a load of {show(load, 'force', 4)} and its mass"))
     return said

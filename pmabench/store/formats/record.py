@@ -26,7 +26,9 @@ from pmabench.store import formats as folder
 from pmabench.store.records import Array
 
 TIME = "@time"
-"""Name of the column of times [s] calculated from the sampling period."""
+"""Column of times [s] that are made from the distance of the samples."""
+TOGETHER = 0.5
+"""Channels that begin within this share of a sample have one clock."""
 
 
 class Layout(Strict):

@@ -43,6 +43,7 @@ MOST_HIDDEN = 0.02
 GAIN, ZERO = "gain of the force cell against the weights", "zero of the force cell against the weights"
 REVERSAL = "backlash of the displacement sensor"
 GAUGE = "hysteresis of the pressure gauge, a third of its uncertainty"
+LATE = "{} is late by {{size}} against the other channels, or filtered with that time constant"
 ALONE = 1e-6
 """A column of which the coefficients leave a smaller share than this cannot be distinguished from them."""
 HARDLY = 0.01
@@ -148,9 +149,8 @@ def _over_time(test: Test) -> Iterator[Departure]:
     yield Departure("slip of the mount that the fit does not exclude", "drift", ways)
 
     bounds, late = columns.clock_bounds(campaign), columns.late(segments, fit, campaign.cell)
-    text = "{} is late by {{size}} against the other channels, or filtered with that time constant"
     ways = tuple(  # a delay and a first-order filter are the same at first order
-        Way(text.format(name), "time", column, bounds.get(name, 0.0)) for name, (column, _) in late.items()
+        Way(LATE.format(name), "time", column, bounds.get(name, 0.0)) for name, (column, _) in late.items()
     )
     yield Departure("delay or filter of a channel that the fit does not exclude", "method", ways)
 
@@ -207,6 +207,10 @@ class Hidden:
     """Those that are significant, and move a coefficient by more than its interval; the clearest first."""
     moved: str
     """The coefficient that the clearest of `found` moves most, and by how much; empty without."""
+
+    def late(self, channel: str) -> float:
+        """How late a channel may be against the others [s]; infinite where that was not sized."""
+        return next((size.hidden for size in self.sizes if size.way.text == LATE.format(channel)), inf)
 
     def lines(self, fit: Fit, rows: NDArray[np.bool_]) -> list[Cause]:
         """Lines of the budget of a fit to some `rows` of the segments."""
