@@ -262,22 +262,22 @@ class Answer:
     overshoot: float
     """Overshoot as a fraction of the final value [1]; infinite for an unstable loop."""
     settling: float
-    """Time [s] after which it stays within `SETTLED` of the final value; infinite where not in `MOST` T_u."""
+    """Time [s] after which it stays within `SETTLED` of the final value; infinite if longer than `MOST` T_u."""
 
 
 SETTLED = 0.02
 """Band about the final value, as a fraction of it."""
 LEAST, MOST, STAYS = 16, 256, 8
-"""Ultimate periods that are simulated, more until it stays in the band for so many."""
+"""Least and most ultimate periods simulated, and number of these for which the response must stay in the band."""
 
 
 def set_point_step(loop: Loop, controller: Controller) -> Answer:
     """Overshoot and settling time of the displacement after a set-point step.
 
-    The derivative acts on the displacement alone, as in `pmabench.model.pid`. Simulated at T_u/400 for 16 T_u, or until
-    it has settled: controller and lags are one linear system whose input, the error one dead time ago, is a line
-    between two samples; what the derivative of the set-point would add is taken off. The final value is the set-point,
-    without integral action K/(1 + K) of it, K = K_p k_g.
+    Simulated with steps of T_u/400 for at least `LEAST` T_u, until it has settled. Controller and lags are one linear
+    system, solved exactly for an input, the error one dead time ago, that is linear between samples. The derivative
+    acts on the displacement alone, as in `pmabench.model.pid`, so the part from the set-point is subtracted. The final
+    value is the set-point, or without integral action K/(1 + K) of it, with K = K_p k_g.
     """
     if not margins(loop, controller).stable:
         return Answer(inf, inf)
@@ -306,8 +306,10 @@ def set_point_step(loop: Loop, controller: Controller) -> Answer:
 
 
 def _discrete(loop: Loop, controller: Controller, h: float) -> tuple[Array, Array, Array, Array, Array]:
-    """State matrix of controller and lags over `h` [s], its two inputs for the begin and the end of a line, and what
-    reads the displacement behind all of the controller and behind its derivative alone; a step is `early` each time.
+    """State matrix of controller and lags over `h` [s], and its input vectors for begin and end of a linear input.
+
+    Then the output vectors of the displacement by the whole controller and by its derivative alone; for a step the
+    input is `early` each time.
     """
     integral, slow = controller.T_i / h, controller.T_d / controller.filter / h  # all times in samples
     by_i = np.array([integral, 0.0]) if integral < inf else np.ones(1)

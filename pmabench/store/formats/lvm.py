@@ -250,7 +250,7 @@ def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array
 
 
 def _together(file: _File, segment: _Segment, step: float) -> None:
-    """Raises InvalidFile where channels begin apart, by their Time and X0; `step`: distance of the samples [s]."""
+    """Raise InvalidFile where channels start at different times, by Time and X0; `step`: sampling period [s]."""
     starts = dict(enumerate(_floats(file, segment, "X0")))
     clocks = [_started(segment, file.keys, k) for k in range(len(segment.keys.get("Time", [])))]
     for k, at in enumerate(clocks if segment.keys.get("X_Dimension", ["Time"])[:1] == ["Time"] else ()):
@@ -272,7 +272,7 @@ def _floats(file: _File, segment: _Segment, key: str) -> list[float]:
 
 
 def _started(segment: _Segment, header: dict[str, str], channel: int = 0) -> datetime | None:
-    """Date and time of a channel of a segment, else of the file, in no time zone."""
+    """Start of a channel of a segment, else of the file, without time zone; None if unknown."""
     dates = segment.keys.get("Date") or [header.get("Date", "")]
     times = segment.keys.get("Time") or [header.get("Time", "")]
     date, time = dates[min(channel, len(dates) - 1)], times[min(channel, len(times) - 1)]

@@ -26,9 +26,9 @@ from pmabench.store import formats as folder
 from pmabench.store.records import Array
 
 TIME = "@time"
-"""Column of times [s] that are made from the distance of the samples."""
+"""Name of the column of times [s] calculated from the sampling period."""
 TOGETHER = 0.5
-"""Channels that begin within this share of a sample have one clock."""
+"""Difference of starts, over the sampling period, up to which channels share a time column."""
 
 
 class Layout(Strict):

@@ -26,8 +26,8 @@ class TdmsLayout(Layout):
 def read_tdms(path: str, content: bytes, layout: TdmsLayout | None, only: Collection[str] | None) -> Recorded:
     """The channels of numbers in `only` (None: all); raises InvalidFile.
 
-    Values are those that the file's own scales give, as every other program shows them. `group/@time` [s] comes from
-    `wf_increment` where all channels of a group have the same and begin together. Time stamps count from the first one.
+    Values are scaled with the file's own scales, as in other programs. `group/@time` [s] comes from `wf_increment` if
+    all channels of a group have the same and start together. Time stamps count from the first one.
     """
     if not content.startswith(MAGIC):
         raise invalid(path, f'is no TDMS file: it does not begin with "{MAGIC.decode()}"')

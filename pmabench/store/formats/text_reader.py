@@ -95,7 +95,7 @@ class TextReader:
         return head, [*rows.columns.values(), rows.lines]
 
     def _above(self) -> list[list[str]]:
-        """What each line that is no row, and is as wide as one, has at the columns that are read: a line of units."""
+        """Texts in the wanted columns of each line that is as wide as a row but none, such as a line of units."""
         plain = (line.lstrip().removeprefix(self.layout.comment or "").lstrip() for line in self.head)
         cut = (next(csv.reader([line], delimiter=MARKS[self.layout.delimiter]), []) if self.layout.quoted
                else self._split(line) for line in plain)  # fmt: skip

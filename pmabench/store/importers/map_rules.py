@@ -30,7 +30,7 @@ POINT_QUANTITY = {name: POINT_QUANTITIES[name] for name in get_args(map_file.Poi
 G = 9.80665
 """Standard gravity [m/s2], for a load that is given as a mass."""
 NUMBER = r"(?<![\d.,])(?<!\dp)(?:(?<![^_ =(])-)?\d+(?:[.,p]\d+)?"
-"""A number in a name: `8`, `0.5`, `0,5`, `0p5`; `-8` behind a sign that separates, else the minus does."""
+"""A number in a name: `8`, `0.5`, `0,5`, `0p5`; also `-8` after a separator, else the minus is a separator."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
 _SPECIAL = {"test": r"\d{1,6}", "date": r"\d{4}-\d{2}-\d{2}", "clock": r"\d{6}"}
 
@@ -390,7 +390,7 @@ def factor_of(unit: str, quantity: str) -> float:
 
 
 def number_in(text: str) -> float:
-    """The number that a part of a name is: `8p5` is 8.5, as people write it where a point is no part of a name."""
+    """Value of a number in a name, where `p` or a comma may stand for the point: `8p5` is 8.5."""
     return float(re.sub("[,p]", ".", text))
 
 

@@ -198,11 +198,11 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
 
 
 LED = 0.03
-"""By so much [s], and three samples, the pressure is surely before its command: a command is polled, too."""
+"""Least lead [s] of pressure over its command that is reported, if also three samples: commands are polled, too."""
 
 
 def led(report: Report, pressure: Checked, command: Checked, good: Bools) -> None:
-    """Report where the measured pressure moves before its command does, of what is `good`, shape (n,)."""
+    """Report a measured pressure that moves before its command; only `good` samples count, shape (n,)."""
     rows = np.flatnonzero(good & motion.later(report.t))
     if len(rows) < 200:
         return
@@ -229,9 +229,9 @@ def _averaged(values: Array, over: float) -> Array:
 
 
 def _lag(F: Array, P: Array, most: int, *, alone: bool = False) -> float:
-    """By how many points `F` lies after `P`, both of shape (n,); 0 where that explains it no better.
+    """Lag of `F` behind `P`, both of shape (n,), in points; 0 where a lag does not fit better.
 
-    `alone`: nor where `F` may as well lie before `P`, as in a sine.
+    `alone`: also 0 where a lead fits as well, as for a sine.
     """
     shifts = np.arange(-most, most + 1)
     for smooth in SMOOTH:

@@ -249,9 +249,9 @@ def _read(path: Path, question: Mapping[str, Any], stamps: Stamps | None, most: 
 
 
 def _line_of_units(head: Mapping[str, Any]) -> Sequence[str]:
-    """The last line above the rows of a text that has units in more than half of its columns.
+    """The last line above the rows that has units in more than half of its columns; else empty.
 
-    An oscilloscope writes "Volt" whatever it was fed.
+    Oscilloscopes write "Volt" for any quantity.
     """
     if step_in(head.get("head", ())):
         return ()

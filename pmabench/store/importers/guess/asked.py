@@ -50,7 +50,7 @@ SHARES = (0.0, 0.02, 0.05, 0.1)
 CHANGES = 0.02
 """Relative change of the slope by the thresholds above which the user is asked for the threshold."""
 SAME_MOMENT = 1e-3
-"""Two clocks that differ by less than this [s] in each row count the same moments."""
+"""Two time columns that differ by less than this [s] in each row give the same times."""
 LENGTH = re.compile(rf"{NUMBER}(?=[ _]?mm)")
 """A length in the name of a file or of a test [mm]."""
 CONTRACTIONS = words("contraction disp displacement stroke shortening hub verkurzung kontraktion")

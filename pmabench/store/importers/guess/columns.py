@@ -276,13 +276,13 @@ USUAL = ("s", "ms", "us")
 FASTEST, SLOWEST = 2e4, 2.0
 """Usual range of sampling rates [Hz]."""
 SHORTEST = 2.0
-"""A test of a muscle lasts at least so long [s]."""
+"""Shortest usual duration of a test [s]."""
 ROUND = (1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 10.0)
-"""Rates that people set, but for powers of ten."""
+"""Usual sampling rates, up to powers of ten."""
 EXACT = 0.005
-"""A rate is that to so large a share."""
+"""Relative tolerance for a usual rate."""
 FULL = 120.0
-"""A file without a unit of time that lasts longer than this [s] is not taken for minutes."""
+"""Duration in seconds above which times without a unit are not taken for minutes [s]."""
 BRIEF, RARE = 0.5, 0.5
 """A shorter duration [s] or a lower rate [Hz] than these is doubtful: a muscle takes 0.1 s to fill."""
 
@@ -363,7 +363,7 @@ def _in_each_unit(time: Proposal) -> dict[str, tuple[float, float, str]]:
 
 
 def _usual_units(time: Proposal, slowest: float) -> list[str]:
-    """The units in which a time is that of a usual test, of so many samples a second at least, in words."""
+    """Units in which a time has a usual duration and rate, at least `slowest` [Hz], as text."""
     each = _in_each_unit(time)
     if not _may_be_minutes(time):
         del each["min"]
@@ -375,7 +375,7 @@ def _usual_units(time: Proposal, slowest: float) -> list[str]:
 
 
 def _may_be_minutes(time: Proposal) -> bool:
-    """Whether a time that would be short in seconds has a rate that people set in minutes only: 50 for 3000."""
+    """Whether a time that would be short in seconds has a usual rate only in minutes: 50 Hz, not 3000 Hz."""
     step, lasts = usual_step(time.values), float(np.ptp(time.values))
     rates = np.array([1.0 / step, (len(time.values) - 1) / lasts])
     usual = lasts <= FULL and bool(np.all(rates / 60.0 > 4.0 * SLOWEST))
@@ -383,7 +383,7 @@ def _may_be_minutes(time: Proposal) -> bool:
 
 
 def _is_round(rates: Array) -> bool:
-    """Whether one of these rates, shape (n,), is one that people set."""
+    """Whether one of these rates, shape (n,), is a usual one."""
     lead = rates / 10.0 ** np.floor(np.log10(rates))
     return bool(np.any(np.abs(lead[:, None] / np.array(ROUND) - 1.0) < EXACT))
 

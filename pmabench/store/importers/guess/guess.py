@@ -222,35 +222,35 @@ _PARTS = (
     (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
 )
 WHERE_APART = {"g", "N", "mm"}
-"""Units of what is read only where it differs among the names: it may as well be a size, or the range of a sensor."""
+"""Units of numbers that are used only if they differ among names, because they may be a size or a sensor's range."""
 CONTRACTED = re.compile(
     r"(kink(ed)?|contract(ion|ed)?|contr|held|hold|at|shortened|short|x|dx|eps)[-_ ]?$", re.IGNORECASE
 )
-"""What comes before a length that is a contraction, and no diameter."""
+"""Text before a length in a name that marks it as a contraction, not a diameter."""
 OTHER_LENGTH = re.compile(
     r"([a-z]|(?<![a-z])(l|len(gth)?|lange|stretch(ed)?|elong(ation|ated)?|ext(ension|ended)?|d|dia(m|meter)?|gap)"
     r"[-_ ])$",
     re.IGNORECASE,
 )
-"""What comes before a length that need be no contraction: any word that is one with it, or one of these."""
+"""Text before a length that may be no contraction: a letter joined to it, or one of these words."""
 
 
 @dataclass(frozen=True)
 class Names:
-    """What the names of files or folders give."""
+    """Information in the names of files or folders."""
 
     keys: set[str]
     of: str
     forms: list[str]
     units: dict[str, str]
     comma: bool
-    """Numbers have a decimal comma."""
+    """Whether numbers have a decimal comma."""
     asked: dict[str, str]
-    """Key -> why it is asked whether the number is that."""
+    """Key -> reason to ask whether the number has this meaning."""
 
 
 def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset()) -> Names:
-    """Keys in the names, from files or folders, with their forms; none for numbers with a unit of `without`.
+    """Information in the names of files or folders (`of`); numbers with a unit in `without` are ignored.
 
     A length that is not marked as a contraction and is the same in all names may be a diameter, and is ignored.
     """
@@ -288,12 +288,12 @@ def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset
 
 
 def _doubtful(before: str) -> int:
-    """How doubtful it is by what comes before a length that it is a contraction: 0 called so, 1 as usual, 2 a word."""
+    """Doubt whether a length is a contraction, from the text before it: 0 marked as one, 1 unmarked, 2 other words."""
     return 0 if CONTRACTED.search(before) else 2 if OTHER_LENGTH.search(before) else 1
 
 
 def _asked(number: str, unit: str, doubtful: int) -> str:
-    """What else a number in a name may be; empty where it is sure."""
+    """Question about the meaning of a number in a name; empty where it is certain."""
     if number.startswith("-"):
         return "is the minus its sign, as of a muscle that is stretched? If it only separates, write it into the form"
     if "p" in number:

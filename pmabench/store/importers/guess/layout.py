@@ -103,9 +103,9 @@ MOST_MISSING = 12
 MOST_BELOW = 20
 """Largest number of lines between names and first row that a map can state."""
 FAULTS = 0.05
-"""Share of texts that are neither numbers nor known for "no value", up to which a column holds numbers, and faults."""
+"""Largest share of faults in a column of numbers: texts that are neither numbers nor known for "no value"."""
 FEWEST = 3
-"""Numbers among the first rows that make a column one of numbers: others may be blank, where rates are mixed."""
+"""Fewest numbers among the first rows of a column of numbers; others may be blank where rates are mixed."""
 _QUOTED = re.compile(r'"\s*[+-]?[\d.,]+(?:[eE][+-]?\d{1,3})?\s*"')
 _POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 _COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
