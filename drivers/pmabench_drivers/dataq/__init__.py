@@ -122,17 +122,33 @@ class Scans:
         size, at = self._words.size, 0
         while at + size <= len(self._rest):
             *analog, digital = self._words.unpack_from(self._rest, at)
-            at += size
             if self._digital is None and plausible(digital):
                 self._digital = digital
             if digital != self._digital:
-                self._rest = b""
-                raise Lost
+                two = self._rest[at : at + 2 * size]
+                if self._likely(digital) and len(two) < 2 * size:
+                    break  # the next scan decides
+                if not self._switched(two):
+                    self._rest = b""
+                    raise Lost
+                self._digital = digital
+            at += size
             self.whole.append(tuple(analog))
         self._rest = self._rest[at:]
         if self._rest.endswith(OVERRUN):
             raise Lost
         return self.whole
+
+    def _likely(self, word: int) -> bool:
+        """Whether another word can be that of the digital inputs as well: no bit without an input has changed."""
+        return self._digital is not None and plausible(word) and not (word ^ self._digital) & 0xFC
+
+    def _switched(self, two: bytes) -> bool:
+        """Whether inputs were switched where these two scans are; in one that is shifted the word before is elsewhere."""
+        size, before = self._words.size, (self._digital or 0).to_bytes(2, "little")
+        return all(self._likely(int.from_bytes(two[end - 2 : end], "little")) for end in (size, 2 * size)) and all(
+            two[at : at + 2] != before for at in range(len(two)) if (at + 2) % size
+        )
 
 
 @dataclass(frozen=True)
