@@ -122,17 +122,33 @@ class Scans:
         size, at = self._words.size, 0
         while at + size <= len(self._rest):
             *analog, digital = self._words.unpack_from(self._rest, at)
-            at += size
             if self._digital is None and plausible(digital):
                 self._digital = digital
             if digital != self._digital:
-                self._rest = b""
-                raise Lost
+                two = self._rest[at : at + 2 * size]
+                if self._likely(digital) and len(two) < 2 * size:
+                    break  # the next scan decides
+                if not self._switched(two):
+                    self._rest = b""
+                    raise Lost
+                self._digital = digital
+            at += size
             self.whole.append(tuple(analog))
         self._rest = self._rest[at:]
         if self._rest.endswith(OVERRUN):
             raise Lost
         return self.whole
+
+    def _likely(self, word: int) -> bool:
+        """Whether another word can be that of the digital inputs as well: no bit without an input has changed."""
+        return self._digital is not None and plausible(word) and not (word ^ self._digital) & 0xFC
+
+    def _switched(self, two: bytes) -> bool:
+        """Whether inputs were switched where these two scans are; in shifted ones the word before is elsewhere."""
+        size, before = self._words.size, (self._digital or 0).to_bytes(2, "little")
+        return all(self._likely(int.from_bytes(two[end - 2 : end], "little")) for end in (size, 2 * size)) and all(
+            two[at : at + 2] != before for at in range(len(two)) if (at + 2) % size
+        )
 
 
 @dataclass(frozen=True)
@@ -327,17 +343,26 @@ class Dataq(SerialStream):
         raise DeviceError(self._device.name, 'did not answer "stop": is it in its CDC mode?')
 
     def _ask(self, command: str) -> str:
-        """Send a command; the answer without the echo of the command."""
+        """Send a command, once more where no echo of it comes; the answer without the echo.
+
+        Each command says the same when it is repeated; what the first one brings late is passed over.
+        """
         port = self._opened()
-        port.drain()
-        port.send(command.encode("ascii") + END)
-        data = port.receive(lambda got: END in got, ANSWER)
-        line, end, _ = data.partition(END)
-        text = line.decode("ascii", "replace").strip()
-        if not end or not (text == command or text.startswith(f"{command} ")):
-            heard = f'"{text[:40]}"' if data else "nothing"
-            raise DeviceError(self._device.name, f'answered {heard} to "{command}"')
-        return text.removeprefix(command).strip()
+
+        def answer(got: bytes) -> str | None:
+            lines = [line.decode("ascii", "replace").strip() for line in got.split(END)[:-1]]
+            return next((line for line in lines if line == command or line.startswith(f"{command} ")), None)
+
+        data = b""
+        for _ in range(2):
+            port.drain()
+            port.send(command.encode("ascii") + END)
+            data = port.receive(lambda got: answer(got) is not None, ANSWER) or data
+            if (line := answer(data)) is not None:
+                return line.removeprefix(command).strip()
+        text = data.decode("ascii", "replace").strip()
+        heard = f'"{text[:40]}"' if data else "nothing"
+        raise DeviceError(self._device.name, f'answered {heard} to "{command}"')
 
     def _identity(self) -> Identity:
         maker, model = self._ask("info 0"), self._ask("info 1")

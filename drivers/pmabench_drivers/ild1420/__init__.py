@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
 
@@ -193,6 +194,10 @@ _ERROR = re.compile(rb"E\d{2,3}[^\r\n]*")
 _FIELD = re.compile(r"^[\s>-]*([A-Za-z][A-Za-z -]*?) *: *([^\r\n/]*?) *(?://.*)?$", re.MULTILINE)
 
 
+class Refused(DeviceError):
+    """The sensor says that it does not carry a command out."""
+
+
 class Ild1420(SerialStream):
     """A laser sensor: its one input is `distance` [mm], from the begin of the measuring range."""
 
@@ -217,12 +222,14 @@ class Ild1420(SerialStream):
 
     def _greet(self) -> Identity:
         """Quiet the sensor, see that it is the right one, and set what a true record needs."""
-        self._silence()
+        self._ask("OUTPUT NONE", tries=3)
         fields = self._ask("GETINFO").decode("ascii", "replace").replace("\r", "\n")
         identity = self._identity(dict(_FIELD.findall(fields)))
         self._ask(f"MEASRATE {self._options.rate / 1000:g}")
         for setting in ("OUTREDUCECOUNT 1", "OUTHOLD NONE", "OUTADD_RS422 COUNTER"):
             self._ask(setting)
+        with suppress(Refused):  # its key sets zero; a sensor that cannot lock it measures all the same
+            self._ask("KEYLOCK ACTIVE")
         return identity
 
     def start(self, rate: float) -> float:
@@ -281,30 +288,28 @@ class Ild1420(SerialStream):
         """End the stream."""
         self._ask("OUTPUT NONE")
 
-    def _silence(self) -> None:
-        """End a stream that somebody left behind; its bytes may drown one answer."""
-        for last in (False, False, True):
-            try:
-                self._quiet()
-                break
-            except DeviceError:
-                if last:
-                    raise
+    def _ask(self, command: str, *, rest: bool = False, tries: int = 2) -> bytes:
+        """The answer to a command, or what follows its prompt; an error is the sensor's own.
 
-    def _ask(self, command: str, *, rest: bool = False) -> bytes:
-        """The answer to a command, or what follows its prompt; an error is the sensor's own."""
+        A command says the same when it is repeated. Bytes of a stream that somebody left behind may drown an answer.
+        """
         port = self._opened()
-        port.drain()
-        port.send(command.encode("ascii") + b"\n")
-        data = port.receive(lambda got: PROMPT in got, ANSWER)
-        answer, prompt, behind = data.partition(PROMPT)
-        if not prompt:
+        for again in range(tries):
+            port.drain()
+            port.send(command.encode("ascii") + b"\n")
+            data = port.receive(lambda got: PROMPT in got, ANSWER)
+            answer, prompt, behind = data.partition(PROMPT)
+            if prompt:
+                if again and not rest and PROMPT not in behind:  # the other answer must not be the next command's
+                    port.receive(lambda got: PROMPT in got, ANSWER)
+                break
+        else:
             heard = f"{len(data)} bytes without the end of an answer" if data else "nothing"
             raise DeviceError(self._device.name, f'sent {heard} when it was asked "{command}"')
         refused = _ERROR.search(answer) if command != "OUTPUT NONE" else None
         if refused:
             text = refused[0].decode("ascii", "replace").strip()
-            raise DeviceError(self._device.name, f'refuses "{command}": {text}')
+            raise Refused(self._device.name, f'refuses "{command}": {text}')
         return behind if rest else answer
 
     def _identity(self, fields: dict[str, str]) -> Identity:

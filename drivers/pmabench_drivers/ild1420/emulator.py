@@ -25,6 +25,8 @@ class Sensor(Streaming):
         super().__init__(device, log, EXCEPTION, NOISE, OVER, garbage=GARBAGE)
         self._rate = self._options.rate
         self.counter = 0
+        self.locked = False
+        """Whether its key does nothing."""
 
     def command(self, line: str) -> None:
         """As a sensor answers; the prompt ends each answer."""
@@ -47,6 +49,8 @@ class Sensor(Streaming):
             self.due = monotonic()
         elif word == "MEASRATE" and value in {f"{rate:g}" for rate in RATES}:
             self._rate = float(value) * 1000.0
+        elif f"{word} {value}" == "KEYLOCK ACTIVE":
+            self.locked = True
         elif f"{word} {value}" not in {"OUTREDUCECOUNT 1", "OUTHOLD NONE", "OUTADD_RS422 COUNTER"}:
             return "E220 unknown command or value"
         return "ok"
