@@ -2,12 +2,12 @@
 
 - `reduction`, made of `segments` (trials and their segments), `pooled`, `intervals`, `values` (and regressions on
   pressure)
-- whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
-  its words and overlays: `checks`
-- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`
-- where asked for: chosen forms over pressure in `joint`; output error in `output_error`
+- `diagnosis`: whether the data have the form of the fit, why not, and what the fit could hide
+- `checks`: other checks of the fit, its sentences and overlays
+- `exponentials`: the papers' method and dead times; `bandwidth`: the regulator and the small-signal bandwidth
+- on request: `joint`, chosen forms over pressure; `output_error`, a fit by simulation
 - by paper 1: `paper1`, made of `paper1_steps`
-- further trials: what they would add in `predicted`, what is known so far in `known`, the choice in `next_trial`
+- further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`
 """
 
