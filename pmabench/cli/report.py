@@ -15,11 +15,12 @@ import click
 from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
 from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.common import Ui, common, no_pipes
-from pmabench.cli.names import FILE, RunFolder
+from pmabench.cli.names import FILE, PATH, RunFolder
 
 if TYPE_CHECKING:
     from pmabench.cli.process import Processed
     from pmabench.files.table import Column
+    from pmabench.report.document.content import Content
     from pmabench.report.figures.overlays import Published
     from pmabench.report.writing import KeptPage
     from pmabench.store.analyses.results import Analysis
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", required=True, type=FILE, help="The HTML file.")
 @click.option("--pdf", type=FILE, help="Also as a tagged PDF; needs the extra pdf.")
 @click.option("--xlsx", type=FILE, help="Also as a workbook; needs the extra xlsx.")
+@click.option("--figures", type=PATH, metavar="DIR", help="Also each figure as an SVG file, with captions.txt.")
 @click.option(
     "--overlay", "overlays", multiple=True, metavar="FILE.csv[:LABEL]", help="Published points for the figures."
 )
@@ -50,6 +52,7 @@ def command(
     output: Path,
     pdf: Path | None,
     xlsx: Path | None,
+    figures: Path | None,
     overlays: tuple[str, ...],
     title: str | None,
     long: bool,
@@ -77,7 +80,7 @@ def command(
         behind = chains(given or [run for folder in folders for run in runs_of(folder)])
         about = {"sources": [str(path) for path in sources], "title": title, "long": long, **issuer}
         key = page_key(used, behind, about) if all(as_sealed(run) for run in behind) else ""
-    page = None if fresh or pdf or xlsx or not key else kept(used[0].parent, key)
+    page = None if fresh or pdf or xlsx or figures or not key else kept(used[0].parent, key)
     if page is not None:
         for line in page.remarks:
             ui.note(line)
@@ -85,9 +88,12 @@ def command(
     else:
         ui.begin("making the report")
         from pmabench.report.document.deviations import Issuer
+        from pmabench.report.document.figure_files import write_figures
 
         said: dict[str, Any] = {"title": title, "published": published, "issuer": Issuer(**issuer)}
-        written, page = _written(ui, *known.analysed(ui), output, pdf, xlsx, long=long, **said)
+        content, written, page = _written(ui, *known.analysed(ui), output, pdf, xlsx, long=long, **said)
+        if figures is not None:
+            written["figures"] = str(write_figures(content, figures))
         if key:
             keep(used[0].parent, key, page)
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}
@@ -97,8 +103,8 @@ def command(
 def _written(
     ui: Ui, analyses: list[Analysis], runs: list[RunData], output: Path, pdf: Path | None, xlsx: Path | None,
     *, long: bool, **about: Any,
-) -> tuple[dict[str, str], KeptPage]:  # fmt: skip
-    """Write the report in each format that is wanted, `about` as in `content_of`; what was written, and the page."""
+) -> tuple[Content, dict[str, str], KeptPage]:  # fmt: skip
+    """Write the report in each format that is wanted, `about` as in `content_of`: its content, files and page."""
     from pmabench.cli.sources import since_lines
     from pmabench.plotting.svg import import_what_draws
     from pmabench.report.document.content import content_of, page_of
@@ -120,7 +126,7 @@ def _written(
         from pmabench.report.document.workbook import write_workbook
 
         written["xlsx"] = str(write_workbook(content, analyses, xlsx))
-    return written, page
+    return content, written, page
 
 
 def characterise(given: Sequence[Path], place: Path, report: Path, title: str | None = None) -> Processed:

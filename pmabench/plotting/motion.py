@@ -83,7 +83,7 @@ def overlays(
     misfits = [_rms(p.columns["measured"] - p.columns["model"]) for p in panels]
     worst = int(np.argmax(misfits))
     title += f", {panels[0].title}" if len(chosen) == 1 else ""
-    caption = f"Grey: measured; red: {model}. Below: their difference, rms {reach(misfits)} {unit}.{also}"
+    caption = f"Grey: measured; brown: {model}. Below: their difference, rms {reach(misfits)} {unit}.{also}"
     caption += how_many(chosen, able)
     if any(not np.isfinite(p.columns["model"]).all() for p in panels):
         caption += " The model ends where the muscle moves at a pressure at which a coefficient is open."

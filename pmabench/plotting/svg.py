@@ -116,6 +116,13 @@ def to_svg(figure: Figure, alt: str) -> str:
     return head + re.sub(r"\n\s*", "\n", text[text.index(">") + 1 :]).strip()
 
 
+def as_file(svg: str, font: str) -> str:
+    """The element as a file of its own, in points of print, its text in `font`."""
+    box = re.search(r'viewBox="\S+ \S+ (\S+) ([^" ]+)"', svg)
+    size = f'width="{box[1]}pt" height="{box[2]}pt" ' if box else ""
+    return svg.replace("<svg ", f'<svg xmlns="http://www.w3.org/2000/svg" {size}font-family="{font}" ', 1)
+
+
 def lean(text: str) -> str:
     """The same drawing in fewer letters: two decimals, paths by differences, short names, marks of one look grouped."""
     found = re.findall(r'<[a-zA-Z][^>]* id="([^"]*)"', text)

@@ -5,6 +5,7 @@ import io
 import re
 import sys
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import openpyxl
 import pypdf
@@ -13,6 +14,7 @@ import pytest
 from pmabench.base.errors import UsageError
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import Said
+from pmabench.report.document.figure_files import write_figures
 from pmabench.report.document.pdf import packed, pdf_bytes, write_pdf
 from pmabench.report.document.workbook import workbook_bytes, write_workbook
 from pmabench.store.analyses.results import Parts, Source
@@ -56,6 +58,22 @@ def test_the_pdf_is_tagged_and_describes_every_figure(content, pdf):
     pictures = [item.picture for item in [*content.front, *(f for s in content.sections for f in s.figures)]]
     assert set(reported) >= {picture.alt for picture in pictures}
     assert len(pictures) >= 10
+
+
+def test_figures_as_files_of_their_own_are_whole_and_at_their_size_in_print(content, tmp_path):
+    """Each SVG is XML by itself, as wide as at most the text of an A4 page, refers to nothing and says SIMULATED."""
+    folder = write_figures(content, tmp_path / "figures")
+    files = sorted(folder.glob("*.svg"))
+    pictures = [item.picture for item in [*content.front, *(f for s in content.sections for f in s.figures)]]
+    assert len(files) == len(pictures)
+    captions = (folder / "captions.txt").read_text("utf-8")
+    for number, (path, picture) in enumerate(zip(files, pictures, strict=True), start=1):
+        root = ElementTree.fromstring(path.read_bytes())
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+        assert 72 < float(root.get("width").removesuffix("pt")) <= 7.3 * 72
+        assert not [value for one in root.iter() for key, value in one.items() if "href" in key and value[0] != "#"]
+        assert not picture.simulated or "SIMULATED" in "".join(root.itertext())
+        assert f"{path.name}\n  Figure {number}: {picture.title}" in captions
 
 
 def test_the_pdf_says_what_the_page_says(content, pdf):

@@ -55,9 +55,9 @@ def positions(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Pict
     }
     caption = (
         "Above: the approach from rest; dashed: reference, grey: measured"
-        + ("; red: the same loop simulated around the model" if modelled else "")
+        + ("; brown: the same loop simulated around the model" if modelled else "")
         + ". Below: distance from the set-point over the whole hold, on one scale; blue: measured"
-        + ("; red: simulated" if modelled else "")
+        + ("; brown: simulated" if modelled else "")
         + ". The dotted line begins the window of steady-state error and limit cycle."
         + pictures.how_many(chosen, able)
     )

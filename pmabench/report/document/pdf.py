@@ -21,7 +21,7 @@ from typing import Any
 from warnings import catch_warnings, simplefilter
 
 from pmabench.base.errors import PmaError, UsageError
-from pmabench.plotting.svg import symbol_parts
+from pmabench.plotting.svg import as_file, symbol_parts
 from pmabench.plotting.wording import clean
 from pmabench.report.document.content import LEVELS, Content, Numbered
 from pmabench.report.document.deviations import Said
@@ -182,8 +182,7 @@ class _Data:
         for item in items:
             p = item.picture
             name = f"figure-{item.n}.svg"
-            head = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="{FONT}" '
-            (self.folder / name).write_text(p.svg.replace("<svg ", head, 1), encoding="utf-8")
+            (self.folder / name).write_text(as_file(p.svg, FONT), encoding="utf-8")
             title, caption = symbol_parts(p.title), symbol_parts(p.caption)
             look = {"wide": p.wide, "charted": bool(p.charts)}
             found.append({"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, **look})
