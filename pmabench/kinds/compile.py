@@ -109,7 +109,7 @@ def make_plan(path: Path, mounted: Mounted, settings: Sequence[tuple[str, str]] 
 
 
 class CampaignRun(Strict):
-    """One run: a protocol, changed settings, and, where it differs, the bench."""
+    """One run: a protocol, changed settings, and its bench unless it is the one for the protocol's free end."""
 
     protocol: str
     bench: str | None = None
