@@ -32,7 +32,7 @@ from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segmen
 from pmabench.store.records import Array
 
 MOST_CUTS = 3
-"""Corrected campaigns that are cached: the trials of a round share most of them."""
+"""Number of corrected campaigns that are cached: the attempts of a round share most of them."""
 ALONE = 2.0
 """An explanation is the only one if the best of another kind leaves more than this many times its excess ..."""
 LEAST_EXCESS = 0.15
@@ -40,7 +40,7 @@ LEAST_EXCESS = 0.15
 PASSES = 3
 """Iterations of the sizes, each with samples corrected by the one before."""
 PLACES = 2
-"""Slips that are tried completely, the best to first order."""
+"""Number of places of a slip that are tried completely: the best to first order."""
 MOST_COMPARED = 3
 """Most explanations of a round that are compared with knots of their own."""
 FROM_BEGIN = (0.5, 1.0)
