@@ -98,7 +98,7 @@ def of_trials(runs: Sequence[RunData], trials: Sequence[TrialData]) -> list[RunD
 def known_after(
     cells: Sequence[predicted.Cell], goals: Sequence[Goal], runs: Sequence[RunData], expected: Mapping[str, Any] | None
 ) -> Known | None:
-    """What the runs tell about the coefficients with a goal; from `expected` where nothing can be fitted yet.
+    """Knowledge of the coefficients with a goal from the runs; from `expected` where nothing can be fitted yet.
 
     None where neither is possible.
     """

@@ -40,7 +40,7 @@ FIRST_FIT = 8
 FIT_EVERY = 4
 """Trials from one fit to the next, or a fifth of those done, if that is more; in between their effect is predicted."""
 REPEATS_FROM = 16
-"""After so many trials, cells are repeated until scatter can be distinguished from misfit."""
+"""Number of trials after which cells are repeated until scatter can be distinguished from misfit."""
 CONFIRMING = 3
 """Trials that had no part in the fit and must confirm it before a goal counts as reached."""
 MISSED = 4.0
@@ -184,7 +184,7 @@ class Chooser:
         return course.done[: _last_fit(len(course.done))]
 
     def _known(self, runs: Sequence[RunData], trials: Sequence[TrialData]) -> Known | Stop:
-        """What these trials tell, or why nothing can be chosen."""
+        """Knowledge of the coefficients from these trials, or why nothing can be chosen."""
         key = tuple(trial.name for trial in trials)
         if key not in self.fits:
             self.fits[key] = self._fit(runs, trials)
@@ -261,7 +261,7 @@ class Chooser:
         return self._of(known, int(np.argmax(known.halves(counts) / known.aim.goal)), counts)
 
     def _confirmed(self, before: Known, runs: Sequence[RunData], course: Course) -> Known | Stop:
-        """Stop if the held-out trials confirm the goal or contradict the form; else what all trials tell."""
+        """Stop if the held-out trials confirm the goal or contradict the form; else the knowledge from all trials."""
         fitted = self._fitted(course)
         missed = missed_by(before, fitted, of_trials(runs, course.held))
         if missed > MISSED:

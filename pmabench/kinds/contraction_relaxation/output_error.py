@@ -206,7 +206,7 @@ def _answer(A: Array, g: Array, n: int, s: int) -> tuple[Array, Array]:
 MOST_STEPS = 25
 """Most Gauss-Newton steps before the fit counts as not converged."""
 WHOLE = 6
-"""After so many steps they are halved: since the weights follow the fit, it may oscillate about its end."""
+"""Number of steps after which they are halved: since the weights follow the fit, it may oscillate about its end."""
 SETTLED = 1e-4
 """Mean square of a step, relative to the covariance, at which it has converged: 1 % of a standard deviation."""
 HALVINGS = 4

@@ -41,7 +41,7 @@ MOST_LATE = 0.2
 OVER = 30.0
 """Lags after which a step response has ended."""
 SLIGHT = 1e-7
-"""Inertia over stiffness that stands for none [s^2]."""
+"""Inertia over stiffness used for zero inertia [s^2]."""
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class Way:
     """One departure, at one place or of one kind."""
 
     text: str
-    """Completes `it fits that ...`; `{size}` stands for the size found."""
+    """Completes `it fits that ...`; `{size}` is replaced by the size found."""
     quantity: str
     """Quantity of the size, for its unit."""
     column: Array
