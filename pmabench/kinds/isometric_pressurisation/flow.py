@@ -90,7 +90,7 @@ class Filling:
 def measured(trial: TrialData, rT: float, most: float = inf) -> Filling:
     """One trial with r T [J/kg]; `NotUsable` where flow, a whole ramp or a rest is missing.
 
-    `most` is the end of the meter's range [kg/s], by which a saturated meter differs from a quiet one with coarse steps.
+    `most` is the end of the range [kg/s], by which a saturated meter differs from a quiet one with coarse steps.
     """
     samples.refuse_incomplete(trial, FLOW, "pressure")
     commands = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
