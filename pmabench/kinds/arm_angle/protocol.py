@@ -41,9 +41,9 @@ class ArmTrial(Strict):
     preload: Pressure
     """Of all muscles; the bending one starts and ends there."""
     pressures: PressureAxis
-    """Of the bending muscle, rising."""
+    """Pressures of the bending muscle, rising."""
     rate: PressureRate
-    """Of the ramps between pressures."""
+    """Rate of the ramps between pressures."""
     hold: Time
     """Hold at each pressure; the angle is the mean over the last fifth."""
     branches: Literal["up", "up-and-down"] = "up-and-down"

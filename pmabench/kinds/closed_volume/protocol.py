@@ -30,9 +30,9 @@ class Diameters(Strict):
     diameters: tuple[Length, Length, Length]
     heights: tuple[Length, Length, Length]
     thickness: Length
-    """Of the wall."""
+    """Thickness of the wall."""
     uncertainty: Length
-    """Of each diameter (95 %); all three may be off in the same direction."""
+    """Uncertainty of each diameter (95 %); all three may be off in the same direction."""
 
     def _inner(self) -> list[tuple[float, float]]:
         """Inner diameter and height of each cylinder [m]."""
@@ -105,7 +105,7 @@ class ClosedTrial(Strict):
     room: Room | None = None
     """If missing, the bench's value +- `room_uncertainty`."""
     room_uncertainty: Pressure = 3e3
-    """Of the bench's room pressure (95 %), because of the weather."""
+    """Uncertainty of the bench's room pressure (95 %), because of the weather."""
 
 
 class ClosedVolume(ProtocolHead):

@@ -135,7 +135,7 @@ def _scores(
 
 METHOD = "joint"
 BELOW = 0.05
-"""How far the forms reach below the lowest tested pressure, as a share of it."""
+"""Range of the forms below the lowest tested pressure, as a share of it."""
 ADEQUATE = 1.1
 """Ratio to the residual of straight lines between pressures from which on a form is too simple."""
 SIMPLE = "a form is too simple: its interval does not hold that"

@@ -32,7 +32,7 @@ class FreeTrial(Strict):
     """One trial: rest at 0 kPa, the pressure, and back."""
 
     rate: PressureRate
-    """Of the pressure ramps."""
+    """Rate of the pressure ramps."""
     rest: Time
     """Time at 0 kPa before each pressure."""
     hold: Time

@@ -281,7 +281,7 @@ class Cell:
         return slope * abs(place - self.middle), slope
 
     def force_per_pressure(self, dF_dP: float | None) -> float:
-        """|dF/dP| [N/Pa]; where it is not known, by a force that is proportional to the pressure."""
+        """|dF/dP| [N/Pa]; if unknown, that of a force proportional to the pressure."""
         by_force = abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
         return by_force if dF_dP is None else abs(dF_dP)
 

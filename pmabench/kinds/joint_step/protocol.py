@@ -147,7 +147,7 @@ class StepController(Strict):
     """Stiffness, limits and reference of the joint's controller."""
 
     stiffness: TorsionalStiffness
-    """Of the joint, by co-contraction."""
+    """Stiffness of the joint by co-contraction."""
     output: tuple[Pressure, Pressure]
     """Lowest and highest pressure."""
     reference_lag: Time

@@ -50,7 +50,7 @@ class Ultimate(Strict):
     K_u: Gain
     T_u: Time
     dead_time: Time | None = None
-    """Of the loop, including half a sample period."""
+    """Dead time of the loop, including half a sample period."""
     lags: Annotated[list[Time], Field(min_length=1, max_length=10)] | None = None
     """First-order lags of the loop."""
 

@@ -215,7 +215,7 @@ class Named:
 
     @property
     def advice(self) -> str:
-        """What to check."""
+        """Advice on what to check."""
         found = ADVICE[self.key]
         one = self.explanation
         if one.kind == "late" or (one.kind == "lag" and abs(self.size) < KIND_IS_A_GUESS):

@@ -78,7 +78,7 @@ class State:
 
     @property
     def last(self) -> Explanation:
-        """The explanation that was put in last."""
+        """The explanation that was added last."""
         return self.explanations[-1]
 
 
@@ -111,7 +111,7 @@ class Search:
 
     @cached_property
     def followed(self) -> columns.Followed:
-        """What follows the contraction as it was recorded."""
+        """Friction elements and lags driven by the recorded contraction."""
         return columns.Followed.of(self.campaign)
 
     def state(
