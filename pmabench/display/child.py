@@ -2,22 +2,22 @@
 
 Starts the display process, talks to it, and is never held up by it. Standard library only.
 
- display = Display()
- display.start(writer.folder)                            # at once; the screen appears half a second later
- ...
- asked = display.ask("Put 6 kg on the free end.", words=("clear",))
- while waiting:                                   # several times a second, as long as the run lasts
-     display.live({"pressure": 312.0})            # values [SI] while nothing is recorded
-     for message in display.poll():
-         if message.get("answer", {}).get("id") == asked:
-             ...                                  # message["answer"]["text"] is one of the words
-         if message.get("key") == "v":
-             ...                                  # "r" repeat this trial, "p" pause or continue, "v" vent now
-         if "note" in message:
-             ...                                  # a line that was typed
-     if not display.alive:
-         ...                                      # it died or was never possible: prompts cannot be answered there
- display.close()
+    display = Display()
+    display.start(writer.folder)                            # at once; the screen appears half a second later
+    ...
+    asked = display.ask("Put 6 kg on the free end.", words=("clear",))
+    while waiting:                                   # several times a second, as long as the run lasts
+        display.live({"pressure": 312.0})            # values [SI] while nothing is recorded
+        for message in display.poll():
+            if message.get("answer", {}).get("id") == asked:
+                ...                                  # message["answer"]["text"] is one of the words
+            if message.get("key") == "v":
+                ...                                  # "r" repeat this trial, "p" pause or continue, "v" vent now
+            if "note" in message:
+                ...                                  # a line that was typed
+        if not display.alive:
+            ...                                      # it died or was never possible: prompts cannot be answered there
+    display.close()
 
 Ctrl-C reaches the run itself, as without a display. Text printed to the terminal meanwhile damages the screen until
 its next line changes: use `log`.
