@@ -118,8 +118,11 @@ def event_text(event: Event) -> tuple[str, str] | None:
         return _OF_SESSIONS[kind](data)
     if kind == "proof-test":
         asked, filled, vented = (float(data.get(key) or 0.0) for key in ("pressure", "filled_in", "vented_in"))
-        text = f"filled to {quantity('pressure').show(asked, 4)} in {filled:.2g} s, empty {vented:.2g} s after venting"
-        return f"proof test of the vent path: {text}", "info"
+        alone = data.get("dump_valve_in")
+        valve = f"gives way to the dump valve in {alone:.2g} s, " if isinstance(alone, int | float) else ""
+        empty = f"{valve}empty {vented:.2g} s after venting"
+        full = f"filled to {quantity('pressure').show(asked, 4)} in {filled:.2g} s"
+        return f"proof test of the vent path: {full}, {empty}", "info"
     if kind == "vent":
         result = clean(data.get("result", ""))
         return f"vent {result}", "info" if result == "confirmed" else "fault"

@@ -253,7 +253,11 @@ class AsciiLink:
         return reading
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
-        """Send the venting set-point, then end any hold of the valves; both, even if the first one fails."""
+        """Send the venting set-point, then end any hold of the valves; both, even if the first one fails.
+
+        If the device then holds another set-point, its source is set to the serial line, and the command repeated: the
+        source may have been changed to the analogue input or the knob at the panel.
+        """
         text, lost = self._written(value), None
         with self._turn(deadline):
             if not still():
@@ -267,7 +271,11 @@ class AsciiLink:
                     reading, lost = None, error
             if reading is None and lost is not None:
                 reading = self._found(lost, value, deadline)
-        if reading is None or not abs(reading.set_point - value) <= tolerance + 10.0**-self._shape.decimals:
+            within = tolerance + 10.0**-self._shape.decimals
+            if reading is not None and self._reports_source and not abs(reading.set_point - value) <= within:
+                self._ask("LSS S", deadline)
+                reading = self._reading(text, deadline)
+        if reading is None or not abs(reading.set_point - value) <= within:
             held = "nothing" if reading is None else f"{reading.set_point:g}"
             raise DeviceError(self._device, f"was commanded {value:g} to vent and holds {held}", OUTPUT)
         if HELD in reading.status:
