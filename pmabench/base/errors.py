@@ -85,7 +85,7 @@ class NotSent(DeviceError):
 
 
 class LimitRefused(PmaError):
-    """A command outside a limit was asked for; nothing was sent."""
+    """A command outside a limit was requested; nothing was sent."""
 
     exit_code = 5
 

@@ -57,7 +57,7 @@ class Imported:
 
 @dataclass(frozen=True)
 class Result:
-    """A coefficient that a kind of test gives: symbol, title, unit, whether it is a headline."""
+    """A coefficient that a kind of test determines: symbol, title, unit, whether it is a headline."""
 
     symbol: str
     """Symbol of the field: F_ce, K, B_c."""
@@ -134,7 +134,7 @@ class Kind:
     methods: dict[str, str] = field(default_factory=dict)
     """Method of its reduction -> what it does, in a sentence or two."""
     imported: Imported | None = None
-    """What it needs from a file of another program; None if such files cannot be of this kind."""
+    """Its needs from a file of another program; None if such files cannot be of this kind."""
     loop: bool = False
     """It controls on calibrated values: a run does not show what it would have done with another calibration."""
     also: tuple[Kind, ...] = ()

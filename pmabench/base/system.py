@@ -85,7 +85,7 @@ def _lock(handle: int) -> None:
 
 
 def limit_memory(size: int) -> None:
-    """Limit the address space of this process to `size` bytes; no effect where the system has no such limit."""
+    """Limit the address space of this process to `size` bytes; no effect if the system has no such limit."""
     if sys.platform != "win32":
         import resource
 

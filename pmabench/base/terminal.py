@@ -96,7 +96,7 @@ class Keyboard:
 def key_by_key(fd: int) -> Iterator[Keyboard]:
     """Read keys as they are pressed, without echo; restores the terminal afterwards, unless a shell took it back.
 
-    Raises UsageError where the system has no termios, or `fd` is not a terminal in the foreground.
+    Raises UsageError if the system has no termios, or `fd` is not a terminal in the foreground.
     """
     if termios is None:
         raise UsageError("keys cannot be read: this system has no termios; use --plain")

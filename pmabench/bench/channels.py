@@ -216,7 +216,7 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
 
 
 def fit_line(raw: list[float], value: list[float]) -> b.Scale:
-    """Least-squares line of value over raw; ValueError where the points do not define one."""
+    """Least-squares line of value over raw; raises ValueError if the points do not define one."""
     if any(abs(number) > MOST for number in (*raw, *value)):
         raise ValueError("a number is out of all range")
     n = len(raw)

@@ -106,7 +106,7 @@ class Borne(NamedTuple):
 
 
 class Compilation:
-    """A bench during compilation: files, records and problems; `InvalidFile` where a file does not fit its model."""
+    """A bench during compilation: files, records, problems; raises `InvalidFile` if a file does not fit its model."""
 
     def __init__(self, bench: Document, specimen: Document | None, today: datetime.date) -> None:
         self.bench_document, self.specimen_document, self.today = bench, specimen, today

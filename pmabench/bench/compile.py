@@ -1,4 +1,4 @@
-"""Compiles bench, specimen and calibration files to one bench. Knows no protocol.
+"""Compiles bench, specimen and calibration files to one bench. Independent of the protocol.
 
 Made of `channels` (calibrations, command limits, valves), `safety` (limits on what is measured, watch list, safe state
 with its proof and interlocks), `session` and `remarks`; they share a `Compilation`. `??` as a value in a file is a

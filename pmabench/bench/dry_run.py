@@ -381,7 +381,7 @@ def valve_output(valve: ValveRecord) -> str:
 def several(mounted: Mounted) -> tuple[dict[str, Any], str]:
     """Options of the mock driver, and a text on the origin of the muscles.
 
-    Raises UsageError where the bench file lacks the dimensions of the joint, or has another free end.
+    Raises UsageError if the bench file lacks the dimensions of the joint, or has another free end.
     """
     file, specimen = mounted.bench_file, mounted.specimen_file
     angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE

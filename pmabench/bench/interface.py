@@ -334,7 +334,7 @@ class CompiledBench:
 
     @classmethod
     def from_json(cls, text: str) -> CompiledBench:
-        """The inverse of `to_json`; KeyError where devices, trips or safe state are missing."""
+        """The inverse of `to_json`; raises KeyError if devices, trips or safe state are missing."""
         data = json.loads(text)
         for name in ("devices", "trips", "safe_state"):  # an empty default would make a bench without limits
             data[name]
@@ -399,7 +399,7 @@ COMPUTER = "computer"
 EMULATED = "emulated "
 """Prefix of the model name of an emulator: its recordings are never taken for those of a real muscle."""
 UNPROVEN = f"{EMULATED}unproven "
-"""The same where the emulator took wiring and scales from the bench file, so that mistakes cancel out."""
+"""The same if the emulator took wiring and scales from the bench file, so that mistakes cancel out."""
 
 
 @dataclass(frozen=True)
@@ -416,7 +416,7 @@ class Identity:
     to answer, or at the first byte of a line; the delay from stamp to arrival is then half of a poll.
     """
     answers: float = 0.0
-    """Shortest time for an answer [s], where the driver measures it and polls accordingly; else 0."""
+    """Shortest time for an answer [s], if the driver measures it and polls accordingly; else 0."""
 
 
 @dataclass(frozen=True)
@@ -475,7 +475,7 @@ class Device(Protocol):
 
 @runtime_checkable
 class OpensToVent(Protocol):
-    """Can be opened to vent where `open` refuses a fault that matters for measuring only, such as another range."""
+    """Can be opened to vent if `open` refuses a fault that matters for measuring only, such as another range."""
 
     def open_to_vent(self) -> Identity:
         """Connect as far as the commands of a safe state need it; nothing is set, moved or commanded."""
@@ -582,7 +582,7 @@ class Supervised(Protocol):
     def held(self) -> Mapping[str, float | str]:
         """State that the device reports now: read from it at each call, never cached by the driver.
 
-        `watchdog`: time without a sign of life after which it would vent [s], 0 where it is off or has fired. A device
+        `watchdog`: time without a sign of life after which it would vent [s], 0 if it is off or has fired. A device
         that continues to count after firing reports its time: there, outputs that are read back show the vent.
         `uptime`: a number that only grows until the device restarts. Every other entry (serial number, trigger of the
         watchdog, mode, count of restarts) must stay what it was when the bench was armed. The name of an entry is

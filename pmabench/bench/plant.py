@@ -1,4 +1,4 @@
-"""Plant files to the plain numbers that a simulated bench is made of; knows no bench.
+"""Plant files to the plain numbers that a simulated bench is made of; independent of the bench.
 
 Plain numbers can be sent to another process and kept in a record; `pmabench.model.presets` makes the plant.
 """
@@ -85,7 +85,7 @@ def plant_numbers(document: Document) -> dict[str, Any]:
 
 
 def _real_numbers(document: Document, file: RealFile) -> dict[str, Any]:
-    """Surface, damping, hysteresis and creep; height 0 and no stop operators where none are given."""
+    """Surface, damping, hysteresis and creep; height 0 and no stop operators if none are given."""
     compilation = _Curves(document, file.highest_pressure)
     curves = {symbol: compilation.curve(symbol, getattr(file, symbol)) for symbol in ("B_c", "B_r")}
     if wrong := [*compilation.problems, *_too_soft(document, file)]:
@@ -106,9 +106,9 @@ def _real_numbers(document: Document, file: RealFile) -> dict[str, Any]:
 
 
 def _too_soft(document: Document, file: RealFile) -> Iterator[Problem]:
-    """Problems where the force without hysteresis rises with contraction, or exists without pressure.
+    """Problems if the force without hysteresis rises with contraction, or exists without pressure.
 
-    The stiffness is linear in P and, where it bends, an exponential plus a constant in eps: its minimum is in a corner
+    The stiffness is linear in P and, if it is curved, an exponential plus a constant in eps: its minimum is in a corner
     of the range.
     """
     surface, highest = file.surface, file.highest_pressure
@@ -127,7 +127,7 @@ def _too_soft(document: Document, file: RealFile) -> Iterator[Problem]:
 
 
 def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
-    """Problems where the muscle may be driven beyond the range of its law."""
+    """Problems if the muscle may be driven beyond the range of its law."""
     if file.reach[0] < -0.9 * file.B2:
         pole = f"must stay above {-0.9 * file.B2:.4g}, short of the pole of the rubber term at -B2"
         yield document.problem(("reach", 0), f"{file.reach[0]:.4g} {pole}")

@@ -75,7 +75,7 @@ def _calibrations(c: Compilation) -> Iterator[str]:
 
 
 def _pressure_elsewhere(c: Compilation) -> Iterator[str]:
-    """Lines where the guard, which outlives the program, cannot read a pressure, and on extrapolated trips."""
+    """Lines on pressures that the guard, which outlives the program, cannot read, and on extrapolated trips."""
     guarded = {file.device for file in c.bench.outputs.values()} | {lock.input.device for lock in c.bench.interlocks}
     guarded |= {name for name, file in c.bench.devices.items() if file.watchdog}
     apart = [c.channels[name] for name in c.bench.pressures if name in c.channels]
@@ -186,7 +186,7 @@ class Simulated(NamedTuple):
     serial: str
     """Serial number in the specimen file that is shipped for it."""
     pull: float | None = None
-    """F_ce at 300 kPa [N]; only where muscles of one size differ in it."""
+    """F_ce at 300 kPa [N]; only if muscles of one size differ in it."""
 
 
 SIMULATED: dict[str, Simulated] = {

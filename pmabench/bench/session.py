@@ -179,7 +179,7 @@ def session(c: Compilation, setup: float) -> Session | None:
 
 
 def lacks_session(c: Compilation) -> Iterator[str]:
-    """A line where a real bench has no session; continues the sentence "this bench has"."""
+    """A line if a real bench has no session; continues the sentence "this bench has"."""
     if c.bench.time == "real" and c.bench.platform is not None:
         yield (
             "no session, for self-test, warm-up and zeros need outputs that command pressures: wiring and zeros are "

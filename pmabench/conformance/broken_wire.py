@@ -57,7 +57,7 @@ def _fifth(output: OutputRecord) -> float:
 
 
 def silent(rig: rigs.Rig) -> str:
-    """When the device falls silent, every call says so in time, and a write is sent once."""
+    """When the device stops answering, every call raises DeviceError in time, and a write is sent once."""
     answers: list[str] = []
     for sampling in (False, True) if rig.streams() else (False,):
         with rig.opened(rate=RATE if sampling else 0.0) as device:
@@ -70,7 +70,7 @@ def silent(rig: rigs.Rig) -> str:
 
 
 def _in_silence(rig: rigs.Rig, device: Any) -> list[str]:
-    """Answer of each call as text; raises Failed where a write is carried out more than once."""
+    """Answer of each call as text; raises Failed if a write is carried out more than once."""
     answers = []
     for what, act, within in calls(rig, device):
         before = len(sent(rig))
@@ -101,7 +101,7 @@ def _says_that_samples_stay_away(rig: rigs.Rig, device: Any) -> str:
 
 
 def late_answers(rig: rigs.Rig) -> str:
-    """An answer that comes too late is never taken for the answer to the next question."""
+    """A late answer is never taken for the answer to the next question."""
     output = rig.record.outputs[0]
     safe = raw(output, output.safe)
     refused = 0
@@ -216,7 +216,7 @@ def nothing_left(rig: rigs.Rig) -> str:
 
 
 def _refuse_growth(rig: rigs.Rig, device: Any) -> None:
-    """Raise Failed where calls leave threads or files behind while the device is open."""
+    """Raise Failed if calls leave threads or files behind while the device is open."""
     asked = rig.questions(device)
     for rounds in (3, MANY):
         before = _left()

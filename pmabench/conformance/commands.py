@@ -98,7 +98,7 @@ def dump_of(valves: Sequence[ValveRecord]) -> ValveRecord | None:
 def refuse_position(
     rig: Rig, truth: Truth, valve: ValveRecord, *, on: bool, after: str, by_itself: bool = False
 ) -> None:
-    """Raise Failed where a valve's coil, or the dump valve itself, is not as commanded.
+    """Raise Failed if a valve's coil, or the dump valve itself, is not as commanded.
 
     `by_itself`: the device has switched the valve without a command.
     """
@@ -114,7 +114,7 @@ def refuse_position(
 
 
 def _refuse_nowhere(rig: Rig, *calls: str) -> None:
-    """Raise Failed where a call accepts an output that does not exist."""
+    """Raise Failed if a call accepts an output that does not exist."""
     for name in calls:
         given = [0.0] if name == "write" else []
         act = partial(getattr(rig.device, name), NOWHERE, *given, **({"on": False} if name == "switch" else {}))
@@ -288,7 +288,7 @@ def lift(rig: Rig, truth: Truth | None = None) -> None:
 
 
 def refuse_unsafe(rig: Rig, truth: Truth, after: str, *, by_itself: bool = False) -> None:
-    """Raise Failed where an output is not at its safe value in the plant, or a valve is energised.
+    """Raise Failed if an output is not at its safe value in the plant, or a valve is energised.
 
     `by_itself`: the device has vented without a command; a drive then only stops.
     """

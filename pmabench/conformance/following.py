@@ -57,7 +57,7 @@ def _begin_at(rig: Rig, truth: Truth, output: OutputRecord, value: float) -> Non
 
 
 def _watch(rig: Rig, truth: Truth, output: OutputRecord, segment: Segment, lasts: float) -> None:
-    """Raise Failed where the plant's set-point deviates from the segment, or does not end at its end."""
+    """Raise Failed if the plant's set-point deviates from the segment, or does not end at its end."""
 
     def value(moment: float) -> float:
         since = min(max(moment - segment.start, 0.0), lasts)

@@ -252,7 +252,7 @@ class Rig:
     def open(self, *, armed: bool = True) -> Identity:
         """Open a new driver on a good connection, and arm its watchdog as the guard does.
 
-        Raises Failed, also where neither an emulator nor a simulation answers.
+        Raises Failed, also if neither an emulator nor a simulation answers.
         """
         self.well()
         self.bench_clock = self.clock()

@@ -134,7 +134,7 @@ def declared(rig: Rig) -> str:
 
 
 def nobody(rig: Rig) -> str:
-    """Where nobody answers, `open` says so in time, and `close` does no harm."""
+    """Without a device `open` raises DeviceError in time, and `close` does no harm."""
     for relay in rig.relays:
         relay.close()
     device = rig.build(rig.record)

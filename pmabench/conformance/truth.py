@@ -1,7 +1,7 @@
 """Actual state of plant and device, without the driver under test: from the emulator, or from the simulation itself.
 
 Three sources with the same methods. An emulated device has the plant of its emulator behind it; a driver that is a
-simulation has `simulation()`, and one whose simulation is another process has `control(do)`. Knows no wire.
+simulation has `simulation()`, and one whose simulation is another process has `control(do)`. Uses no connection.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Emulated:
     """The emulator's plant and the log of the emulated device; quantities are SI, by channel name."""
 
     history = True
-    """Whether `at` knows the past."""
+    """Whether `at` also returns past values."""
 
     def __init__(self, record: DeviceRecord, emulator: Any, rescue: Callable[[], Any]) -> None:
         self._record, self._emulator, self._rescue = record, emulator, rescue
@@ -55,7 +55,7 @@ class Emulated:
         return dict(self._plant.at(moment))
 
     def coil(self, valve: ValveRecord) -> bool | None:
-        """Last command to a valve: True where energised; None without one."""
+        """Last command to a valve: True if energised; None without one."""
         entries = [e for e in self._emulator().log.of("switch", self._record.name) if e.get("valve") == valve.name]
         return bool(entries[-1]["on"]) if entries else None
 

@@ -134,7 +134,7 @@ class Display:
         """Start the process for a run's folder.
 
         It draws on standard error and reads keys from standard input, where these are a terminal.
-        Raises OSError where no process can be started.
+        Raises OSError if no process can be started.
         """
         ours, theirs = socket.socketpair()
         self._before = terminal.attributes(0)
@@ -171,11 +171,11 @@ class Display:
         self._push()
 
     def log(self, text: str) -> bool:
-        """A line for the log; False where it was dropped because the display does not read."""
+        """A line for the log; False if it was dropped because the display does not read."""
         return self._link.send({"log": text}) if self._link is not None else False
 
     def live(self, values: Mapping[str, float]) -> None:
-        """Values [SI] by channel while nothing is recorded; dropped where older ones still wait."""
+        """Values [SI] by channel while nothing is recorded; dropped if older ones still wait."""
         if self._link is not None and not self._link.waiting:
             self._link.send({"live": dict(values)})
 

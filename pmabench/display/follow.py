@@ -1,6 +1,6 @@
 """Reads a run folder incrementally, keeps its newest samples, and finds the run that comes after it.
 
-Knows files, not what the run means; writes nothing. Missing, torn or half-written data are read at a later call,
+Reads files without interpreting the run; writes nothing. Missing, torn or half-written data are read at a later call,
 or never, without an error.
 """
 

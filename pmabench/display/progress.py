@@ -1,4 +1,4 @@
-"""Position of a run in its plan, from its events, and the remaining time; knows no samples."""
+"""Position of a run in its plan, from its events, and the remaining time; uses no samples."""
 
 from __future__ import annotations
 

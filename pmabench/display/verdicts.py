@@ -193,7 +193,7 @@ def _flagged(trial: TrialData) -> list[str]:
 
 
 def _not_reached(trial: TrialData) -> list[str]:
-    """A sentence where the measured pressure did not reach its command before the next one."""
+    """A sentence if the measured pressure did not reach its command before the next one."""
     if "pressure" not in trial.channels or not len(trial.t):
         return []
     commands = [c for c in trial.commands if c.output == "pressure"]

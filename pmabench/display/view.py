@@ -1,4 +1,4 @@
-"""The screen of a run as lines of exactly the given width and number; knows the state, no terminal."""
+"""The screen of a run as lines of exactly the given width and number; uses the state, no terminal."""
 
 from __future__ import annotations
 

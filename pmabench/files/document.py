@@ -1,4 +1,4 @@
-"""YAML files to strict models, every problem at once with file:line:column; knows no particular kind of file."""
+"""YAML files to strict models, every problem at once with file:line:column; for any kind of file."""
 
 from __future__ import annotations
 

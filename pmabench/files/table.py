@@ -1,4 +1,4 @@
-"""CSV tables with units in the header: numbers with their places; knows no model, no report.
+"""CSV tables with units in the header: numbers with their places; independent of models and reports.
 
 A header is `pressure [kPa]`, `pressure (kPa)` or `P_kPa`; lines that begin with `#` before it state the source of the
 table.

@@ -97,7 +97,7 @@ class Guard:
         self._courses: dict[str, course.Course] = {}
         """Last commanded course of each output [SI over bench time in s]."""
         self._closed: dict[str, bool] = {}
-        """Last commanded position of each valve: True where closed."""
+        """Last commanded position of each valve: True if closed."""
         self.unanswered = -inf
         """Bench time of the last command whose outcome is not known [s]."""
         self._measured: dict[str, float] = {}
@@ -145,7 +145,7 @@ class Guard:
     def arm(self, run: str = "") -> None:
         """Arm the bench for `run`: watchdogs on, outputs at safe values, valves closed; then `SETUP` or `RUNNING`.
 
-        Raises LimitRefused for a bench that cannot be made safe, and where an interlock is open.
+        Raises LimitRefused for a bench that cannot be made safe, and if an interlock is open.
         """
         if self.state is not State.DISARMED:
             raise LimitRefused(f"the bench is {self.state.value}: it cannot be armed")
@@ -376,7 +376,7 @@ class Guard:
     def feeds(self, record: DeviceRecord) -> bool:
         """Whether to feed the watchdog of a device (S13).
 
-        Not where safe commands are unanswered or not held, or have no effect: there its watchdog is to run out.
+        Not if safe commands are unanswered or not held, or have no effect: then its watchdog is to run out.
         """
         if self._safe is None:
             return True

@@ -141,7 +141,7 @@ class Links:
                 self.opening[record.name] = self.submit(record.name, partial(self._open, record, first, True))
 
     def call(self, name: str, act: Act) -> Any:
-        """Call a device and return the result; raises DeviceError where it fails or takes too long."""
+        """Call a device and return the result; raises DeviceError if it fails or takes too long."""
         return self._owners[name].call(act, self.patience)
 
     def submit(self, name: str, act: Act) -> Call:
@@ -197,7 +197,7 @@ class Links:
     # -- calls that wait for their result -------------------------------------------------------------------------
 
     def refuse_other_read_back(self, output: OutputRecord) -> None:
-        """Raise DeviceError where a device does not hold the safe value that was sent."""
+        """Raise DeviceError if a device does not hold the safe value that was sent."""
         held = self.call(output.device, partial(self.read_back, output))
         if abs(held - to_device(output, output.safe)) > max(output.resolution, 1e-6 * abs(held)):
             raise DeviceError(output.device, f"holds {held:g} after {output.safe:g} was sent", output.output)
@@ -212,7 +212,7 @@ class Links:
         return device.is_on(valve.output) == (valve.energised == "closed")
 
     def arm_watchdogs(self) -> None:
-        """Arm the watchdogs that the bench file lists; raises DeviceError where a device does not confirm the time."""
+        """Arm the watchdogs that the bench file lists; raises DeviceError if a device does not confirm the time."""
         for record in self._bench.devices:
             if record.watchdog:
                 device = self.need(record.name, Watchdog, "has no watchdog, and the bench file says that it has")

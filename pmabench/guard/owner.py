@@ -102,7 +102,7 @@ class Owner:
         return call
 
     def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
-        """Queue the call and wait for its result; raises DeviceError where it takes longer than `within` [s].
+        """Queue the call and wait for its result; raises DeviceError if it takes longer than `within` [s].
 
         Earlier calls are first waited for, also for `within` [s]: a slow device may be busy with one.
         """
@@ -112,7 +112,7 @@ class Owner:
         return self.wait(self.submit(act), within)
 
     def wait(self, call: Call, within: float) -> Any:
-        """Result of a call; raises DeviceError where it has not ended within `within` [s] from now."""
+        """Result of a call; raises DeviceError if it has not ended within `within` [s] from now."""
         if not call.done.wait(within):
             self._late = call
             raise DeviceError(self.name, f"did not answer within {within:g} s")

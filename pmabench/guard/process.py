@@ -1,8 +1,8 @@
 """The guard process, in its own session: serves one engine over a loopback socket, and outlives it.
 
 The engine's requests are its heartbeat. When they stop, when the engine's end of the socket closes, when an interlock
-opens, when a device has changed by itself, when the guard or the computer was stopped for a while, or when somebody
-asks for it, the guard runs the safe state by itself.
+opens, when a device has changed by itself, when the guard or the computer was stopped for a while, or on request,
+the guard runs the safe state by itself.
 Messages are those of `pmabench.guard.wire`; each request names its action as `do`, each answer has `state` and `ended`.
 """
 
@@ -281,7 +281,7 @@ class Service:
         self._end("engine", why, tripped=tripped, hurry=hurry)
 
     def do_vent(self, peer: _Peer, who: str) -> dict[str, Any]:
-        """Make the bench safe at somebody's request; answered at once, and again when it is over."""
+        """Make the bench safe on request; answered at once, and again when it is over."""
         self._end("vent", f"vent by {who}", tripped=False, hurry=True)
         peer.waits = True
         return {"commanded": True}
@@ -292,7 +292,7 @@ class Service:
         return {"run": self.guard.run}
 
     def do_bye(self, peer: _Peer) -> None:
-        """The engine has finished and says goodbye."""
+        """Accept the end of the engine's run."""
         if self.guard.state in ACTIVE:
             self._end("lost", "the engine left an armed bench")
         self._engine = None

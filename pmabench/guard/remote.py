@@ -311,7 +311,7 @@ AnyGuard = Guard | RemoteGuard
 
 
 def _log(station: Station) -> IO[bytes]:
-    """File guard.log for errors of the guard; makes the folder. Raises DeviceError where it cannot."""
+    """File guard.log for errors of the guard; makes the folder. Raises DeviceError if it cannot."""
     try:
         station.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         return (station.folder / "guard.log").open("ab")

@@ -64,7 +64,7 @@ class _Sent:
     """Question whether the device holds the command; its result is an empty text if so, else a sentence."""
 
     def said(self) -> str | None:
-        """Answer of the device whether it holds the command; None where there is none (yet)."""
+        """Answer of the device whether it holds the command; None if there is none (yet)."""
         look = self.look
         return (look.result or "") if look is not None and look.done.is_set() and look.error is None else None
 
@@ -444,7 +444,7 @@ class SafeState:
 
 
 def _shown(action: SafeAction, value: float | None = None) -> str:
-    """The measured value, or else the bound, in display units; in SI where the channel's quantity is not known."""
+    """The measured value, or else the bound, in display units; in SI if the channel's quantity is not known."""
     quantity = QUANTITIES.get(CHANNEL_QUANTITY.get(action.target, ""))
     shown = action.value if value is None else value
     return f"{shown:.4g}" if quantity is None else quantity.show(shown, 4)

@@ -58,7 +58,7 @@ class Station:
         """Addresses and serial numbers of the devices that are locked for this bench."""
 
     def take(self) -> None:
-        """Lock the bench for this process until it ends; raises DeviceError where another process holds the lock."""
+        """Lock the bench for this process until it ends; raises DeviceError if another process holds the lock."""
         before = root() / (re.sub(r"[^A-Za-z0-9._-]+", "-", self.name).strip("-.") or "bench")
         if before.is_dir() and not self.folder.exists() and Station("", before).read("bench").get("name") == self.name:
             before.rename(self.folder)  # its folder name, with its latch, before version 0.2
@@ -71,7 +71,7 @@ class Station:
     def take_device(self, where: str) -> None:
         """Lock the device with this address or serial number for this process until it ends.
 
-        Raises DeviceError where another bench uses it now, or where another bench that uses it is latched.
+        Raises DeviceError if another bench uses it now, or if another bench that uses it is latched.
         """
         if where in self._devices:
             raise DeviceError(self.name, f"two of its devices are one, {where}: correct an address of the bench file")
@@ -107,7 +107,7 @@ class Station:
             raise RecordError(f"cannot write {path}: {error.strerror}; the state of the bench is not kept") from error
 
     def read(self, file: str) -> dict[str, Any]:
-        """Contents of `file`.json; empty where it cannot be read."""
+        """Contents of `file`.json; empty if it cannot be read."""
         with suppress(OSError, ValueError):
             data = json.loads((self.folder / f"{file}.json").read_text("utf-8"))
             return data if isinstance(data, dict) else {}
@@ -130,7 +130,7 @@ class Station:
             stream.write(json.dumps(line) + "\n")
 
     def latched(self) -> str:
-        """Reason for which an operator must reset the bench before anything may run; empty where there is none."""
+        """Reason for which an operator must reset the bench before anything may run; empty if there is none."""
         state = self.read("state")
         if state.get("what") == "safe" or not (state or (self.folder / "state.json").exists()):
             return ""

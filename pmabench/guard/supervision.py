@@ -95,14 +95,14 @@ class Supervision:
                     self._ask(record, kind, now)
 
     def attend(self, record: DeviceRecord, now: float, kinds: list[Kind]) -> None:
-        """Ask a device during a vent; raises LimitTripped where an interlock is open, ignores missing answers."""
+        """Ask a device during a vent; raises LimitTripped if an interlock is open, ignores missing answers."""
         if record.name in self._links.devices:
             for kind in self._by_age(record, kinds):
                 with suppress(DeviceError):
                     self.feed(record, now, kind)
 
     def feed(self, record: DeviceRecord, now: float, kind: Kind = FED) -> None:
-        """Ask one kind of question if it is due (feed the watchdog); raises DeviceError where that fails."""
+        """Ask one kind of question if it is due (feed the watchdog); raises DeviceError if that fails."""
         try:
             self._ask(record, kind, now)
         except DeviceError:
@@ -217,7 +217,7 @@ class Supervision:
         return partial(self._twice, look)
 
     def open_interlock(self, record: DeviceRecord) -> str:
-        """Sentence on the first open interlock of a device; empty where all are closed."""
+        """Sentence on the first open interlock of a device; empty if all are closed."""
         for interlock in record.interlocks:
             inputs = self._links.need(record.name, Inputs, "has no digital inputs", interlock.input)
             if inputs.level(interlock.input) != (interlock.safe == "high"):

@@ -1,6 +1,6 @@
 """A chart as data, and as static SVG with labelled curves; a page's script may draw the same data with zoom.
 
-Knows no page and no result. Lengths of the drawing are points of print (1/72 in); the page sets text in its own font,
+Contains no page or result. Lengths of the drawing are points of print (1/72 in); the page sets text in its own font,
 so only the length of a text is estimated here. No element has a `style`: attributes only.
 """
 

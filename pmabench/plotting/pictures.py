@@ -1,6 +1,6 @@
 """Parts of every figure of a report: a drawing with number-free title, caption, alternative text and its numbers.
 
-Helpers that figures share: display units of traces, thinning, data tables. Knows no kind of figure.
+Helpers that figures share: display units of traces, thinning, data tables. For any kind of figure.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def unit_of(trace: Trace, column: str) -> Shown:
 
 
 def column(trace: Trace, name: str) -> Array:
-    """A column in its display unit; NaN where it is too large to draw."""
+    """A column in its display unit; NaN if it is too large to draw."""
     values = np.asarray(trace.columns[name], dtype=np.float64) / unit_of(trace, name).scale
     return np.where(np.abs(values) < LARGEST, values, np.nan)
 

@@ -1,4 +1,4 @@
-"""Drawings: one function per kind of figure, from plain columns to a matplotlib figure; knows no page and no wording.
+"""Drawings: one function per kind of figure, from plain columns to a matplotlib figure; no page and no wording.
 
 All are called inside `svg.drawing()`. Numbers come in display units, with their labels.
 """

@@ -1,6 +1,6 @@
 """A matplotlib figure as an SVG element for HTML: same bytes for the same figure, no external references, text as text.
 
-Knows the markup of symbols (`F_ce`), not what a figure shows.
+Converts the markup of symbols (`F_ce`); independent of the content of a figure.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ TRAVEL = 0.1
 """Speed of a driven free end between points, as a fraction of its highest."""
 
 Read = Callable[[str, float, Callable[[], None]], float]
-"""Asks for the reading of the reference [SI]: takes a question, the nominal value, a function that lets time pass."""
+"""Asks for the reference's reading [SI]; arguments: a question, the nominal value, a function that lets time pass."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Result of a calibration; `fit` is None where the run ended early."""
+    """Result of a calibration; `fit` is None if the run ended early."""
 
     outcome: Outcome
     fit: Fit | None
@@ -161,7 +161,7 @@ def order(points: Sequence[float], cycles: int) -> list[tuple[float, str, int]]:
 def check(mounted: Mounted, request: Request) -> tuple[ChannelRecord | None, OutputRecord | None]:
     """Channel and output of a calibration; raises UsageError if this bench cannot do it.
 
-    The channel is None for the regulator, the output None where the operator sets the quantity.
+    The channel is None for the regulator, the output None if the operator sets the quantity.
     """
     bench = mounted.bench
     channels = {channel.name: channel for channel in bench.channels}

@@ -65,7 +65,7 @@ def fit(points: Sequence[Point], reference: float) -> Fit:
     half the hysteresis and half the drift as half widths of rectangular distributions (/ sqrt 3, GUM 4.3.7);
     repeatability. In a single cycle the only repeats are up and down, so hysteresis also counts as scatter: the two
     cannot be separated. Readings at one nominal value are one point unless they are `APART`.
-    Raises VerdictFailed where the points do not define a line.
+    Raises VerdictFailed if the points do not define a line.
     """
     target, raw, value = (np.array([getattr(p, name) for p in points]) for name in ("target", "raw", "reference"))
     way, cycle = np.array([p.way for p in points]), np.array([p.cycle for p in points])
@@ -127,7 +127,7 @@ def write_calibration(
 ) -> Path:
     """Write `folder`/ID.yaml, ID = CHANNEL-DATE (with -2, -3 ... if it exists); read it back as a bench would.
 
-    Raises RecordError where it cannot be written.
+    Raises RecordError if it cannot be written.
     """
     text = "".join(f"{line}\n" for line in _lines(channel, quantity, raw_unit, found, reference, run))
     made: Path | None = None

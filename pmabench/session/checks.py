@@ -1,7 +1,7 @@
 """Lines of the self-test's table, checks of a bench at rest, and the refusal that names the fault; no devices.
 
 Also which wire, or which swapped pair, explains the broken claims. The wire that all broken claims share is at fault,
-unless a good, exact claim depends on it and another wire is left. A swap is reported where exchanging two readings
+unless a good, exact claim depends on it and another wire is left. A swap is reported if exchanging two readings
 makes every claim good, by evidence from both readings.
 """
 

@@ -87,7 +87,7 @@ class Look:
 def looking(bench: CompiledBench, rate: float = LOOKED_AT) -> Iterator[Look]:
     """Open the bench and sample it at `rate` [Hz]. Limits are not watched: nothing is armed that could be vented.
 
-    Raises DeviceError where a device does not answer or the bench is in use, LimitRefused where it is tripped.
+    Raises DeviceError if a device does not answer or the bench is in use, LimitRefused if it is tripped.
     """
     clock: RealClock | VirtualClock = RealClock() if bench.realtime else VirtualClock()
     with ExitStack() as stack:

@@ -134,7 +134,7 @@ def take_zeros(executor: Executor, mounted: Mounted) -> dict[str, ZeroTaken]:
     """Take the zeros that the bench's session asks for.
 
     First pressures, vented with the valves open; then the force, unloaded by the operator; then displacement and
-    angle at their stated references. Raises ZeroRefused, or VerdictFailed where a channel does not come to rest.
+    angle at their stated references. Raises ZeroRefused, or VerdictFailed if a channel does not come to rest.
     """
     wanted = mounted.session.zeros if mounted.session is not None else {}
     taken: dict[str, ZeroTaken] = {}

@@ -156,7 +156,7 @@ class EachMuscle:
     def _go(self, executor: Executor, pressures: Mapping[str, float], most: float = inf) -> dict[str, float]:
         """Command pressures [Pa]; returns the rise of every channel from rest at the end of the hold [SI].
 
-        The hold ends early where a pressure rises by more than `most` [Pa]; that rise is then returned.
+        The hold ends early if a pressure rises by more than `most` [Pa]; that rise is then returned.
         """
         limits = {name: self._rest[name] + most for name in self._names.values()}
 

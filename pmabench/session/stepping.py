@@ -248,7 +248,7 @@ class Stepping:
         self._go(0.0)
 
     def _open_dump(self, pressure: float) -> None:
-        """Open the dump valve with an unchanged set-point; not where a burst limit would trip."""
+        """Open the dump valve with an unchanged set-point; not if a burst limit would trip."""
         dump = self.wiring.dump
         bursts = [trip.high or 0.0 for trip in self._mounted.bench.trips if trip.kind == "burst"]
         if dump is None or min(bursts, default=np.inf) <= pressure:

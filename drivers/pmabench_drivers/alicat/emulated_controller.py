@@ -1,4 +1,4 @@
-"""State and behaviour of an emulated Alicat controller, and its answers to each ASCII command; knows no wire.
+"""State and behaviour of an emulated Alicat controller, and its answers to each ASCII command; uses no connection.
 
 A pressure controller (PCD), or a mass flow controller with two valves whose loop controls gauge pressure until another
 variable is chosen (MCD): it has temperature, flows and a gas in its line. Sources: Alicat, Serial Communications

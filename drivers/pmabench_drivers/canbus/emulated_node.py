@@ -1,4 +1,4 @@
-"""An emulated CANopen node: object dictionary behind SDO, PDOs, NMT, heartbeats, emergencies; knows no profile.
+"""An emulated CANopen node: object dictionary behind SDO, PDOs, NMT, heartbeats, emergencies; without a profile.
 
 SDO abort codes: CiA 301.
 """

@@ -311,7 +311,7 @@ class Signals:
                 self._by_frame.setdefault(key, []).append((name, message, signal))
 
     def begin(self) -> None:
-        """Sampling begins: from now on signals must arrive."""
+        """Note that sampling begins: signals must arrive from now on."""
         self._begun = monotonic()
 
     def take(self, frame: Frame) -> None:

@@ -3,7 +3,7 @@
 All faults are defined in `KINDS`. A device declares those that it has; `Outgoing` applies the faults of a link to
 complete answers. The log has JSON lines with monotonic time: every exchange, and every command. Its kinds: `received`
 and `sent` (bytes as hex, seen from the emulated device), `connect`, `disconnect`, `lost`; `set`, `switch`, `watchdog`
-and others of the devices; `load`, `plant`, `fault` for requests to the control socket. Knows no protocol.
+and others of the devices; `load`, `plant`, `fault` for requests to the control socket. Independent of the protocol.
 """
 
 from __future__ import annotations

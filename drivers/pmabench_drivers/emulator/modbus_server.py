@@ -1,6 +1,6 @@
 """Emulated Modbus devices: requests and answers as bytes, and the connections or pseudo-terminal that carry them.
 
-Written independently of the driver's library, so that each is a check of the other; knows no registers. Layouts: Modbus
+Written independently of the driver's library, so that each is a check of the other; uses no registers. Layouts: Modbus
 Application Protocol 1.1b3, section 6; MBAP header: Modbus Messaging on TCP/IP 1.0b, section 3.1.3; CRC-16: Modbus over
 Serial Line 1.02, section 6.2.2.
 """

@@ -1,6 +1,6 @@
 """The plant of the mock in real time, for several wires at once, and the wiring of one device's terminals.
 
-Knows no protocol.
+Independent of the protocol.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class LimitFile(Strict):
 
 
 def one_of(model: Strict, kinds: dict[str, tuple[str, ...]], optional: set[tuple[str, str]]) -> str:
-    """The kind of an entry; ValueError where that is not clear, a key is missing or one does not belong to it."""
+    """The kind of an entry; raises ValueError if that is not clear, a key is missing or one does not belong to it."""
     given = {ALIASES.get(name, name) for name in model.model_fields_set if getattr(model, name) is not None}
     found = [kind for kind in kinds if kind in given]
     if len(found) != 1:
@@ -279,7 +279,7 @@ class Weights(Strict):
 
 
 class Joint(Strict):
-    """A joint that the muscles turn: how far its angle may go, and how fast a drive turns it where there is one."""
+    """A joint that the muscles turn: how far its angle may go, and how fast a drive turns it, if there is one."""
 
     stroke: tuple[q.Angle, q.Angle]
     speed: q.AngularSpeed = 0.0

@@ -316,7 +316,7 @@ class CreepFile(Strict):
 
 
 class RealFile(PlantFile):
-    """A muscle with bent force, hysteresis over contraction and pressure, and creep; what is not given is not there."""
+    """A muscle with curved force, hysteresis over contraction and pressure, and creep; effects not given are absent."""
 
     law: Literal["real"]
     reach: tuple[Annotated[q.Ratio, _within(-0.1, 0, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]

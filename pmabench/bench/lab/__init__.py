@@ -1,4 +1,4 @@
-"""A lab's files from its answers. Knows no terminal.
+"""A lab's files from its answers. Uses no terminal.
 
 `questions` holds the questions, answers and limits, `reading` parses what is typed, `files` writes bench, specimen,
 simulated muscle, calibrations and protocol.

@@ -330,7 +330,7 @@ NO_LIMIT = """\
 # accept:
 #   K: {relative_interval: 5 %}                # widest 95 % interval of K, of its value\
 """
-"""Replaces the acceptance limits: nobody asked for one, and meeting one that nobody set would mean nothing."""
+"""Replaces the acceptance limits: none is known, and meeting an invented one would mean nothing."""
 
 
 def protocol_text(shipped: str, answers: Answers, specimen: SpecimenFile) -> str:
@@ -431,7 +431,7 @@ def lab_files(answers: Answers, shipped_protocol: str) -> dict[str, str]:
     Raises
     ------
     UsageError
-        Where a file that an answer names cannot be read.
+        If a file that an answer names cannot be read.
     """
     own = _calibrations(answers)
     specimen = specimen_text(answers)

@@ -197,7 +197,7 @@ def protocols(answers: Answers) -> dict[str, str]:
 
 
 MOST = 20
-"""Most questions that are asked."""
+"""Largest number of questions."""
 
 
 def _has_daq(answers: Answers) -> bool:
@@ -331,7 +331,7 @@ def _table() -> tuple[Question, ...]:
 
 
 QUESTIONS = {question.key: question for question in _table()}
-"""Key -> question, in the order of asking."""
+"""Key -> question, in order."""
 
 
 ASKED = "asked"
@@ -339,7 +339,7 @@ ASKED = "asked"
 
 
 class Answers:
-    """Answers to `QUESTIONS` by key, as typed; None for "not known yet". Gives parsed values, derived where missing."""
+    """Answers to `QUESTIONS` by key, as typed; None for "not known yet". Returns parsed values, derived if missing."""
 
     def __init__(self, given: Mapping[str, str | None], asked: datetime.date) -> None:
         self.given = dict(given)
@@ -350,7 +350,7 @@ class Answers:
         return self.given.get(key) is not None
 
     def text(self, key: str) -> str:
-        """The answer as typed, or the derived one; KeyError where there is neither."""
+        """The answer as typed, or the derived one; raises KeyError if there is neither."""
         found = self.given.get(key)
         found = QUESTIONS[key].default(self) if found is None else found
         if found is None:
@@ -358,7 +358,7 @@ class Answers:
         return found
 
     def value(self, key: str) -> Any:
-        """The parsed answer, given or derived; ValueError where it cannot be read."""
+        """The parsed answer, given or derived; raises ValueError if it cannot be read."""
         return QUESTIONS[key].read(self.text(key), self)
 
     def questions(self) -> list[Question]:
@@ -406,7 +406,7 @@ def read_answers(path: Path) -> tuple[dict[str, str | None], datetime.date | Non
 
 
 def check_answers(answers: Answers, document: Document | None = None) -> None:
-    """Raise `InvalidFile` (or without a file `UsageError`) where given answers cannot be parsed."""
+    """Raise `InvalidFile` (or without a file `UsageError`) if given answers cannot be parsed."""
     problems = []
     for key, typed in answers.given.items():
         try:
