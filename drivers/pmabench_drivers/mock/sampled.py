@@ -361,7 +361,7 @@ class Sampled(ABC):
         self._sample(until)
 
     def _sample(self, until: float) -> None:
-        """Advance to `until` and put the samples on the channels; one at `until` is taken before the present action."""
+        """Advance to `until`, and put the samples up to then, one at `until` included, on the channels."""
         first, last = self._due, self._due
         until_ns = round(until * 1e9)
         if self._rate:

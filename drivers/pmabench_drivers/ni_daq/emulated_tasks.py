@@ -181,7 +181,7 @@ class Board:
             raise Refused(-200077, "Requested value is not a supported value for this property.")
 
     def configure(self, task: Task, rate: float, samples: int, *, finite: bool) -> None:
-        """Set the sample clock to the nearest possible rate; the buffer is at least NI-DAQmx's own."""
+        """Set the sample clock to the lowest possible rate from `rate` up; the buffer is at least NI-DAQmx's own."""
         if task.kind != "ai" or not rate > 0:
             raise Refused(-200077, "Requested value is not a supported value for this property.")
         if rate * len(task.names) > FASTEST:

@@ -193,7 +193,7 @@ class EmulatedBoard(OnTerminal):
         return value
 
     def by_hand(self, name: str, value: float) -> None:
-        """Set an output [count] or a valve (0, 1) of the board, without a command."""
+        """Set an output [count] or a valve (0, 1) of the board, by a command or without one."""
         self._held[name] = int(value)
         self._wiring.set(name, value)
         self._wiring.switch(name, on=value != 0)
