@@ -181,10 +181,11 @@ class Results:
         return pd.DataFrame({headed(c, trace.quantities.get(c, "")): v for c, v in trace.columns.items()})
 
     def report(self, path: Path | str, *, title: str | None = None, issuer: Issuer | None = None) -> Path:
-        """Write the report as one HTML file; raises RecordError if that fails."""
+        """Write the report as one HTML file; raises UsageError if the runs are of several specimens."""
+        from pmabench.kinds.reduce import of_one_specimen
         from pmabench.report.document.content import content_of, write_page
 
-        return write_page(content_of(self.analyses, self.runs, title=title, issuer=issuer), Path(path))
+        return write_page(content_of(self.analyses, of_one_specimen(self.runs), title=title, issuer=issuer), Path(path))
 
 
 def estimates_frame(analyses: Sequence[Analysis]) -> pd.DataFrame:

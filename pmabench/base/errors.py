@@ -7,7 +7,7 @@ Exit codes: 0 done, 1 error in the program, 2 wrong usage, 3 a file is invalid, 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -120,7 +120,10 @@ class Interrupted(PmaError):
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """`; did you mean "..."?` with the most similar known name, or a list of them if none is similar."""
     names = sorted(known)
-    near = get_close_matches(name, names, n=1, cutoff=0.6)
-    if near:
-        return f'; did you mean "{near[0]}"?'
-    return f"; known here: {', '.join(names)}" if names else ""
+    return nearest(name, names) or (f"; known here: {', '.join(names)}" if names else "")
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """`; did you mean "..."?` with the nearest of the known names, nothing where none is near."""
+    near = get_close_matches(name, known, n=1, cutoff=0.6)
+    return f'; did you mean "{near[0]}"?' if near else ""

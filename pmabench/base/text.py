@@ -67,6 +67,33 @@ def raw(stream: Any) -> TextIO:
     return found
 
 
+_ASCII = {
+    **dict(zip("▁▂▃▄▅▆▇█", "__.--=##", strict=True)),
+    **dict.fromkeys("─━–—−‐‑", "-"),
+    **dict.fromkeys("·×", "*"),
+    **dict.fromkeys("│┃", "|"),
+    "±": "+-", "…": "...", "²": "2", "³": "3", "µ": "u", "μ": "u", "°": "deg", "Ω": "Ohm", "′": "'", "″": "''",
+    "≤": "<=", "≥": ">=", "→": "->", "\u00a0": " ", "\u202f": " ",
+}  # fmt: skip
+"""Signs that this program prints, for a terminal that has ASCII only."""
+
+
+def in_ascii(error: UnicodeError) -> tuple[str, int]:
+    r"""An error handler of `codecs`: signs in ASCII, others as in source code. A half width takes the blank after it,
+    so that columns keep their width.
+
+    >>> import codecs
+    >>> codecs.register_error("in-ascii", in_ascii)
+    >>> "113.0 ± 1.9 N·m ä".encode("ascii", "in-ascii")
+    b'113.0 +-1.9 N*m \\xe4'
+    """
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    signs, end = error.object[error.start : error.end], error.end
+    text = "".join(_ASCII.get(sign) or ascii(sign)[1:-1] for sign in signs)
+    return text, end + (signs[-1] == "±" and error.object[end : end + 1] == " ")
+
+
 def unused(stem: str, taken: set[str], ending: str = "") -> str:
     """`stem` and `ending`, with a number between them if that is in `taken`, ignoring case; added to `taken`."""
     name, count = f"{stem}{ending}", 1

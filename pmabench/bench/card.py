@@ -16,7 +16,34 @@ from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, TripRecord
 from pmabench.bench.safety import RATE_OF
 
-BY_HAND = "Press the emergency stop, shut off the air, vent by hand."
+
+def _has_stop(mounted: Mounted) -> bool | None:
+    """Whether an emergency stop is wired to an input; None where contacts are, of which none has "stop" in its name."""
+    names = [record.name for device in mounted.bench.devices for record in device.interlocks]
+    return any("stop" in name for name in names) or (None if names else False)
+
+
+def _by_hand(mounted: Mounted) -> str:
+    return f"{'Press the emergency stop, shut' if _has_stop(mounted) else 'Shut'} off the air, vent by hand."
+
+
+def _protection(mounted: Mounted) -> str:
+    """What protects people at this bench, and what of that it lacks."""
+    there = {
+        "relief valve": mounted.bench_file.air.relief_valve != "none",
+        "normally-open dump valve": mounted.bench_file.normally_open_dump,
+        "emergency stop": _has_stop(mounted),
+    }
+    has, lacks = ([name for name, known in there.items() if known is way] for way in (True, False))  # None: not known
+    text = f"People are protected by the {', the '.join([*has, 'shield'])}."
+    return text + (f" This bench file names NO {' and NO '.join(lacks)}." if lacks else "")
+
+
+def _unconfirmed(mounted: Mounted) -> str:
+    """A sentence where somebody still has to look up what stands on the card."""
+    if not (mounted.bench.realtime and mounted.unconfirmed):
+        return ""
+    return 'Values of this bench are still guesses. Put no air on it before they are looked up; see "pmabench check".'
 
 
 def failure_story(mounted: Mounted) -> list[tuple[str, str]]:
@@ -67,6 +94,7 @@ def _computer(mounted: Mounted) -> Iterator[str]:
 
 def _valves_unheard(mounted: Mounted) -> Iterator[str]:
     """Sentences on muscles behind valves that open in pulses, when the computer fails."""
+    by_hand = _by_hand(mounted)
     yield "Pulses of valves end by themselves."
     for name in ("supply_valve", "dump_valve"):
         device = _device_of(mounted, name) or _device_of(mounted, f"{name}_1")
@@ -74,12 +102,12 @@ def _valves_unheard(mounted: Mounted) -> Iterator[str]:
             shown = name.replace("_", " ")
             yield f"{device.name} hears nothing and lets go of the {shown} after {seconds(device.watchdog)}."
         else:
-            yield f"THE {name.replace('_', ' ').upper()} STAYS AS IT IS: its device has no watchdog. {BY_HAND}"
+            yield f"THE {name.replace('_', ' ').upper()} STAYS AS IT IS: its device has no watchdog. {by_hand}"
 
 
 def _unheard(mounted: Mounted, output: str) -> Iterator[str]:
     """Sentences on one muscle when its devices no longer receive anything from the computer."""
-    pressure, opens = _device_of(mounted, output), _opens_unheard(mounted, output)
+    pressure, opens, by_hand = _device_of(mounted, output), _opens_unheard(mounted, output), _by_hand(mounted)
     if pressure is not None and pressure.watchdog:
         also = ""
         if opens is not None:
@@ -91,7 +119,7 @@ def _unheard(mounted: Mounted, output: str) -> Iterator[str]:
         yield f"{opens.name} hears nothing and opens the dump valve after {seconds(opens.watchdog)}: the muscle vents."
         yield "The regulator keeps its last set-point."
     elif pressure is not None:
-        yield f"NOTHING VENTS: {pressure.name} has no watchdog, and the pressure stays at its last value. {BY_HAND}"
+        yield f"NOTHING VENTS: {pressure.name} has no watchdog, and the pressure stays at its last value. {by_hand}"
 
 
 def _power(mounted: Mounted) -> Iterator[str]:
@@ -103,7 +131,7 @@ def _power(mounted: Mounted) -> Iterator[str]:
     elif outputs and all(output.without_power == "vents" for output in outputs):
         yield "The regulator vents by itself."
     elif outputs:
-        yield f"THE REGULATOR MAY HOLD THE PRESSURE: nothing opens without power. {BY_HAND}"
+        yield f"THE REGULATOR MAY HOLD THE PRESSURE: nothing opens without power. {_by_hand(mounted)}"
     yield from _load(mounted)
     if _device_of(mounted, "displacement") is not None:
         yield "The drive no longer holds the free end."
@@ -193,8 +221,14 @@ class Card:
     simulated: bool
     facts: Rows
     """Property, value."""
+    unconfirmed: str
+    """A warning if values are not confirmed, else empty."""
+    first: str
+    """What to do first in an emergency."""
     emergency: str
     """The command that vents from any terminal."""
+    protection: str
+    """Protection of people."""
     limits: Rows
     """Quantity, command range, its source, trip range, action with delay, its source."""
     vent: Rows
@@ -234,6 +268,11 @@ def make_card(mounted: Mounted, date: str) -> Card:
         hashes=hashes,
         simulated=not bench.realtime,
         facts=list(_facts(mounted)),
+        unconfirmed=_unconfirmed(mounted),
+        first="Press the emergency stop, then shut off the air."
+        if _has_stop(mounted)
+        else "Shut off the air; press the emergency stop if the rig has one.",
+        protection=_protection(mounted),
         emergency=f"pmabench vent {shlex.quote(bench.name)}",
         limits=list(_limits(mounted)),
         vent=[list(_action(action, mounted)) for action in bench.safe_state],
@@ -277,6 +316,8 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
         yield ["Drivers verified", "; ".join(tried)]
     if file.reviewed is not None:
         yield ["Reviewed", f"{file.reviewed.by}, {file.reviewed.date}"]
+    elif mounted.unconfirmed:
+        yield ["Reviewed", "by nobody"]
 
 
 def _limits(mounted: Mounted) -> Iterator[list[str]]:

@@ -144,12 +144,12 @@ class Session:
     expected: tuple[str, ...] = ("pressure", "force", "displacement")
     """Channels whose zeros a complete session takes."""
 
-    def shortened(self) -> tuple[str, ...]:
-        """Which parts are shorter than papers and good practice recommend, in words."""
+    def shortened(self, *, warm_up: bool = True) -> tuple[str, ...]:
+        """Parts that are shorter than papers and good practice recommend, in words; `warm_up`: it is not skipped."""
         found = []
         if self.warm_up is None:
             found.append("no warm-up")
-        elif self.warm_up.duration < WARM_UP:
+        elif warm_up and self.warm_up.duration < WARM_UP:
             found.append(f"warm-up of {in_words(self.warm_up.duration)} instead of {in_words(WARM_UP)}")
         if self.self_test is None:
             found.append("no self-test")

@@ -110,7 +110,7 @@ def _head(state: RunState, width: int) -> list[Text]:
         where = Text().append(which, STRONG)
         where.append(f"  {point_text(trial.point)}" + (f", repeat {trial.repeat + 1}" if trial.repeat else ""))
     elif not state.trials and status == "running":
-        where = Text("what is to be done by hand is asked here", STRONG)
+        where = Text("no trials; any prompt comes at the terminal of the run", STRONG)
     else:
         where = Text().append(_done(state), STRONG)
         where.append("  not in a trial: nothing is recorded" if status == "running" else "")
@@ -203,7 +203,8 @@ def _counts(state: RunState) -> Text:
         text = f"none recorded for {silent:.0f} s: the curves end there" if state.trial else "nothing is recorded now"
         line.append(f"   {text}", STRONG if state.trial else FAINT)
     for name, count in state.counts.items():
-        line.append("   ").append(f"{name} {count:,}", WARN if count and name != "slack" else "")
+        said, style = ("muscle slack", "") if name == "slack" else (name, WARN if count else "")
+        line.append("   ").append(f"{said} {count:,}", style)
     for stream in state.files.streams.values():
         if stream.fault and state.status != "running":
             line.append("   ").append(f"{clean(stream.name)}: {clean(stream.fault)}", WARN)

@@ -114,8 +114,8 @@ def event_text(event: Event) -> tuple[str, str] | None:
         force, mass = data.get("force"), data.get("mass")
         text = f"load {quantity('force').show(float(force), 4)}" if isinstance(force, int | float) else "load"
         return text + (f", {float(mass):.4g} kg moving" if isinstance(mass, int | float) else ""), "info"
-    if kind in _OF_SESSIONS:
-        return _OF_SESSIONS[kind](data)
+    if kind in OF_SESSIONS:
+        return OF_SESSIONS[kind](data)
     if kind == "proof-test":
         asked, filled, vented = (float(data.get(key) or 0.0) for key in ("pressure", "filled_in", "vented_in"))
         alone = data.get("dump_valve_in")
@@ -175,13 +175,14 @@ def _warm_up(data: Mapping[str, Any]) -> tuple[str, str]:
     return f"warm-up: cycles to {pressure} for {in_words(float(data.get('duration') or 0.0))}", "info"
 
 
-_OF_SESSIONS: dict[str, Callable[[Mapping[str, Any]], tuple[str, str]]] = {
+OF_SESSIONS: dict[str, Callable[[Mapping[str, Any]], tuple[str, str]]] = {
     "session": _session,
     "self-test": _self_test,
     "zeros": _zeros,
     "zero-check": _zero_check,
     "warm-up": _warm_up,
 }
+"""Kind of event of a session -> its sentence, and how bad it is."""
 
 
 def wrapped(text: str, width: int) -> list[str]:

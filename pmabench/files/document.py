@@ -18,6 +18,7 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid, reading
 from pmabench.base.quantities import MUSCLES, without_number
+from pmabench.files.wording import wrong_value, yaml_mistake
 
 MAX_BYTES = 1_000_000
 MAX_NODES = 100_000
@@ -138,7 +139,7 @@ class Document:
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             line, column = (mark.line + 1, mark.column + 1) if mark else (0, 0)
-            message = " ".join(str(error.problem or error.context or "not YAML").split())
+            message = yaml_mistake(" ".join(str(error.problem or error.context or "not YAML").split()))
             raise invalid(self.path, f"not readable as YAML: {message}", line, column) from error
         except (YAMLError, ValueError, RecursionError) as error:
             raise invalid(self.path, f"not readable as YAML: {' '.join(str(error).split())[:200]}") from error
@@ -229,11 +230,15 @@ def _shown(path: Path) -> str:
 _SCHEMA = re.compile(r"pmabench\.([a-z-]{1,40})/([0-9]{1,4})")
 
 
+def _schema_of(model: type[BaseModel]) -> str:
+    """Required value of the key `schema` in files of a model; empty if they have none."""
+    field = model.model_fields.get("schema_")
+    return str(get_args(field.annotation)[0]) if field is not None and get_args(field.annotation) else ""
+
+
 def check_schema(model: type[BaseModel], document: Document) -> None:
     """Raise `InvalidFile` with this problem alone if the document is of another kind than the model."""
-    field = model.model_fields.get("schema_")
-    written = document.data.get("schema")
-    expected = get_args(field.annotation)[0] if field is not None and get_args(field.annotation) else ""
+    written, expected = document.data.get("schema"), _schema_of(model)
     found, wanted = _SCHEMA.fullmatch(str(written)), _SCHEMA.fullmatch(expected)
     if found is None or wanted is None or found[0] == wanted[0]:
         return
@@ -251,14 +256,20 @@ def validate(model: type[Model], document: Document) -> Model:
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
-        raise InvalidFile(_problems(model, document, error)) from None
+        problems = list(_problems(model, document, error))
+    if "schema" not in document.data and (expected := _schema_of(model)):
+        # what else is missing counts only once it is clear which kind of file it should be
+        problems = [problem for problem in problems if not problem.message.endswith("is missing")]
+        head = f'"schema" is missing, which says what kind of file it is: "schema: {expected}"'
+        problems.append(document.problem(("schema",), head))
+    raise InvalidFile(problems)
 
 
 def _problems(model: type[BaseModel], document: Document, error: ValidationError) -> Iterator[Problem]:
     seen: set[tuple[Location, str]] = set()
     for item in error.errors(include_url=False):
         location = _in_data(document.data, item["loc"])
-        message, on_key = _sentence(model, item)
+        message, on_key = _sentence(model, item, location)
         if (location, message) in seen:
             continue
         seen.add((location, message))
@@ -281,9 +292,10 @@ def _in_data(data: Any, location: Location) -> Location:
     return tuple(found)
 
 
-def _sentence(model: type[BaseModel], item: Any) -> tuple[str, bool]:
+def _sentence(model: type[BaseModel], item: Any, found: Location) -> tuple[str, bool]:
+    """What is wrong, and whether with the key; `found`: the location without the tags of unions."""
     kind, location, value = item["type"], item["loc"], item.get("input")
-    name = str(location[-1]) if location else ""
+    name = str(found[-1]) if found else ""
     context = item.get("ctx", {})
     if kind == "extra_forbidden":
         known = [key for owner in _models_at(model, location[:-1]) for key in _annotations(owner)]
@@ -302,9 +314,8 @@ def _sentence(model: type[BaseModel], item: Any) -> tuple[str, bool]:
     if kind in {"model_type", "model_attributes_type", "dict_type"}:
         return f'"{name}" needs its own keys and values, not "{value}"', False
     if kind in {"list_type", "tuple_type"}:
-        return f'"{name}" needs a list, not "{value}"', False
-    message = item["msg"].replace("Input should be", f'"{value}" should be')
-    return message[0].lower() + message[1:] if message[:1].isupper() else message, False
+        return f'"{name}" needs a list, for instance [{value}]', False
+    return wrong_value(kind, value, item["msg"]), False
 
 
 def _annotations(model: type[BaseModel]) -> dict[str, Any]:

@@ -63,7 +63,7 @@ def library_factor(unit: str, quantity: str) -> float:
     if quantity == "temperature" and unit != "K":
         raise ValueError(f'"{unit}" is no unit of temperature here, {_hint(quantity)}')
     if "**" in unit or re.search(r"\d\d", unit):
-        raise ValueError(f'unknown unit "{unit}", {_hint(quantity)}')
+        raise ValueError(_unknown(unit, quantity))
     registry = _units()
     try:
         one = registry.Quantity(1.0, registry.parse_units(_in_library(unit)))
@@ -73,7 +73,7 @@ def library_factor(unit: str, quantity: str) -> float:
     except Exception as error:
         if type(error).__name__ == "DimensionalityError":
             raise ValueError(f'"{unit}" is no unit of {quantity}, {_hint(quantity)}') from error
-        raise ValueError(f'unknown unit "{unit}", {_hint(quantity)}') from error
+        raise ValueError(_unknown(unit, quantity)) from error
     return float(factor)
 
 
@@ -81,6 +81,13 @@ def _in_library(unit: str) -> str:
     """A unit in the notation of the units library."""
     text = re.sub(r"([A-Za-zµΩ])(-?\d)", r"\1**\2", unit.replace("·", "*").replace("^", "").replace("µ", "u"))
     return re.sub(r"(?<=[A-Za-z0-9])\.(?=[A-Za-z])", "*", text)
+
+
+def _unknown(unit: str, quantity: str) -> str:
+    """Capitals count in units, so that a unit in other capitals is the likeliest mistake."""
+    known = [name for units in (USUAL.get(quantity, {}), *USUAL.values()) for name in units]
+    alike = next((name for name in known if name.lower() == unit.lower()), None)
+    return f'unknown unit "{unit}"' + (f'; did you mean "{alike}"?' if alike else f", {_hint(quantity)}")
 
 
 def _hint(quantity: str) -> str:

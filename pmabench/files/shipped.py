@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pmabench.base.errors import did_you_mean, invalid
+from pmabench.base.errors import invalid, nearest
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 SHIPPED = {
@@ -39,5 +39,9 @@ def find_file(kind: str, name: str) -> Path:
     shipped = shipped_folder(kind) / (name if name.endswith(".yaml") else f"{name}.yaml")
     if path.name == name and shipped.is_file():
         return shipped
-    near = [file.stem for file in shipped_folder(kind).glob("*.yaml")]
-    raise invalid(name, f"there is no such file, and no shipped {kind} of that name{did_you_mean(name, near)}")
+    others = (other for other in SHIPPED if (shipped_folder(other) / shipped.name).is_file())
+    if path.name == name and (other := next(others, None)):
+        raise invalid(name, f"is a shipped {other}, where a {kind} is expected")
+    near = nearest(name, sorted(file.stem for file in shipped_folder(kind).glob("*.yaml")))
+    more = near or "; `pmabench list` shows what there is"
+    raise invalid(name, f"there is no such file, and no shipped {kind} of that name{more}")

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import re
+import shlex
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -66,7 +67,11 @@ class Station:
         if try_lock(self.folder / "lock") is None:
             owner = self.read("guard")
             who = f"process {owner['pid']} of {owner['user']} since {owner['since']}" if owner else "another program"
-            raise DeviceError(self.name, f"this bench is in use by {who}; one program commands a bench at a time")
+            raise DeviceError(
+                self.name,
+                f"this bench is in use by {who}; one program commands a bench at a time: "
+                f"`pmabench watch` shows its run, `pmabench vent {shlex.quote(self.name)}` ends it",
+            )
 
     def take_device(self, where: str) -> None:
         """Lock the device with this address or serial number for this process until it ends.

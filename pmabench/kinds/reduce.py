@@ -26,12 +26,15 @@ from pmabench.analysis.verdict.sessions import with_sessions
 from pmabench.base.errors import UsageError, did_you_mean, invalid
 from pmabench.base.kind import Result, load
 from pmabench.base.quantities import show
+from pmabench.base.text import clean
 from pmabench.kinds import registry
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Dropped, Estimate
 from pmabench.store.records import RunData
 
 MOST_REASONS = 3
 NUMBER = re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
+OF_FILE = re.compile(r"^[^:]*\.\w{1,5}: ")
+"""The file that a reason of an import begins with."""
 
 
 def results_of(kind: str) -> tuple[Result, ...]:
@@ -45,6 +48,17 @@ def specimen_of(run: RunData) -> str:
     if not isinstance(specimen, Mapping):
         return str(specimen or "")
     return f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
+
+
+def of_one_specimen(runs: Sequence[RunData]) -> Sequence[RunData]:
+    """The runs, for a report; UsageError where a reader would take values of one specimen for those of another."""
+    names = list(dict.fromkeys(specimen_of(run) or "not named" for run in runs))
+    if len(names) > 1:
+        raise UsageError(
+            f"a report is of one specimen, and these runs are of {len(names)}: {clean('; '.join(names), 200)}. "
+            "Write one report for each; `pmabench compare` compares them"
+        )
+    return runs
 
 
 def _whose(run: RunData) -> tuple[str, bool]:
@@ -171,10 +185,14 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
 def _withheld(analysis: Analysis) -> list[str]:
     """One sentence for each reason to withhold, with the values that it concerns.
 
-    Reasons that differ in their numbers alone are one reason, with the numbers of the first value.
+    Reasons that differ in their numbers and files alone are one reason, with those of the first value.
     """
     withheld = [estimate for estimate in analysis.estimates if estimate.withheld]
-    return [_sentence(alike) for alike in grouped(withheld, lambda e: NUMBER.sub("", e.note)).values()]
+    return [_sentence(alike) for alike in grouped(withheld, _reason).values()]
+
+
+def _reason(estimate: Estimate) -> str:
+    return NUMBER.sub("", OF_FILE.sub("", estimate.note))
 
 
 def _sentence(withheld: Sequence[Estimate]) -> str:

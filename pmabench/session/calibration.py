@@ -23,7 +23,7 @@ from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set
-from pmabench.session.calibration_file import DOWN, UP, Fit, Point, fit, step
+from pmabench.session.calibration_file import DOWN, UP, Fit, Point, fit, never_less, step
 from pmabench.session.guided import guided_run, load_text, moving_mass, steady
 
 PHASE = "calibration"
@@ -320,6 +320,7 @@ class _Work:
 
 def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:
     """Components of the uncertainty: pairs of name and value with unit."""
+    shown = QUANTITIES[quantity]
     return [
         ("slope", f"{found.scale.slope:.8g} {QUANTITIES[quantity].unit}/{raw_unit}"),
         ("offset", show(found.scale.offset, quantity)),
@@ -328,7 +329,7 @@ def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:
         ("repeatability (1 s)", show(found.repeatability, quantity, 3)),
         ("drift", show(found.drift, quantity, 3)),
         ("reference (k = 2)", show(found.reference, quantity, 3)),
-        ("expanded (k = 2)", show(found.expanded, quantity, 3)),
+        ("expanded (k = 2)", f"{never_less(found.expanded / shown.scale)} {shown.shown_in}"),
     ]
 
 

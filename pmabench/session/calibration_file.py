@@ -171,21 +171,21 @@ def _lines(channel: str, quantity: str, raw_unit: str, found: Fit, reference: st
     yield "points:"
     for raw, value in found.points:
         yield f"  - [{raw:.10g} {raw_unit}, {value / shown.scale:.10g} {shown.shown_in}]"
-    known = f"{_up(found.expanded / shown.scale)} {shown.shown_in}"
+    known = f"{never_less(found.expanded / shown.scale)} {shown.shown_in}"
     if found.residual is None:
         yield f"expanded_uncertainty: ??  # {known}, and what the data sheet says of linearity: two points show no bend"
     else:
         # if both ends of a line are off by U, independently, it is off by sqrt(2) U over its span
         span = max(value for _, value in found.points) - min(value for _, value in found.points)
         yield f"expanded_uncertainty: {known}"
-        yield f"gain_uncertainty: {_up(100 * sqrt(2) * found.expanded / span)} %"
+        yield f"gain_uncertainty: {never_less(100 * sqrt(2) * found.expanded / span)} %"
     yield f"# of {channel}, by the run {run}"
     parts = {"reference": found.reference, "hysteresis": found.hysteresis, "repeatability (1 s)": found.repeatability}
     parts |= {"drift": found.drift} | ({} if found.residual is None else {"largest residual": found.residual})
     yield "# from " + ", ".join(f"{name} {show(value, quantity, 3)}" for name, value in parts.items())
 
 
-def _up(value: float) -> str:
+def never_less(value: float) -> str:
     """Three significant digits, never rounded down."""
     text = f"{value:.3g}"
     return text if float(text) >= value else f"{value * 1.005:.3g}"

@@ -24,7 +24,16 @@ TRAVEL = 0.05
 STEPS = {"pressure": (1e3, 2e3, 5e3, 10e3, 20e3, 50e3), "displacement": (0.1e-3, 0.2e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)}
 """Available steps [SI]."""
 MOVES = {"+": ("pressure", 1), "-": ("pressure", -1), "]": ("displacement", 1), "[": ("displacement", -1)}
-KEYS = "+ - pressure   ] [ actuator   > < step   0 no pressure   z tare   v vent and end"
+KEYS = {"+ - pressure": "pressure", "] [ actuator": "displacement", "> < step": "", "0 no pressure": "pressure"}
+"""What is shown of a key -> the output that a bench must have for it; with `z tare` and `v vent and end`."""
+
+
+def keys_of(bench: CompiledBench) -> str:
+    """The keys that do something on a bench, in one line."""
+    outputs = {output.name for output in bench.outputs}
+    return "   ".join(
+        [*(text for text, needs in KEYS.items() if not needs or needs in outputs), "z tare", "v vent and end"]
+    )
 
 
 def highest(bench: CompiledBench, output: OutputRecord) -> float:

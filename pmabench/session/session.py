@@ -256,8 +256,11 @@ class SessionFailed(PmaError):
     def __init__(self, outcome: Outcome) -> None:
         self.outcome = outcome
         self.exit_code = outcome.exit_code
-        where = f" (recorded in {outcome.folder})" if outcome.folder is not None else ""
-        super().__init__(f"the session before the run ended early, {outcome.status}: {outcome.why}{where}")
+        vent = f"; vent {outcome.vent.result}" if outcome.vent is not None else ""
+        again = "; the same command begins with a session again"
+        where = f"\nrecorded in {outcome.folder}" if outcome.folder is not None else ""
+        said = f"the session before the run ended early, {outcome.status}: {outcome.why}{vent}{again}{where}"
+        super().__init__(said)
 
 
 def ensure(
@@ -283,14 +286,17 @@ def ensure(
         return mounted
     session = kept(mounted.bench.name)
     why = "asked for" if anew else out_of_date(session, mounted, utc_now())
+    tripped = mounted.bench.realtime and Station(mounted.bench.name).latched()
     if why:
-        say(f"a session comes first, because {why}" if not anew else "a new session, as asked for")
+        if not tripped:  # else the bench is refused, and no session comes
+            say(f"a session comes first, because {why}" if not anew else "a new session, as asked for")
         run: dict[str, Any] = {"out": out, "operator_name": operator_name, "progress": progress, "begun": begun}
         session = _hold(mounted, operator, skip_warm_up, report, run)
         if out is not None:
             keep(mounted.bench.name, session)
     else:
-        say(f"session {session['run']} of {session['at']} counts until {session['valid_until']}")
+        at, until = (datetime.fromisoformat(session[key]).astimezone() for key in ("at", "valid_until"))
+        say(f"session {session['run']} of {at:%H:%M} counts until {until:%Y-%m-%d %H:%M}")
     zeros = {str(name): float(zero["value"]) for name, zero in session["zeros"].items()}
     about = {key: session[key] for key in ("run", "at", "valid_until", "zeros", "skipped", "shortened", "operator")}
     about["devices"] = session.get("devices", {})
@@ -308,7 +314,7 @@ def _hold(
     declared = mounted.session
     assert declared is not None  # noqa: S101  (looked at before)
     skipped = {"warm-up": skip_warm_up} if skip_warm_up and declared.warm_up is not None else {}
-    shortened = list(declared.shortened())
+    shortened = list(declared.shortened(warm_up=not skipped))
     started = utc_now()
     zeros: dict[str, ZeroTaken] = {}
     test = SelfTesting(mounted, report) if declared.self_test is not None else None

@@ -212,6 +212,7 @@ def test_a_skipped_warm_up_is_recorded_with_its_reason(tmp_path):
     assert "it is warm from the morning" in " ".join(run.manifest["deviations"])
     assert not events(run, "warm-up")
     assert events(run, "zeros")
+    assert ready.in_session["shortened"] == [], "what is skipped is not shortened as well"
 
 
 def test_the_warm_up_cycles_as_long_as_it_says(tmp_path):
@@ -284,4 +285,6 @@ def test_a_load_on_its_support_is_not_judged(tmp_path):
 
 def test_errors_of_the_session_are_sentences(tmp_path):
     assert issubclass(SessionFailed, PmaError)
-    assert "recorded in" in str(failing(tmp_path, supply=5e5))
+    said = str(failing(tmp_path, supply=5e5))
+    assert "recorded in" in said
+    assert "vent confirmed; the same command begins with a session again" in said

@@ -31,6 +31,10 @@ from pmabench_drivers.emulator.truth import Errors, apply, wired
 from pmabench_drivers.mock.options import ARM
 
 LONGEST = 10_000
+NOTHING_TO_SERVE = (
+    "the bench has no device whose driver has an emulator; one of driver mock needs none: run it as it is "
+    "(`pmabench list benches` shows benches of real devices)"
+)
 PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
 """Possible faults of the plant."""
 
@@ -105,7 +109,7 @@ class Emulator:
         rig = [item for item in wired(devices, truth) if server_of(item.record.driver)]
         rig, errors, self.wrong = apply(rig, wrong)
         if not (served := [item.record for item in rig]):
-            raise UsageError("the bench has no device whose driver has an emulator, as modbus and serial-ascii have")
+            raise UsageError(NOTHING_TO_SERVE)
         if not expose:
             for device in served:
                 refuse_others(device.name, device.address)

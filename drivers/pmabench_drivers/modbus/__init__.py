@@ -150,13 +150,18 @@ class ModbusDevice(Watched, Controlled):
 
     @classmethod
     def lacks(cls, device: DeviceRecord) -> Iterator[str]:
-        """A serial line on which a late answer may still arrive after the run has given the device up."""
-        slowest = cls.read_options(device, Reader()).map.slowest if device.address.startswith("/") else 0.0
-        if slowest > PATIENCE:
+        """A serial line on which, after a lost answer, the run ends before the device is read again."""
+        if not device.address.startswith("/"):
+            return
+        map_ = cls.read_options(device, Reader()).map
+        period = 1 / device.fastest if device.fastest else 0.0
+        least = PATIENCE - map_.timeout - period
+        if map_.slowest > least:
             yield (
                 f"no second chance on the serial line of {device.name}: after one lost answer nothing is read for "
-                f"{1e3 * slowest:g} ms (slowest), and a run ends after {1e3 * PATIENCE:g} ms without; remedy: "
-                f"a slowest of at most {1e3 * PATIENCE:g} ms, where the device's manual allows it"
+                f"{1e3 * (map_.timeout + map_.slowest + period):.0f} ms (timeout, slowest, and the time to the next "
+                f"sample), and a run ends after {1e3 * PATIENCE:g} ms without; remedy: "
+                f"a slowest of at most {1e3 * max(least, 0.0):.0f} ms, where the device's manual allows it"
             )
 
     # -- life -----------------------------------------------------------------------------------------------------

@@ -41,7 +41,7 @@ LIES = 0.1
 """A cell that reads less than this share of the load says that it is on its support."""
 SPECIMEN = "drift of the specimen"
 NO_REFERENCE = "no reference trial was done again"
-NO_CHECK = "the record tells no zero at the end"
+NO_CHECK = "the record has no zero at the end"
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +202,7 @@ def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
 SCATTER = "noise, and scatter between trials"
-NO_UNCERTAINTY = "the record tells no uncertainty"
+NO_UNCERTAINTY = "the record has no uncertainty"
 FEW = 10
 """With fewer repetitions in all, the scatter is that between all trials and not that within cells."""
 
@@ -362,7 +362,7 @@ def assess(
         steps={n: fit.scatter(segments, Noise(**{n: size})) for n, size in vars(campaign.steps).items() if size > 0},
         causes=(
             Cause("bias of the fit, taken off", "method", bias[None]),
-            Cause("how few replays tell the bias", "method", np.diag(unsure), "", np.ones(len(unsure)), kind="A"),
+            Cause("scatter of the replays", "method", np.diag(unsure), "", np.ones(len(unsure)), kind="A"),
             Cause("straight lines between pressures", "method", fit.bends(segments, expected)[None], seen=True),
             *_calibration(segments, fit, expected, Scales.of(campaign.runs)),
             *causes,

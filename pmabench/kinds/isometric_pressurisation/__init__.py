@@ -26,9 +26,9 @@ RESULTS = (
 )
 METHODS = {
     "isometric-line": (
-        "One least-squares line F = m P + c through all usable samples above the force threshold, the tests of one "
-        "contraction together, of a staircase the second half of each hold; the interval is Student's t on the scatter "
-        "between tests."
+        "One line over pressure: F = m P + c, by least squares through all usable samples above the force threshold, "
+        "the tests of one contraction together, of a staircase the second half of each hold; the interval is Student's "
+        "t on the scatter between tests."
     ),
     "force-threshold": (
         "The pressure at which the force leaves its level at rest while filling and reaches it while emptying: the "
