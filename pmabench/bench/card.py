@@ -18,7 +18,7 @@ from pmabench.bench.safety import RATE_OF
 
 
 def _has_stop(mounted: Mounted) -> bool | None:
-    """Whether an emergency stop is wired to an input; None where contacts are, of which none has "stop" in its name."""
+    """Whether an emergency stop is wired to an input; None if contacts are, of which none has "stop" in its name."""
     names = [record.name for device in mounted.bench.devices for record in device.interlocks]
     return any("stop" in name for name in names) or (None if names else False)
 
