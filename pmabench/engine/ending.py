@@ -6,6 +6,7 @@ Knows no session.
 from __future__ import annotations
 
 import signal
+import time
 import traceback
 from types import FrameType, TracebackType
 from typing import Any
@@ -22,6 +23,8 @@ SPAN = 0.3
 """Averaging time of the zero check [s]."""
 LONGEST = 5.0
 """Longest wait for the readings to settle [s]."""
+SET = 1.0
+"""Change of the time of day relative to the monotonic clock above which it was set [s]."""
 
 
 class Signals:
@@ -81,6 +84,23 @@ class Signals:
     def shut(self) -> None:
         """From now on only count signals."""
         self._shut = True
+
+
+def ahead() -> float:
+    """Difference of the time of day from the monotonic clock [s]."""
+    return time.time() - time.monotonic()
+
+
+def clock_set(before: float) -> str:
+    """Text that the time of day was set since its difference was `before` [s]; empty where it was not."""
+    moved = ahead() - before
+    if abs(moved) <= SET:
+        return ""
+    way = "forward (or it slept)" if moved > 0 else "back"
+    return (
+        f"this computer's clock was set {way} by {abs(moved):.1f} s in the run: the time of day of its begin and that "
+        "of its end do not belong together; times of samples do not depend on it"
+    )
 
 
 def sentence(cause: BaseException) -> str:

@@ -29,7 +29,7 @@ from pmabench.engine.bench_checks import (
     refuse_slow,
     refuse_twice,
 )
-from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
+from pmabench.engine.ending import Signals, ahead, clock_set, exit_code, sentence, status_of, zero_check
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
@@ -281,6 +281,7 @@ class _Run:
     def __post_init__(self) -> None:
         executor = self.executor
         self.acquisition, self.clock, self.bench = executor.acquisition, executor.clock, executor.bench
+        self.ahead = ahead()
 
     def execute(self) -> Outcome:
         """Run it; whatever ends it, the safe state follows."""
@@ -375,6 +376,7 @@ class _Run:
         """Newest values for the safe state [SI]; further signals shorten its waits."""
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
+        self.own.keep_measuring()
         values: Mapping[str, float] = {}
         try:  # meanwhile the guard still uses the former values
             values = self.acquisition.measure()
@@ -399,6 +401,8 @@ class _Run:
         recorder, executor.recorder = executor.recorder, ending
         executor.end_trial("interrupted")
         ending.event("vent", self.clock.now(), result=vent.result, actions=list(vent.actions))
+        if why_set := clock_set(self.ahead):
+            ending.event("warning", self.clock.now(), reason=why_set)
         if self.bench.realtime:
             ordinary()  # closing the record needs no priority
         zeros = self._zeros() if vent.confirmed else {}

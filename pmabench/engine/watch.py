@@ -34,6 +34,8 @@ class Trip:
     value: float
     over: bool = False
     """Whether the value came back inside the limit."""
+    late: float = 0.0
+    """Age of samples that arrive too late to count [s]."""
 
     def too_high(self, commanded: Commanded) -> bool:
         """Whether a pressure is above its limit or command, or its line burst: then vent without ramp or hold."""
@@ -50,7 +52,8 @@ class Trip:
         if self.over:
             return f"{name} is inside its limit again {where}"
         if limit.kind == "stale":
-            return f"{name} has given no sample for {self.value:.3f} s {where}"
+            late = f" but old ones, which come {self.late:.2f} s late," if self.late else ""
+            return f"{name} has given no sample for {self.value:.3f} s{late} {where}"
         if not np.isfinite(self.value):
             return f"{name} reads {self.value} {where}: no valid value"
         shown = show(self.value, quantity)
@@ -82,6 +85,8 @@ class _Watched:
         self.active = False
         """Whether the limit is exceeded and was reported, with an action that does not end the run."""
         self.heard: float | None = None
+        self.old: float | None = None
+        """Time of the newest sample [s], where it was too old to count; else None."""
         self.t: Array = np.zeros(0)
         self.kept: Array = np.zeros(0)
         """Samples of earlier blocks (`t`, `kept`) within the limit's window."""
@@ -115,7 +120,9 @@ class Watch:
             samples = values.get(watched.limit.channel)
             if samples is None or len(samples) == 0:
                 continue
-            watched.heard = float(t[-1]) if now is None else now
+            heard = float(t[-1]) if now is None else now
+            watched.old = float(t[-1]) if heard == watched.heard else None
+            watched.heard = heard
             if watched.limit.kind == "stale":
                 self._over(watched, 0, float(t[0]), float(samples[0]), found)
                 continue
@@ -145,13 +152,14 @@ class Watch:
                 watched.heard = now if watched.heard is None else watched.heard
                 if now - watched.heard >= limit.delay:
                     watched.active = True
-                    found.append(Trip(limit, 0, now, now - watched.heard))
+                    late = 0.0 if watched.old is None else now - watched.old
+                    found.append(Trip(limit, 0, now, now - watched.heard, late=late))
         return found
 
     def listen_anew(self) -> None:
         """Restart the measurement of silence."""
         for watched in self._watched:
-            watched.heard = None
+            watched.heard = watched.old = None
 
     @staticmethod
     def _inside_once(watched: _Watched, values: Mapping[str, float]) -> bool:
