@@ -1,4 +1,4 @@
-"""Closed loops in theory: ultimate gain, margins, set-point steps of a gain with dead time and lags; knows no data.
+"""Closed loops in theory: ultimate gain, margins, set-point steps of a gain with dead time and lags.
 
 The plant is G(s) = k_g exp(-L s) / prod(1 + T_i s), command [Pa] to displacement [m].
 """
@@ -16,17 +16,18 @@ from scipy.optimize import brentq
 from pmabench.model.muscle import Muscle
 from pmabench.model.regulator import Regulator
 
+Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A stable plant in a loop: what the controller sees between its command and the displacement."""
+    """A stable linear plant from command to displacement, as seen by a controller."""
 
     gain: float
     """k_g [m/Pa]."""
     dead_time: float
-    """L [s], with half a sample period for the hold and the computation delay."""
+    """L [s], including half a sample period for the hold, and the computation delay."""
     lags: tuple[complex, ...]
     """Time constants T_i [s]; a complex one comes with its conjugate."""
 
@@ -49,7 +50,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class Ultimate:
-    """Gain K_u [Pa/m] at which a proportional loop oscillates for ever, and the period T_u [s] of that."""
+    """Gain K_u [Pa/m] of sustained oscillation of a proportional loop, and its period T_u [s]."""
 
     gain: float
     period: float
@@ -109,7 +110,7 @@ def muscle_loop(
 
 
 SPAN = 25e3
-"""Slopes over pressure are taken from so far below to so far above [Pa]."""
+"""Half width of the central differences over pressure [Pa]."""
 
 
 def loop_at(
@@ -124,12 +125,11 @@ def loop_at(
 ) -> tuple[float, Loop]:
     """Pressure [Pa] at which `muscle` rests at `contraction` [m] under `load` F_L [N], and the loop there.
 
-    The pressure is looked for in `domain` [Pa]; slopes over pressure are central differences over `SPAN`, which are
-    exact for parabolas, also where they are tabulated every 2 SPAN. Damping is the mean of both directions, and so is
-    a regulator's lag; friction and hysteresis are no part of a linear loop. `mass` [kg] and `sample_period` [s] as in
-    `muscle_loop`.
+    The pressure is searched in `domain` [Pa]; slopes over pressure are central differences over +- `SPAN`, which are
+    exact for parabolas, even if tabulated every 2 SPAN. Damping and the regulator's lag are means of both directions;
+    friction and hysteresis are not part of a linear loop. `mass` [kg] and `sample_period` [s] as in `muscle_loop`.
 
-    Raises ValueError where no pressure of the domain holds the contraction, or where more pressure contracts no more.
+    Raises ValueError where no pressure in `domain` holds the contraction, or where contraction does not rise there.
     """  # fmt: skip
     low, high = domain
 
@@ -155,7 +155,7 @@ def loop_at(
 
 
 def _lags(regulator: Regulator) -> tuple[complex, ...]:
-    """Time constants of a regulator [s], filling and venting by their mean."""
+    """Time constants of a regulator [s], the mean of filling and venting."""
     both = 0.5 * (1 + regulator.vent_ratio)
     if not regulator.natural_frequency:
         return (regulator.lag * both,) if regulator.lag else ()
@@ -165,7 +165,7 @@ def _lags(regulator: Regulator) -> tuple[complex, ...]:
 
 
 def dead_time_for(period: float, lags: tuple[complex, ...]) -> float:
-    """Dead time L [s] with which `lags` [s] would give the ultimate period `period` [s]; negative where none can."""
+    """Dead time L [s] for which `lags` [s] give the ultimate period `period` [s]; negative where none does."""
     omega = 2 * pi / period
     return (pi - Loop(1.0, 0.0, lags).phase_lag(omega)) / omega
 
@@ -214,12 +214,12 @@ class Controller:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop is from instability."""
+    """Stability margins of a loop."""
 
     gain_margin: float
-    """Factor on K_p [1] above 1 at which it becomes unstable; below 1 it is unstable already."""
+    """Factor on K_p [1] at which a stable loop becomes unstable; below 1 for an unstable loop."""
     phase_margin: float
-    """Phase [rad] that may be lost at gain crossover; infinite where the loop gain stays below 1."""
+    """Phase margin [rad] at gain crossover; infinite where the loop gain stays below 1."""
     M_s: float
     """Largest magnitude of the sensitivity 1/(1 + C G) [1]; infinite for an unstable loop."""
     stable: bool
@@ -234,7 +234,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     centre = 2 * pi / ultimate(loop).period
     omega = np.geomspace(centre * 1e-3, centre * 1e2, 4000)
     s = (1j * omega).astype(np.complex128)
-    # The dead time is added by hand: its phase runs too fast at the upper end for np.unwrap.
+    # The dead time is added separately: at the upper end its phase changes too fast for np.unwrap.
     lagged: ComplexArray = Loop(loop.gain, 0.0, loop.lags).response(s) * controller.response(s)
     phase = np.unwrap(np.angle(lagged)) - loop.dead_time * omega
     level = np.log(np.abs(lagged))
@@ -242,9 +242,9 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     share = (phase[at_pi] + pi) / (phase[at_pi] - phase[at_pi + 1])
     crossing = level[at_pi] + share * (level[at_pi + 1] - level[at_pi])
     returned = 1 + np.exp(level + 1j * phase)
-    # Nyquist: nothing is encircled where the angle of 1 + C G ends about 0, from 0 or, with an integral, a turn below
+    # Nyquist: no encirclement if the angle of 1 + C G ends near 0
     stable = bool(abs(np.unwrap(np.angle(returned))[-1]) < pi)
-    # a loop that less gain makes unstable, too, has crossings above 1
+    # conditionally stable loops also have crossings above 1
     limits = crossing[crossing < 0] if stable else crossing
     gain_margin = float(np.exp(-limits.max())) if limits.size else inf
     at_one = np.flatnonzero((level[:-1] > 0) != (level[1:] > 0))
@@ -257,24 +257,27 @@ def margins(loop: Loop, controller: Controller) -> Margins:
 
 @dataclass(frozen=True)
 class Answer:
-    """How the displacement answers a set-point step, against where it ends."""
+    """Response of the displacement to a set-point step, relative to its final value."""
 
     overshoot: float
-    """Fraction of the final value [1]; infinite for an unstable loop."""
+    """Overshoot as a fraction of the final value [1]; infinite for an unstable loop."""
     settling: float
-    """Time [s] after which it stays within `SETTLED` of the final value; infinite where it does not in 16 T_u."""
+    """Time [s] after which it stays within `SETTLED` of the final value; infinite if longer than `MOST` T_u."""
 
 
 SETTLED = 0.02
 """Band about the final value, as a fraction of it."""
+LEAST, MOST, STAYS = 16, 256, 8
+"""Least and most ultimate periods simulated, and number of these for which the response must stay in the band."""
 
 
 def set_point_step(loop: Loop, controller: Controller) -> Answer:
     """Overshoot and settling time of the displacement after a set-point step.
 
-    Simulated for 16 T_u at T_u/400: controller and lags are one linear system whose input, the error one dead time
-    ago, is a line between two samples; exact for that, whatever the kick of the derivative. The final value is the
-    set-point, without integral action K/(1 + K) of it, K = K_p k_g.
+    Simulated with steps of T_u/400 for at least `LEAST` T_u, until it has settled. Controller and lags are one linear
+    system, solved exactly for an input, the error one dead time ago, that is linear between samples. The derivative
+    acts on the displacement alone, as in `pmabench.model.pid`, so the part from the set-point is subtracted. The final
+    value is the set-point, or without integral action K/(1 + K) of it, with K = K_p k_g.
     """
     if not margins(loop, controller).stable:
         return Answer(inf, inf)
@@ -282,10 +285,36 @@ def set_point_step(loop: Loop, controller: Controller) -> Answer:
     h = period / 400
     waiting = max(1, round(loop.dead_time / h)) if loop.dead_time > 0 else 0
     h = loop.dead_time / waiting if waiting else h
+    A, early, late, read, kick = _discrete(loop, controller, h)
+    gain = controller.K_p * loop.gain
+    final = 1.0 if controller.T_i < inf else gain / (1 + gain)
+    count, most, stays = (int(periods * period / h) for periods in (LEAST, MOST, STAYS))
+    state, derived, errors, left = np.zeros(len(A)), np.zeros(len(A)), [1.0] * (waiting + 1), waiting + 1
+    while len(errors) <= min(most, max(count, left + stays)):
+        before = errors[-1 - waiting]
+        derived = A @ derived + early
+        wanted = 1.0 + kick @ derived
+        state = A @ state + (early - late) * before
+        if waiting:
+            state += late * errors[-waiting]
+        else:  # the error at the end of the line depends on itself
+            state += late * (wanted - read @ state) / (1.0 + read @ late)
+        errors.append(float(wanted - read @ state))
+        if abs(1.0 - errors[-1] - final) > SETTLED * final:
+            left = len(errors)
+    return Answer(max(0.0, (1.0 - min(errors)) / final - 1.0), left * h if left + stays <= most else inf)
+
+
+def _discrete(loop: Loop, controller: Controller, h: float) -> tuple[Array, Array, Array, Array, Array]:
+    """State matrix of controller and lags over `h` [s], and its input vectors for begin and end of a linear input.
+
+    Then the output vectors of the displacement by the whole controller and by its derivative alone; for a step the
+    input is `early` each time.
+    """
     integral, slow = controller.T_i / h, controller.T_d / controller.filter / h  # all times in samples
     by_i = np.array([integral, 0.0]) if integral < inf else np.ones(1)
-    num = np.polymul(by_i, [controller.T_d / h, 0.0])
-    num = np.polyadd(num, np.polymul([slow, 1.0], np.polyadd(by_i, [float(integral < inf)])))
+    derivative = np.polymul(by_i, [controller.T_d / h, 0.0])
+    num = np.polyadd(derivative, np.polymul([slow, 1.0], np.polyadd(by_i, [float(integral < inf)])))
     den = np.polymul(by_i, [slow, 1.0])
     for lag in loop.lags:
         den = np.polymul(den, [lag / h, 1.0])
@@ -297,21 +326,6 @@ def set_point_step(loop: Loop, controller: Controller) -> Answer:
     block[np.arange(1, order), np.arange(order - 1)] = 1.0
     block[order, order + 1] = 1.0
     exact = expm(block)
-    A, early, late = exact[:order, :order], exact[:order, order], exact[:order, order + 1]
-    gain = controller.K_p * loop.gain
-    read = gain * np.pad(np.trim_zeros(num, "f"), (order, 0))[-order:]
-    final = 1.0 if controller.T_i < inf else gain / (1 + gain)
-    count = int(16 * period / h)
-    state, errors = np.zeros(order), np.ones(count + 1)
-    for k in range(waiting, count):
-        before = errors[k - waiting]
-        state = A @ state + (early - late) * before
-        if waiting:
-            state += late * errors[k + 1 - waiting]
-        else:  # the error at the end of the line depends on itself
-            state += late * (1.0 - read @ state) / (1.0 + read @ late)
-        errors[k + 1] = 1.0 - read @ state
-    x = 1.0 - errors
-    outside = np.flatnonzero(np.abs(x - final) > SETTLED * final)
-    left = int(outside[-1]) + 1
-    return Answer(max(0.0, float(x.max()) / final - 1.0), left * h if left <= count else inf)
+    scale = controller.K_p * loop.gain
+    read, kick = (scale * np.pad(np.trim_zeros(one, "f"), (order, 0))[-order:] for one in (num, derivative))
+    return exact[:order, :order], exact[:order, order], exact[:order, order + 1], read, kick
