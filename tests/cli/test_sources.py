@@ -10,9 +10,9 @@ from tests.calls import call
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """Two runs, each with its analysis."""
+    """Two runs of one specimen, each with its analysis."""
     lab = tmp_path_factory.mktemp("lab")
-    for number in (0, 1):
+    for number in (0, 20):
         call("process", write_run(lab / "runs", number))
     return lab
 
