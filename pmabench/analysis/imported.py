@@ -102,7 +102,7 @@ def import_findings(runs: Sequence[RunData]) -> list[Finding]:
             else:
                 findings.append(said)
     for group in spikes.values():
-        more = f" (and in {len(group) - 1} more files)" if len(group) > 1 else ""
+        more = f" (and in {len(group) - 1} more file{'s'[: len(group) > 2]})" if len(group) > 1 else ""
         findings.append(replace(group[0], text=group[0].text + more))
     for kind, members in sorted(notes.items()):
         more = f" (and {len(members) - 1} more of this kind)" if len(members) > 1 else ""

@@ -18,7 +18,7 @@ import numpy as np
 
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import show
-from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity
+from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity, ProofTest
 from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.recorder import Recorder
@@ -193,6 +193,15 @@ def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
 
 FILLED = 0.8
 """Of the asked pressure, from where on the bench counts as filled."""
+RESTS = 0.2
+"""So long must the pressure be where it was commanded [s]."""
+OFF = 0.1, 0.01
+"""How far from its command a pressure may rest, for gains and offsets of gauge and regulator: shares of the command and
+of the regulator's range [1]."""
+GIVES_WAY = 0.1
+"""By this share must the pressure fall at an open dump valve while the regulator still commands it."""
+ALONE = 1.0
+"""So long may that take [s]."""
 
 
 def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recorder: Recorder) -> None:
@@ -213,6 +222,8 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
             f"the proof test asked for {show(proof.pressure, 'pressure')}, and after {proof.fill:g} s {measured} is "
             "measured: no supply, a shut valve, or the pressure channel is wired wrongly"
         )
+    _refuse_astray(bench, acquisition, proof, filled - asked)
+    alone = _valves_alone(bench, guard, acquisition, proof)
     vented_at = clock.now()
     for output in bench.pressures:
         guard.set(output.name, output.safe)
@@ -227,9 +238,71 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
         )
     guard.valves(closed=True)
     guard.release()
-    recorder.event(
-        "proof-test", clock.now(), pressure=proof.pressure, filled_in=filled - asked, vented_in=vented - vented_at
-    )
+    times = {"filled_in": filled - asked, "vented_in": vented - vented_at}
+    recorder.event("proof-test", clock.now(), pressure=proof.pressure, dump_valve_in=alone, **times)
+
+
+def _refuse_astray(bench: CompiledBench, acquisition: Acquisition, proof: ProofTest, filled_in: float) -> None:
+    """Raise LimitTripped where a pressure does not come to rest where it was commanded, from either side."""
+    channels = {channel.name: channel for channel in bench.channels}
+    within = {
+        output.name: OFF[0] * proof.pressure
+        + OFF[1] * output.high
+        + channels[output.name].calibration.uncertainty(proof.pressure)
+        for output in bench.pressures
+    }
+    bounds = {name: (proof.pressure - off, proof.pressure + off) for name, off in within.items()}
+    if acquisition.pass_time(max(1.0, proof.fill - filled_in), _Resting(bounds)) is None:
+        raise LimitTripped(
+            f"the proof test asked for {show(proof.pressure, 'pressure')}, and {_measured(acquisition, list(within))} "
+            f"is measured, further off than {show(max(within.values()), 'pressure', 2)}: the scale of the regulator or "
+            "of the gauge is wrong, or the gauge reads absolute pressure"
+        )
+
+
+class _Resting:
+    """Stop rule: each of these channels was between its two bounds for `RESTS`."""
+
+    def __init__(self, bounds: Mapping[str, tuple[float, float]]) -> None:
+        self._bounds = bounds
+        self._since: dict[str, float] = {}
+
+    def __call__(self, block: Samples) -> int | None:
+        for name in self._bounds.keys() & block.values.keys():
+            low, high = self._bounds[name]
+            inside = (block.values[name] > low) & (block.values[name] < high)
+            if not inside[-1]:
+                self._since.pop(name, None)
+            elif name not in self._since or not inside.all():
+                self._since[name] = float(block.t[np.flatnonzero(np.append(False, inside[:-1]) < inside)[-1]])
+        newest = float(block.t[-1])
+        rests = all(name in self._since and newest - self._since[name] >= RESTS for name in self._bounds)
+        return len(block.t) - 1 if rests else None
+
+
+def _valves_alone(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, proof: ProofTest) -> float | None:
+    """Open the dump valves while the regulators still command the pressure; the time until it gives way [s].
+
+    None where the bench has no dump valve, or fewer than muscles and not all gave way. Raises LimitTripped where one
+    that has its own did not, or none did: a valve that is not connected passes every vent of a regulator that works.
+    """
+    valves = [valve.name for valve in bench.valves if valve.safe == "open"]
+    if not valves:
+        return None
+    names, opened_at = [output.name for output in bench.pressures], acquisition.clock.now()
+    for output in bench.pressures:
+        acquisition.commanded.set(output.name, opened_at, output.safe)  # it falls as commanded: no burst
+    guard.valves(closed=False)
+    below = (1 - GIVES_WAY) * proof.pressure
+    found = acquisition.pass_time(ALONE, _crossing(names, below=below))
+    gave = [name for name in names if acquisition.latest.get(name, nan) < below]
+    if found is None and len(gave) < (len(names) if len(valves) >= len(names) else 1):
+        raise LimitTripped(
+            f"the proof test of {' and '.join(valves)} failed: {ALONE:g} s after it was opened "
+            f"{_measured(acquisition, names)} is measured, while the regulator still commands "
+            f"{show(proof.pressure, 'pressure')}: look at the valve's plug, its air, and at what is in its way"
+        )
+    return None if found is None else found - opened_at
 
 
 def _measured(acquisition: Acquisition, names: Sequence[str]) -> str:
@@ -261,26 +334,43 @@ SPAN = 0.5
 """How long it is looked at [s]."""
 
 
+GROSS = 0.5
+"""A reading that is off by more than this share of the load is of a wrong unit, sign or plug [1]."""
+UNDER_PRESSURE = 100e3
+"""At so much more than when the load was put on a muscle contracts, and its free end does not go down [Pa]."""
+
+
 class LoadImplausible(VerdictFailed):
-    """The load cell and the plates do not agree."""
+    """The load cell and the plates do not agree, or the free end goes the wrong way."""
 
 
 @dataclass(frozen=True)
 class LoadVerdict:
-    """What the cell reads of a load at rest, mean over `SPAN` [N]."""
+    """What the cell reads of a load at rest, mean over `SPAN` [N], and the contraction since it was put on [m]."""
 
     expected: float
     measured: float
     tolerance: float
     asked: str
+    contraction: float
 
     @property
     def ok(self) -> bool:
         """Whether they agree."""
-        return abs(self.measured - self.expected) <= self.tolerance
+        return self.contraction > 0 and abs(self.measured - self.expected) <= self.tolerance
+
+    @property
+    def gross(self) -> bool:
+        """Whether a channel must be wrong, whatever is tolerated: of another sign, unit or plug."""
+        return self.contraction < 0 or abs(self.measured - self.expected) > max(self.tolerance, GROSS * self.expected)
 
     def __str__(self) -> str:
         """One sentence with the weight of the plates and the reading of the cell."""
+        if self.contraction < 0:
+            return (
+                f"under pressure the displacement falls by {show(-self.contraction, 'length', 3)}: its channel counts "
+                "backwards, or is exchanged with another one; look at its calibration and its plug"
+            )
         reads = f"the load cell reads {self.measured:.2f} N for a load at rest of {self.expected:.2f} N"
         if self.ok:
             return f"{reads}, within {self.tolerance:.2f} N"
@@ -298,12 +388,13 @@ class LoadCheck:
         self._cell = channels.get("force")
         self._possible = bench.free_end == "weights" and self._cell is not None and "displacement" in channels
         self._share = bench.load_tolerance
-        self._pending: tuple[float, str, float] | None = None
+        self._pending: tuple[float, str, float, float] | None = None
         self._kept: dict[str, tuple[Array, Array]] = {}
 
-    def put_on(self, force: float, asked: str, displacement: float | None) -> None:
-        """Hands put F_L = `force` [N] on, with the free end at `displacement` [m]."""
-        self._pending = (force, asked, displacement or 0.0) if self._possible and force > 0 else None
+    def put_on(self, force: float, asked: str, latest: Mapping[str, float]) -> None:
+        """Hands put F_L = `force` [N] on, while `latest` was measured."""
+        place, P = (latest.get(name, 0.0) for name in ("displacement", "pressure"))
+        self._pending = (force, asked, place, P) if self._possible and force > 0 else None
         self._kept = {}
 
     def watch(self) -> Stop | None:
@@ -314,7 +405,7 @@ class LoadCheck:
         return self._keep
 
     def _keep(self, block: Samples) -> None:
-        for name in ("force", "displacement"):
+        for name in ("force", "displacement", "pressure"):
             if name in block.values:
                 t, y = self._kept.get(name, (block.t[:0], block.t[:0]))
                 t, y = np.concatenate((t, block.t)), np.concatenate((y, block.values[name]))
@@ -323,15 +414,17 @@ class LoadCheck:
 
     def verdict(self) -> LoadVerdict | None:
         """The verdict when the load has hung still at the end of what was watched, else None."""
-        if self._pending is None or len(self._kept) < 2:
+        if self._pending is None or not {"force", "displacement"} <= self._kept.keys():
             return None
-        force, asked, before = self._pending
+        force, asked, before, vented = self._pending
         (t, x), (_, pull) = self._kept["displacement"], self._kept["force"]
         if len(t) < 5 or t[-1] - t[0] < 0.5 * SPAN or not (np.isfinite(x).all() and np.isfinite(pull).all()):
             return None
-        if x.mean() - before < LIFTED or x.max() - x.min() > STILL or self._cell is None:
+        contraction, P = float(x.mean()) - before, self._kept.get("pressure", (t, np.zeros(1)))[1]
+        moves = contraction > LIFTED or (contraction < -LIFTED and P.min() > vented + UNDER_PRESSURE)
+        if not moves or x.max() - x.min() > STILL or self._cell is None:
             return None
         self._pending = None
         known = self._cell.calibration
         tolerance = self._share * force + known.offset_uncertainty + known.gain_uncertainty * force
-        return LoadVerdict(force, float(pull.mean()), tolerance, asked)
+        return LoadVerdict(force, float(pull.mean()), tolerance, asked, contraction)

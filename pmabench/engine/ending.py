@@ -6,6 +6,7 @@ When it is over and vented, the session's zeros are looked at again; knows no se
 from __future__ import annotations
 
 import signal
+import time
 import traceback
 from types import FrameType, TracebackType
 from typing import Any
@@ -22,6 +23,8 @@ SPAN = 0.3
 """How long the zeros are looked at [s]."""
 LONGEST = 5.0
 """How long they are waited for to come to rest [s]."""
+SET = 1.0
+"""A computer's clock that moved by more than this against time that passed was set [s]."""
 
 
 class Signals:
@@ -81,6 +84,23 @@ class Signals:
     def shut(self) -> None:
         """From now on signals are counted and end nothing."""
         self._shut = True
+
+
+def ahead() -> float:
+    """How far the time of day is ahead of the clock that nobody sets [s]."""
+    return time.time() - time.monotonic()
+
+
+def clock_set(before: float) -> str:
+    """What is said where the time of day was set since it was `before` [s] ahead; empty where it was not."""
+    moved = ahead() - before
+    if abs(moved) <= SET:
+        return ""
+    way = "forward (or it slept)" if moved > 0 else "back"
+    return (
+        f"this computer's clock was set {way} by {abs(moved):.1f} s in the run: the time of day of its begin and that "
+        "of its end do not belong together; times of samples do not depend on it"
+    )
 
 
 def sentence(cause: BaseException) -> str:

@@ -249,7 +249,7 @@ class Executor:
             return
         numbers = {"expected": verdict.expected, "measured": verdict.measured, "tolerance": verdict.tolerance}
         self._event("load-check", **numbers, ok=verdict.ok, text=str(verdict), trial=self._trial)
-        if not verdict.ok and self.bench.load_action == "stop":
+        if verdict.gross or (not verdict.ok and self.bench.load_action == "stop"):
             raise LoadImplausible(str(verdict))
 
     def _record(self, step: Record) -> None:
@@ -347,7 +347,7 @@ class Executor:
         if step.load is not None:
             self.guard.place(Load(*step.load))
             self._event("load", force=step.load[0], mass=step.load[1])
-            self._load.put_on(step.load[0], step.text, self.acquisition.latest.get("displacement"))
+            self._load.put_on(step.load[0], step.text, self.acquisition.latest)
             self.unloaded = step.load[0] == 0
         self.acquisition.pass_time(HANDS_OUT)
         if step.demands == "vented":

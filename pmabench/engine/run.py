@@ -29,7 +29,7 @@ from pmabench.engine.bench_checks import (
     refuse_slow,
     refuse_twice,
 )
-from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
+from pmabench.engine.ending import Signals, ahead, clock_set, exit_code, sentence, status_of, zero_check
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
@@ -280,6 +280,7 @@ class _Run:
     def __post_init__(self) -> None:
         executor = self.executor
         self.acquisition, self.clock, self.bench = executor.acquisition, executor.clock, executor.bench
+        self.ahead = ahead()
 
     def execute(self) -> Outcome:
         """Run it; every way out leads through the safe state."""
@@ -374,6 +375,7 @@ class _Run:
         """Newest values for the safe state; more signals shorten its waits."""
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
+        self.own.keep_measuring()
         values: Mapping[str, float] = {}
         try:  # the guard still has the values measured before while this collects
             values = self.acquisition.measure()
@@ -398,6 +400,8 @@ class _Run:
         recorder, executor.recorder = executor.recorder, ending
         executor.end_trial("interrupted")
         ending.event("vent", self.clock.now(), result=vent.result, actions=list(vent.actions))
+        if why_set := clock_set(self.ahead):
+            ending.event("warning", self.clock.now(), reason=why_set)
         if self.bench.realtime:
             ordinary()  # the seal keeps nobody waiting
         zeros = self._zeros() if vent.confirmed else {}

@@ -3,10 +3,12 @@
 Devices that only measure are opened by the engine, each called from its own thread with a deadline. Missing or late
 samples are flagged by their times alone, overrange and slack by their values.
 """
+# mypy: disable-error-code="type-abstract"
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from math import floor, inf
 from typing import Any, NamedTuple
 
@@ -16,7 +18,9 @@ from numpy.typing import NDArray
 from pmabench.base.clock import Clock, DeviceClock
 from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Identity, Stream
 from pmabench.guard.course import step
+from pmabench.guard.guard import SILENT
 from pmabench.guard.links import Links
+from pmabench.guard.owner import Call
 from pmabench.guard.supervision import HELD, Supervision
 from pmabench.store.records import Flag
 
@@ -45,12 +49,15 @@ class OwnStream:
 
     def __init__(self, links: Links, name: str, clock: Clock, hasten: Callable[[str], None]) -> None:
         self._links, self._name, self._clock, self._hasten = links, name, clock, hasten
-        self._heard = self._soon = 0.0
+        self._heard = self._soon = self._came = self._rate = 0.0
+        self._again: Call | None = None
 
     def start(self, rate: float) -> float:
         """As `Stream.start`."""
         used = self._links.stream(self._name, rate)
-        self._heard, self._soon = self._clock.now(), max(SOON, 3.0 / used)
+        self._rate = rate
+        self._heard = self._came = self._clock.now()
+        self._soon = max(SOON, 3.0 / used)
         return used
 
     def stop(self) -> None:
@@ -62,11 +69,18 @@ class OwnStream:
         block = self._links.collect(self._name)
         now = self._clock.now()
         if len(block.time):
-            self._heard = now
+            self._heard = self._came = now
         elif now - self._heard > self._soon:
             self._heard = now
             self._hasten(self._name)
         return block
+
+    def keep_measuring(self) -> None:
+        """Begin it again, without waiting for that, where nothing has come for too long."""
+        now = self._clock.now()
+        if now - self._came > max(SILENT, self._soon) and (self._again is None or self._again.done.is_set()):
+            device = self._links.need(self._name, Stream, "takes no samples")
+            self._came, self._again = now, self._links.submit(self._name, partial(device.start, self._rate))
 
 
 class OwnDevices:
@@ -87,6 +101,11 @@ class OwnDevices:
         for name, device in self._links.devices.items():
             if isinstance(device, Stream):
                 self.streams[name] = OwnStream(self._links, name, self._clock, self.supervision.hasten)
+
+    def keep_measuring(self) -> None:
+        """Begin each stream again that has failed: what confirms a vent may be measured by it."""
+        for stream in self.streams.values():
+            stream.keep_measuring()
 
     def close(self) -> None:
         """Let go of all; harmless when repeated."""

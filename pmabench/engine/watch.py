@@ -33,6 +33,8 @@ class Trip:
     value: float
     over: bool = False
     """Whether this is the end of a crossing, not its beginning."""
+    late: float = 0.0
+    """Of samples that come, but too old to count: how late they are [s]."""
 
     def too_high(self, commanded: Commanded) -> bool:
         """Whether a pressure is above limit or command, or its line is open: no safe ramp or hold is for that."""
@@ -49,7 +51,8 @@ class Trip:
         if self.over:
             return f"{name} is inside its limit again {where}"
         if limit.kind == "stale":
-            return f"{name} has given no sample for {self.value:.3f} s {where}"
+            late = f" but old ones, which come {self.late:.2f} s late," if self.late else ""
+            return f"{name} has given no sample for {self.value:.3f} s{late} {where}"
         if not np.isfinite(self.value):
             return f"{name} reads {self.value} {where}: no valid value"
         shown = show(self.value, quantity)
@@ -81,6 +84,8 @@ class _Watched:
         self.active = False
         """Whether an action that does not end the run was reported."""
         self.heard: float | None = None
+        self.old: float | None = None
+        """When the newest sample was taken, where it was too old to be heard [s]."""
         self.t: Array = np.zeros(0)
         self.kept: Array = np.zeros(0)
         """Samples before this block, as far back as the limit looks."""
@@ -114,7 +119,9 @@ class Watch:
             samples = values.get(watched.limit.channel)
             if samples is None or len(samples) == 0:
                 continue
-            watched.heard = float(t[-1]) if now is None else now
+            heard = float(t[-1]) if now is None else now
+            watched.old = float(t[-1]) if heard == watched.heard else None
+            watched.heard = heard
             if watched.limit.kind == "stale":
                 self._over(watched, 0, float(t[0]), float(samples[0]), found)
                 continue
@@ -144,13 +151,14 @@ class Watch:
                 watched.heard = now if watched.heard is None else watched.heard
                 if now - watched.heard >= limit.delay:
                     watched.active = True
-                    found.append(Trip(limit, 0, now, now - watched.heard))
+                    late = 0.0 if watched.old is None else now - watched.old
+                    found.append(Trip(limit, 0, now, now - watched.heard, late=late))
         return found
 
     def listen_anew(self) -> None:
         """Silence counts from the next look on."""
         for watched in self._watched:
-            watched.heard = None
+            watched.heard = watched.old = None
 
     @staticmethod
     def _inside_once(watched: _Watched, values: Mapping[str, float]) -> bool:

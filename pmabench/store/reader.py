@@ -367,7 +367,8 @@ class Recalibration:
             ):
                 if is_ != wanted:
                     text = f"{column['name']} {what} {is_ or 'nothing that is known'}, the calibration is of {wanted}"
-                    raise invalid(path, text)
+                    more = "; where the unit of an import was wrong, write the right one into its map, and import again"
+                    raise invalid(path, text + more * (what == "gives readings in"))
             old = column.get("scale") or {}
             slope, offset = float(old.get("slope", 1.0)), float(old.get("offset", 0.0))
             factor = new.slope / slope

@@ -357,13 +357,17 @@ def test_open_questions_are_refused_answered_or_go_along(tmp_path):
     assert "[until then: kPa]" in reported
     words = ["import", path, "--map", tmp_path / "map.yaml", "--out"]
     refused = call(*words, tmp_path / "none", code=3)
-    assert "which unit is it? bar: at most 498 kPa" in refused
+    assert "which unit is it? Read in bar: at most 498 kPa" in refused
     assert "--set 'columns.P [kPa].unit=...'" in refused
     assert not (tmp_path / "none").exists()
     reported = call(*words, tmp_path / "typo", "--set", "columns.P.unit=bar", code=3)
-    assert "does not ask that" in reported
-    call(*words, tmp_path / "bar", "--set", "columns.P [kPa].unit=bar")
+    assert 'there is no "P"' in reported
+    reported = call(*words, tmp_path / "typo", "--set", "columns.P [kPa].unt=bar", "--unresolved", code=3)
+    assert 'unknown key "unt"; did you mean "unit"?' in reported
+    call(*words, tmp_path / "bar", "--set", "columns.P [kPa].unit=bar", "--set", "specimen.nominal_length=130 mm")
     (run,) = (tmp_path / "bar").iterdir()
+    specimen = json.loads((run / "manifest.json").read_text())["specimen"]
+    assert specimen["nominal_length"] == 0.13, "a key that is no question can be set, too"
     data = json.loads(call("process", run, "--json"))
     slope = next(e for e in data["analyses"][0]["estimates"] if e["symbol"] == "m")
     assert slope["value"] == pytest.approx(1.2e-3, rel=0.01)
@@ -403,6 +407,27 @@ def test_questions_of_maps_that_people_wrote(tmp_path):
     (problem,) = caught.value.problems
     assert (problem.line, problem.message.split(";")[0]) == (7, "not answered: no file gives it")
     assert Path(problem.path).name == "map.yaml"
+
+
+def test_a_guess_prints_each_question_once_and_the_map_only_where_it_is_asked_for(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": 0.01 * P, "F [N]": F})
+    brief = call("import", "--guess", path)
+    assert (brief.count("which unit is it?"), "schema: pmabench.map/1" in brief) == (1, False)
+    assert "  columns.P [kPa].unit: " in brief
+    assert "schema: pmabench.map/1" in call("import", "--guess", path, "-v")
+
+
+def test_a_file_without_a_pressure_is_no_test_of_a_muscle(tmp_path):
+    path = file(tmp_path / "line.csv", {"t [s]": T, "F [N]": F})
+    assert "no pressure was found, and without one this is no test of a muscle" in call("import", "--guess", path)
+
+
+@pytest.mark.parametrize("begin", [b"PK\x03\x04", b"\xd0\xcf\x11\xe0"])
+def test_a_workbook_is_refused_with_the_way_on(tmp_path, begin):
+    (tmp_path / "old.xlsx").write_bytes(begin + bytes(200))
+    assert "Excel workbook, or another archive: save the sheet as CSV" in call(
+        "import", "--guess", tmp_path / "old.xlsx", code=3
+    )
 
 
 def findings(path):

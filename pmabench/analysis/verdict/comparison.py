@@ -6,6 +6,7 @@ two right ones miss about once in twenty. b is the reference.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
@@ -286,9 +287,15 @@ def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate
 
 
 def _terms(analysis: Analysis) -> Iterator[Estimate]:
-    """Terms of curves over the coordinate itself, which mean the same in every analysis of the same form."""
+    """Terms of curves over the coordinate itself, which mean the same in every analysis of the same form.
+
+    A term that is a coefficient of the analysis, as the slope of a line is, is compared as that.
+    """
+    known = {(e.symbol, e.value, frozenset(e.at.items())) for e in analysis.estimates}
     for curve in analysis.curves:
         for term in curve.terms if not curve.normalised else ():
+            if (term.symbol, term.value, frozenset(term.at.items())) in known:
+                continue
             yield replace(term, coordinate=f"{TERM}{curve.form}, {term.coordinate}")
 
 
@@ -463,16 +470,20 @@ def _systematic(e: Estimate) -> dict[str, float]:
 
 def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequence[str]) -> Iterator[Finding]:
     counted = [d for d in differences if not d.term]
-    for group in grouped(counted, lambda d: (d.kind, d.a.symbol, d.a.coordinate, tuple(d.a.at))).values():
-        yield _sentence(group)
     judged = [d for d in counted if d.agrees is not None]
     if len(judged) > 1:
         chance = CHANCE * len(judged)
         by_chance = f"about {chance:.0f}" if chance >= 1 else "less than one"
-        text = f"{sum(not d.agrees for d in judged)} of {len(judged)} differences are larger than their 95 % interval"
+        beyond = sum(not d.agrees for d in judged)
+        agree = "" if beyond else f"{a.name} and {b.name} agree: "
+        text = f"{agree}{beyond} of {len(judged)} differences are larger than their 95 % interval"
         yield Finding(
             "note", f"{text}; of two that are the same {by_chance} would be, where the values are independent"
         )
+    groups = grouped(counted, lambda d: (d.kind, d.a.symbol, d.a.coordinate, tuple(d.a.at)))
+    names = Counter(key[:3] for key in groups)
+    for (kind, symbol, coordinate, at), group in groups.items():
+        yield _sentence(group, whole=not at and names[kind, symbol, coordinate] > 1)
     yield from (Finding("note", f"not compared: {text}") for text in missing)
     yield from _cautions(a, b, differences)
 
@@ -518,10 +529,13 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
         yield Finding("note", f"{(a if a.simulated else b).name} is SIMULATED, the other is not")
 
 
-def _sentence(group: Sequence[Difference]) -> Finding:
-    """One line for all points of one coefficient: how many agree, and where they are furthest apart."""
+def _sentence(group: Sequence[Difference], *, whole: bool) -> Finding:
+    """One line for all points of one coefficient: how many agree, and where they are furthest apart.
+
+    `whole`: it is the value of all points together, of which there are others at each.
+    """
     worst = max(group, key=lambda d: abs(d.score) if d.score is not None else abs(d.relative or 0.0))
-    symbol, at = _name((worst.a.symbol, worst.a.coordinate)), _where(worst.a.at)
+    symbol, at = _name((worst.a.symbol, worst.a.coordinate)) + ", of all points" * whole, _where(worst.a.at)
     judged = [d for d in group if d.agrees is not None]
     beyond = sum(not d.agrees for d in judged)
     relative = "" if worst.relative is None else f" ({percent(worst.relative)} %)"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
+from pmabench.base.errors import InvalidFile, Problem
 from pmabench.files.document import Document, Location, Strict
 from pmabench.files.quantity import AsText, Force, Frequency, Length, Pressure, Ratio, Time, raw_quantity
 from pmabench.store.formats.record import Layout, formats
@@ -104,15 +104,13 @@ def settle(
 ) -> tuple[Question, ...]:
     """Put the answers (key, value) into a map's data, and say which questions are left with what is taken for them.
 
-    Raises InvalidFile with every question that is not answered; with `unresolved` only with those for which the map
-    proposes nothing.
+    An answer may also change a key that is no question. Raises InvalidFile with every question that is not answered;
+    with `unresolved` only with those for which the map proposes nothing.
     """
     asked = {question.what: (location, question) for location, question in _asked(document)}
     for key, text in answers:
-        if key not in asked:
-            known = f"; open are {', '.join(asked)}" if asked else "; nothing is open in it"
-            raise invalid(f"--set {key}", f"{document.path} does not ask that{did_you_mean(key, asked) or known}")
-        document.put(asked.pop(key)[0], text, f"--set {key}")
+        location = asked.pop(key)[0] if key in asked else _located(document.data, key)
+        document.put(location, text, f"--set {key}")
     left, problems = list[Question](), list[Problem]()
     for key, (location, question) in asked.items():
         if unresolved and question.used:
@@ -126,6 +124,20 @@ def settle(
     if problems:
         raise InvalidFile(problems)
     return tuple(left)
+
+
+def _located(data: Any, key: str) -> Location:
+    """The place of a dotted key; names of columns may hold dots."""
+    if isinstance(data, Mapping):
+        for name in sorted(map(str, data), key=len, reverse=True):
+            if key == name:
+                return (name,)
+            if key.startswith(f"{name}."):
+                return (name, *_located(data[name], key[len(name) + 1 :]))
+    first, _, rest = key.partition(".")
+    part = int(first) if isinstance(data, list) and first.isdecimal() else first
+    inside = data[part] if isinstance(data, list) and isinstance(part, int) and part < len(data) else None
+    return (part, *(_located(inside, rest) if rest else ()))
 
 
 def questions_of(document: Document) -> list[Question]:

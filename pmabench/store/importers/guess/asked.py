@@ -338,8 +338,9 @@ def _possible(top: float, unit: str, quantity: str) -> bool:
 
 
 def _reach(top: float, unit: str, quantity: str) -> str:
-    return f"at most {show(top * unit_factor(unit, quantity), quantity, 3)}"
+    """The highest value in three digits, and never as a power of ten."""
+    return f"at most {show(float(f'{top * unit_factor(unit, quantity):.3g}'), quantity, 9)}"
 
 
 def _candidates(top: float, units: list[str], quantity: str) -> str:
-    return "; ".join(f"{unit}: {_reach(top, unit, quantity)}" for unit in units)
+    return "Read in " + "; ".join(f"{unit}: {_reach(top, unit, quantity)}" for unit in units)

@@ -321,6 +321,8 @@ def _decoded(path: str, content: bytes) -> tuple[str, str, str]:
     for encoding, at in (("utf-16-le", 1), ("utf-16-be", 0)):
         if content[:400] and all(byte == 0 for byte in content[at:400:2]) and 0 not in content[1 - at : 400 : 2]:
             return part.decode(encoding, "ignore"), encoding, f"{encoding}, for every second byte is zero"
+    if content.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):  # a zip, and what Excel wrote before 2007
+        raise invalid(path, "is an Excel workbook, or another archive: save the sheet as CSV (UTF-8), and import that")
     if b"\0" in content:
         raise invalid(path, "is binary, and neither LabVIEW (.lvm), TDMS nor MATLAB (.mat): export it as text")
     try:

@@ -72,6 +72,8 @@ def signs(guess: Guess) -> Iterator[Sign]:
     if displacement is None or still:
         reason = "the length is held" if still else "no displacement"
         reason += ": force over pressure at one contraction in each file"
+        if guess.role("pressure") is None:
+            reason = "no pressure was found, and without one this is no test of a muscle"
         cycles, trials = count(guess, "ramp"), {"by": "file"}
         if cycles > 1:
             reason += f"\nthe pressure rises and falls {cycles} times: each is a trial"

@@ -187,7 +187,8 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     lines += _siblings(guess) + _analysis(guess)
     specimen = {"type": "unknown", "serial": "unknown"} | guess.specimen
     sentence = ", ".join(f"{key}: {scalar(value)}" for key, value in specimen.items())
-    lines.append(f"specimen: {{{sentence}}}  # make, type, serial, nominal_length, inner_diameter")
+    more = "  # make, nominal_length, inner_diameter; with the last one a force or pressure in a wrong unit is found"
+    lines.append(f"specimen: {{{sentence}}}{more}")
     return "\n".join(lines) + "\n"
 
 
