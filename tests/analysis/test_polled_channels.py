@@ -97,6 +97,21 @@ def test_sines_are_fitted_to_what_a_polled_channel_reads_anew(
             assert abs(e.value - SINES[e.symbol]) < 1.3 * e.parts.combined, e.symbol
 
 
+@pytest.mark.parametrize("frequency", [1.0, 2.0])
+def test_each_of_two_polled_channels_is_fitted_where_it_is_new(frequency: float) -> None:
+    """Both are new in the same sample 8 or 3 times a cycle only, by chance: nothing was given."""
+    t = np.arange(0, 20 / frequency, 0.005)
+    faults = {"pressure": 50.0, "displacement": 30.0}
+    found = sines(frequency, {n: lambda y, n=n: held(t, y, faults[n], 0.4, len(n)) for n in faults})  # type: ignore[misc]
+    right = {e.symbol: e for e in found.estimates if e.symbol in SINES}
+    assert set(right) == set(SINES)
+    for symbol, e in right.items():
+        assert e.value is not None, symbol
+        assert e.parts.combined is not None
+        assert abs(e.value - SINES[symbol]) < 1.3 * e.parts.combined, symbol
+        assert e.parts.combined < (0.02 if symbol[:3] != "phi" else 0.6) * abs(SINES[symbol]) or symbol == "H"
+
+
 def test_a_channel_that_is_new_too_few_times_a_cycle_gives_no_sine() -> None:
     t = np.arange(0, 20, 0.005)
     found = sines(1.0, {"displacement": lambda y: held(t, y, 4.0)})

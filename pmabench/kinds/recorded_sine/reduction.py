@@ -188,14 +188,16 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         return "its clock jumps: what lies before and after has no common phase"
     if np.mean(~trial.usable[window]) > UNUSABLE_SHARE:
         return f"too many samples are flagged: {unusable_because(trial)}"
-    good, why = _where_new(trial, window & trial.usable, LEAST * whole)
+    new, why = _where_new(trial, window & trial.usable, LEAST * whole)
     if why:
         return why
     names = [n for n in ("pressure", "displacement", "pressure_command") if n in trial.channels]
+    good = min(new.values(), key=np.count_nonzero)
     t = trial.t[good]
-    number = np.floor((t - begin) * frequency + 1e-9)
-    rows = [number == k for k in range(whole)]
-    signals = _without_drift(t, np.column_stack([trial.channels[name][good] for name in names]), rows)
+    number = np.floor((trial.t - begin) * frequency + 1e-9)
+    read = [_read_at(trial, name, new.get(name, good), good, (number, frequency)) for name in names]
+    rows = [number[good] == k for k in range(whole)]
+    signals = _without_drift(t, np.column_stack(read), rows)
 
     def by_cycle(at: float) -> dict[str, Complex]:
         each = np.array([three_parameter(t[row], signals[row], at)[1] for row in rows])
@@ -230,19 +232,36 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
     )
 
 
-def _where_new(trial: TrialData, usable: NDArray[np.bool_], fewest: int) -> tuple[NDArray[np.bool_], str]:
-    """`usable` samples at which polled channels are new, and why they are too few; empty if they are enough."""
-    new = {name: fresh(trial.channels[name][usable]) for name in ("pressure", "displacement")}
-    good = usable.copy()
-    good[usable] = new["pressure"] & new["displacement"]
-    often = LEAST * np.count_nonzero(good) / fewest
+def _where_new(trial: TrialData, usable: NDArray[np.bool_], fewest: int) -> tuple[dict[str, NDArray[np.bool_]], str]:
+    """`usable` samples at which each channel is new, and why they are too few; empty if they are enough."""
+    new = {name: usable.copy() for name in ("pressure", "displacement")}
+    for name, rows in new.items():
+        rows[usable] = fresh(trial.channels[name][usable])
+    least = min(np.count_nonzero(rows) for rows in new.values())
     if np.count_nonzero(usable) < fewest:
-        return good, f"fewer than {LEAST} usable samples a cycle"
-    if np.count_nonzero(good) < fewest:
-        held = [name for name, rows in new.items() if not rows.all()]
-        text = f"{' and '.join(held)} {'are' if held[1:] else 'is'} new {often:.2g} times a cycle, and held in between"
-        return good, f"{text}: {LEAST} times are needed, read more often"
-    return good, ""
+        return new, f"fewer than {LEAST} usable samples a cycle"
+    if least < fewest:
+        held = [name for name, rows in new.items() if np.count_nonzero(rows) < fewest]
+        text = f"{' and '.join(held)} {'are' if held[1:] else 'is'} new {LEAST * least / fewest:.2g} times a cycle"
+        return new, f"{text}, and held in between: {LEAST} times are needed, read more often"
+    return new, ""
+
+
+def _read_at(
+    trial: TrialData, name: str, new: NDArray[np.bool_], rows: NDArray[np.bool_], cycles: tuple[Array, float]
+) -> Array:
+    """A channel at the `rows` of another one: where it is held, the sine through the new values of that cycle, and
+    what it leaves of them on straight lines. `cycles`: number of the cycle of each sample, and frequency [Hz].
+    """
+    t, y, (number, frequency) = trial.t, trial.channels[name], cycles
+    if not np.any(rows & ~new):
+        return np.asarray(y[rows])
+    sine = np.zeros(len(t))
+    for k in np.unique(number[rows]):
+        here = number == k
+        mean, wave = three_parameter(t[here & new], y[here & new, None], frequency)
+        sine[here] = mean[0] + np.real(np.exp(2j * pi * frequency * t[here]) * wave[0])
+    return np.asarray(sine[rows] + np.interp(t[rows], t[new], (y - sine)[new]))
 
 
 def _moving(trial: TrialData, frequency: float) -> tuple[float, float]:

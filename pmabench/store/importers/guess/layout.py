@@ -493,7 +493,7 @@ def _words(body: _Body, names: Sequence[str], reasons: list[str]) -> tuple[list[
         known = {text for text in strange if text.lower() in NO_VALUE}
         faults = sum(text not in known for text in strange)
         numbers = len(cells) - len(strange)
-        if numbers < min(FEWEST, len(cells)) or faults > max(1.0, FAULTS * numbers):
+        if numbers < min(FEWEST, len(cells) / 2) or faults > max(1.0, FAULTS * numbers):
             texts.append(column)
             if all(otherwise.fullmatch(text) for text in strange):
                 other[column] = strange[0] if all(map(_GROUPED[body.decimal].fullmatch, strange)) else ""
