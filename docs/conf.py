@@ -19,7 +19,11 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 html_theme = "furo"
 html_title = f"pmabench {release}"
+highlight_language = "text"  # of blocks without a language: commands
 html_show_sphinx = False
+html_show_copyright = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_copy_source = False
 html_permalinks_icon = "#"
 

@@ -1,4 +1,4 @@
-"""The card of a bench: what hangs at the rig, and what happens when something fails, as plain texts and rows.
+"""The card of a bench: what is mounted on the rig, and what happens when something fails, as plain texts and rows.
 
 `pmabench.report.pages.bench_card` draws it. What happens at a failure follows from valves, watchdogs and watch list.
 """
@@ -16,11 +16,38 @@ from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, TripRecord
 from pmabench.bench.safety import RATE_OF
 
-BY_HAND = "Press the emergency stop, shut off the air, vent by hand."
+
+def _has_stop(mounted: Mounted) -> bool | None:
+    """Whether an emergency stop is wired to an input; None if contacts are, of which none has "stop" in its name."""
+    names = [record.name for device in mounted.bench.devices for record in device.interlocks]
+    return any("stop" in name for name in names) or (None if names else False)
+
+
+def _by_hand(mounted: Mounted) -> str:
+    return f"{'Press the emergency stop, shut' if _has_stop(mounted) else 'Shut'} off the air, vent by hand."
+
+
+def _protection(mounted: Mounted) -> str:
+    """What protects people at this bench, and what of that it lacks."""
+    there = {
+        "relief valve": mounted.bench_file.air.relief_valve != "none",
+        "normally-open dump valve": mounted.bench_file.normally_open_dump,
+        "emergency stop": _has_stop(mounted),
+    }
+    has, lacks = ([name for name, known in there.items() if known is way] for way in (True, False))  # None: not known
+    text = f"People are protected by the {', the '.join([*has, 'shield'])}."
+    return text + (f" This bench file names NO {' and NO '.join(lacks)}." if lacks else "")
+
+
+def _unconfirmed(mounted: Mounted) -> str:
+    """A sentence where somebody still has to look up what stands on the card."""
+    if not (mounted.bench.realtime and mounted.unconfirmed):
+        return ""
+    return 'Values of this bench are still guesses. Put no air on it before they are looked up; see "pmabench check".'
 
 
 def failure_story(mounted: Mounted) -> list[tuple[str, str]]:
-    """What may fail, and what happens then, for people at the rig; pure."""
+    """Pairs of what may fail and what happens then, in words for people at the rig; pure."""
     if not mounted.bench.realtime:
         return [("Anything", "Nothing is pressurised: this bench is simulated in virtual time.")]
     return [
@@ -35,7 +62,7 @@ def failure_story(mounted: Mounted) -> list[tuple[str, str]]:
 
 
 def seconds(value: float) -> str:
-    """A time as people say it: `200 ms`, `5 s`."""
+    """A duration as text: `200 ms`, `5 s`."""
     return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s"
 
 
@@ -47,7 +74,7 @@ def _device_of(mounted: Mounted, output: str) -> DeviceRecord | None:
 
 
 def _opens_unheard(mounted: Mounted, output: str) -> DeviceRecord | None:
-    """The device whose watchdog opens the dump valve of an output when it hears nothing, if there is one."""
+    """Device whose watchdog opens the dump valve of an output when communication stops; None without one."""
     own = _device_of(mounted, f"dump_valve{without_number(output)[1]}")
     device = own or _device_of(mounted, "dump_valve")
     return device if device is not None and device.watchdog else None
@@ -66,7 +93,8 @@ def _computer(mounted: Mounted) -> Iterator[str]:
 
 
 def _valves_unheard(mounted: Mounted) -> Iterator[str]:
-    """What becomes of muscles behind valves that open in pulses."""
+    """Sentences on muscles behind valves that open in pulses, when the computer fails."""
+    by_hand = _by_hand(mounted)
     yield "Pulses of valves end by themselves."
     for name in ("supply_valve", "dump_valve"):
         device = _device_of(mounted, name) or _device_of(mounted, f"{name}_1")
@@ -74,12 +102,12 @@ def _valves_unheard(mounted: Mounted) -> Iterator[str]:
             shown = name.replace("_", " ")
             yield f"{device.name} hears nothing and lets go of the {shown} after {seconds(device.watchdog)}."
         else:
-            yield f"THE {name.replace('_', ' ').upper()} STAYS AS IT IS: its device has no watchdog. {BY_HAND}"
+            yield f"THE {name.replace('_', ' ').upper()} STAYS AS IT IS: its device has no watchdog. {by_hand}"
 
 
 def _unheard(mounted: Mounted, output: str) -> Iterator[str]:
-    """What becomes of one muscle when no device hears from the computer any more."""
-    pressure, opens = _device_of(mounted, output), _opens_unheard(mounted, output)
+    """Sentences on one muscle when its devices no longer receive anything from the computer."""
+    pressure, opens, by_hand = _device_of(mounted, output), _opens_unheard(mounted, output), _by_hand(mounted)
     if pressure is not None and pressure.watchdog:
         also = ""
         if opens is not None:
@@ -91,7 +119,7 @@ def _unheard(mounted: Mounted, output: str) -> Iterator[str]:
         yield f"{opens.name} hears nothing and opens the dump valve after {seconds(opens.watchdog)}: the muscle vents."
         yield "The regulator keeps its last set-point."
     elif pressure is not None:
-        yield f"NOTHING VENTS: {pressure.name} has no watchdog, and the pressure stays at its last value. {BY_HAND}"
+        yield f"NOTHING VENTS: {pressure.name} has no watchdog, and the pressure stays at its last value. {by_hand}"
 
 
 def _power(mounted: Mounted) -> Iterator[str]:
@@ -103,7 +131,7 @@ def _power(mounted: Mounted) -> Iterator[str]:
     elif outputs and all(output.without_power == "vents" for output in outputs):
         yield "The regulator vents by itself."
     elif outputs:
-        yield f"THE REGULATOR MAY HOLD THE PRESSURE: nothing opens without power. {BY_HAND}"
+        yield f"THE REGULATOR MAY HOLD THE PRESSURE: nothing opens without power. {_by_hand(mounted)}"
     yield from _load(mounted)
     if _device_of(mounted, "displacement") is not None:
         yield "The drive no longer holds the free end."
@@ -163,7 +191,7 @@ def _interlock(mounted: Mounted) -> str:
 
 
 def noticed(trip: TripRecord, quantity: str = "pressure") -> str:
-    """What a trip of the watch list looks at, in words."""
+    """What a trip of the watch list detects, in words."""
     rate = RATE_OF.get(quantity, quantity)
     high = trip.high or 0.0
     lasting = f" for {seconds(trip.delay)}" if trip.delay else ""
@@ -183,7 +211,7 @@ Rows = list[list[str]]
 
 @dataclass(frozen=True)
 class Card:
-    """Everything on the card, in the words and units of people."""
+    """Contents of the card, as texts in display units."""
 
     name: str
     file: str
@@ -192,17 +220,23 @@ class Card:
     """File, SHA-256."""
     simulated: bool
     facts: Rows
-    """What, value."""
+    """Property, value."""
+    unconfirmed: str
+    """A warning if values are not confirmed, else empty."""
+    first: str
+    """What to do first in an emergency."""
     emergency: str
     """The command that vents from any terminal."""
+    protection: str
+    """Protection of people."""
     limits: Rows
-    """Quantity, what may be commanded, who says so, what may be measured, action with delay, who says so."""
+    """Quantity, command range, its source, trip range, action with delay, its source."""
     vent: Rows
     """Action of the safe state, deadline."""
     proof: str
     stop: str
     failures: Rows
-    """What fails, what happens."""
+    """Failure, consequence."""
     watch: Rows
     """Channel, what is noticed, action."""
     interlocks: Rows
@@ -234,6 +268,11 @@ def make_card(mounted: Mounted, date: str) -> Card:
         hashes=hashes,
         simulated=not bench.realtime,
         facts=list(_facts(mounted)),
+        unconfirmed=_unconfirmed(mounted),
+        first="Press the emergency stop, then shut off the air."
+        if _has_stop(mounted)
+        else "Shut off the air; press the emergency stop if the rig has one.",
+        protection=_protection(mounted),
         emergency=f"pmabench vent {shlex.quote(bench.name)}",
         limits=list(_limits(mounted)),
         vent=[list(_action(action, mounted)) for action in bench.safe_state],
@@ -277,6 +316,8 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
         yield ["Drivers verified", "; ".join(tried)]
     if file.reviewed is not None:
         yield ["Reviewed", f"{file.reviewed.by}, {file.reviewed.date}"]
+    elif mounted.unconfirmed:
+        yield ["Reviewed", "by nobody"]
 
 
 def _limits(mounted: Mounted) -> Iterator[list[str]]:
@@ -303,7 +344,7 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
 
 
 def _quantities(mounted: Mounted) -> dict[str, str]:
-    """Quantity of each channel and output."""
+    """Quantity of each channel and commanded value."""
     found = {name: record.quantity for name, record in mounted.bench.commanded.items()}
     return found | {channel.name: channel.quantity for channel in mounted.bench.channels}
 

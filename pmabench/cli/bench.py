@@ -16,7 +16,7 @@ import click
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
-from pmabench.cli.common import Ui, common, fields, read_quantity
+from pmabench.cli.common import Group, Ui, common, fields, read_quantity
 from pmabench.cli.names import BENCH, FILE, PATH, SPECIMEN
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import outcome_json, print_checks, print_outcome, progress_line, show_outcome
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pmabench.session.jog import Jog
 
 
-@click.group(name="bench")
+@click.group(name="bench", cls=Group)
 def command() -> None:
     """A bench: its card for people at the rig; ask its devices, read one channel, set one output."""
 

@@ -89,7 +89,7 @@ def command(
     path = None
     if done.fit is not None and done.outcome.exit_code == 0 and done.outcome.folder is not None:
         path = _write(mounted, request, done, into, valid_until.date() if valid_until else None)
-    _show_result(ui, request, done, path, quantity)
+    _show_result(ui, mounted, request, done, path)
     return done.outcome.exit_code
 
 
@@ -143,9 +143,10 @@ def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, unt
     )
 
 
-def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, quantity: str) -> None:
-    from pmabench.session.calibration import REGULATOR, as_json, budget
+def _show_result(ui: Ui, mounted: Mounted, request: Request, done: Calibrated, path: Path | None) -> None:
+    from pmabench.session.calibration import REGULATOR, as_json, budget, uncovered
 
+    quantity = CHANNEL_QUANTITY[request.channel]
     data: dict[str, Any] = {
         "schema": "pmabench.calibrated/1",
         "channel": request.channel,
@@ -171,5 +172,6 @@ def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, 
             click.echo(f'in the bench file, for the channel {request.channel}: "calibration: {path.stem}"')
         if done.fit is not None and done.fit.residual is None:
             click.echo("first put its expanded_uncertainty into the file, in place of ??: two points do not show it")
+        click.echo("".join(f"first: {text}\n" for text in uncovered(mounted, request)), nl=False)
 
     ui.result(data, human, [str(path)] if path is not None else [])

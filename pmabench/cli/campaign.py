@@ -128,7 +128,7 @@ def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Pa
 @click.option("--seed", default=1, show_default=True, help="Seed of the simulated noise.")
 @common
 def demo(ui: Ui, out: Path, seed: int) -> int | None:
-    """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
+    """Characterise a simulated muscle: run four of the shipped protocols, fit, and write the report."""
     from pmabench.cli.process import print_analyses
     from pmabench.cli.report import characterise, characterised_lines
 

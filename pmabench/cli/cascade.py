@@ -13,7 +13,7 @@ import click
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
-from pmabench.cli.common import Ui, common, fields, rewrite, say, with_options
+from pmabench.cli.common import Group, Ui, common, fields, rewrite, say, with_options
 from pmabench.cli.names import FOLDER, PATH
 from pmabench.files.shipped import find_file
 
@@ -30,7 +30,7 @@ EXAMPLE = (
 )
 
 
-@click.group(name="cascade", epilog=EXAMPLE)
+@click.group(name="cascade", epilog=EXAMPLE, cls=Group)
 def command() -> None:
     """Muscles end to end, each with its pressure steps: simulate, draw, play again."""
 

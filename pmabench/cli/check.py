@@ -12,9 +12,9 @@ import click
 
 from pmabench.base.errors import InvalidFile, RecordError, UsageError
 from pmabench.base.quantities import in_words, show
-from pmabench.base.text import clean
+from pmabench.base.text import clean, printable
 from pmabench.bench.compile import Mounted
-from pmabench.cli.common import Ui, common, fields, no_overwriting, plan_options
+from pmabench.cli.common import Ui, common, fields, labelled, no_overwriting, plan_options
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
 from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
@@ -163,20 +163,23 @@ def _plants(mounted: Mounted) -> dict[str, str]:
 
 def _print(ui: Ui, plan: Plan, summary: dict[str, Any], warnings: list[str]) -> None:
     console = ui.console()
-    console.print(f"{plan.name} ({plan.kind})\n  source    {plan.source}\n  bench     {summary['bench']}")
-    for plant in summary["plants"].values():
-        console.print(f"  plant     {plant}, simulated")
+    console.print(f"{plan.name} ({plan.kind})")
+    plants = (("plant", f"{plant}, simulated") for plant in summary["plants"].values())
+    for label, text in (("source", plan.source), ("bench", summary["bench"]), *plants):
+        console.print(labelled(label, printable(text), console.width))
     shortest, longest = summary["duration"]["shortest"], summary["duration"]["longest"]
-    length = in_words(longest) if shortest == longest else f"{in_words(shortest)} to {in_words(longest)}"
+    length = in_words(shortest)
+    length += f" to {in_words(longest)}, if every wait takes its longest" if shortest != longest else ""
     asks, session = sum(step.kind == "ask" for step in plan.steps), summary["session"]
     if session is not None and session["due"]:
         asks += session["hands"]
     times = "1 time" if asks == 1 else f"{asks} times"
-    console.print(f"  length    {length}, without the operator's time; hands are needed {times}")
+    hands = f"{length}; without the operator's time; hands are needed {times}"
+    console.print(labelled("length", hands, console.width))
     if session is not None and session["due"]:
         parts = ", ".join(session["parts"]) or "nothing in it"
         least = f"at least {in_words(session['shortest'])}, hands {session['hands']}"
-        console.print(f"            the session before it is in that: {parts}, {least}")
+        console.print(labelled("", f"the session before it is in that: {parts}, {least}", console.width))
     elif session is not None:
         console.print("            no session before it: the last one still counts")
     console.print(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import json
 import os
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from errno import EPIPE
 from functools import reduce, wraps
 from pathlib import Path
+from textwrap import wrap
 from threading import Event, Thread, Timer
 from time import monotonic
 from typing import TYPE_CHECKING, Any, TextIO, cast
@@ -19,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 import click
 
 from pmabench.base.errors import InvalidFile, PmaError, RecordError, UsageError
-from pmabench.base.text import Spelled, raw, spelled
+from pmabench.base.text import Spelled, in_ascii, raw, spelled
 from pmabench.cli.names import BENCH, PROTOCOL, SPECIMEN
 
 if TYPE_CHECKING:
@@ -146,8 +148,26 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
     return command
 
 
+class Group(click.Group):
+    """Commands below one name; the first sentence of each is shown in full."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Print the table of commands; click itself would cut each sentence at the end of its line."""
+        with formatter.section("Commands"):
+            commands = ((name, self.get_command(ctx, name)) for name in self.list_commands(ctx))
+            formatter.write_dl([(name, one.get_short_help_str(300)) for name, one in commands if one is not None])
+
+
+def labelled(label: str, text: str, width: int) -> str:
+    """A line with a label, and further lines of the same text below its beginning; words are never broken."""
+    head = f"  {label:<10}"
+    lines = wrap(text, width, initial_indent=head, subsequent_indent=" " * len(head), break_long_words=False)
+    return "\n".join(lines) or head.rstrip()
+
+
 def prepare_streams() -> None:
     """Streams that take any text: closed ones lead nowhere, signs that a terminal lacks or would obey are spelled."""
+    codecs.register_error("in-ascii", in_ascii)
     sys.stdout, sys.stderr = _prepared(sys.stdout), _prepared(sys.stderr)
 
 
@@ -155,7 +175,7 @@ def _prepared(stream: TextIO | None) -> TextIO:
     if stream is None:
         stream = Path(os.devnull).open("w")  # noqa: SIM115
     if isinstance(stream, io.TextIOWrapper):
-        stream.reconfigure(errors="backslashreplace")
+        stream.reconfigure(errors="in-ascii")
     return stream if isinstance(stream, Spelled) else cast("TextIO", Spelled(stream))
 
 
@@ -232,7 +252,14 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
         return [(name, text) for name, _, text in (value.partition("=") for value in values)]
 
     return with_options(
-        click.option("--set", "settings", multiple=True, callback=split, metavar="NAME=VALUE", help="Change a value."),
+        click.option(
+            "--set",
+            "settings",
+            multiple=True,
+            callback=split,
+            metavar="NAME=VALUE",
+            help="Change a value of the protocol: sweep.repeat.count=1.",
+        ),
         click.option(
             "--specimen", type=SPECIMEN, required=required, help="Specimen file, or the name of a shipped one."
         ),

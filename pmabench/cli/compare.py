@@ -13,7 +13,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common, fields, no_pipes, read_quantity
-from pmabench.cli.names import FILE, RunFolder
+from pmabench.cli.names import FILE, RunFolder, in_full
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path
     from pmabench.kinds.reduce import reduce_runs
     from pmabench.store.analyses.folder import analyses_below, read_analysis, runs_of
 
-    path = Path(text)
+    path = in_full(Path(text))
     if _is_table(text):
         raise UsageError(f"{text} is a table; it can only be B, the reference")
     if not path.is_dir():

@@ -9,7 +9,7 @@ import click
 
 from pmabench.base.errors import UsageError, VerdictFailed, did_you_mean
 from pmabench.base.kind import load
-from pmabench.cli.common import Ui, common, say
+from pmabench.cli.common import Group, Ui, common, say
 from pmabench.cli.names import BENCH
 from pmabench.files.shipped import find_file
 from pmabench.report.terminal import print_texts
@@ -31,7 +31,7 @@ CAPABILITIES = {
 """Capability of `pmabench.bench.interface` -> what it is called here."""
 
 
-@click.group(name="drivers")
+@click.group(name="drivers", cls=Group)
 def command() -> None:
     """Drivers that are installed: list them, try one against its emulator."""
 

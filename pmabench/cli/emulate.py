@@ -121,7 +121,7 @@ def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path |
     ui.note(f"wiring and scales from {truth}" if truth is not None else NOT_PROVEN)
     for sentence in served.wrong:
         ui.note(f"wrong on purpose: {sentence}")
-    ui.note("serving until Ctrl-C")
+    ui.note('serving until Ctrl-C; "help" and Enter: what can be typed here')
     schedule = Schedule(served.act, ui.note)
     schedule.add(planned)
     threading.Thread(target=_typed, args=(ui, faults, schedule), daemon=True).start()

@@ -91,6 +91,7 @@ def publish(
     about = About(people, publisher=place, published=published or today, **facts)
     ui.begin("putting the publication together")
     from pmabench.cli.sources import Sources
+    from pmabench.kinds.reduce import of_one_specimen
     from pmabench.plotting.svg import import_what_draws
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.document.provenance import operators
@@ -99,7 +100,8 @@ def publish(
 
     import_what_draws()
     analyses, runs = Sources.of(ui, sources, fresh=fresh).analysed(ui)
-    publish(analyses, runs, page_of(content_of(analyses, runs, title=about.title or None)), about, output)
+    page = page_of(content_of(analyses, of_one_specimen(runs), title=about.title or None))
+    publish(analyses, runs, page, about, output)
     names = operators(runs)
     files = len(list(files_of(output))) if output.is_dir() else None
     data: dict[str, Any] = {"schema": "pmabench.publish/1", "path": str(output), "licence": about.licence}

@@ -34,7 +34,13 @@ if TYPE_CHECKING:
     help='With --guess: what a sensor measures, "pressure=0 bar..12 bar".',
 )
 @click.option("-o", "--output", type=PATH, help="With --guess: where the map is written.")
-@click.option("--set", "answers", multiple=True, metavar="KEY=VALUE", help="The answer to a question (??) of the map.")
+@click.option(
+    "--set",
+    "answers",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Answer a question (??) of the map, or change any key of it for this call.",
+)
 @click.option(
     "--unresolved",
     is_flag=True,
@@ -137,15 +143,18 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
 
     def human() -> None:
         _show(found)
-        none = f"\n{text}\nnothing was written; -o MAP writes it"
-        click.echo(none if output is None else f"\nmap: {output}")
+        if output is None:
+            click.echo(f"\n{text}" if ui.verbose else "\nnothing was written; -o MAP writes the map, -v shows it here")
+        else:
+            click.echo(f"\nmap: {output}")
         if questions:
             many = "1 question" if len(questions) == 1 else f"{len(questions)} questions"
             what = "write each answer into the map, or give it with import --set:"
             click.echo(f"{many} that no file answers (??); {what}")
             for question in questions:
                 taken = f" [until then: {question.used}]" if question.used else ""
-                click.echo(printable(f"  {question.where}  {question.question}{taken}"))
+                place = question.what if output is None else f"{question.where}  {question.what}"
+                click.echo(printable(f"  {place}: {question.question}{taken}"))
         elif output is not None:
             click.echo(f"then: pmabench import FILE... --map {output}")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import sys
 from importlib import import_module
 from typing import Any
@@ -103,6 +104,22 @@ FORMER = {
 """Names until version 0.2 -> those of now; they work for two releases."""
 
 
+MOST = 74
+"""Columns of a line of an example, so that with its indent it fits 80."""
+
+
+def _lines(example: str) -> str:
+    """An example in lines that can be typed as they are printed, broken before an option."""
+    lines = [""]
+    for part in re.split(r" (?=-)", example):
+        if lines[-1] and len(lines[-1]) + len(part) > MOST:
+            lines[-1] += " \\"
+            lines.append(f"    {part}")
+        else:
+            lines[-1] += f" {part}" if lines[-1] else part
+    return "\n".join(f"  {line}" for line in lines)
+
+
 class Commands(click.Group):
     """A group whose commands are imported when they are called."""
 
@@ -116,7 +133,8 @@ class Commands(click.Group):
             return None
         module, _, name = COMMANDS[cmd_name][0].partition(":")
         command: click.Command = getattr(import_module(f"pmabench.cli.{module}"), name or "command")
-        command.epilog = command.epilog or f"\b\nExample:\n  pmabench {cmd_name} {EXAMPLES[cmd_name]}".rstrip()
+        example = _lines(f"pmabench {cmd_name} {EXAMPLES[cmd_name]}".rstrip())
+        command.epilog = command.epilog or f"\b\nExample:\n{example}"
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -156,4 +174,6 @@ def main() -> None:
     Exit codes: 0 done and accepted, 1 error in the program, 2 wrong usage, 3 a file is invalid, 4 device or
     communication, 5 limit tripped or vent not confirmed, 6 done but a verdict failed, 7 record not written,
     130 interrupted by the operator, 143 by SIGTERM.
+
+    Completion by Tab in bash: eval "$(_PMABENCH_COMPLETE=bash_source pmabench)"; zsh_source, fish_source alike.
     """

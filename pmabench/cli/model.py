@@ -14,7 +14,7 @@ import click
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.cli.cascade import command as cascade
-from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.common import Group, Ui, common, fields
 from pmabench.cli.model_fit import fit
 from pmabench.cli.model_inputs import (
     cell,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 EXAMPLE = '\b\npmabench model eval tondu-lopez --set "pressure=300 kPa" \\\n    --over "contraction=0 %..25 % by 5 %"'
 
 
-@click.group(name="model")
+@click.group(name="model", cls=Group)
 def command() -> None:
     """Models of muscles, regulators, loads and compositions: list, show, evaluate, simulate, fit."""
 

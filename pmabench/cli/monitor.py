@@ -79,7 +79,7 @@ def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool
 
 
 def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | None) -> int:
-    from pmabench.session.jog import BLOCK, KEYS, jog
+    from pmabench.session.jog import BLOCK, jog, keys_of
 
     live = _Live(mounted.bench, simulated=False)
     live.page.title = f"jog: {mounted.bench.name}"
@@ -95,7 +95,7 @@ def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | No
         if not mounted.bench.realtime:
             time.sleep(BLOCK)
 
-    with _screen(ui, live.page, KEYS, wanted=True) as keys:
+    with _screen(ui, live.page, keys_of(mounted.bench), wanted=True) as keys:
 
         def pressed() -> Sequence[str]:
             taken = keys.taken()

@@ -14,6 +14,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from pmabench.base.errors import UsageError
 from pmabench.files.shipped import shipped_folder
 
 HEAD = 2000
@@ -48,14 +49,10 @@ class RunFolder(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """A path, or the last four signs of a name, which no other folder there has: `runs/3efe`, `3efe`."""
-        path = Path(value)
-        if TAIL.fullmatch(path.name) and not path.exists():
-            places = [path.parent] if len(path.parts) > 1 else [Path(), Path("runs"), Path("analyses")]
-            found = [one for place in places for one in place.glob(f"*_{path.name}") if one.is_dir()]
-            if len(found) > 1:
-                self.fail(f'"{value}" is the end of several names: {", ".join(map(str, found))}', param, ctx)
-            value = found[0] if found else value
-        return super().convert(value, param, ctx)
+        try:
+            return super().convert(in_full(Path(value)), param, ctx)
+        except UsageError as error:
+            self.fail(str(error), param, ctx)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """The newest folders below `runs` and `analyses` here that begin like `incomplete`, else any folder."""
@@ -65,11 +62,29 @@ class RunFolder(click.Path):
         return [CompletionItem(name) for name in found] or [CompletionItem(incomplete, type="dir")]
 
 
+def in_full(path: Path) -> Path:
+    """The folder that a short path names (`runs/3efe`, `3efe`), else the path itself."""
+    if not TAIL.fullmatch(path.name) or path.exists():
+        return path
+    places = [path.parent] if len(path.parts) > 1 else [Path(), Path("runs"), Path("analyses")]
+    ends = [one for place in places for one in place.glob(f"*_{path.name}") if one.is_dir()]
+    found = list({one.name: one for one in reversed(ends)}.values())  # a run before the analysis called after it
+    if len(found) > 1:
+        raise UsageError(f'"{path}" is the end of several names: {", ".join(map(str, found))}')
+    return found[0] if found else path
+
+
+def tail_of(name: str) -> str:
+    """The last signs of the name of a run or an analysis, as it is typed; the whole name where it has none."""
+    tail = name.rpartition("_")[2]
+    return tail if TAIL.fullmatch(tail) else name
+
+
 def short(folder: Path) -> str:
     """A run or analysis as it is shortest typed here: `runs/3efe`, where no other folder there ends so."""
     path = folder.resolve()
-    tail = path.name.rpartition("_")[2]
-    alone = TAIL.fullmatch(tail) and len([one for one in folder.parent.glob(f"*_{tail}") if one.is_dir()]) == 1
+    tail = tail_of(path.name)
+    alone = tail != path.name and len([one for one in folder.parent.glob(f"*_{tail}") if one.is_dir()]) == 1
     return typed(path.with_name(tail) if alone else path)
 
 

@@ -51,7 +51,11 @@ MOST_SINCE = 2
 
 @click.command(name="process")
 @click.argument("runs", nargs=-1, required=True, type=RunFolder(), metavar="RUN...|FOLDER...")
-@click.option("--out", type=PATH, help="Analysis folder; in analyses/ next to runs/ if not given.")
+@click.option(
+    "--out",
+    type=PATH,
+    help="Analysis folder.  [default: in analyses/ next to runs/, or in a folder of runs of another name]",
+)
 @click.option("--each", is_flag=True, help="Each run on its own and one table, as for a folder of runs.")
 @click.option("--jobs", type=click.IntRange(1, 256), metavar="N", help="So many processes share a folder of runs.")
 @click.option("--cluster", metavar="ADDRESS", help="A Dask scheduler whose workers share a folder of runs.")

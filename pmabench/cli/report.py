@@ -106,6 +106,7 @@ def _written(
 ) -> tuple[Content, dict[str, str], KeptPage]:  # fmt: skip
     """Write the report in each format that is wanted, `about` as in `content_of`: its content, files and page."""
     from pmabench.cli.sources import since_lines
+    from pmabench.kinds.reduce import of_one_specimen
     from pmabench.plotting.svg import import_what_draws
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.many import added_to
@@ -115,7 +116,7 @@ def _written(
     page = KeptPage("", added_to(runs)["since"], since_lines(runs))
     for line in page.remarks:
         ui.note(line)
-    content = content_of(analyses, runs, **about)
+    content = content_of(analyses, of_one_specimen(runs), **about)
     page = replace(page, text=page_of(content, long=long))
     written = {"path": str(write_file(output, page.text, "the report"))}
     if pdf is not None:

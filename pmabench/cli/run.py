@@ -110,7 +110,9 @@ def run_or_resume(
         out = out or resume.resolve().parent
     protocol, bench, specimen = files
     if protocol is None or bench is None or specimen is None:
-        raise UsageError("a run needs PROTOCOL, --bench and --specimen (or --resume RUN)")
+        named = (("PROTOCOL", protocol), ("--bench", bench), ("--specimen", specimen))
+        lacking = " and ".join(name for name, given in named if given is None)
+        raise UsageError(f"a run needs PROTOCOL, --bench and --specimen, or --resume RUN; missing: {lacking}")
     prepared = prepare(protocol, bench, specimen, settings)
     continues = None
     if resume is not None:
@@ -306,6 +308,7 @@ def _newest(out: Path) -> Path:
 def _left(folder: Path, data: RunData) -> tuple[int, str]:
     """How many trials are left, and the command to type where none can be done by going on."""
     from pmabench.cli.runs import ENDED_EARLY, going_on, trials_left
+    from pmabench.report.many import without_trials
 
     after = going_on(folder, data)
     if after["continued_by"]:
@@ -314,7 +317,9 @@ def _left(folder: Path, data: RunData) -> tuple[int, str]:
     if after["resume"]:
         return trials_left(data), ""
     if data.status in ENDED_EARLY and not any(trial.status == "finished" for trial in data.trials):
-        return 0, "nothing of this run can be processed or continued; run the protocol again"
+        return 0, "nothing of it can be processed or continued; run the protocol again"
+    if without_trials(folder):
+        return 0, f"nothing: a run of kind {data.kind} has no trials to process"
     return 0, f"pmabench process {typed(folder.resolve())}"
 
 
@@ -363,7 +368,12 @@ def _reset(bench: str, operator: str, because: str, *, yes: bool) -> int:
 
 def _agreed(question: str, command: str) -> bool:
     """Whether a person says yes; without a terminal nobody can, and the command for it is named."""
-    if sys.stdin.isatty() and click.confirm(question, err=True):
+    answer = "" if sys.stdin.isatty() else "n"
+    while answer not in ("y", "yes", "n", "no"):
+        if answer:
+            say("type y for yes, n for no")
+        answer = click.prompt(f"{question} [y/N]", default="n", show_default=False, err=True).strip().lower()
+    if answer.startswith("y"):
         return True
     say(f"not done; later:  {command}")
     return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,8 +14,8 @@ import click
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.system import user_name
 from pmabench.base.text import printable
-from pmabench.cli.common import Ui, common, fields
-from pmabench.cli.names import PATH, RunFolder
+from pmabench.cli.common import Group, Ui, common, fields, labelled
+from pmabench.cli.names import PATH, RunFolder, tail_of, typed
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -22,11 +23,13 @@ if TYPE_CHECKING:
     from pmabench.store.verify import Finding
 
 
+WIDE = 160
+"""From so many columns on a list of runs holds their long names, too."""
 ENDED_EARLY = ("interrupted", "aborted", "tripped", "error")
 """How a run ends that may have trials left."""
 
 
-@click.group(name="runs")
+@click.group(name="runs", cls=Group)
 def command() -> None:
     """List, show and verify recorded runs."""
 
@@ -49,15 +52,22 @@ def list_runs(ui: Ui, folder: Path) -> None:
     def human() -> None:
         from pmabench.store.since import Added, Since
 
+        console = ui.console(columns=300)
+        tails = Counter(tail_of(row["folder"]) for row in rows)
         table = []
         for row in rows:
+            tail = tail_of(row["folder"])
+            run = typed((folder / (tail if tails[tail] == 1 else row["folder"])).resolve())
             here, before = row["trials_finished"], row["trials_before"]
             trials = f"{before + here}/{row['trials_planned']}" + (f" ({here} here)" if before else "")
             length = f"{row['duration']:.0f} s" if row["duration"] is not None else ""
             mark = "*" if row["added"] or row["late"] else ""
-            table.append([row["id"], row["status"] + mark, trials, length, row["specimen"]])
-        texts = ("id", "status", "specimen")
-        print_grid(ui.console(columns=200), ["id", "status", "trials", "duration", "specimen"], table, texts)
+            begun = str(row["date"])[:16].replace("T", " ")
+            table.append([run, begun, row["kind"], row["status"] + mark, trials, length, row["specimen"], row["id"]])
+        heads = ["run", "begun (UTC)", "kind", "status", "trials", "duration", "specimen", "id"]
+        count = len(heads) if ui.verbose or console.width >= WIDE else len(heads) - 1
+        texts = [head for head in heads if head not in ("trials", "duration")]
+        print_grid(console, heads[:count], [line[:count] for line in table], texts)
         for row in rows:
             for sentence in Since(tuple(Added(name, "") for name in row["added"]), row["late"]).sentences:
                 click.echo(f"* {row['id']}: {sentence}")
@@ -113,14 +123,16 @@ def _print_run(data: RunData, after: Mapping[str, str]) -> None:
     from pmabench.analysis.verdict.checks import unresolved_of
     from pmabench.display.wording import point_text
 
-    manifest = data.manifest
+    manifest, width = data.manifest, shutil.get_terminal_size((100, 24)).columns
     click.echo(f"{data.id}\n  {data.kind}, {data.status}{', SIMULATED' if data.simulated else ''}")
     for name in ("protocol", "source", "bench", "operator", "started_utc", "why"):
         if manifest.get(name):
-            click.echo(printable(f"  {name:12} {manifest[name]}"))
+            click.echo(labelled(f"{name:12} ", printable(manifest[name]), width))
     if unproven := manifest.get("scales_not_proven"):
         click.echo(printable(f"  {'scales':12} not proven: emulated by the bench file itself: {', '.join(unproven)}"))
-    rows = sum(len(t.t) for t in data.trials)
+    ends = [event.data.get("counts") for event in data.events if event.kind == "end"]
+    counts = ends[-1] if ends and isinstance(ends[-1], Mapping) else {}
+    rows = sum(len(t.t) for t in data.trials) or int(counts.get("rows") or 0)
     states = Counter(t.status for t in data.trials if not t.again)
     finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
     others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
@@ -131,6 +143,7 @@ def _print_run(data: RunData, after: Mapping[str, str]) -> None:
         click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
     for channel in data.channels.values():
         click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
+    _print_session(data)
     if result := vented(data):
         click.echo(f"  {'vent':12} {result}")
     _print_rest(data)
@@ -182,6 +195,22 @@ def trials_left(data: RunData) -> int:
     done = {t.index for t in data.trials if t.status == "finished" and not t.again}
     done |= set(before) if isinstance(before, list) else set()
     return int(data.manifest.get("trials_planned") or 0) - len(done)
+
+
+def _print_session(data: RunData) -> None:
+    """What self-test, warm-up and zeros gave."""
+    from pmabench.display.wording import OF_SESSIONS
+
+    for event in data.events:
+        if event.kind not in OF_SESSIONS:
+            continue
+        head, colon, text = OF_SESSIONS[event.kind](event.data)[0].partition(": ")
+        if colon:
+            click.echo(f"  {head:12} {text}")
+        checks = event.data.get("checks") if event.kind == "self-test" else None
+        for check in (one for one in checks or () if isinstance(one, Mapping) and one.get("verdict") != "ok"):
+            said = f"{check.get('name')}: {check.get('verdict')}"
+            click.echo(printable(f"  {'':12} {said}{'; ' if check.get('hint') else ''}{check.get('hint') or ''}"))
 
 
 def _print_rest(data: RunData) -> None:

@@ -59,9 +59,11 @@ def command(ui: Ui, bench: str | None, operator: str, because: str, *, reset: bo
         raise UsageError(f'several benches are called "{bench}": {names}; name the one that is to be reset')
     vented = _all_at_once(ui, found, began)
     worst = 0 if all(item.result == "confirmed" for item in vented) else 5
+    tripped = ""
     if reset and worst == 0:
         for station, saved in found:
-            _reset(station, saved, operator.strip(), because.strip())
+            tripped = _reset(station, saved, operator.strip(), because.strip())
+    after = "reset: the bench may be used again" if tripped else "it was not tripped: the bench may be used"
     ui.result(
         {
             "schema": "pmabench.vent/1",
@@ -69,7 +71,7 @@ def command(ui: Ui, bench: str | None, operator: str, because: str, *, reset: bo
             "reset": reset and worst == 0,
             "exit_code": worst,
         },
-        lambda: _print(vented, reset=reset and worst == 0),
+        lambda: _print(vented, after if reset and worst == 0 else ""),
     )
     return worst
 
@@ -133,7 +135,7 @@ def _all_at_once(ui: Ui, found: list[tuple[Station, dict[str, Any]]], began: flo
         thread.join()
     if errors:
         for number in sorted(vented):
-            _print([vented[number]], reset=False)
+            _print([vented[number]])
         raise errors[min(errors)]
     return [vented[number] for number in sorted(vented)]
 
@@ -182,8 +184,8 @@ def _closed() -> bytes:
     raise ConnectionResetError("closed")
 
 
-def _reset(station: Station, saved: dict[str, Any], operator: str, because: str) -> None:
-    """Clear the latch; refused while a run is going on."""
+def _reset(station: Station, saved: dict[str, Any], operator: str, because: str) -> str:
+    """Clear the latch, and say why it was tripped; refused while a run is going on."""
     deadline = time.monotonic() + 2.0
     while True:
         try:
@@ -195,6 +197,7 @@ def _reset(station: Station, saved: dict[str, Any], operator: str, because: str)
             time.sleep(0.05)
     was = station.latched()
     station.note("safe", why="reset", operator=operator, because=because, was=was, bench=saved.get("name", ""))
+    return was
 
 
 def _who() -> str:
@@ -204,10 +207,10 @@ def _who() -> str:
         return user_name()
 
 
-def _print(vented: list[Vented], *, reset: bool) -> None:
+def _print(vented: list[Vented], after: str = "") -> None:
     for item in vented:
         click.echo(f"{item.bench}: {item.result}, by {item.way}")
         for action in item.actions:
             click.echo(f"  {action}")
-    if reset:
-        click.echo("reset: the bench may be used again")
+    if after:
+        click.echo(after)

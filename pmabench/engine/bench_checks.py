@@ -1,8 +1,8 @@
-"""Whether a bench is what it is said to be: its drivers, its vent path, and the weight of a load at rest.
+"""Checks of a bench before and during a run: its drivers, its vent path, and the weight of a load at rest.
 
 - Drivers that nobody has tried on hardware: the operator is asked once for each bench, and the run records it.
-- The proof test of the vent path: fill to a low pressure, vent, look; before anything else is commanded.
-- The load: looked at once after hands put it on, when it hangs still.
+- The proof test of the vent path: fill to a low pressure, vent, check the pressure; before any other command.
+- The load: checked once after it was put on by hand, when it hangs still.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import show
-from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity
+from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity, ProofTest
 from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.recorder import Recorder
@@ -34,7 +34,7 @@ AGREED = "drivers"
 
 
 def as_data(bench: CompiledBench) -> dict[str, dict[str, str]]:
-    """For the manifest: each device's driver, its version and what it was verified on."""
+    """Entry of the manifest: each device's driver, its version and what it was verified on."""
     return {
         one.name: {"driver": one.driver, "version": driver_version(one.driver), "verified": one.verified}
         for one in bench.devices
@@ -42,7 +42,7 @@ def as_data(bench: CompiledBench) -> dict[str, dict[str, str]]:
 
 
 def doubt(device: DeviceRecord, identity: Identity) -> str:
-    """Why the driver of a device that answers as hardware is not verified for it; empty where it is, or simulated."""
+    """Why the driver is not verified for this real device; empty where it is verified, or the device is simulated."""
     if identity.simulated:
         return ""
     if not device.verified.startswith(HARDWARE):
@@ -53,12 +53,12 @@ def doubt(device: DeviceRecord, identity: Identity) -> str:
 
 
 def not_proven(identities: Mapping[str, Identity]) -> list[str]:
-    """The emulated devices whose wiring and scales were taken from the bench file, so that its errors cancel out."""
+    """Emulated devices with wiring and scales taken from the bench file: errors of that file stay invisible."""
     return [name for name, identity in identities.items() if identity.model.startswith(UNPROVEN)]
 
 
 def refuse_twice(bench: CompiledBench, identities: Mapping[str, Identity]) -> None:
-    """Raise DeviceError where one device answers as two of the bench: a vent of the other would be read at it."""
+    """Raise DeviceError where one device answers under two names: the vent of the other could not be verified."""
     seen: dict[tuple[str, str, str], str] = {}
     for name, one in identities.items():
         who = one.maker, one.model, one.serial
@@ -70,7 +70,10 @@ def refuse_twice(bench: CompiledBench, identities: Mapping[str, Identity]) -> No
 
 
 def refuse_other_zeros(bench: CompiledBench, zeroed: Mapping[str, str], identities: Mapping[str, Identity]) -> None:
-    """Raise DeviceError where a channel's zero was taken with another device; `zeroed` has those serial numbers."""
+    """Raise DeviceError where a channel's zero was taken with another device.
+
+    `zeroed`: device name -> serial number at the time of the zeros.
+    """
     for device in bench.devices:
         then, now = zeroed.get(device.name, ""), identities[device.name].serial
         if then and now != then and any(channel.zero is not None for channel in device.channels):
@@ -79,7 +82,7 @@ def refuse_other_zeros(bench: CompiledBench, zeroed: Mapping[str, str], identiti
 
 
 def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:
-    """Ask once per bench, driver, version and doubt, with nothing armed yet; a person's answer is remembered."""
+    """Ask once per bench, driver, version and doubt, before anything is armed; a person's answer is stored."""
     station = Station(executor.bench.name)
     for device in executor.bench.devices:
         identity = identities[device.name]
@@ -92,7 +95,7 @@ def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:
             answer = _ask(executor, device, identity, why)
             if "--yes" not in answer:
                 at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-                with suppress(PmaError):  # it is asked again then
+                with suppress(PmaError):  # if it cannot be stored, it is asked again
                     station.write(AGREED, {**agreed, key: {"answer": answer, "at": at}})
 
 
@@ -115,17 +118,20 @@ def _ask(executor: Executor, device: DeviceRecord, identity: Identity, why: str)
 
 
 QUESTIONS, SIGNS = 3, 8
-"""Within so many answers a command is carried out (behind a question, and read back), and a watchdog is fed [1]."""
+"""Answer times that a command takes (after a pending question, with read-back), and that a watchdog must allow [1]."""
 NEARLY, SAMPLES = 0.99, 0.7
-"""A rate that is nearly the one that was asked counts as that, and a line that is used by so much has gaps [1]."""
+"""Share of the requested rate that is accepted as reached, and share of the possible rate that is recommended [1]."""
 APART, SPARE = 3.0, 0.1
-"""So many periods, and so long [s], there may be no sample where one answer is lost or has to wait."""
+"""A lost or delayed answer may leave no sample for this many periods [1] plus this time [s]."""
 
 
 def refuse_slow(
     bench: CompiledBench, identities: Mapping[str, Identity], wanted: float, used: Mapping[str, float]
 ) -> None:
-    """Raise DeviceError where a device answers too slowly for its samples [Hz], commands, watchdog, `stale` limits."""
+    """Raise DeviceError where a device answers too slowly for its rate, commands, watchdog or `stale` limits.
+
+    `wanted`: rate of the plan; `used`: device name -> actual rate [Hz].
+    """
     for device in bench.devices:
         takes, most = identities[device.name].answers, min(wanted, device.fastest or wanted)
         rate, signs = used.get(device.name, most), SIGNS * takes
@@ -151,7 +157,7 @@ def refuse_slow(
 
 
 def _too_strict(bench: CompiledBench, device: DeviceRecord, rate: float) -> str:
-    """What is wrong where a `stale` limit is crossed by one lost answer at a rate [Hz]; empty where none is."""
+    """What is wrong where one lost answer at `rate` [Hz] would exceed a `stale` limit; empty where none would."""
     own, apart = {channel.name for channel in device.channels}, APART / rate + SPARE
     for trip in bench.trips:
         if trip.kind == "stale" and trip.channel in own and trip.delay < apart * (1 - 1e-9):
@@ -164,15 +170,16 @@ def _too_strict(bench: CompiledBench, device: DeviceRecord, rate: float) -> str:
 
 
 ARRIVES = 0.5
-"""A drive on its way to where arming sent it comes nearer within so long [s]."""
+"""Time within which a drive that moves to its safe position must come nearer [s] ..."""
 NEARER = 0.1
-"""By this share of what its watch allows."""
+"""... by at least this share of the deviation that its `following` limit allows."""
 
 
 def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
-    """Wait until each drive that is watched is measured where arming sent it.
+    """Wait until each drive with a `following` limit is measured at its safe position, where arming sent it.
 
-    Raises LimitTripped where it is not and comes no nearer: one that lost its zero says that it is there.
+    Raises LimitTripped where it is elsewhere and comes no nearer: a drive that lost its zero reports that it has
+    arrived.
     """
     drives = {output.name: output for output in bench.outputs if output.rate}
     for trip in bench.trips:
@@ -192,11 +199,20 @@ def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
 
 
 FILLED = 0.8
-"""Of the asked pressure, from where on the bench counts as filled."""
+"""Share of the commanded pressure from which on the bench counts as filled."""
+RESTS = 0.2
+"""Time for which the pressure must stay within its bounds [s]."""
+OFF = 0.1, 0.01
+"""Largest deviation of a resting pressure from its command, as shares of the command and of the regulator's range [1],
+for gains and offsets of gauge and regulator."""
+GIVES_WAY = 0.1
+"""Relative fall of the pressure that an open dump valve must cause while the regulator still commands it."""
+ALONE = 1.0
+"""Largest time until that fall [s]."""
 
 
 def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recorder: Recorder) -> None:
-    """Try the vent path of a bench that declares a proof test; raises LimitTripped where it does not vent in time."""
+    """Do the proof test of the vent path where the bench declares one; LimitTripped if it does not vent in time."""
     proof = bench.proof
     if proof is None:
         return
@@ -213,10 +229,12 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
             f"the proof test asked for {show(proof.pressure, 'pressure')}, and after {proof.fill:g} s {measured} is "
             "measured: no supply, a shut valve, or the pressure channel is wired wrongly"
         )
+    _refuse_astray(bench, acquisition, proof, filled - asked)
+    alone = _valves_alone(bench, guard, acquisition, proof)
     vented_at = clock.now()
     for output in bench.pressures:
         guard.set(output.name, output.safe)
-        acquisition.commanded.set(output.name, vented_at, output.safe)  # it falls as commanded: no burst
+        acquisition.commanded.set(output.name, vented_at, output.safe)  # so that the fall is no burst
     guard.valves(closed=False)
     vented = acquisition.pass_time(proof.within, _crossing(names, below=proof.below))
     if vented is None:
@@ -227,9 +245,71 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
         )
     guard.valves(closed=True)
     guard.release()
-    recorder.event(
-        "proof-test", clock.now(), pressure=proof.pressure, filled_in=filled - asked, vented_in=vented - vented_at
-    )
+    times = {"filled_in": filled - asked, "vented_in": vented - vented_at}
+    recorder.event("proof-test", clock.now(), pressure=proof.pressure, dump_valve_in=alone, **times)
+
+
+def _refuse_astray(bench: CompiledBench, acquisition: Acquisition, proof: ProofTest, filled_in: float) -> None:
+    """Raise LimitTripped where a pressure does not settle near its command, above or below."""
+    channels = {channel.name: channel for channel in bench.channels}
+    within = {
+        output.name: OFF[0] * proof.pressure
+        + OFF[1] * output.high
+        + channels[output.name].calibration.uncertainty(proof.pressure)
+        for output in bench.pressures
+    }
+    bounds = {name: (proof.pressure - off, proof.pressure + off) for name, off in within.items()}
+    if acquisition.pass_time(max(1.0, proof.fill - filled_in), _Resting(bounds)) is None:
+        raise LimitTripped(
+            f"the proof test asked for {show(proof.pressure, 'pressure')}, and {_measured(acquisition, list(within))} "
+            f"is measured, further off than {show(max(within.values()), 'pressure', 2)}: the scale of the regulator or "
+            "of the gauge is wrong, or the gauge reads absolute pressure"
+        )
+
+
+class _Resting:
+    """Stop rule: all channels have been within their bounds for `RESTS`."""
+
+    def __init__(self, bounds: Mapping[str, tuple[float, float]]) -> None:
+        self._bounds = bounds
+        self._since: dict[str, float] = {}
+
+    def __call__(self, block: Samples) -> int | None:
+        for name in self._bounds.keys() & block.values.keys():
+            low, high = self._bounds[name]
+            inside = (block.values[name] > low) & (block.values[name] < high)
+            if not inside[-1]:
+                self._since.pop(name, None)
+            elif name not in self._since or not inside.all():
+                self._since[name] = float(block.t[np.flatnonzero(np.append(False, inside[:-1]) < inside)[-1]])
+        newest = float(block.t[-1])
+        rests = all(name in self._since and newest - self._since[name] >= RESTS for name in self._bounds)
+        return len(block.t) - 1 if rests else None
+
+
+def _valves_alone(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, proof: ProofTest) -> float | None:
+    """Open the dump valves while the regulators still command the pressure; returns the time until it falls [s].
+
+    None where the bench has no dump valve, or fewer than muscles and not all gave way. Raises LimitTripped where one
+    that has its own did not, or none did: a valve that is not connected passes every vent of a regulator that works.
+    """
+    valves = [valve.name for valve in bench.valves if valve.safe == "open"]
+    if not valves:
+        return None
+    names, opened_at = [output.name for output in bench.pressures], acquisition.clock.now()
+    for output in bench.pressures:
+        acquisition.commanded.set(output.name, opened_at, output.safe)  # it falls as commanded: no burst
+    guard.valves(closed=False)
+    below = (1 - GIVES_WAY) * proof.pressure
+    found = acquisition.pass_time(ALONE, _crossing(names, below=below))
+    gave = [name for name in names if acquisition.latest.get(name, nan) < below]
+    if found is None and len(gave) < (len(names) if len(valves) >= len(names) else 1):
+        raise LimitTripped(
+            f"the proof test of {' and '.join(valves)} failed: {ALONE:g} s after it was opened "
+            f"{_measured(acquisition, names)} is measured, while the regulator still commands "
+            f"{show(proof.pressure, 'pressure')}: look at the valve's plug, its air, and at what is in its way"
+        )
+    return None if found is None else found - opened_at
 
 
 def _measured(acquisition: Acquisition, names: Sequence[str]) -> str:
@@ -238,7 +318,7 @@ def _measured(acquisition: Acquisition, names: Sequence[str]) -> str:
 
 
 def _crossing(names: Sequence[str], above: float = float("-inf"), below: float = float("inf")) -> Stop:
-    """The sample at which the last of these channels has come between the bounds."""
+    """Stop rule: the sample at which the last of these channels has come between the bounds."""
     left = set(names)
 
     def crossed(block: Samples) -> int | None:
@@ -254,33 +334,50 @@ def _crossing(names: Sequence[str], above: float = float("-inf"), below: float =
 
 
 LIFTED = 1e-3
-"""Contraction since the load was put on from which on it hangs [m]."""
+"""Contraction since the load was put on from which on it hangs freely [m]."""
 STILL = 0.1e-3
 """A load moves by less than this within `SPAN` while it hangs still [m]."""
 SPAN = 0.5
-"""How long it is looked at [s]."""
+"""Time over which the load is observed [s]."""
+
+
+GROSS = 0.5
+"""Relative deviation of a reading from the load above which unit, sign or plug must be wrong [1]."""
+UNDER_PRESSURE = 100e3
+"""Rise of the pressure since the load was put on at which a muscle must contract [Pa]."""
 
 
 class LoadImplausible(VerdictFailed):
-    """The load cell and the plates do not agree."""
+    """Raised where load cell and plates do not agree, or the free end moves the wrong way."""
 
 
 @dataclass(frozen=True)
 class LoadVerdict:
-    """What the cell reads of a load at rest, mean over `SPAN` [N]."""
+    """Reading of the load cell for a load at rest, mean over `SPAN` [N], and contraction since it was put on [m]."""
 
     expected: float
     measured: float
     tolerance: float
     asked: str
+    contraction: float
 
     @property
     def ok(self) -> bool:
-        """Whether they agree."""
-        return abs(self.measured - self.expected) <= self.tolerance
+        """Whether reading and weight agree within the tolerance, and the muscle did not extend under pressure."""
+        return self.contraction > 0 and abs(self.measured - self.expected) <= self.tolerance
+
+    @property
+    def gross(self) -> bool:
+        """Whether sign, unit or plug of a channel must be wrong, whatever the tolerance."""
+        return self.contraction < 0 or abs(self.measured - self.expected) > max(self.tolerance, GROSS * self.expected)
 
     def __str__(self) -> str:
         """One sentence with the weight of the plates and the reading of the cell."""
+        if self.contraction < 0:
+            return (
+                f"under pressure the displacement falls by {show(-self.contraction, 'length', 3)}: its channel counts "
+                "backwards, or is exchanged with another one; look at its calibration and its plug"
+            )
         reads = f"the load cell reads {self.measured:.2f} N for a load at rest of {self.expected:.2f} N"
         if self.ok:
             return f"{reads}, within {self.tolerance:.2f} N"
@@ -291,30 +388,31 @@ class LoadVerdict:
 
 
 class LoadCheck:
-    """Remembers the load that was put on until it was seen hanging; judges it once."""
+    """Keeps the load that was put on until it hangs still, then compares it once with the load cell."""
 
     def __init__(self, bench: CompiledBench) -> None:
         channels = {channel.name: channel for channel in bench.channels}
         self._cell = channels.get("force")
         self._possible = bench.free_end == "weights" and self._cell is not None and "displacement" in channels
         self._share = bench.load_tolerance
-        self._pending: tuple[float, str, float] | None = None
+        self._pending: tuple[float, str, float, float] | None = None
         self._kept: dict[str, tuple[Array, Array]] = {}
 
-    def put_on(self, force: float, asked: str, displacement: float | None) -> None:
-        """Hands put F_L = `force` [N] on, with the free end at `displacement` [m]."""
-        self._pending = (force, asked, displacement or 0.0) if self._possible and force > 0 else None
+    def put_on(self, force: float, asked: str, latest: Mapping[str, float]) -> None:
+        """Note that a load of `force` [N] was put on by hand; `latest` are the values measured then [SI]."""
+        place, P = (latest.get(name, 0.0) for name in ("displacement", "pressure"))
+        self._pending = (force, asked, place, P) if self._possible and force > 0 else None
         self._kept = {}
 
     def watch(self) -> Stop | None:
-        """Stop rule for the acquisition while it waits: looks at the samples and never stops."""
+        """Stop rule that keeps the samples of a wait and never stops; None where no load is to be checked."""
         if self._pending is None:
             return None
         self._kept = {}
         return self._keep
 
     def _keep(self, block: Samples) -> None:
-        for name in ("force", "displacement"):
+        for name in ("force", "displacement", "pressure"):
             if name in block.values:
                 t, y = self._kept.get(name, (block.t[:0], block.t[:0]))
                 t, y = np.concatenate((t, block.t)), np.concatenate((y, block.values[name]))
@@ -322,16 +420,18 @@ class LoadCheck:
                 self._kept[name] = t[recent], y[recent]
 
     def verdict(self) -> LoadVerdict | None:
-        """The verdict when the load has hung still at the end of what was watched, else None."""
-        if self._pending is None or len(self._kept) < 2:
+        """The verdict if the load hung still at the end of the observed samples, else None."""
+        if self._pending is None or not {"force", "displacement"} <= self._kept.keys():
             return None
-        force, asked, before = self._pending
+        force, asked, before, vented = self._pending
         (t, x), (_, pull) = self._kept["displacement"], self._kept["force"]
         if len(t) < 5 or t[-1] - t[0] < 0.5 * SPAN or not (np.isfinite(x).all() and np.isfinite(pull).all()):
             return None
-        if x.mean() - before < LIFTED or x.max() - x.min() > STILL or self._cell is None:
+        contraction, P = float(x.mean()) - before, self._kept.get("pressure", (t, np.zeros(1)))[1]
+        moves = contraction > LIFTED or (contraction < -LIFTED and P.min() > vented + UNDER_PRESSURE)
+        if not moves or x.max() - x.min() > STILL or self._cell is None:
             return None
         self._pending = None
         known = self._cell.calibration
         tolerance = self._share * force + known.offset_uncertainty + known.gain_uncertainty * force
-        return LoadVerdict(force, float(pull.mean()), tolerance, asked)
+        return LoadVerdict(force, float(pull.mean()), tolerance, asked, contraction)

@@ -191,7 +191,8 @@ def costliest(tests: Sequence[Analysis], failed: Sequence[str]) -> tuple[list[st
     for level in ("fault", "doubt"):
         texts = (f.text for a in tests for f in a.findings if f.level == level)
         found += [printed(t) for t in texts if not any(t.removeprefix("form: ")[:ALIKE] in one for one in failed)]
-    found += [f"{len(a.dropped)} trials not used: {left_out(a.dropped)}" for a in tests if a.dropped]
+    lost = [a.dropped for a in tests if a.dropped]
+    found += [f"{len(one)} trial{'s'[: len(one) > 1]} not used: {left_out(one)}" for one in lost]
     found = list(dict.fromkeys(clean(text) for text in found))
     notes = sum(f.level == "note" for a in tests for f in a.findings)
     return found[:MOST_FINDINGS], len(found[MOST_FINDINGS:]) + notes
@@ -222,7 +223,7 @@ def glance(analyses: Sequence[Analysis], verdict: Verdict, failed: Sequence[str]
     rest = [tile for tile in tiles_of(analyses) if tile.symbol not in known]
     lines += _joined([f"{tile.symbol} {tile.value} {tile.unit}".rstrip() for tile in rest])
     lines += _spark(members, over)
-    return [line[:WIDTH] for line in [*lines, "", *_findings(tests, failed, MOST_LINES - len(lines) - 1)]]
+    return [line[:WIDTH] for line in [*lines, "", *_findings(analyses, failed, MOST_LINES - len(lines) - 1)]]
 
 
 def _table(members: Sequence[Estimate], over: str, tests: Sequence[Analysis]) -> list[str]:
@@ -283,9 +284,10 @@ def _spark(members: Sequence[Estimate], over: str) -> list[str]:
     return [f"{head}  {rounded(values[0], None, 3)} {sparkline(values)} {rounded(values[-1], None, 3)} {unit.unit}"]
 
 
-def _findings(tests: Sequence[Analysis], failed: Sequence[str], room: int) -> list[str]:
-    """The costliest, in full where `room` lines allow it; how many more there are."""
-    first, more = costliest(tests, failed)
+def _findings(analyses: Sequence[Analysis], failed: Sequence[str], room: int) -> list[str]:
+    """The costliest of the tests, in full where `room` lines allow it; how many more findings there are in all."""
+    first, more = costliest([a for a in analyses if a.kind != AGREEMENT], failed)
+    more += sum(len(a.findings) for a in analyses if a.kind == AGREEMENT)
     spare = room - len(first) - bool(more)
     lines = []
     for text in first:

@@ -49,7 +49,7 @@ def test_what_was_not_assessed_says_why():
     for e in right().values():
         none = {source.name: source.note for source in e.budget if source.half is None}
         assert none["drift of the specimen"] == "no reference trial was done again"
-        assert none["drift of the zero of pressure"] == "the record tells no zero at the end"
+        assert none["drift of the zero of pressure"] == "the record has no zero at the end"
         assert all(none.values())
 
 

@@ -279,6 +279,16 @@ def test_terms_of_a_curve_are_next_to_and_are_not_counted():
     assert not any("slope" in f.text for f in found.findings)
 
 
+def test_a_term_that_is_a_coefficient_is_compared_once():
+    """The slope of a line through force over pressure is both."""
+    slope = Estimate("m", 5.0, "N/Pa", "force per pressure", "m", {"contraction": 0.0}, Parts(0.1), coordinate="slope")
+    curve = Curve("F", "line", (slope,), "pressure", (1e5, 5e5), 1.0, 0.0, "m")
+    a = side(replace(slope, coordinate=""))
+    a = replace(a, analyses=(replace(a.analyses[0], curves=(curve,)),))
+    b = replace(a, name="B", analyses=(replace(a.analyses[0], runs=("r2",)),))
+    assert [(d.a.symbol, d.term) for d in compare(a, b).differences] == [("m", False)]
+
+
 def test_what_is_beyond_the_limit_is_not_accepted():
     far = one(side(K(12.0, 3.0)), side(K(6.0, 4.0), name="B", run="r2"))
     assert not_accepted([far], "E_n", 1.0) == ["K at 300 kPa: E_n +1.20, accepted 1"]

@@ -104,3 +104,21 @@ def test_a_fuller_card_has_smaller_letters(tmp_path):
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[0] > sizes[2] > sizes[3]
     assert sizes[-1] == SIZES[-1]
+
+
+def test_the_card_names_only_what_the_bench_has(tmp_path):
+    """It said "Press the emergency stop" at a bench without one, and that a relief valve protects where there is none."""
+    whole = text_of(render_card(card_of(rig(tmp_path))))
+    assert "Press the emergency stop, then shut off the air." in whole
+    assert "protected by the relief valve, the normally-open dump valve, the emergency stop, the shield." in whole
+    assert "NOT CONFIRMED" not in whole
+    bare = "interlocks: []\nair: {relief_valve: none}\nto_confirm: [limits.pressure.trip]\n"
+    text = text_of(render_card(card_of(rig(tmp_path, bare))))
+    assert "Shut off the air; press the emergency stop if the rig has one." in text
+    assert "protected by the normally-open dump valve, the shield." in text
+    assert "names NO relief valve and NO emergency stop." in text
+    assert "NOT CONFIRMED Values of this bench are still guesses." in text
+    assert "Reviewed by nobody" in text
+    other = text_of(render_card(card_of(rig(tmp_path, old="name: e-stop", new="name: door"))))
+    assert "protected by the relief valve, the normally-open dump valve, the shield." in other
+    assert "names NO" not in other, "the contact may be a stop by another name"

@@ -42,6 +42,16 @@ def test_differences_are_reported_with_their_e_n(folders):
     assert (data["a"]["runs"], data["b"]["simulated"]) == (["r1"], True)
 
 
+def test_a_folder_is_found_by_the_short_path_that_process_prints(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    kind = "contraction-relaxation"
+    for name, K in (("20261130-0720_M_013a", 6060.0), ("20261130-0721_M_0cd4", 6000.0)):
+        made = Analysis(kind, (name,), False, tuple(estimates((K, 7000.0, 8000.0), (160.0, 270.0, 380.0))))
+        write_analysis(made, tmp_path / "analyses" / name / kind)
+    assert "furthest apart at 200 kPa: +0.06 N/mm" in call("compare", "analyses/013a", "0cd4").output
+    assert "there is no such folder" in call("compare", "analyses/0000", "0cd4", code=3).output
+
+
 def test_beyond_the_limit_is_exit_6(folders):
     reported = call("compare", *folders, "--accept", "E_n<=1", "-q", code=6).output
     assert reported == "NOT ACCEPTED: K at 200 kPa: E_n +2.12, accepted 1\n"
@@ -131,3 +141,17 @@ def test_a_table_is_no_first_side_and_a_folder_without_analyses_none(folders, tm
     assert "holds no analysis" in call("compare", folders[0], tmp_path / "empty", code=3).output
     table.write_text("pressure [bar],B_c [N.s/mm]\n2,6.06\n")
     assert "matches no figure" in call("compare", folders[0], table, code=3).output
+
+
+def test_whether_both_agree_is_the_first_sentence(folders, tmp_path):
+    one, two = folders
+    page = tmp_path / "c.html"
+    (first, *_) = json.loads(call("compare", one, two, "--json").output)["findings"]
+    assert first["text"].startswith("1 of 6 differences are larger than their 95 % interval")
+    same = write_analysis(Analysis("contraction-relaxation", ("r3",), False, tuple(estimates((6e3, 7e3, 8e3), (160, 270, 380)))),
+                          tmp_path / "three")  # fmt: skip
+    (first, *_) = json.loads(call("compare", same, two, "--json", "-o", page).output)["findings"]
+    assert first["text"].startswith("A and B agree: 0 of 6 differences")
+    text = page.read_text()
+    assert text.count("filled: side A, open: side B, a little aside") == 2
+    assert text.index("A and B agree") < text.index(": agree at all 3 points")

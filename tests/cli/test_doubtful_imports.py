@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from pmabench.kinds.reduce import verdicts
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, withhold
 from pmabench.store.importers import apart
 from tests.calls import call
 from tests.store.plausible_files import damaged, isometric
@@ -81,3 +83,16 @@ def test_one_file_in_other_units_among_four_is_left_out_and_counted(tmp_path):
     assert slope(analysis)["value"] * 1e3 == pytest.approx(used[[0, 1, 3]].mean(), rel=0.003)
     assert len(analysis["dropped"]) == 1
     assert [f["level"] for f in analysis["findings"] if "no repeats of one test" in f["text"]] == ["fault"]
+
+
+def test_one_reason_for_several_files_is_said_once():
+    """With the first file and its number; the files themselves are in the findings."""
+    notes = ("lab/held_4mm.csv: force: 6.9 N/kPa is too much", "lab/unheld.csv: force: 7.2 N/kPa is too much")
+    estimates = tuple(
+        withhold(Estimate("m", 1.0, "N/Pa", "force per pressure", "line", {"contraction": x}, Parts(), 1), note)
+        for x, note in zip((0.004, 0.0), notes, strict=True)
+    )
+    analysis = Analysis("isometric", ("r1", "r2"), False, estimates)
+    (said, *more) = verdicts([], [analysis])
+    assert notes[0] in said
+    assert more == []

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -12,8 +13,10 @@ import pytest
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
+from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import COMMANDS, EXAMPLES, FORMER, SECTIONS, main
-from pmabench.cli.names import RunFolder, short
+from pmabench.cli.names import RunFolder, in_full, short
+from pmabench.files.shipped import find_file
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST_NAMES = 28
@@ -107,3 +110,27 @@ def test_a_run_is_found_by_the_end_of_its_name_where_no_other_ends_so(tmp_path, 
     assert short(tmp_path / one) == "runs/3efe"
     (tmp_path / "runs" / "20261123-1705_M_3efe").mkdir()
     assert short(tmp_path / one) == str(one)
+
+
+def test_a_run_and_the_analysis_called_after_it_are_one_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("runs", "analyses"):
+        (tmp_path / folder / "20261123-1702_M_3efe").mkdir(parents=True)
+    assert in_full(Path("3efe")) == Path("runs/20261123-1702_M_3efe")
+    assert in_full(Path("analyses/3efe")) == Path("analyses/20261123-1702_M_3efe")
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, "bench probe"])
+def test_help_fits_80_columns_and_cuts_no_sentence(name):
+    text = CliRunner().invoke(main, [*name.split(), "--help"], terminal_width=80).stdout
+    assert [line for line in text.splitlines() if len(line) > 80] == []
+    assert [line for line in text.splitlines() if re.fullmatch(r"  \w+  .*\.\.\.", line)] == []
+
+
+def test_exchanged_files_are_named_and_a_wrong_name_brings_no_wall_of_names():
+    with pytest.raises(InvalidFile, match="is a shipped specimen, where a bench is expected"):
+        find_file("bench", "mas-20-250-paper0")
+    with pytest.raises(InvalidFile) as caught:
+        find_file("bench", "nowhere-near")
+    assert "`pmabench list`" in str(caught.value)
+    assert len(str(caught.value)) < 160

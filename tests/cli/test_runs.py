@@ -2,12 +2,16 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
 
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.session import ensure
 from pmabench.store.chain import continued
 from tests.cli.test_cli import call
+from tests.engine.benches import mounted
 from tests.store.runs import begin, closed, die, record
 from tests.store.test_chain import forget_writer, write
 
@@ -172,3 +176,22 @@ def test_a_guard_next_to_a_dead_run_is_shown_as_its_own(tmp_path):
     text = call("runs", "show", writer.folder).stdout
     assert "the bench was vented after the program died: confirmed" in text
     assert "the engine died (signal 9)" in text
+
+
+def test_list_gives_the_name_that_commands_take_on_80_columns(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    closed(tmp_path / "runs", "20261130-0720_MAS-20-250N-AA-MC-K-MOCK-P0_contraction-relaxation_6afd", rows=200)
+    listed = call("runs", "list").stdout
+    assert "runs/6afd" in listed
+    assert max(map(len, listed.splitlines())) <= 80
+
+
+def test_a_session_is_shown_with_its_zeros_and_self_test(tmp_path):
+    ready = ensure(mounted("mock-session"), ConfirmedBeforehand(), tmp_path / "runs", skip_warm_up="a test")
+    run = tmp_path / "runs" / ready.in_session["run"]
+    shown = call("runs", "show", run).stdout
+    assert re.search(r"trials +0 of 0 finished; [1-9][0-9,]* rows", shown)
+    assert re.search(r"self-test +\d+ .*ok", shown)
+    assert re.search(r"zeros taken +pressure .* kPa, force .* N", shown)
+    assert "nothing: a run of kind session has no trials to process" in call("continue", run).stdout

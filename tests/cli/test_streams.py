@@ -108,3 +108,13 @@ def test_a_run_that_is_over_ends_also_where_nobody_reads_how(how):
         program.wait()
         os.close(reading)
         os.close(writing)
+
+
+def test_a_terminal_with_ascii_only_keeps_columns_under_their_heads():
+    """A half width takes the blank behind its sign; what has no likeness is spelled as in source code."""
+    code = (
+        "from pmabench.cli.common import prepare_streams; prepare_streams(); print('   K [N·s/mm]\\n113.0 ± 1.9 Ж▁█')"
+    )
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    assert done.stdout == "   K [N*s/mm]\n113.0 +-1.9 \\u0416_#\n"

@@ -1,4 +1,4 @@
-"""Runs the clients and prints what came of every call; `--write` puts it into docs/devices.md.
+"""Runs the clients and prints what came of every call; `--write` puts it into docs/clients.md.
 
 `python -m tests.clients [--write] [--keep FOLDER] [NAME ...]`; all clients where none is named. FOLDER keeps the
 environments for the next time.
@@ -18,7 +18,7 @@ from tests.clients.table import CLIENTS
 def main(arguments):
     """Exit code 1 where a call disagrees, 2 where there is no such client."""
     parser = argparse.ArgumentParser(prog="python -m tests.clients", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--write", action="store_true", help="put the results into docs/devices.md")
+    parser.add_argument("--write", action="store_true", help="put the results into docs/clients.md")
     parser.add_argument("--keep", type=Path, help="folder for the environments")
     parser.add_argument("names", nargs="*")
     given = parser.parse_args(arguments)

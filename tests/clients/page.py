@@ -1,4 +1,4 @@
-"""The table of docs/devices.md: a row for each client, its calls by what came of them."""
+"""The table of docs/clients.md: a row for each client, its calls by what came of them."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from tests.clients.harness import AGREES, DISAGREES, NOT_TRIED
 from tests.clients.table import CLIENTS
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "devices.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "clients.md"
 BEGIN, END = "<!-- clients: written by `python -m tests.clients --write` -->", "<!-- end of clients -->"
 HEAD = "| client / device | agrees | disagrees | not tried |\n| --- | --- | --- | --- |\n"
 STATES = (AGREES, DISAGREES, NOT_TRIED)

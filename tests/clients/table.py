@@ -22,7 +22,7 @@ class Client:
 
     name: str
     what: str
-    """Client and device, as docs/devices.md names them."""
+    """Client and device, as docs/clients.md names them."""
     package: str
     """What `pip install` is given for an environment of its own; empty: the project's own environment has the client."""
     script: str

@@ -50,8 +50,9 @@ WRONG = {
         ),
         (
             "proof-test",
-            {"pressure": 5e4, "filled_in": 0.1921, "vented_in": 0.08225},
-            "proof test of the vent path: filled to 50 kPa in 0.19 s, empty 0.082 s after venting",
+            {"pressure": 5e4, "filled_in": 0.1921, "dump_valve_in": 0.0413, "vented_in": 0.08225},
+            "proof test of the vent path: filled to 50 kPa in 0.19 s, gives way to the dump valve in 0.041 s, empty "
+            "0.082 s after venting",
             "info",
         ),
     ],

@@ -75,7 +75,7 @@ RIGS = {
     "dataq": Rig("dataq", 500, SHARP, B_OF_POLLED, 2, vents="regulator"),
     "festo": Rig("festo", 100, POLLED, B_OF_POLLED, 2),
     "labjack": Rig("labjack", 500, HARDWARE_TIMED, watchdog=2.0),
-    "labjack-t8": Rig("labjack-t8", 100, POLLED, B_OF_POLLED, watchdog=2.0, slow=True),
+    "labjack-t8": Rig("labjack-t8", 100, POLLED, B_OF_POLLED, 2, watchdog=2.0, slow=True),
     "ni": Rig("ni", 500, HARDWARE_TIMED, vents="relay", keeps=True),
     "serial_line_daq": Rig("serial-line-daq", 500, HARDWARE_TIMED),
     "serial_rig": Rig("serial", 500, POLLED, B_OF_POLLED, 2, vents="board", keeps=True),

@@ -141,7 +141,9 @@ def test_old_samples_do_not_keep_a_stale_limit_quiet():
     stale = TripRecord("supply", None, None, 0.3, "vent", "test:1:1", "stale")
     for wait in (lambda acquisition: acquisition.pass_time(5.0), sample_for_ever):
         acquisition, _ = sampling(ever_later(1.0, 2.0), stale)
-        with pytest.raises(Tripped, match="has given no sample for 0.3"):
+        with pytest.raises(
+            Tripped, match=r"has given no sample for 0.3\d* s but old ones, which come 0.[34]\d s late, at"
+        ):
             wait(acquisition)
         assert acquisition.clock.now() == pytest.approx(1.8, abs=0.11)
 
@@ -160,7 +162,7 @@ def test_samples_of_one_device_do_not_stand_for_those_of_another():
     streams = {"gauge": Queue(clock, lambda _now: 0.001), "other": silent}
     acquisition = Acquisition(bench, streams, clock, 500.0, (), NoRecord())
     acquisition.start()
-    with pytest.raises(Tripped, match="pressure has given no sample for 0.3"):
+    with pytest.raises(Tripped, match=r"pressure has given no sample for 0.3\d* s at"):
         sample_for_ever(acquisition)
     assert clock.now() == pytest.approx(1.3, abs=0.02)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from dataclasses import replace
@@ -38,7 +39,13 @@ class Reporting(Reader):
     def close(self):
         self._file.with_suffix(".closed").touch()
 
+    def start(self, rate):
+        self._begun = getattr(self, "_begun", 0) + 1
+        return super().start(rate)
+
     def collect(self):
+        if self._says().get("broken", 0) >= self._begun:
+            raise DeviceError("gauge", "lost bytes")
         if self._says().get("silent"):
             return Block([], {"supply": []})
         return Block([int(self._clock.now() * 1e9)], {"supply": [0.0]})
@@ -108,6 +115,30 @@ def test_what_it_measures_confirms_the_vent(tmp_path):
         finally:
             run.kill_rest()
         assert run.said("vent") == "confirmed"
+
+
+@pytest.mark.parametrize("fault", ["broken", "silent"])
+def test_a_stream_that_has_failed_is_begun_again_while_it_vents(tmp_path, fault):
+    """Twice: the first new one has failed as well. Nobody waits for it, and one that gives samples is left alone."""
+    own = opened(gauge(tmp_path / "gauge.json"))
+    try:
+        stream, device = own.streams["gauge"], own._links.devices["gauge"]
+        stream.start(20.0)
+        assert len(stream.collect().time)
+        own.keep_measuring()
+        say(tmp_path / "gauge.json", **{fault: 2})
+
+        def again():
+            own.keep_measuring()
+            with contextlib.suppress(DeviceError):
+                stream.collect()
+            return device._begun == 3
+
+        eventually(again, 2.0)
+        say(tmp_path / "gauge.json")
+        eventually(lambda: len(stream.collect().time), 1.0)
+    finally:
+        own.close()
 
 
 def opened(*devices):

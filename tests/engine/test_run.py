@@ -10,6 +10,7 @@ import pytest
 
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.bench.interface import Identity
+from pmabench.engine import ending
 from pmabench.engine import run as run_module
 from pmabench.engine.bench_checks import refuse_twice
 from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
@@ -43,6 +44,21 @@ def test_a_plan_that_ends_well_is_finished_and_vented(kind):
     assert (outcome.status, outcome.exit_code) == ("finished", 0), outcome.why
     assert outcome.vent.confirmed
     assert kinds(outcome)[-2:] == ["trial-end", "vent"]
+
+
+@pytest.mark.parametrize(
+    ("moved", "words"), [(-86400.0, "set back by 86400.0 s"), (7200.0, "set forward (or it slept) by 7200.0 s")]
+)
+def test_a_time_of_day_that_is_set_in_the_run_is_said_once(monkeypatch, moved, words):
+    """The folder says that it was closed a day before it was begun."""
+    before = ending.ahead()
+    monkeypatch.setattr(ending, "ahead", lambda: before + moved)
+    outcome = execute(one_trial(*STEPS["hold"]))
+    [reason] = [data["reason"] for kind, _, data in outcome.events if kind == "warning"]
+    assert words in reason
+    assert (outcome.status, outcome.exit_code) == ("finished", 0)
+    monkeypatch.setattr(ending, "ahead", lambda: before + 0.5)
+    assert "warning" not in kinds(execute(one_trial(*STEPS["hold"])))
 
 
 class AfterSomeTime:

@@ -1,10 +1,12 @@
 """YAML files: every problem at once, each at its place; hostile files are refused in a sentence."""
 
 from pathlib import Path
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pydantic import Field
 
 from pmabench.base.errors import InvalidFile
 from pmabench.files.document import Document, Strict, read_document, validate
@@ -133,3 +135,45 @@ def test_any_text_gives_a_model_or_an_invalid_file(text):
 
 def test_folded_text_is_one_line_without_marks():
     assert Document("f", "a: >-\n  one;\n  two\n").data == {"a": "one; two"}
+
+
+class Typed(Strict):
+    schema_: Annotated[Literal["pmabench.typed/1"], Field(alias="schema")]
+    count: int = 1
+    share: float = 0.0
+    on: bool = False
+    lengths: list[Length] = []
+    name: str
+    other: str
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("count: two", '"two" is not a whole number'),
+        ("count: 1.5", '"1.5" is not a whole number'),
+        ("share: much", '"much" is not a number'),
+        ("on: perhaps", '"perhaps" is not true or false'),
+        ("name: 5", '"5" is not a text (in quotes)'),
+        ("lengths: 7 mm", '"lengths" needs a list, for instance [7 mm]'),
+        ("a: b: c", "is the line indented further than the one above?"),
+        ("name: x\n\tcount: 3", "a tab; YAML is indented with spaces"),
+        ("name: @x", "a value that begins with this sign needs quotes"),
+        ("lengths: [7 mm, 8 mm", "lacks a comma or its closing bracket"),
+        ('name: "x', "a quote is not closed"),
+    ],
+)
+def test_mistakes_are_said_in_the_words_of_a_writer_of_files(text, says):
+    with pytest.raises(InvalidFile) as caught:
+        validate(Typed, Document("f", f"schema: pmabench.typed/1\n{text}\n"))
+    assert says in str(caught.value)
+
+
+def test_a_file_that_does_not_say_what_it_is_is_asked_that_first():
+    with pytest.raises(InvalidFile) as caught:
+        validate(Typed, Document("f", "cuont: 3\n"))
+    first, second = (problem.message for problem in caught.value.problems)
+    assert first == '"schema" is missing, which says what kind of file it is: "schema: pmabench.typed/1"'
+    assert second == 'unknown key "cuont"; did you mean "count"?', (
+        "other mistakes are reported, but for what is missing"
+    )

@@ -227,6 +227,24 @@ def test_no_frame_is_empty(analyses):
     assert page.count('class="sheet"') == 2
 
 
+def test_the_certificate_counts_the_findings_of_its_appendix(content, page_text):
+    assert f"all {len(content.findings)} findings: appendix C" in page_text
+    listed = page_text.partition('id="findings"')[2].partition("</details>")[0]
+    assert listed.count('class="mark') == len(content.findings)
+
+
+@pytest.mark.parametrize(
+    ("n", "words"), [(1, []), (5, ["n: trials that passed this pressure; one trial passes several"])]
+)
+def test_trials_that_count_in_several_rows_are_explained(n, words):
+    made = samples.contraction()
+    made = replace(
+        made, estimates=tuple(replace(e, n=n if e.at.get("pressure", 1e6) < 210e3 else 0) for e in made.estimates)
+    )
+    notes = content_of([made], [samples.run("contraction-relaxation")]).sheet.table.notes
+    assert [note for note in notes if note.startswith("n:")] == words
+
+
 def test_reasons_are_counted_without_their_numbers():
     loads = [Dropped("r/1", {}, f"the load, {n} N, is not below F_ce = {n - 0.5} N") for n in (157, 255.1, 353)]
     still = [Dropped("r/9", {}, "too little motion: 0.451 mm with F_ce - F_L = 10 N")]

@@ -12,7 +12,7 @@ import pypdf
 import pytest
 
 from pmabench.base.errors import UsageError
-from pmabench.report.document.content import content_of
+from pmabench.report.document.content import content_of, page_of
 from pmabench.report.document.deviations import Said
 from pmabench.report.document.figure_files import write_figures
 from pmabench.report.document.pdf import packed, pdf_bytes, write_pdf
@@ -85,6 +85,14 @@ def test_the_pdf_says_what_the_page_says(content, pdf):
     assert len(pdf) < 600_000
 
 
+def test_appendices_have_the_names_of_the_page(content, pdf):
+    page = page_of(content)
+    named = re.findall(r"<summary id=.*?><b>(\w)</b> ([^<\n]*\w)", page)
+    outline = pypdf.PdfReader(io.BytesIO(pdf)).outline
+    assert [entry.title.split(" ", 1) for entry in outline if not isinstance(entry, list)] == [[*one] for one in named]
+    assert len(named) >= 8
+
+
 def _object(reader, number):
     """An object as text, its references without the reader, and the data of a stream."""
     found = reader.get_object(pypdf.generic.IndirectObject(number, 0, reader))
@@ -135,6 +143,8 @@ def test_the_workbook_holds_numbers_with_their_units(content, tmp_path):
     rows = [dict(zip(heads, (c.value for c in row), strict=True)) for row in sheet.iter_rows(min_row=5)]
     row = next(row for row in rows if row["method"] == "measured-pressure" and row["P [kPa]"] == 400)
     assert row["K [N/mm]"] == pytest.approx(K.value / 1e3)
+    column = sheet[sheet.cell(4, heads.index("K [N/mm]") + 1).column_letter]
+    assert {cell.number_format for cell in column[4:] if isinstance(cell.value, float)} == {"0.0000"}, "five digits"
     budget = [[cell.value for cell in row] for row in book["Budgets"].iter_rows(min_row=4)]
     assert dict(zip(*budget[:2], strict=True))["half width 95 %"] == pytest.approx(line.half / 1e3)
     assert dict(zip(*budget[:2], strict=True))["share"] == pytest.approx(1.0)

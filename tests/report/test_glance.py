@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from pmabench.report.foremost import Verdict, glance, verdict_of
-from pmabench.store.analyses.results import Dropped, Finding
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Dropped, Finding
 from tests.report.samples import all_analyses, contraction, sine, static_load, ultimate_gain
 from tests.report.test_html import damaged
 
@@ -64,6 +64,10 @@ def test_the_costliest_findings_come_first_and_the_rest_is_counted():
     assert len(shown) == 3
     assert "   4 more findings: -v, or the report" in lines
     assert lines[1].startswith("NOT ACCEPTED")
+    agreement = Analysis(AGREEMENT, (), simulated=True, findings=(Finding("note", "they agree"),))
+    assert "   5 more findings: -v, or the report" in glance([bad, agreement], GOOD, ["K is too wide"]), (
+        "as in appendix C"
+    )
     alone = glance([replace(made, findings=(), dropped=dropped)], GOOD, ())
     assert "!  5 trials not used: too little motion (5)" in alone
 

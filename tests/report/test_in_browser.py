@@ -41,6 +41,12 @@ def sharp():
     return [replace(made, estimates=tuple(estimates))]
 
 
+def long_serial():
+    specimen = {"make": "Festo", "type": "MAS-20", "serial": f"SN-{'0123456789' * 14}", "nominal_length": 0.25,
+                "inner_diameter": 0.02}  # fmt: skip
+    return [samples.run("contraction-relaxation", specimen=specimen)]
+
+
 REPORTS = {
     "narrow intervals": (sharp, lambda: [samples.run("contraction-relaxation")]),
     "many pressures": (fine, lambda: [samples.run("contraction-relaxation")]),
@@ -50,6 +56,7 @@ REPORTS = {
     "ultimate gain": (lambda: [samples.ultimate_gain()], lambda: [samples.run("ultimate-gain")]),
     "withheld": (lambda: [withheld()], lambda: [samples.run("contraction-relaxation")]),
     "a foreign kind": (lambda: [echo()], lambda: []),
+    "a long serial number": (fine, long_serial),
     "nothing": (lambda: [], lambda: []),
     "hostile": (hostile_analyses, hostile_runs),
 }
@@ -111,6 +118,28 @@ def test_appendices_that_are_open_are_printed(browser, tmp_path):
     printed = sheets(page, tmp_path / "p.pdf")
     assert len(printed.pages) > 3
     assert any("Checklist" in sheet.extract_text() for sheet in printed.pages[3:])
+    page.close()
+
+
+ASTRAY = """[...document.querySelectorAll('.appendix table')].flatMap(table => {
+  const row = [...table.querySelectorAll('tbody tr')].find(row => row.cells[0].scope !== 'rowgroup');
+  let at = 0;
+  return [...table.tHead.rows[0].cells].flatMap(head => {
+    const below = [];
+    for (let wide = 0; wide < head.colSpan; wide += row.cells[at++].colSpan) below.push(row.cells[at].getBoundingClientRect());
+    const {left, right} = head.getBoundingClientRect();
+    const off = Math.abs(left - below[0].left) + Math.abs(right - below.at(-1).right);
+    return off > 1 ? [head.innerText] : [];
+  });
+})"""
+
+
+@pytest.mark.parametrize("width", [680, 1000])
+def test_every_head_is_above_its_column(browser, pages, width):
+    page = browser.open(pages("all four tests"), width=width)
+    page.run("document.querySelectorAll('details').forEach(part => part.open = true)")
+    assert page.run("document.querySelectorAll('.appendix th.pair').length") > 10
+    assert page.run(ASTRAY) == []
     page.close()
 
 

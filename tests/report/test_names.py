@@ -20,6 +20,7 @@ from pmabench.store.analyses.folder import read_analysis, write_analysis
 from pmabench.store.analyses.results import Analysis, Estimate, Parts, withhold
 
 from . import samples
+from .samples import render
 
 SPEED = Result("c", "speed of sound", "speed", headline=True)
 QUIET = Result("q", "noise of the hiss", "pressure")
@@ -111,6 +112,21 @@ def test_what_is_withheld_is_on_the_terminal_with_its_reason():
     assert "F_c: withheld: the fit leaves 3.1 times the noise" in out
 
 
+def test_a_refusal_and_a_long_serial_number_are_printed_whole():
+    made = replace(samples.contraction(), refusals=("K at 200 kPa: interval +-12 %, accepted +-2 %",))
+    specimen = {
+        "make": "Festo",
+        "type": "MAS-20",
+        "serial": f"SN-{'0123456789' * 9}",
+        "nominal_length": 0.25,
+        "inner_diameter": 0.02,
+    }
+    text = render([made], [samples.run("contraction-relaxation", specimen=specimen)])
+    assert "interval ±12 %, accepted ±2 %" in text.partition("Appendices")[0]
+    assert "+-" not in text.partition("<script")[0]
+    assert "nominal length 250 mm, inner diameter 20 mm</p>" in text
+
+
 def test_what_is_withheld_is_on_the_first_page():
     run = samples.run("contraction-relaxation")
     content = content_of([withheld()], [run])
@@ -160,3 +176,17 @@ def test_what_is_no_finite_number_is_no_value(value):
 def test_the_difference_of_two_tests_is_no_key_number():
     difference = replace(estimate("F", 0.015, "N", "force", {"pressure": 3e5}), coordinate="difference")
     assert tiles_of([Analysis("agreement", ("a", "b"), True, (difference,))]) == []
+
+
+def test_a_muscle_that_was_not_named_is_called_so():
+    """Maps of old files say `unknown`: the certificate said "unknown", "serial unknown," and ISO 17025 was content."""
+    bare = samples.run("contraction-relaxation", specimen={"type": "unknown", "serial": "unknown"})
+    content = content_of([samples.contraction()], [bare])
+    assert (content.sheet.item, content.sheet.about) == (
+        "Muscle of unknown type",
+        "type and serial number are not recorded",
+    )
+    assert content.title == "Characterisation of a pneumatic muscle"
+    assert [item.there for item in content.checklist if item.asked == "the item, unmistakably"] == [False]
+    half = samples.run("contraction-relaxation", specimen={"type": "unknown", "serial": "A017"})
+    assert content_of([samples.contraction()], [half]).sheet.item == "A017"

@@ -259,3 +259,15 @@ def test_names_of_a_stranger_stay_text(tmp_path):
 
     author = Author.read('Doe", x: y, {Jane}\u2028; ')
     assert (author.family, author.given) == ('Doe"', "x: y, {Jane}")
+
+
+def test_runs_of_two_specimens_make_no_report(lab, tmp_path):
+    """The values of one would stand on the certificate of the other."""
+    write_run(tmp_path / "runs", 2)
+    (other,) = (tmp_path / "runs").iterdir()
+    for command in (("report", "-o", tmp_path / "r.html"), ("publish", "-o", tmp_path / "p", *AUTHORS, *FACTS)):
+        said = call(command[0], the_run(lab), other, *command[1:], code=2).output
+        assert "of one specimen, and these runs are of 2: MAS-20 A001; MAS-20 A002" in said
+        assert "compare" in said
+    assert not (tmp_path / "r.html").exists()
+    assert not (tmp_path / "p").exists()

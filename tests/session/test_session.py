@@ -212,6 +212,7 @@ def test_a_skipped_warm_up_is_recorded_with_its_reason(tmp_path):
     assert "it is warm from the morning" in " ".join(run.manifest["deviations"])
     assert not events(run, "warm-up")
     assert events(run, "zeros")
+    assert ready.in_session["shortened"] == [], "what is skipped is not shortened as well"
 
 
 def test_the_warm_up_cycles_as_long_as_it_says(tmp_path):
@@ -256,6 +257,25 @@ def test_the_force_of_a_load_at_rest_is_held_against_its_weight(tmp_path, factor
         assert "load cell" in outcome.why
 
 
+@pytest.mark.parametrize(
+    ("channel", "error", "said"),
+    [
+        ("force", {"factor": -1.0}, "the load cell reads -50.00 N"),
+        ("force", {"factor": 0.102}, "the load cell reads 6.00 N"),
+        ("displacement", {"factor": -1.0}, "under pressure the displacement falls by"),
+    ],
+)
+def test_a_channel_of_another_sign_or_unit_ends_the_run_without_a_session(channel, error, said):
+    """Though the bench only warns of a load that is a little off; the contraction trip would never come."""
+    bench = mounted("mock", errors={channel: error})
+    put = Ask("load", "Put hanger 1.1 kg + 1 x 4.9 kg = 6 kg on.", "vented", (58.86, 8.0))
+    steps = plan(put, Record("t", True, 0), Set("c", "pressure", 3e5), Hold("c", 5.0), Record("t", False, 0))
+    outcome = run_plan(steps, bench, ConfirmedBeforehand(), out=None)
+    assert outcome.exit_code == 6
+    assert outcome.vent.confirmed
+    assert said in outcome.why
+
+
 def test_a_load_on_its_support_is_not_judged(tmp_path):
     """At 100 kPa the muscle pulls with 59 N less its friction of 10 N: 6 kg stay on the support."""
     steps = one_trial(Set("c", "pressure", 1e5), Hold("c", 5.0))
@@ -265,4 +285,6 @@ def test_a_load_on_its_support_is_not_judged(tmp_path):
 
 def test_errors_of_the_session_are_sentences(tmp_path):
     assert issubclass(SessionFailed, PmaError)
-    assert "recorded in" in str(failing(tmp_path, supply=5e5))
+    said = str(failing(tmp_path, supply=5e5))
+    assert "recorded in" in said
+    assert "vent confirmed; the same command begins with a session again" in said

@@ -8,7 +8,7 @@
 - sessions that do not fit one muscle: `days`
 - where asked for: chosen forms over pressure in `joint`; output error in `output_error`
 - by paper 1: `paper1`, made of `paper1_steps`
-- further trials: what they would add in `predicted`, what is known so far in `known`, the choice in `next_trial`
+- further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`
 """
 

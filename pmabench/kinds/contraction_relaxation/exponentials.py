@@ -1,7 +1,7 @@
-"""The step-exponential way of the papers: K, F_ce and B = K tau from exponentials; dead times and bandwidth.
+"""The papers' step-exponential method: K, F_ce and B = K tau from exponentials; dead times and bandwidth.
 
-It takes the pressure for a step, which biases B where the regulator is slow; kept for comparison. Knows trials and what
-the primary method found; computes no interval of the latter.
+It assumes a pressure step, which biases B where the regulator is slow; kept for comparison. Uses the trials and the
+primary method's results, and does not change the latter.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Exponential:
     """From the command [s]."""
     tau: float
     rms: float
-    """Of the misfit [m]."""
+    """Rms residual [m]."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def exponential(t: Array, x: Array, start: float) -> Exponential | None:
 
 
 def steps_of(samples: Samples, trial: TrialData, lift: float) -> list[Step]:
-    """Contraction and relaxation steps of a trial, as far as they move and end off the support."""
+    """Fits to the contraction and relaxation steps of a trial that move and end off the support."""
     result = []
     commands = [c for c in trial.commands if c.output == "pressure" and c.phase in ("contract", "relax", "vent")]
     ends = [*(c.t for c in commands[1:]), float(samples.t[-1]) + 1e-9]
@@ -175,7 +175,7 @@ SINGLE = "no repeats part: too few points for scatter about their line"
 
 @dataclass(frozen=True)
 class _Raw:
-    """An estimate, and its change per relative change and per offset of the channels but the pressure."""
+    """An estimate, and its derivative by the relative gain and the offset of each channel except pressure."""
 
     estimate: Estimate
     gains: Mapping[str, float]
@@ -196,7 +196,7 @@ def compare(
     reference = {key: e for key, e in at_each.items() if e.value is not None}
 
     def force_at(P: float) -> tuple[float, float] | None:
-        """F_ce from elsewhere [N], and what is open of it without its calibration."""
+        """F_ce from elsewhere [N], and the half width of its interval without the calibration part."""
         known = options.get("static")
         if known:
             return float(known["intercept"]) + float(known["slope"]) * P, 0.0
@@ -246,7 +246,7 @@ def compare(
 def _at(
     campaign: Campaign, P: float, steps: Sequence[Step], options: Mapping[str, Any], known: tuple[float, float] | None
 ) -> list[_Raw]:
-    """All of the papers' coefficients at one pressure [Pa]; `known`: F_ce from elsewhere, with what is open [N]."""
+    """The papers' coefficients at one pressure [Pa]; `known`: F_ce from elsewhere and its half width [N]."""
     contract, relax = ([step for step in steps if step.phase == phase] for phase in ("contract", "relax"))
     loads, x = np.array([(step.load, step.fit.end) for step in contract]).reshape(-1, 2).T
     regression = regress(loads, x)
@@ -297,8 +297,8 @@ def _at(
 def _calibrated(raw: Sequence[_Raw], scales: Scales) -> list[Estimate]:
     """The estimates with their calibration part; the weights are taken as exact.
 
-    The pressure counts by the slope of the coefficient over the pressures tested: it is given for a pressure that is
-    off by an offset o and a gain g, and so off itself by (o + g P) times that slope.
+    Pressure enters through the slope of the coefficient over the tested pressures: an estimate is given for a pressure
+    P that may be off by o + g P, with offset o and gain g.
     """
     result = []
     for one in raw:
@@ -317,7 +317,9 @@ def _calibrated(raw: Sequence[_Raw], scales: Scales) -> list[Estimate]:
 
 
 def _weighed(e: Estimate, found: Mapping[tuple[str, float], Estimate], seen: Collection[str]) -> Estimate:
-    """The estimate with what the weights would change it by if they were wrong and not the cell, as `found` says."""
+    """The estimate with its change if the weights were wrong and not the cell, as the primary estimates `found` have
+    it.
+    """
     known = found.get((e.symbol, e.at["pressure"]))
     open_by = sum(line.half or 0.0 for line in known.budget if line.name in seen) if known is not None else 0.0
     if not open_by:
@@ -326,7 +328,7 @@ def _weighed(e: Estimate, found: Mapping[tuple[str, float], Estimate], seen: Col
 
 
 def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], Estimate]) -> Estimate:
-    """The estimate with its distance to the primary method as bias, not taken off, and as method part."""
+    """The estimate with its difference to the primary method as bias, not subtracted, and as method part."""
     if estimate.symbol not in SYMBOLS:
         return estimate
     known = reference.get((estimate.symbol, estimate.at["pressure"]))
@@ -340,7 +342,7 @@ def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], Estimat
 
 
 def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
-    """How far the papers' way lies from the primary method."""
+    """Differences between the papers' method and the primary one."""
     mine = [e for e in estimates if e.method == METHOD]
     parts = biases(mine, ("B_c", "B_r", "K"))
     forces = [e.bias for e in mine if e.symbol == "F_ce" and e.bias is not None]

@@ -48,8 +48,8 @@ LONGEST = 230
 SHORT = {
     "repeat_spread": "repeats scatter by",
     "drift": "first to last trial changes by",
-    "held_out": "loads left out are missed by",
-    "other_direction": "relaxing by values of contracting, missed by",
+    "held_out": "loads predicted by a fit to the others, error",
+    "other_direction": "relaxation predicted from contraction, error",
     "first_repeat": "first repeat differs by",
     "free_run": "free run, NRMSE",
 }
@@ -91,10 +91,10 @@ def checks(analysis: Analysis) -> list[tuple[str, str, str]]:
     ]
 
 
-def findings(tests: Sequence[Analysis], failed: Sequence[str]) -> tuple[list[str], int]:
-    """What costs most, at most three, and how many more findings the appendix has."""
-    found, more = costliest(tests, failed)
-    return [f"{text[:1].upper()}{text[1:]}" for text in (brief(text, LONGEST) for text in found)], more
+def findings(tests: Sequence[Analysis], failed: Sequence[str]) -> list[str]:
+    """What costs most, at most three."""
+    found, _ = costliest(tests, failed)
+    return [f"{text[:1].upper()}{text[1:]}" for text in (brief(printed(text), LONGEST) for text in found)]
 
 
 COLORS = {"repeats": BLUE, "calibration": BROWN, "method": GREEN, "drift": QUIET, "skew": DARK}

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from pmabench.plotting.pictures import Picture, drawable
-from pmabench.plotting.wording import brief, clean, number
+from pmabench.plotting.wording import brief, clean, number, printed, spoken
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.coefficient_charts import coefficient_picture, surface_picture
 from pmabench.report.certificate.force_chart import force_picture, stroke_picture
@@ -37,7 +37,7 @@ INTERVALS = (
     "U is the half width of the 95 % interval: scatter between trials, what the estimator adds and calibrations, added "
     "as squares."
 )
-FORMULA = re.compile(r": ([^:;.]{5,90}? = [^,;:.]{2,60})")
+FORMULA = re.compile(r": ([^:;.]{1,90}? = [^,;:.]{2,60})")
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,6 @@ class Sheet:
     statistics: list[tuple[str, str]]
     checks: list[tuple[str, str, str]]
     findings: list[str]
-    more: int
     method: str
     seals: list[tuple[str, str]]
     """Run, and the hash of its seal, shortened."""
@@ -84,13 +83,13 @@ def sheet_of(
     tests = [drawable(a) for a in analyses if a.kind != AGREEMENT]
     table, members, over = result_table(tests)
     main = _main(tests, members)
+    covered = coverage(main, runs) if main else None
+    table = replace(table, notes=[*table.notes, *_counted(members, over, covered)])
     less = ROW / 2 * max(0, len(table.rows) + len(table.notes) - USUAL)
     pictures, used = _pictures([*analyses, *published], members, over, less)
     tiles = [tile for tile in tiles_of(analyses) if tile.symbol not in table.symbols]
     item, about = _item(runs)
     title = kind_title(main.kind) if main else ""
-    covered = coverage(main, runs) if main else None
-    findings, more = quality.findings(tests, failed)
     return Sheet(
         item=item,
         about=about,
@@ -106,8 +105,7 @@ def sheet_of(
         sources=sources(members, over) if members else None,
         statistics=quality.statistics(main) if main else [],
         checks=quality.checks(main) if main else [],
-        findings=findings,
-        more=more,
+        findings=quality.findings(tests, failed),
         method=_method(main),
         seals=[
             (str(row["run"]), str(row["sha256 of seal.json"])[:16])
@@ -116,6 +114,15 @@ def sheet_of(
         ],
         used=used,
     )
+
+
+def _counted(members: Sequence[Estimate], over: str, covered: Coverage | None) -> list[str]:
+    """A note where a trial counts at several operating points, as a stroke does."""
+    n: dict[float, int] = {}
+    for e in members:
+        n[e.at[over]] = max(e.n, n.get(e.at[over], 0))
+    passed = f"n: trials that passed this {spoken(over)}; one trial passes several"
+    return [passed] if covered and sum(n.values()) > covered.used else []
 
 
 def _main(tests: Sequence[Analysis], members: Sequence[Estimate]) -> Analysis | None:
@@ -169,15 +176,19 @@ def _followed(analysis: Analysis) -> Analysis:
 
 
 def _item(runs: Sequence[RunData]) -> tuple[str, str]:
-    """What was tested: make and type; serial and size. Several specimens are counted."""
+    """What was tested: make and type; serial and size."""
     known = provenance.specimens(runs)
     if not known:
         return "Pneumatic muscle", ""
-    if len(known) > 1:
-        return f"{len(known)} specimens", "; ".join(name for name, _ in known[:4])
     name, about = known[0]
+    if name == provenance.UNNAMED:
+        return f"{name[:1].upper()}{name[1:]}", "type and serial number are not recorded"
     head, _, serial = name.partition(", serial ")
-    size = [part for part in about.split(", ") if not part.startswith(("mounted", "braid")) and "cycles" not in part]
+    size = [
+        part
+        for part in about.split(", ")
+        if part and not part.startswith(("mounted", "braid")) and "cycles" not in part
+    ]
     return head, ", ".join([f"serial {serial}"] * bool(serial) + size)
 
 
@@ -185,14 +196,15 @@ def _sentence(verdict: Verdict, main: Analysis | None, known: str, failed: Seque
     """How well, in what range, what was left out; first of all why not, where it is not good."""
     parts = []
     if verdict.level != "good":
-        why = brief(failed[0], 200) if failed else verdict.text.rstrip(".")
+        why = brief(printed(failed[0]), 200) if failed else verdict.text.rstrip(".")
         parts.append(f"{why[:1].upper()}{why[1:]}.".replace("….", "…"))
     if known:
         parts.append(f"{known} (95 % intervals).")
     elif verdict.level == "good":
         parts.append(verdict.text)
     if main is not None and main.dropped:
-        parts.append(f"{len(main.dropped)} trials are left out: {left_out(main.dropped)}.")
+        count = "1 trial is" if len(main.dropped) == 1 else f"{len(main.dropped)} trials are"
+        parts.append(f"{count} left out: {left_out(main.dropped)}.")
     text = " ".join(part.replace("..", ".") for part in parts)
     return text if known else f"{text[:1].upper()}{text[1:]}"
 
@@ -203,7 +215,8 @@ def _columns(tests: Sequence[Analysis], main: Analysis | None, runs: Sequence[Ru
     mounted = next((about for _, about in provenance.specimens(runs) if "mounted" in about), "")
     mounted = mounted[mounted.find("mounted") :].partition(" (")[0].partition(", ")[0]
     benches = [name for name, _ in provenance.benches(runs)]
-    conditions = [f"{benches[0]}{f' and {len(benches) - 1} more' if len(benches) > 1 else ''}" if benches else ""]
+    others = {0: "", 1: " and another bench"}.get(len(benches[1:]), f" and {len(benches[1:])} other benches")
+    conditions = [f"{benches[0]}{others}"] if benches else []
     rate = f"sampled at {number(rates[0])} Hz" if len(rates) == 1 else ""
     conditions += [", ".join(part for part in (mounted, rate) if part)]
     when, who = provenance.when(runs), provenance.operators(runs)
@@ -211,7 +224,7 @@ def _columns(tests: Sequence[Analysis], main: Analysis | None, runs: Sequence[Ru
     tested += [" by ".join(part for part in (when, who) if part)]
     model = described(main.estimates[0].method) if main and main.estimates else ""
     formula = FORMULA.search(model)
-    fitted = [formula[1].strip()] if formula else []
+    fitted = [formula[1].strip()] if formula and formula[1].count("(") == formula[1].count(")") else []
     fitted += [f"method: {clean(main.estimates[0].method, 60)}"] if main and main.estimates else []
     found = {"Tested": tested, "Conditions": conditions, "Traceable to": _traceable(runs), "Model": fitted}
     return [(head, kept) for head, lines in found.items() if (kept := [clean(line, 160) for line in lines if line])]

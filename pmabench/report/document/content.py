@@ -148,7 +148,7 @@ def content_of(
     sections += [_section(a, figures, sheet.used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
     about_runs = _about_runs(runs, names)
     when = about_runs["when"]
-    specimen = next((specimen for specimen, _ in about_runs["specimens"]), "")
+    specimen = next((name for name, _ in about_runs["specimens"] if name != provenance.UNNAMED), "")
     kinds = [kind_title(a.kind) for a in analyses if a.kind != AGREEMENT]
     name = wording.clean(title, 200) if title else f"Characterisation of {specimen or 'a pneumatic muscle'}"
     changed = [f"{', '.join(names.get(run, '?') for run in where)}: {text}" for where, text in who_changed(analyses)]
@@ -162,7 +162,7 @@ def content_of(
         mixed=any(simulated) and not all(simulated),
         tested=", ".join(title.lower() if n else title for n, title in enumerate(kinds)),
         verdict=verdict,
-        failed=failed,
+        failed=[printed(text) for text in failed],
         missing=[wording.clean(run, 200) for run in ids if run not in {r.id for r in runs}],
         sheet=sheet,
         front=front,

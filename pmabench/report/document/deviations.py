@@ -248,7 +248,7 @@ def checklist(
         ("7.8.2.1 a", "a title", True, "first page", ""),
         ("7.8.2.1 b, c", "the laboratory, its address, where it was tested", issuer.laboratory, issuer.laboratory,
          given("--laboratory")),
-        ("7.8.2.1 d", "an identification on every page", True, "the report's number is at the foot of each page", ""),
+        ("7.8.2.1 d", "an identification on every page", True, "the report's number, on each page", ""),
         ("7.8.2.1 e", "the customer", issuer.customer, issuer.customer, given("--customer")),
         ("7.8.2.1 f", "the method", of_all("source", "protocol"), "Protocol, Methods",
          "name the source in the protocol"),

@@ -144,7 +144,7 @@ class _Data:
             "bars": [{**vars(bar), "symbol": symbol_parts(bar.symbol)} for bar in s.sources.bars],
         }
         return {
-            **{name: getattr(s, name) for name in ("item", "table_title", "checks", "more", "seals")},
+            **{name: getattr(s, name) for name in ("item", "table_title", "checks", "seals")},
             **{name: self.pairs(getattr(s, name)) for name in ("also", "limits", "statistics")},
             "about": s.about or self.content.title,
             "sentence": symbol_parts(s.sentence),

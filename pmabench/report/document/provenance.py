@@ -22,6 +22,8 @@ from pmabench.store.records import RunData
 
 LISTED = 8
 """Values of a swept coordinate that are listed; of more, the ends and the count are."""
+UNNAMED = "muscle of unknown type"
+"""A specimen whose record has no type, or says `unknown`, as maps of old files do."""
 LONGEST_SEAL = 10_000_000
 SPECIMEN = {"nominal_length": "length", "inner_diameter": "length", "braid_angle": "angle", "mass": "mass"}
 
@@ -57,10 +59,11 @@ def specimens(runs: Sequence[RunData]) -> list[tuple[str, str]]:
     for run in runs:
         specimen = run.manifest.get("specimen")
         if isinstance(specimen, Mapping):
-            name = " ".join(text_of(specimen.get(key)) for key in ("make", "type") if specimen.get(key))
-            serial = text_of(specimen.get("serial"))
-            name = f"{name}, serial {serial}" if serial and name else name or serial
-            found.setdefault(name or "not named", _specimen(specimen))
+            make, kind, serial = (text_of(specimen.get(key)) for key in ("make", "type", "serial"))
+            named = [text for text in (make, kind) if text and text.casefold() != "unknown"]
+            serial = "" if serial.casefold() == "unknown" else serial
+            name = " ".join(named) + f", serial {serial}" * bool(serial and named)
+            found.setdefault(name or serial or UNNAMED, _specimen(specimen))
         elif specimen:
             found.setdefault(text_of(specimen), "")
     return list(found.items())

@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from io import BytesIO
+from math import floor, log10
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -32,6 +33,8 @@ ROW = 1_500
 """Letters of a row of the summary, about."""
 COUNTED = 5_000
 """Letters of a text whose lines are counted."""
+DIGITS = 5
+"""Significant digits that are shown of a number; its cell holds all."""
 LONGEST = 32_000
 """Letters of a cell; a spreadsheet takes 32,767."""
 NAME = 31
@@ -82,14 +85,13 @@ def workbook_bytes(content: Content, analyses: Sequence[Analysis]) -> bytes:
 def _summary(content: Content) -> list[tuple[str, str]]:
     lines = [("Report", content.title), ("Verdict", f"{content.verdict.word}: {content.verdict.text}")]
     lines += [("Not accepted", text) for text in content.failed]
+    lines += [(f"{t.symbol}, {t.name}", f"{t.value} {t.unit} ({t.where})") for t in content.tiles]
     lines += [("Specimen", f"{name} ({about})" if about else name) for name, about in content.specimens]
     lines += [("Bench", f"{name} ({about})" if about else name) for name, about in content.benches]
     who = content.issuer
     lines += [("Tested", content.tested), ("When", content.when), ("Operator", content.operators)]
     lines += [("Laboratory", who.laboratory), ("Customer", who.customer), ("Authorised by", who.authorised_by)]
     lines += [("Issued", who.issued), ("Record", content.statuses)]
-    for tile in content.tiles:
-        lines.append((f"{tile.symbol}, {tile.name}", f"{tile.value} {tile.unit} ({tile.where})"))
     lines += [("Methods" if n == 0 else "Methods, continued", part) for n, part in enumerate(_rows(content.paragraph))]
     lines.append(("Citation", content.cite[0]))
     lines += [("Evaluated with", f"pmabench {content.version}; report {content.report_id}")]
@@ -134,6 +136,7 @@ class _Sheets:
     def __init__(self, book: Any, content: Content) -> None:
         self.book, self.content = book, content
         self.names: set[str] = set()
+        self.numbers: dict[str, Any] = {}
         self.title = book.add_format({"bold": True, "font_size": 13})
         self.mark = book.add_format({"bold": True, "font_color": "#a14a00"})
         self.head = book.add_format({"bold": True, "bottom": 1, "text_wrap": True, "valign": "bottom"})
@@ -197,9 +200,20 @@ class _Sheets:
             sheet.write_boolean(line, column, value)
         elif isinstance(value, int | float):
             if value == value and abs(value) < 1e300:
-                sheet.write_number(line, column, value)
+                sheet.write_number(line, column, value, self._rounded(value))
         else:
             sheet.write_string(line, column, inert(clean(value, LONGEST)), self.text)
+
+    def _rounded(self, value: float) -> Any:
+        """Format that shows a number with `DIGITS` significant digits; the cell holds all of them."""
+        if value == round(value):
+            return None
+        size = floor(log10(abs(value)))
+        plain = -DIGITS < size < DIGITS + 4
+        shown_as = f"0.{'0' * max(0, DIGITS - 1 - size)}".rstrip(".") if plain else f"0.{'0' * (DIGITS - 1)}E+00"
+        if shown_as not in self.numbers:
+            self.numbers[shown_as] = self.book.add_format({"num_format": shown_as})
+        return self.numbers[shown_as]
 
     def grid(self, name: str, grid: Grid) -> None:
         """A table of a page, as text."""

@@ -43,14 +43,19 @@ FEWEST = 3
 CURVE_POINTS = 60
 
 
-def over_pressure(analyses: Sequence[Analysis], results: Mapping[str, Result] | None = None) -> list[Picture]:
-    """K, damping and F_ce over pressure, of all tests and methods together; `results`: where others declare them."""
+def over_pressure(
+    analyses: Sequence[Analysis], results: Mapping[str, Result] | None = None, sides: Sequence[str] = ()
+) -> list[Picture]:
+    """K, damping and F_ce over pressure, of all tests and methods together; `results`: where others declare them.
+
+    `sides`: two methods that are compared; the second is drawn open and a little aside.
+    """
     results = declared(analyses) if results is None else results
     found = []
     every = [(a, e) for a in analyses for e in a.estimates if "pressure" in e.at and set(e.at) <= OVER_PRESSURE]
     for symbols in TOGETHER:
         members = [(a, e) for a, e in every if e.symbol in symbols and not e.coordinate]
-        found.append(_figure(symbols, results, "pressure", _without_variants(members)))
+        found.append(_figure(symbols, results, "pressure", _without_variants(members), sides))
     return [drawn for drawn in found if drawn is not None]
 
 
@@ -92,9 +97,13 @@ def _varying(estimates: Sequence[Estimate]) -> str | None:
 
 
 def _figure(
-    symbols: Sequence[str], results: Mapping[str, Result], over: str, members: Sequence[tuple[Analysis, Estimate]]
+    symbols: Sequence[str],
+    results: Mapping[str, Result],
+    over: str,
+    members: Sequence[tuple[Analysis, Estimate]],
+    sides: Sequence[str] = (),
 ) -> Picture | None:
-    """One plot; None where fewer than two values can be drawn."""
+    """One plot, `sides` as in `over_pressure`; None where fewer than two values can be drawn."""
     known = [e for _, e in members if e.value is not None]
     units = {shown(e.quantity, e.unit) for e in known}
     if len(known) < 2 or len({e.at[over] for e in known}) < 2 or len(units) != 1:
@@ -102,7 +111,7 @@ def _figure(
     if all(abs(e.value or 0.0) < least(e) * shown(e.quantity, e.unit).scale for e in known):
         return None
     unit, (x_label, x_unit) = _sized(units.pop(), known), point_shown(over)
-    points = _points(members, over, unit, x_unit)
+    points = _points(members, over, unit, x_unit, sides)
     titled = {e.symbol: results.get(e.symbol) for e in known}
     names = listed([clean(f"{result.title if result else ''} {s}".strip()) for s, result in titled.items()])
     y_label = unit.label(", ".join(clean(s) for s in in_order(titled, results)))
@@ -120,7 +129,7 @@ def _figure(
     return picture(
         lambda: plots.coefficients(points, x_unit.label(x_label), y_label),
         title,
-        _caption(points, members, over),
+        _caption(points, members, over, sides),
         alt,
         table_of([e for _, e in members], over),
         wide=False,
@@ -128,7 +137,9 @@ def _figure(
     )
 
 
-def _points(members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown, x_unit: Shown) -> list[Points]:
+def _points(
+    members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown, x_unit: Shown, sides: Sequence[str]
+) -> list[Points]:
     """Series to draw: at most `MOST_SERIES` series of symbol and method, then the published ones."""
     series: dict[tuple[str, str, str], list[tuple[Analysis, Estimate]]] = {}
     for analysis, e in members:
@@ -137,7 +148,7 @@ def _points(members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown
     variants = list(dict.fromkeys(key[:2] for key in series))
     methods = list(dict.fromkeys(key[2] for key in series))
     several = len(variants) > 1
-    first = {a.estimates[0].method for a, _ in members if a.kind != PUBLISHED}
+    first = {*sides[:1]} or {a.estimates[0].method for a, _ in members if a.kind != PUBLISHED}
     keys = sorted(series, key=lambda key: (variants.index(key[:2]), methods.index(key[2])))
     theirs = [key for key in keys if series[key][0][0].kind == PUBLISHED]
     points: list[Points] = []
@@ -165,11 +176,15 @@ def _points(members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown
     return points
 
 
-def _caption(points: Sequence[Points], members: Sequence[tuple[Analysis, Estimate]], over: str) -> str:
+def _caption(
+    points: Sequence[Points], members: Sequence[tuple[Analysis, Estimate]], over: str, sides: Sequence[str]
+) -> str:
     """Caption: what marks and bars mean, the source of published values, and what is missing."""
     caption = "95 % intervals" if any(np.isfinite(p.above).any() for p in points) else "Values without intervals"
     mixed = not all(p.primary or p.published for p in points)
-    caption += "; filled: primary method of each test, open: others." if mixed else "."
+    filled, hollow = map(clean, sides) if sides else ("primary method of each test", "others")
+    aside = ", a little aside" if sides else ""
+    caption += f"; filled: {filled}, open: {hollow}{aside}." if mixed else "."
     theirs = [clean(e.method, 60) for a, e in members if a.kind == PUBLISHED and e.value is not None]
     if theirs:
         caption += f" Crosses: {listed(list(dict.fromkeys(theirs)))}, not measured here."

@@ -64,12 +64,14 @@ def front_pictures(
             if not traces or len(found) >= most or (without and wanted == "overlay"):
                 continue
             hero = max(traces, key=_stroke)
-            pictures = load(target)([hero], analysis)
+            pictures = load(target)(traces if len(traces) == 2 and wanted != "overlay" else [hero], analysis)
             found += pictures[:1]
             used += [hero.name] if pictures and wanted == "overlay" and len(traces) > 2 else []
     titles = {picture.title for picture in found}
     for analysis in analyses if len(found) < most else ():
-        found += [one for one in kind_pictures(analysis, [*without, *used]) if one.title not in titles]
+        more = kind_pictures(analysis, [*without, *used])
+        # a picture of all contractions would repeat that of one: `Force over pressure, x = 0 mm`
+        found += [one for one in more if not any(title.startswith(one.title) for title in titles)]
     return found[:most], used
 
 

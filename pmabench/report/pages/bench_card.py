@@ -47,7 +47,8 @@ def _height(card: Mapping[str, Any], width: float) -> float:
     head = 3.3
     facts = sum(1.44 * lines(value, 0.42) for _, value in card["facts"])
     top = max(facts, 1.2 + 2.7 * lines(card["name"], 0.38, 2.35))
-    emergency = 7.6 + 1.6 * lines(f"From any terminal: {card['emergency']}", 0.72, 1.25)
+    emergency = 6.2 + 1.4 * lines(f"pmabench is not a safety function. {card['protection']}", 0.72)
+    emergency += 3.2 * bool(card["unconfirmed"]) + 1.6 * lines(f"From any terminal: {card['emergency']}", 0.72, 1.25)
     vent = sum(0.7 + 1.34 * lines(text, 0.36) for text, _ in card["vent"])
     vent += 0.8 + 1.34 * (lines("an action that fails stops none of the others. " + card["stop"], 0.46))
     vent += 1.34 * lines(card["proof"], 0.46) + head + table(card["interlocks"] or [["none"]], 0.46)

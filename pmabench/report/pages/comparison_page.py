@@ -48,7 +48,7 @@ def write_comparison(
     """Write the page; raises RecordError where it cannot be."""
     simulated = a.simulated or b.simulated
     sides = [_drawn(side, found.differences, which) for which, side in (("a", a), ("b", b))]
-    drawn = over_pressure(sides, declared([*a.analyses, *b.analyses]))
+    drawn = over_pressure(sides, declared([*a.analyses, *b.analyses]), [_named(side) for side in (a, b)])
     scores = _scores(found.differences, simulated=simulated)
     heads, rows = rows_of(a, b, found.differences)
     curve_heads, curve_table = curve_rows(curves)
@@ -70,9 +70,14 @@ def write_comparison(
     )
 
 
+def _named(side: Side) -> str:
+    """The side in a legend, where a letter alone would be taken for a symbol."""
+    return side.name if len(side.name) > 1 else f"side {side.name}"
+
+
 def _drawn(side: Side, differences: Sequence[Difference], which: str) -> Analysis:
     """The compared values of a side as an analysis, whose method is the name of the side."""
-    estimates = [replace(getattr(d, which), method=side.name, coordinate=d.a.coordinate) for d in differences]
+    estimates = [replace(getattr(d, which), method=_named(side), coordinate=d.a.coordinate) for d in differences]
     kind = PUBLISHED if side.published else "comparison"
     return drawable(Analysis(kind, (), simulated=side.simulated, estimates=tuple(estimates)))
 
@@ -156,18 +161,23 @@ def curve_rows(curves: Sequence[Comparison]) -> Rows:
 
 NAME = "changes"
 SCHEMA = "pmabench.changes/1"
-HEADS = ("kind", "coefficient", "at", "unit", "as recorded", "as reduced here", "difference", "%", "method")
+HEADS = ("coefficient", "at", "unit", "as recorded", "as reduced here", "difference", "%")
 
 
 def print_changes(changes: Sequence[Change], console: Console) -> None:
-    """A row for each coefficient, as in the report; the half width of the difference is that of the calibrations."""
+    """A table for each kind and method; the half width of the difference is that of the calibrations."""
+    from rich.text import Text
+
     rows = []
     for change in changes:
         sides = (("as recorded", change.before), ("as reduced here", change.after))
         known = [(head, e, shown(e.quantity, e.unit)) for head, e in sides if e is not None and e.value is not None]
         values = {head: unit.rounded(e.value, e.parts.combined) for head, e, unit in known}
         rows += [{"kind": change.kind, **row, **values} for row in change_rows([change.to_dict()])]
-    print_grid(console, HEADS, Frame(rows, HEADS).cells(), ("kind", "coefficient", "at", "unit", "method"), keys=3)
+    for kind, method in dict.fromkeys((row["kind"], row["method"]) for row in rows):
+        console.print(Text(f"{kind}, {method}", style="italic"))
+        mine = [row for row in rows if (row["kind"], row["method"]) == (kind, method)]
+        print_grid(console, HEADS, Frame(mine, HEADS).cells(), ("coefficient", "at", "unit"), keys=2)
 
 
 def write_changes(

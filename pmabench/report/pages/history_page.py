@@ -142,18 +142,19 @@ MOST_COLUMNS = 8
 
 
 def run_rows(life: Sequence[Past]) -> Rows:
-    """A row for each run: when, what, cycles before it and in it, time at pressure."""
-    heads = ["date", "kind", "status", "cycles before", "cycles", "strokes", "at pressure", "highest [kPa]"]
-    return heads, [
+    """A row for each run: when, what, cycles before it and in it, time at pressure; strokes where a drive made any."""
+    driven = any(past.use.strokes for past in life)
+    heads = ["date", "kind", "status", "cycles before", "cycles", "at pressure", "highest [kPa]"]
+    return heads + ["driven strokes"] * driven, [
         [
             clean(past.date, 40)[:16].replace("T", " "),
             kind_title(past.kind),
             clean(past.status, 40),
             f"{past.before:,}",
             f"{past.use.cycles:,}",
-            f"{past.use.strokes:,.6g}",
             in_words(past.use.at_pressure),
             f"{past.use.highest / 1e3:.4g}",
+            *[f"{past.use.strokes:,.6g}"] * driven,
         ]
         for past in life
     ]

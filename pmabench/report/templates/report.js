@@ -276,6 +276,7 @@
     });
     var methods = new Set();
     entry.charts.forEach(function (c) { c.series.forEach(function (s) { if (s.method) methods.add(s.method); }); });
+    if (methods.size) element("span", "", bar).textContent = "Other methods on the same data:";
     methods.forEach(function (method) {
       var button = element("button", "", bar);
       button.type = "button"; button.setAttribute("aria-pressed", "false");

@@ -226,9 +226,22 @@ def test_set_points_that_are_ignored_are_noticed(rig):
         device.write("pressure", 150.0)
     behind(emulator).source = "S"
     device.write("pressure", 150.0)
-    behind(emulator).source = "A"
-    with pytest.raises(DeviceError, match="holds 150"):
+
+
+@pytest.mark.parametrize("source", ["A", "U"])
+def test_a_vent_takes_the_set_point_back_from_the_panel(tmp_path, source):
+    """Without a dump valve nothing else empties the muscle. Over Modbus it is the exhaust that empties it."""
+    with emulated(controller(tmp_path / "c")) as (emulator, [record]), opened(record) as device:
+        device.write("pressure", 150.0)
+        behind(emulator).source = source
         device.write("pressure", 0.0)
+        assert behind(emulator).source == "S"
+        assert device.read_back("pressure") == 0.0
+    with emulated(controller(tmp_path / "m", "modbus")) as (emulator, [record]), opened(record) as device:
+        device.write("pressure", 150.0)
+        behind(emulator).source = source
+        with pytest.raises(DeviceError, match="holds 150"):
+            device.write("pressure", 0.0)
 
 
 def test_another_unit_is_refused_when_opened(tmp_path):

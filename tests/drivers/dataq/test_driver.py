@@ -8,7 +8,7 @@ import pytest
 from pmabench.bench.interface import Device, SetPoint, Stream
 from tests.drivers.common import refused
 from tests.drivers.dataq.rigs import daq, rig
-from tests.drivers.ild1420.test_driver import failure
+from tests.drivers.ild1420.test_driver import failure, lose
 
 pytestmark = pytest.mark.realtime
 
@@ -39,6 +39,16 @@ def test_it_says_who_it_is_and_only_measures(bench):
     identity = driver.open()
     assert (identity.maker, identity.model) == ("DATAQ", "emulated unproven 2108")
     assert identity.simulated
+
+
+@pytest.mark.parametrize("number", range(16))
+def test_a_command_that_is_lost_is_sent_again(bench, number):
+    device, driver, _ = bench
+    heard = lose(device, number)
+    driver.open()
+    driver.start(500.0)
+    assert failure(driver, 0.1) is None
+    assert heard[number] == heard[number + 1]
 
 
 @pytest.mark.parametrize("model", ["DI-2108", "DI-4108", "DI-1110"])

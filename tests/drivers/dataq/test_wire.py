@@ -104,6 +104,28 @@ def test_lost_or_added_bytes_are_noticed_in_the_scan_where_they_are(case):
     assert all(row in values for row in found[at // 6 + 1 + number // 6 :])
 
 
+def test_an_input_that_is_switched_is_no_loss():
+    """A push-button on D0, D4 and both, which bounces; each scan of them is a measurement, in pieces of any size."""
+    chance = random.Random(3)
+    words = [HIGH] * 20 + [0x7E01, HIGH, 0x7E01, HIGH] + [0x7E01] * 20 + [0x6E01] * 5 + [HIGH] * 20
+    values = [(chance.choice([0, 9830, -5]), chance.randint(-32768, 32767)) for _ in words]
+    data = b"".join(struct.pack("<hhH", *row, word) for row, word in zip(values, words, strict=True))
+    for _ in range(50):
+        assert read(data, chance) == (values, False)
+
+
+@pytest.mark.parametrize("signal", [0x7E01, 0x6E01, 0x0003])
+def test_a_shifted_scan_is_a_loss_also_where_a_signal_looks_like_the_digital_inputs(signal):
+    """What stands in the place of the inputs for good is a value of `a0` or `a1` that they could have as well."""
+    values = [(signal, signal)] * 30
+    for number in (1, 2, 3, 4, 5, 7, 8, 10):
+        data = bytearray(stream(values))
+        del data[60 : 60 + number]
+        found, lost = read(bytes(data), random.Random(number))
+        assert lost
+        assert found == values[:10]
+
+
 def test_the_word_of_an_overrun_is_a_loss_and_no_scan():
     scans = Scans(7)  # of 16 bytes: the word alone fills none
     row = struct.pack("<7hH", *range(7), HIGH)

@@ -59,6 +59,38 @@ def test_it_says_who_it_is_and_only_measures(bench, tmp_path):
     assert identity.simulated
 
 
+def test_its_key_is_locked_where_it_can_be(bench):
+    """A press of it sets zero, which shifts the displacement by 45 mm."""
+    sensor, driver, _ = bench
+    assert sensor.locked
+    obeyed = sensor._carry_out
+    sensor._carry_out = lambda word, value: "E220 unknown command" if word == "KEYLOCK" else obeyed(word, value)
+    driver.open()
+
+
+def lose(device, number):
+    """The commands that a device gets from now on, of which it does not hear the one with this number."""
+    heard, obeyed = [], device.command
+
+    def command(line):
+        heard.append(line)
+        if len(heard) - 1 != number:
+            obeyed(line)
+
+    device.command = command
+    return heard
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_a_command_that_is_lost_is_sent_again(bench, number):
+    sensor, driver, _ = bench
+    heard = lose(sensor, number)
+    driver.open()
+    driver.start(1000.0)
+    assert failure(driver, 0.1) is None
+    assert heard[number] == heard[number + 1]
+
+
 def test_every_measurement_comes_once_at_the_sensors_own_pace(bench):
     _sensor, driver, _ = bench
     assert driver.start(100.0) == 1000.0
