@@ -44,7 +44,7 @@ BEFORE, AFTER = 0.1, 2.0
 """Fitted part of a step: from BEFORE the command to AFTER it [s]."""
 FALL = 6.0
 """A second lag is reported where the corrected Akaike criterion falls by more than this."""
-NAMES, SENSOR = ("dead time", "lag", "second lag"), "displacement sensor"
+NAMES, SENSOR = ("dead time", "lag", "second lag"), "displacement sensor or tube"
 IN_TIME = Late()
 BLURRED = 0.75
 """A second lag up to this share of a sample period is what sampling makes of steps, at any times between samples."""
@@ -176,8 +176,8 @@ def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
 def regulator(campaign: Campaign, late: Late = IN_TIME, sensor: Late = IN_TIME) -> tuple[list[Estimate], list[Finding]]:
     """Dead time and lags [s] at each tested pressure and over all of them, and how well they describe the steps.
 
-    The campaign is as of `gauge`, and its pressure `late`. A displacement `sensor` that is late is a line of its own:
-    a loop has it, too.
+    The campaign is as of `gauge`, and its pressure `late`. What comes after the gauge and is not of the muscle, a
+    displacement `sensor` that is late or a tube, is a line of its own: a loop has it, too.
     """
     found = responses(campaign, late)
     if not found:

@@ -183,7 +183,7 @@ class _Raw:
 
 
 def compare(
-    campaign: Campaign, gathered: tuple[Campaign, Late], pooled: Pooled, found: Sequence[Estimate],
+    campaign: Campaign, gathered: tuple[Campaign, Mapping[str, Late]], pooled: Pooled, found: Sequence[Estimate],
     options: Mapping[str, Any],
 ) -> Further:  # fmt: skip
     """The papers' estimates and the dead times; `found` are the primary method's, `gathered` is as of `gauge`."""
@@ -230,10 +230,11 @@ def compare(
     ]
     ordered = sorted(estimates, key=lambda e: (e.method, (*SYMBOLS, "tau_c", "tau_r").index(e.symbol)))
     recorded, late = gathered
-    regulator = {P: fitted for P, (fitted, _) in responses(recorded, late).items()}
+    regulator = {P: fitted for P, (fitted, _) in responses(recorded, late["pressure"]).items()}
     widths = bandwidth.estimates(campaign, found, regulator)
-    of_motion = Late.of(recorded, pooled.diagnosis, "displacement")
-    behind = {"pressure": bandwidth.behind(regulator.values(), late), "motion": (of_motion.found, of_motion.lag)}
+    of_motion = late["displacement"]
+    of_pressure = bandwidth.behind(regulator.values(), late["pressure"])
+    behind = {"pressure": of_pressure, "motion": (of_motion.found, of_motion.lag)}
     return Further(
         (*ordered, *_dead_times(recorded, moved, behind), *widths),
         tuple(through for through in curves if through is not None),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import hypot
 
 from pmabench.analysis.shared.samples import LAG_KNOWN, lag_of
-from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TIMES, in_samples
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import in_samples
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL
 from pmabench.kinds.contraction_relaxation.segments import Campaign
@@ -35,18 +35,6 @@ class Late:
         """In all [s]."""
         return self.declared + self.found
 
-    @classmethod
-    def of(cls, recorded: Campaign, diagnosis: Diagnosis, channel: str) -> Late:
-        """Of a channel; one that is ahead of the others is not late."""
-        declared = [lag_of(run, channel) for run in recorded.runs]
-        mine = [one for one in diagnosis.reported.explanations if one.kind in ("late", "lag") and one.which == channel]
-        found, most = sum(one.sizes[0] for one in mine), max(declared)
-        if most + found <= 0:
-            return cls()
-        errors = [NORMAL * one.error for one in diagnosis.of_fit if one.explanation in mine]
-        known = LAG_KNOWN * most if diagnosis.reason else min(LAG_KNOWN * most, diagnosis.hidden.late(channel))
-        return cls(most, found, hypot(known, most - min(declared), *errors), 0.5 / recorded.rate)
-
     def filter_in(self, lags: Sequence[float], errors: Sequence[float]) -> int | None:
         """Which of several lags of a step is that of a filter of the sensor; None for none."""
         off = [abs(T - self.lag) - NORMAL * error for T, error in zip(lags, errors, strict=True)]
@@ -55,10 +43,28 @@ class Late:
         return nearest if self.lag and len(lags) > 1 and off[nearest] <= reach else None
 
 
-def gathered(recorded: Campaign, diagnosis: Diagnosis) -> tuple[Campaign, Late]:
-    """The campaign as recorded, and how late its pressure is; corrected for a clock of the pressure, and where it comes
-    to the muscle later than to the gauge.
+def in_order(recorded: Campaign, diagnosis: Diagnosis) -> dict[str, Late]:
+    """How late pressure and displacement are.
+
+    The diagnosis sees the time between the two: nothing reads ahead, so one that seems to has the other late.
     """
-    late = Late.of(recorded, diagnosis, "pressure")
-    own = [one for one in diagnosis.reported.explanations if one.kind in TIMES and one.which == "pressure"]
-    return in_samples(recorded, [one for one in own if one.kind == "clock" or not late.lag]), late
+    declared = {channel: [lag_of(run, channel) for run in recorded.runs] for channel in ("pressure", "displacement")}
+    mine = [one for one in diagnosis.reported.explanations if one.kind in ("late", "lag") and one.which in declared]
+    sizes = {
+        name: max(lags) + sum(one.sizes[0] for one in mine if one.which == name) for name, lags in declared.items()
+    }
+    ahead = {name: max(0.0, -size) for name, size in sizes.items()}
+    errors = [NORMAL * one.error for one in diagnosis.of_fit if one.explanation in mine]
+    found = {}
+    for name, other in zip(declared, reversed(declared), strict=True):
+        lag, most = max(0.0, sizes[name]) + ahead[other], max(declared[name])
+        known = LAG_KNOWN * most if diagnosis.reason else min(LAG_KNOWN * most, diagnosis.hidden.late(name))
+        unsure = hypot(known, most - min(declared[name]), *errors) if lag else 0.0
+        found[name] = Late(most, lag - most, unsure, 0.5 / recorded.rate)
+    return found
+
+
+def gathered(recorded: Campaign, diagnosis: Diagnosis) -> tuple[Campaign, dict[str, Late]]:
+    """The campaign as recorded, with a clock of the pressure corrected, and how late pressure and displacement are."""
+    clocks = [one for one in diagnosis.reported.explanations if one.kind == "clock" and one.which == "pressure"]
+    return in_samples(recorded, clocks), in_order(recorded, diagnosis)

@@ -24,7 +24,7 @@ from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_sensors
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
-from pmabench.kinds.contraction_relaxation.gauge import Late, gathered
+from pmabench.kinds.contraction_relaxation.gauge import gathered
 from pmabench.kinds.contraction_relaxation.intervals import (
     Cause,
     Pooled,
@@ -88,8 +88,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
     resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
-    sensor = Late.of(recorded, diagnosis, "displacement")
-    response, described = regulator(recorded, late, sensor) if options.get("regulator") else ([], [])
+    response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     asked = (("joint", joint.facts), ("output_error", polished.facts), ("bootstrap", resampled))
     others = (joint, polished, stepwise)

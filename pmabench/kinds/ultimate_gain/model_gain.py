@@ -24,7 +24,7 @@ from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts
 METHOD = "model"
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")
 RESPONSE = "regulator-response"
-SENSOR, FILTER = "displacement sensor", "filter of the sensor"
+SENSOR, FILTER = "displacement sensor or tube", "filter of the sensor"
 FEWEST = 3
 """Fewest pressures for slopes over pressure."""
 LEAST = 0.1
@@ -234,8 +234,7 @@ def _doubts(analysis: Analysis, fitted: Fitted, load: float) -> list[Finding]:
     sensor = next((e for e in fitted.estimates if e.coordinate == SENSOR), None)
     if sensor is not None:
         late = show(sensor.value or 0.0, "time", 3)
-        said.append(
-            Finding("note", f"the loop waits for its displacement sensor, {late}: with a faster one K_u is larger")
-        )
+        text = f"the loop waits for its displacement sensor or a tube to the muscle, {late}: without it K_u is larger"
+        said.append(Finding("note", text))
     said.append(Finding("note", f"set-points hold for a load of {show(load, 'force', 4)} and its mass"))
     return said
