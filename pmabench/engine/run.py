@@ -375,7 +375,7 @@ class _Run:
         """Newest values for the safe state; more signals shorten its waits."""
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
-        self.own.keep_measuring()
+        self.own.keep_measuring(self.acquisition.rate)
         values: Mapping[str, float] = {}
         try:  # the guard still has the values measured before while this collects
             values = self.acquisition.measure()
