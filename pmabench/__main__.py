@@ -3,7 +3,7 @@
 import sys
 
 if __name__ == "__main__":
-    if not sys.flags.safe_path:  # Python put the current folder first; a bench file must not import what lies there
+    if not sys.flags.safe_path:  # the first entry is the current folder; nothing in it may be imported
         del sys.path[0]
     from pmabench.cli.main import main
 

@@ -1,4 +1,4 @@
-"""The Python interface for notebooks: runs and results as pandas tables, SI, each column with its unit in the head.
+"""The Python interface for notebooks: runs and results as pandas tables, in SI, with units in the column names.
 
 Reached as `pmabench.open_run`, `pmabench.process` and `pmabench.open_analysis`. Computes nothing itself, and never
 writes into a run.
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def open_run(path: Path | str) -> Run:
-    """One run folder, closed or not, with what notes exclude; raises InvalidFile for what is no run."""
+    """One run folder, finished or not, without what notes exclude; raises InvalidFile if it is no run."""
     from pmabench.store import reader
 
     return Run(reader.open_run(path))
@@ -37,13 +37,13 @@ def process(
     polish: bool = False,
     regulator: bool = False,
 ) -> Results:
-    """The coefficients of runs, kind by kind; a run that continues others is taken with them.
+    """Coefficients of runs, for each kind of test; runs that continue each other are combined.
 
     `forms`, `bootstrap`, `polish` and `regulator` are for kinds of test that have these options, as in `pmabench
     process`.
 
-    Raises InvalidFile for what is no run, or is of a kind that cannot be reduced; UsageError where none is given, and
-    for a form that is none.
+    Raises InvalidFile if one is no run or of a kind that cannot be reduced; UsageError if none is given, or for an
+    unknown form.
     """
     from pmabench.kinds import registry
     from pmabench.kinds.reduce import reduce_runs
@@ -57,9 +57,9 @@ def process(
 
 
 def open_analysis(*folders: Path | str) -> Results:
-    """Analysis folders as `pmabench process` wrote them, with their runs as far as they are found next to them.
+    """Analysis folders written by `pmabench process`, with those of their runs that are found next to them.
 
-    Raises InvalidFile for what is no analysis.
+    Raises InvalidFile if one is no analysis.
     """
     from pmabench.store.analyses.folder import read_analysis, runs_of
     from pmabench.store.chain import open_chains
@@ -74,21 +74,21 @@ class Run:
     """A run, loaded."""
 
     data: RunData
-    """All that the record holds, as plain records."""
+    """All contents of the record, as plain records."""
 
     @property
     def id(self) -> str:
-        """The name that it was recorded under."""
+        """Name under which it was recorded."""
         return self.data.id
 
     @property
     def kind(self) -> str:
-        """The kind of its protocol."""
+        """Kind of its protocol."""
         return self.data.kind
 
     @property
     def status(self) -> str:
-        """`finished`, or how else it ended."""
+        """`finished`, or how it ended otherwise."""
         return self.data.status
 
     @property
@@ -98,7 +98,7 @@ class Run:
 
     @property
     def trials(self) -> pd.DataFrame:
-        """One row for each trial, its number (from 1) as index: operating point, repeat, status, begin and end [s]."""
+        """One row for each trial, index: its number (from 1); operating point, repeat, status, begin and end [s]."""
         rows = []
         for trial in self.data.trials:
             ends = (float(trial.t[0]), float(trial.t[-1])) if len(trial.t) else (np.nan, np.nan)
@@ -108,9 +108,9 @@ class Run:
         return pd.DataFrame(rows, columns=None if rows else ["trial"]).set_index("trial")
 
     def trial(self, number: int) -> pd.DataFrame:
-        """The samples of a trial: time [s], channels and flags; UsageError where there is no such trial.
+        """Samples of a trial: time [s], channels and flags; UsageError if there is no such trial.
 
-        Of several attempts the last counts.
+        Of several attempts the last one is used.
         """
         found = [trial for trial in self.data.trials if trial.number == number]
         if not found:
@@ -127,7 +127,7 @@ class Run:
         return RunFiles(Path(self.data.path)).stream_names()
 
     def stream(self, name: str = "", *, raw: bool = False) -> pd.DataFrame:
-        """A whole stream (the first, where no name is given) on the time of the run: time [s], channels and flags.
+        """A whole stream (by default the first) on the time of the run: time [s], channels and flags.
 
         With `raw`, the device's clock [ns] and the values as the device gave them. InvalidFile for an unknown name.
         """
@@ -153,7 +153,7 @@ def _samples(trial: TrialData, run: RunData) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Results:
-    """What was found in runs: one analysis for each kind, and the runs behind them."""
+    """Results of runs: one analysis for each kind of test, and the runs."""
 
     analyses: tuple[Analysis, ...]
     runs: tuple[RunData, ...]
@@ -163,17 +163,17 @@ class Results:
         return estimates_frame(self.analyses)
 
     def findings(self) -> pd.DataFrame:
-        """What is to be noted, doubted or wrong: `level`, `kind`, `text`."""
+        """Notes, doubts and errors: `level`, `kind`, `text`."""
         rows = [{"level": f.level, "kind": a.kind, "text": f.text} for a in self.analyses for f in a.findings]
         return pd.DataFrame(rows, columns=["level", "kind", "text"])
 
     def dropped(self) -> pd.DataFrame:
-        """Trials that did not enter a fit: `trial`, `kind`, `reason`."""
+        """Trials that were not used in a fit: `trial`, `kind`, `reason`."""
         rows = [{"trial": d.trial, "kind": a.kind, "reason": d.reason} for a in self.analyses for d in a.dropped]
         return pd.DataFrame(rows, columns=["trial", "kind", "reason"])
 
     def trace(self, name: str) -> pd.DataFrame:
-        """The numbers behind a figure, SI; UsageError with the names that there are."""
+        """Data of a figure, SI; UsageError with the valid names."""
         traces = {trace.name: trace for analysis in self.analyses for trace in analysis.traces}
         if name not in traces:
             raise UsageError(f'no trace "{name}"; there are: {", ".join(sorted(traces)) or "none"}')
@@ -181,7 +181,7 @@ class Results:
         return pd.DataFrame({headed(c, trace.quantities.get(c, "")): v for c, v in trace.columns.items()})
 
     def report(self, path: Path | str, *, title: str | None = None, issuer: Issuer | None = None) -> Path:
-        """Write the report as one HTML file; UsageError where runs are of several specimens."""
+        """Write the report as one HTML file; raises UsageError if the runs are of several specimens."""
         from pmabench.kinds.reduce import of_one_specimen
         from pmabench.report.document.content import content_of, write_page
 
@@ -204,10 +204,10 @@ def estimates_frame(analyses: Sequence[Analysis]) -> pd.DataFrame:
 
 
 def headed(name: str, quantity: str) -> str:
-    """A column's head with the SI unit of its quantity."""
+    """Column name with the SI unit of its quantity."""
     return with_unit(name, QUANTITIES[quantity].unit if quantity in QUANTITIES else "")
 
 
 def with_unit(name: str, unit: str) -> str:
-    """`name [unit]`; the name alone where there is none."""
+    """`name [unit]`; the name alone without a unit."""
     return f"{name} [{unit}]" if unit and unit != "1" else name

@@ -84,7 +84,7 @@ def report(folder):
     with Browser(folder / "profile") as browser:
         page = browser.open((folder / "r.html").as_uri())
         page.media(printed=True)
-        metrics = {"width": 720, "height": 1042, "deviceScaleFactor": 1.25, "mobile": False}
+        metrics = {"width": 720, "height": 1049, "deviceScaleFactor": 1.25, "mobile": False}
         page.send("Emulation.setDeviceMetricsOverride", **metrics)
         page.run("document.body.setAttribute('style', 'padding: 20px')")
         page.picture(PICTURES / "report.png")

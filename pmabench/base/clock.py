@@ -1,4 +1,4 @@
-"""Two clocks with the same methods, real time and virtual time that jumps to what is waited for; a device's clock."""
+"""Two clocks with the same methods: real time, and virtual time that jumps to what is waited for; a device's clock."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class Clock(Protocol):
         """Return when bench time has reached `deadline` [s]; at once if it has passed."""
 
     def back_to(self, moment: float) -> bool:
-        """Take bench time back to `moment` [s] where that can be done; returns whether it was."""
+        """Set bench time back to `moment` [s] where possible; returns whether it was."""
 
     def set_quiet_until(self, moment: float) -> None:
-        """Nothing is going to be commanded before `moment` [s], as far as is known now: a simulation may compute it."""
+        """Announce that no command is expected before `moment` [s], so that a simulation may compute ahead."""
 
 
 class RealClock:
-    """The machine's monotonic clock; time that has passed stays passed.
+    """The machine's monotonic clock; it cannot be set back.
 
     `start` is the moment of bench time 0 on that clock [s]: processes that share it share bench time.
     """
@@ -43,11 +43,11 @@ class RealClock:
             time.sleep(left)
 
     def back_to(self, moment: float) -> bool:
-        """Real time cannot be taken back."""
+        """False: real time cannot be set back."""
         return False
 
     def set_quiet_until(self, moment: float) -> None:
-        """Nothing can be computed before it happens."""
+        """No effect: in real time nothing can be computed ahead."""
 
 
 class VirtualClock:
@@ -56,7 +56,7 @@ class VirtualClock:
     def __init__(self) -> None:
         self._now = 0.0
         self.quiet_until = 0.0
-        """Up to when nothing is going to be commanded, as far as is known [s]."""
+        """Time until which no command is expected [s]."""
 
     def now(self) -> float:
         """The bench time reached so far."""
@@ -67,7 +67,7 @@ class VirtualClock:
         self._now = max(self._now, deadline)
 
     def back_to(self, moment: float) -> bool:
-        """Undo the last jump as far as `moment`: a crossing ends a block at the sample where it happened."""
+        """Go back to `moment` within the last jump, so that a block can end at the sample where a limit was crossed."""
         self._now = min(self._now, moment)
         return True
 
@@ -77,21 +77,21 @@ class VirtualClock:
 
 
 DRIFT = 1e-2
-"""How far any device's clock may drift against the computer's [1]: a ceramic resonator with temperature and age."""
+"""Largest drift of any device's clock against the computer's [1]: a ceramic resonator with temperature and age."""
 
 
 class DeviceClock:
-    """Bench time of a device's samples, by the one that came with the shortest delay so far."""
+    """Converts device time to bench time, by the sample with the shortest delay so far."""
 
     def __init__(self, drift: float = DRIFT) -> None:
         self._drift, self._ahead = drift, inf
         self._last: int | None = None
 
     def ahead(self, newest: int, arrived: float) -> float:
-        """Bench time minus device time [s], after a sample of `newest` [ns] has `arrived` [s]."""
+        """Bench time minus device time [s], after a sample of device time `newest` [ns] has `arrived` [s]."""
         passed = newest - self._last if self._last is not None else 0
         self._last = newest
-        if passed < 0:  # the device began anew
+        if passed < 0:  # the device restarted
             self._ahead = inf
         self._ahead = min(self._ahead + self._drift * passed * 1e-9, arrived - newest * 1e-9)
         return self._ahead

@@ -1,4 +1,4 @@
-"""The few kinds of failure of the whole program, each with its exit code; knows nothing of who raises them.
+"""The kinds of failure of the program, each with its exit code; independent of the code that raises them.
 
 Exit codes: 0 done, 1 error in the program, 2 wrong usage, 3 a file is invalid, 4 device or communication,
 5 limit, interlock or watchdog tripped, 6 done but a verdict failed, 7 the record could not be written,
@@ -21,7 +21,7 @@ class PmaError(Exception):
 
 @dataclass(frozen=True, order=True)
 class Problem:
-    """One thing that is wrong in one place of one file; line and column count from 1, 0 = the whole file."""
+    """One mistake at one place of a file; line and column count from 1, 0 = the whole file."""
 
     path: str
     line: int
@@ -60,7 +60,7 @@ def invalid(path: object, message: str, line: int = 0, column: int = 0) -> Inval
 
 @contextmanager
 def reading(path: object) -> Iterator[None]:
-    """Turns an OSError into an `InvalidFile` of the file at `path`, with the reason of the operating system."""
+    """Turns an OSError into an `InvalidFile` for the file at `path`, with the reason of the operating system."""
     try:
         yield
     except OSError as error:
@@ -68,7 +68,7 @@ def reading(path: object) -> Iterator[None]:
 
 
 class DeviceError(PmaError):
-    """A device did not answer, answered wrongly or refused; names device and channel or output."""
+    """A device did not answer, answered wrongly or refused; with names of the device and the channel or output."""
 
     exit_code = 4
 
@@ -85,7 +85,7 @@ class NotSent(DeviceError):
 
 
 class LimitRefused(PmaError):
-    """A command outside a limit was asked for; nothing was sent."""
+    """A command outside a limit was requested; nothing was sent."""
 
     exit_code = 5
 
@@ -118,7 +118,7 @@ class Interrupted(PmaError):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """`; did you mean "..."?` with the nearest of the known names, or the list where none is near."""
+    """`; did you mean "..."?` with the most similar known name, or a list of them if none is similar."""
     names = sorted(known)
     return nearest(name, names) or (f"; known here: {', '.join(names)}" if names else "")
 

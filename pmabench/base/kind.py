@@ -1,7 +1,7 @@
-"""What a kind of test is: the record that each folder below `pmabench.kinds`, or another package, gives as `KIND`.
+"""What a kind of test is: the record `KIND` of each folder below `pmabench.kinds`, or of another package.
 
-Parts are named as "module:name" and loaded where they are used, so that naming a kind imports no numerics. What the
-importer of foreign files must know of a kind is `Imported`.
+Parts are named as "module:name" and loaded where they are used, so that naming a kind imports no numerics. `Imported`
+holds what the importer of foreign files needs.
 """
 
 from __future__ import annotations
@@ -13,66 +13,66 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Commanded:
-    """How the commands of a trial, and with them its operating point, are read off the columns of a file."""
+    """How the commands of a trial, and its operating point, are found in the columns of a file."""
 
     output: str
-    """What is commanded: `pressure` or `displacement`. Without a column of commands the measured channel is taken."""
+    """What is commanded: `pressure` or `displacement`. Without a column of commands the measured channel is used."""
     phases: tuple[tuple[str, str], ...] = ()
-    """Way of a change -> name of the phase that begins with it; the first way that fits. Ways: `CHANGES` in
+    """Kind of change -> name of the phase that begins with it; the first that fits. Kinds: `CHANGES` in
     `store.importers.commands`.
     """
     point: tuple[tuple[str, str], ...] = ()
-    """Coordinate of the operating point -> how it is measured: `COORDINATES` there."""
+    """Coordinate of the operating point -> how it is measured, in `COORDINATES` there."""
     ramps: bool = False
     """Every change is a ramp, however short."""
     sine: bool = False
     """The command is a sine; it makes one phase of that name."""
     still: bool = False
-    """A trial in which nothing changes has an operating point, too."""
+    """A trial without any change also has an operating point."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What a kind of test, or of recording, needs of a file of another program."""
+    """What a kind of test, or of recording, needs from a file of another program."""
 
     commanded: Commanded | None = None
-    """None: what a search or a loop commanded cannot be read off a file."""
+    """None: the commands of a search or a loop cannot be found in a file."""
     recording: bool = False
-    """Recorded for this reduction alone: commands and operating points are those that the map's cut gives."""
+    """Recorded for this reduction alone: commands and operating points come from the `cut` of the map."""
     follows: str = ""
-    """Channel that rises with the pressure: `force` where the length is set from outside, else `displacement`."""
+    """Channel that rises with the pressure: `force` if the length is set from outside, else `displacement`."""
     point: tuple[str, ...] = ()
-    """Coordinates that each file has one value of; they are measured where neither map nor name gives them."""
+    """Coordinates with one value per file; measured if neither map nor file name gives them."""
     held: bool = False
     """The muscle is held at one length throughout a file."""
     loaded: bool = False
-    """Each trial hangs from a load, whose weight the cell shows where no column gives it."""
+    """Each trial hangs from a load; its weight is measured by the load cell if no column gives it."""
     lifted: bool = False
-    """A load leaves its support and is set down: where that happens is looked for."""
+    """A load leaves its support and is set down; these moments are searched for."""
     timed: bool = False
-    """Displacement is timed against pressure: one that moves before the pressure is reported."""
+    """Times of displacement and pressure are compared: a displacement before the pressure is reported."""
     shown: str = ""
-    """What a file shows for which `import --guess` proposes this kind: `signs` in `store.importers.guess.signs`."""
+    """Signs in a file by which `import --guess` proposes this kind: `signs` in `store.importers.guess.signs`."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """A coefficient that a kind of test gives, as it is declared: symbol, title, unit, whether it is a headline."""
+    """A coefficient that a kind of test determines: symbol, title, unit, whether it is a headline."""
 
     symbol: str
-    """As in the field: F_ce, K, B_c."""
+    """Symbol of the field: F_ce, K, B_c."""
     title: str
-    """In words, as they follow `the`: `stiffness`. The same title in two kinds of test means the same coefficient."""
+    """Name in words: `stiffness`. The same title in two kinds of test means the same coefficient."""
     quantity: str
-    """Key of `QUANTITIES`, which has the unit; empty where none is the right one, and `unit` says it."""
+    """Key of `QUANTITIES` for the unit; empty if none fits, then `unit` is used."""
     headline: bool = False
-    """Whether it is a key number: on the terminal, and on the first page of a report."""
+    """Whether it is a key result, shown on the terminal and on the first page of a report."""
     plot: str = ""
-    """Title of the plot that it shares with others of the same; where empty, it has a plot for itself."""
+    """Title of a plot shared with other coefficients of the same title; if empty, it has its own plot."""
     unit: str = ""
-    """SI unit where no quantity is declared."""
+    """SI unit if no quantity is declared."""
     positive: bool = False
-    """Whether it cannot be below 0, so that its interval ends there; terms of its curves can be below."""
+    """Whether it cannot be negative, so that its interval ends at 0; terms of its curves may be negative."""
 
 
 @dataclass(frozen=True)
@@ -80,51 +80,51 @@ class Kind:
     """One kind of test, or another way to reduce its runs."""
 
     name: str
-    """As in protocol files and run folders: `static-load`."""
+    """Name in protocol files and run folders: `static-load`."""
     title: str
-    """As a heading: `Static load`."""
+    """Name as a heading: `Static load`."""
     results: tuple[Result, ...]
-    """Its coefficients; columns and figures have their order."""
+    """Its coefficients, in the order of columns and figures."""
     reduction: str
     """`module:reduce`: (runs, options) -> Analysis."""
     order: int = 1000
-    """Place among the kinds in reports and lists."""
+    """Position among the kinds in reports and lists."""
     papers: tuple[str, ...] = ()
-    """Where its procedure comes from."""
+    """Sources of its procedure."""
     protocol: str = ""
-    """`module:Class` of its protocol file; empty where it is only imported, or another reduction of the same runs."""
+    """`module:Class` of its protocol file; empty if it is only imported, or reduces the runs of another kind."""
     live: str = ""
-    """`module:measure`: (run, trial, expected, quick) -> what one trial says by itself, for the display."""
+    """`module:measure`: (run, trial, expected, quick) -> result of a single trial, for the display."""
     moves: str = ""
     """Channel that changes in each of its trials, unless nothing moved."""
     compares: str = ""
-    """Channel in which the repeats of an operating point are compared over time."""
+    """Channel in which repeats of an operating point are compared over time."""
     repeated: str = ""
-    """`module:function`: (run, trial) -> the value that repeats are checked by; None or `NotUsable` without one."""
+    """`module:function`: (run, trial) -> the value for comparing repeats; None or `NotUsable` without one."""
     repeated_is: str = ""
-    """What that value is: `stiffness`."""
+    """Name of that value: `stiffness`."""
     word: str = ""
-    """Its name in a comparison of tests, `sine`; two reductions of the same runs have the same."""
+    """Its name in a comparison of tests, `sine`; the same for two reductions of the same runs."""
     offers: str = ""
-    """`module:offers`: Analysis -> its `Offer` of each quantity that other kinds of test measure, too."""
+    """`module:offers`: Analysis -> its `Offer` of each quantity that other kinds of test also measure."""
     after: str = ""
-    """`module:options`: offers of the specimen's other tests -> options of this reduction, which is done after them."""
+    """`module:options`: offers of the specimen's other tests -> options of this reduction, which runs after them."""
     reverses: bool = False
-    """Whether it looks at small reversals of the motion."""
+    """Whether it examines small reversals of the motion."""
     at_rest: bool = False
-    """Whether its F_ce is what limits against static load compare with."""
+    """Whether limits against static load are compared with its F_ce."""
     instead: str = ""
-    """The advice to run it where other tests contradict each other on F_ce, F or K."""
+    """Advice to run it if other tests contradict each other on F_ce, F or K."""
     figures: dict[str, str] = field(default_factory=dict)
-    """Kind of trace -> `module:function` that draws traces of it: (traces, analysis) -> pictures."""
+    """Kind of trace -> `module:function` that draws such traces: (traces, analysis) -> pictures."""
     front: dict[str, str] = field(default_factory=dict)
-    """Kind of trace of which one may be drawn on the first page -> `module:function`, as in `figures`."""
+    """Kind of trace that may be drawn on the first page -> `module:function`, as in `figures`."""
     published: dict[str, tuple[str, str, str]] = field(default_factory=dict)
-    """Kind of trace over which published points can be drawn -> its axes, and the marks that all its points share."""
+    """Kind of trace over which published points can be drawn -> its axes, and the marks common to all its points."""
     options: tuple[str, ...] = ()
-    """Options of its reduction that a user can give."""
+    """Options of its reduction for users."""
     parts: dict[str, str] = field(default_factory=dict)
-    """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`.
+    """Parts for certain commands, as "module:name": `check options`, `tune by steps`, `tune by model`.
 
     `next trial`: chooses the trials of a plan one by one, `Chooser(plan, expected, goals, seconds).decide(runs)`.
 
@@ -134,18 +134,18 @@ class Kind:
     methods: dict[str, str] = field(default_factory=dict)
     """Method of its reduction -> what it does, in a sentence or two."""
     imported: Imported | None = None
-    """What it needs of a file of another program; None where such files cannot be of this kind."""
+    """Its needs from a file of another program; None if such files cannot be of this kind."""
     loop: bool = False
-    """Its loop acts on calibrated values: runs do not show what it would have done with another calibration."""
+    """It controls on calibrated values: a run does not show what it would have done with another calibration."""
     also: tuple[Kind, ...] = ()
-    """Other ways to reduce its runs, with results of their own."""
+    """Other reductions of its runs, with their own results."""
 
     def part(self, what: str) -> Any:
-        """The object that a field of "module:name" names; AttributeError or ImportError where it is not there."""
+        """Load the object that a field names as "module:name"; raises AttributeError or ImportError."""
         return load(getattr(self, what))
 
 
 def load(target: str) -> Any:
-    """The object named "module:name"."""
+    """Load the object named "module:name"."""
     module, _, name = target.partition(":")
     return getattr(import_module(module), name)

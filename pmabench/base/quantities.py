@@ -1,4 +1,4 @@
-"""Which quantities a bench knows, their SI units and the units that people read; no parsing of text."""
+"""Known quantities, their SI units and display units; no parsing of text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Quantity:
     shown_in: str
     scale: float
     example: str = ""
-    """As people write it in a file; empty where no file has it."""
+    """Example as written in a file; empty if no file contains it."""
 
     def show(self, value: float, digits: int = 6) -> str:
         """`value` [SI] in the display unit, for instance `300 kPa`."""
@@ -82,11 +82,11 @@ CHANNEL_QUANTITY = {
     **dict.fromkeys(("acceleration_x", "acceleration_y", "acceleration_z"), "acceleration"),
     **dict.fromkeys(("turn_x", "turn_y"), "angular speed"),
 }
-"""What each channel name of a protocol measures; a protocol names channels from this table only."""
+"""Quantity of each channel name; a protocol may only use names of this table."""
 MUSCLES = 6
-"""Most muscles on one bench."""
+"""Largest number of muscles on one bench."""
 OF_A_MUSCLE = ("pressure", "pressure_command", "displacement", "displacement_command", "force")
-"""Channels that each muscle has where a bench has several: `pressure_1`, `pressure_2` ..."""
+"""Channels of each muscle on a bench with several: `pressure_1`, `pressure_2` ..."""
 CHANNEL_QUANTITY |= {
     f"{name}_{number}": CHANNEL_QUANTITY[name] for name in OF_A_MUSCLE for number in range(1, MUSCLES + 1)
 }
@@ -98,17 +98,17 @@ def without_number(name: str) -> tuple[str, str]:
 
 
 def highest_pressure(measured: Mapping[str, float]) -> float | None:
-    """The highest pressure of any muscle among measured values by channel [Pa]; None where none is measured."""
+    """Highest pressure of any muscle among measured values by channel [Pa]; None if none is measured."""
     return max((value for name, value in measured.items() if without_number(name)[0] == "pressure"), default=None)
 
 
 def show(value: float, quantity: str, digits: int = 6) -> str:
-    """`value` [SI] of the named quantity in the unit that people read."""
+    """`value` [SI] of the named quantity in its display unit."""
     return QUANTITIES[quantity].show(value, digits)
 
 
 def in_words(seconds: float) -> str:
-    """A duration as people say it: `3.2 s`, `12 min 05 s`, `3 h 20 min`, `2 days 3 h`, `31 years 251 days`."""
+    """A duration in words: `3.2 s`, `12 min 05 s`, `3 h 20 min`, `2 days 3 h`, `31 years 251 days`."""
     if not seconds < 1e15:
         return "more than a million years"
     minutes, rest = divmod(round(seconds), 60)

@@ -1,4 +1,4 @@
-"""What a process has of its system: file locks that the kernel frees, limits, priority, user, installed extensions."""
+"""Resources of a process: file locks released by the kernel, limits, priority, user, installed extensions."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
 
 GUARD, ENGINE = 20, 10
-"""Real-time priorities: the guard goes before the engine, and both before every ordinary program."""
+"""Real-time priorities: the guard has precedence over the engine, and both over every ordinary program."""
 
 
 def real_time(priority: int) -> str:
-    """Give this thread and those that it starts priority over ordinary programs; why that failed, or an empty text."""
+    """Set real-time priority for this thread and those that it starts; returns why that failed, or an empty text."""
     if not hasattr(os, "sched_setscheduler"):
         return "this system has no real-time priority"
     try:
@@ -28,13 +28,13 @@ def real_time(priority: int) -> str:
 
 
 def ordinary() -> None:
-    """Give this thread, and what it starts from now on, the priority of every other program."""
+    """Set the priority of ordinary programs for this thread, and for what it starts from now on."""
     if hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def keep_in_memory() -> None:
-    """Let nothing that is in memory now be swapped out, where that is allowed; what comes later may be."""
+    """Prevent swapping of present memory, where allowed; memory allocated later may be swapped."""
     if sys.platform != "win32":
         import ctypes
 
@@ -42,7 +42,7 @@ def keep_in_memory() -> None:
 
 
 def give_back_memory() -> None:
-    """Return to the system what was freed after much was read at once; only where the C library can."""
+    """Return freed memory to the system after much was read at once, if the C library can."""
     if sys.platform == "linux":
         import ctypes
 
@@ -52,7 +52,7 @@ def give_back_memory() -> None:
 
 
 def user_name() -> str:
-    """Who runs this process."""
+    """Name of the user who runs this process."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):
@@ -60,9 +60,9 @@ def user_name() -> str:
 
 
 def try_lock(path: Path) -> int | None:
-    """Take the lock at `path`; the descriptor that holds it, or None where another process has it.
+    """Take the lock at `path`; returns the descriptor that holds it, or None if another process has it.
 
-    The kernel frees it when the process ends, however it ends. It is not inherited by child processes.
+    The kernel releases it when the process ends, however it ends. It is not inherited by child processes.
     """
     handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o644)
     try:
@@ -85,7 +85,7 @@ def _lock(handle: int) -> None:
 
 
 def limit_memory(size: int) -> None:
-    """Let this process have no more than `size` bytes of addresses; nothing where the system has no such limit."""
+    """Limit the address space of this process to `size` bytes; no effect if the system has no such limit."""
     if sys.platform != "win32":
         import resource
 
@@ -94,7 +94,7 @@ def limit_memory(size: int) -> None:
 
 
 def end_after_cpu(seconds: float) -> None:
-    """End this process once it has used so many more seconds of CPU, whatever it is doing; 0 takes the limit away."""
+    """End this process after this much more CPU time [s], in any state; 0 removes the limit."""
     if sys.platform != "win32":
         import signal
 
@@ -104,13 +104,13 @@ def end_after_cpu(seconds: float) -> None:
 
 @cache
 def installed() -> Any:
-    """All entry points of all packages, read once in a process: that takes 15 ms."""
+    """All entry points of all packages, read once per process, as that takes 15 ms."""
     from importlib.metadata import entry_points  # not in the guard, which needs none
 
     return entry_points()
 
 
 def registered(group: str) -> EntryPoints:
-    """The entry points of a group, of pmabench and of the packages that are installed next to it."""
+    """Entry points of a group, of pmabench and of packages installed next to it."""
     found: EntryPoints = installed().select(group=group)
     return found

@@ -1,6 +1,6 @@
-"""The keyboard of a terminal, key by key, and the way back to how it was; the only place that knows termios.
+"""Keyboard input from a terminal, key by key, and restoring its settings; the only module that uses termios.
 
-Ctrl-C stays what it is. Ctrl-Z and Ctrl-S do nothing meanwhile: a bench is not suspended by a slip of a finger.
+Ctrl-C keeps its function. Ctrl-Z and Ctrl-S have none meanwhile, so that no bench is suspended by accident.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ except ImportError:  # a system without them, for instance Windows
 
 ESCAPE, ENTER, BACKSPACE = "\x1b", "\n", "\x7f"
 _SEQUENCE = re.compile(r"\x1b(\[[0-?]*[ -/]*[@-~]|O.|[^\x1b\[O])")
-"""What arrow and function keys, pasting and mice send."""
+"""Escape sequences of arrow and function keys, pasting and mice."""
 
 Attributes = list[Any]
 
 
 def in_front(fd: int) -> bool:
-    """Whether `fd` is a terminal that this process may read and change: it is not in the background."""
+    """Whether `fd` is a terminal with this process in the foreground, so that it may be read and changed."""
     try:
         return os.isatty(fd) and os.tcgetpgrp(fd) == os.getpgrp()
     except (OSError, AttributeError):
@@ -37,7 +37,7 @@ def in_front(fd: int) -> bool:
 
 
 def attributes(fd: int) -> Attributes | None:
-    """How the terminal is set now, for `restore`; None where it is none."""
+    """Present settings of the terminal, for `restore`; None if it is no terminal."""
     if termios is None:
         return None
     try:
@@ -47,7 +47,7 @@ def attributes(fd: int) -> Attributes | None:
 
 
 def restore(fd: int, before: Attributes | None) -> None:
-    """Set the terminal as it was; at once, from the background too, and quiet where it is gone."""
+    """Restore the settings of the terminal; at once, also from the background, without an error if it is gone."""
     if termios is None or before is None:
         return
     masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
@@ -59,7 +59,7 @@ def restore(fd: int, before: Attributes | None) -> None:
 
 
 def _taken_back(fd: int) -> bool:
-    """Whether another program, such as a shell, has taken the terminal and set it for itself."""
+    """Whether another program, such as a shell, has taken control of the terminal and changed its settings."""
     try:
         return os.tcgetpgrp(fd) not in (0, os.getpgrp())
     except (OSError, AttributeError):
@@ -74,9 +74,9 @@ class Keyboard:
         self._decoder = codecs.getincrementaldecoder("utf-8")("ignore")
 
     def read(self, timeout: float = 0.0) -> list[str]:
-        """Keys pressed, waiting at most `timeout` [s] for the first; `ENTER`, `BACKSPACE`, `ESCAPE` have names.
+        """Keys pressed, waiting at most `timeout` [s] for the first; special keys are `ENTER`, `BACKSPACE`, `ESCAPE`.
 
-        Keys that send sequences (arrows, function keys) are left out. Raises EOFError where the terminal is gone.
+        Keys that send sequences (arrows, function keys) are left out. Raises EOFError if the terminal is gone.
         """
         if not in_front(self.fd) or not select.select([self.fd], [], [], timeout)[0]:
             return []
@@ -94,9 +94,9 @@ class Keyboard:
 
 @contextmanager
 def key_by_key(fd: int) -> Iterator[Keyboard]:
-    """Read keys as they are pressed, without echo; the terminal is as before afterwards, unless a shell took it back.
+    """Read keys as they are pressed, without echo; restores the terminal afterwards, unless a shell took it back.
 
-    Raises UsageError where the system has no termios, or `fd` is not a terminal in the foreground.
+    Raises UsageError if the system has no termios, or `fd` is not a terminal in the foreground.
     """
     if termios is None:
         raise UsageError("keys cannot be read: this system has no termios; use --plain")

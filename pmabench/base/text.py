@@ -1,4 +1,4 @@
-"""Texts from outside made harmless: no terminal, page or spreadsheet obeys anything in them."""
+"""Makes texts from outside harmless for terminals, pages and spreadsheets."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ _OBEYED = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]"
     r"|[\U000e0000-\U000e007f]"
 )
-"""What a terminal obeys, or what hides or turns round the text after it; new lines and tabs stay."""
+"""Control characters of a terminal, and characters that hide or reverse the text after them; not new lines and tabs."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff]")
 
 
 def printable(text: object, longest: int | None = None) -> str:
-    """One line for a terminal or a comment: signs that it would obey, or does not show, are blanks."""
+    """One line for a terminal or a comment: control and invisible characters become blanks."""
     return _cut("".join(sign if sign.isprintable() else " " for sign in str(text)), longest)
 
 
 def clean(text: object, longest: int = 2000) -> str:
-    """Text for a page, lines kept: without control and direction characters, cut where it is too long."""
+    """Text for a page, lines kept: without control and direction characters, cut if too long."""
     text_only = str(text).replace("\r", "").encode("utf-8", "replace").decode("utf-8")
     return _cut(_CONTROL.sub("", text_only), longest)
 
 
 def spelled(text: str) -> str:
-    r"""Text for a terminal, lines kept: signs that it would obey are shown as in source code.
+    r"""Text for a terminal, lines kept: control characters are shown as in source code.
 
     >>> print(spelled("a name\x1b[31m"))
     a name\x1b[31m
@@ -36,33 +36,33 @@ def spelled(text: str) -> str:
 
 
 class Spelled:
-    """Standard output or standard error on which every text is `spelled`: whatever is printed, a terminal obeys none.
+    """Standard output or standard error on which every text is `spelled`, so that it contains no control characters.
 
-    What the program itself sends to a terminal (colours, places) goes to `raw` of it.
+    The program's own control sequences (colours, positions) are written to its `raw` stream.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
 
     def write(self, text: str | bytes) -> int:
-        """As of the stream; bytes, in which click gives what Tab completes, are UTF-8."""
+        """As for the stream; bytes, which click writes for completion with Tab, are UTF-8."""
         self.stream.write(spelled(text if isinstance(text, str) else text.decode("utf-8", "replace")))
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """As of the stream."""
+        """As for the stream."""
         for line in lines:
             self.write(line)
 
     def __getattr__(self, name: str) -> Any:
-        """Everything else as of the stream, but no way round it."""
+        """Other attributes of the stream, except those that would bypass `write`."""
         if name == "buffer":
             raise AttributeError(name)
         return getattr(self.stream, name)
 
 
 def raw(stream: Any) -> TextIO:
-    """The stream itself, for codes of the program's own; whoever writes there cleans what comes from others."""
+    """The underlying stream, for the program's own control sequences; its users must clean foreign text."""
     found: TextIO = stream.stream if isinstance(stream, Spelled) else stream
     return found
 
@@ -95,7 +95,7 @@ def in_ascii(error: UnicodeError) -> tuple[str, int]:
 
 
 def unused(stem: str, taken: set[str], ending: str = "") -> str:
-    """`stem` and `ending`, with a number between them where that is `taken`, whatever the case; it is taken then."""
+    """`stem` and `ending`, with a number between them if that is in `taken`, ignoring case; added to `taken`."""
     name, count = f"{stem}{ending}", 1
     while name.casefold() in taken:
         count += 1
@@ -113,7 +113,7 @@ NONE = " "
 
 
 def sparkline(values: Sequence[float], width: int = 60) -> str:
-    """`values` in order as `width` signs or fewer, lowest to highest; each sign is the middle of its part."""
+    """Text of at most `width` block characters for `values` in order; each shows the median of its part, or a blank."""
     if not values:
         return ""
     count = min(width, len(values))

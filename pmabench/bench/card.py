@@ -1,4 +1,4 @@
-"""The card of a bench: what hangs at the rig, and what happens when something fails, as plain texts and rows.
+"""The card of a bench: what is mounted on the rig, and what happens when something fails, as plain texts and rows.
 
 `pmabench.report.pages.bench_card` draws it. What happens at a failure follows from valves, watchdogs and watch list.
 """
@@ -18,7 +18,7 @@ from pmabench.bench.safety import RATE_OF
 
 
 def _has_stop(mounted: Mounted) -> bool | None:
-    """Whether an emergency stop is wired to an input; None where contacts are, of which none has "stop" in its name."""
+    """Whether an emergency stop is wired to an input; None if contacts are, of which none has "stop" in its name."""
     names = [record.name for device in mounted.bench.devices for record in device.interlocks]
     return any("stop" in name for name in names) or (None if names else False)
 
@@ -47,7 +47,7 @@ def _unconfirmed(mounted: Mounted) -> str:
 
 
 def failure_story(mounted: Mounted) -> list[tuple[str, str]]:
-    """What may fail, and what happens then, for people at the rig; pure."""
+    """Pairs of what may fail and what happens then, in words for people at the rig; pure."""
     if not mounted.bench.realtime:
         return [("Anything", "Nothing is pressurised: this bench is simulated in virtual time.")]
     return [
@@ -62,7 +62,7 @@ def failure_story(mounted: Mounted) -> list[tuple[str, str]]:
 
 
 def seconds(value: float) -> str:
-    """A time as people say it: `200 ms`, `5 s`."""
+    """A duration as text: `200 ms`, `5 s`."""
     return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s"
 
 
@@ -74,7 +74,7 @@ def _device_of(mounted: Mounted, output: str) -> DeviceRecord | None:
 
 
 def _opens_unheard(mounted: Mounted, output: str) -> DeviceRecord | None:
-    """The device whose watchdog opens the dump valve of an output when it hears nothing, if there is one."""
+    """Device whose watchdog opens the dump valve of an output when communication stops; None without one."""
     own = _device_of(mounted, f"dump_valve{without_number(output)[1]}")
     device = own or _device_of(mounted, "dump_valve")
     return device if device is not None and device.watchdog else None
@@ -93,7 +93,7 @@ def _computer(mounted: Mounted) -> Iterator[str]:
 
 
 def _valves_unheard(mounted: Mounted) -> Iterator[str]:
-    """What becomes of muscles behind valves that open in pulses."""
+    """Sentences on muscles behind valves that open in pulses, when the computer fails."""
     by_hand = _by_hand(mounted)
     yield "Pulses of valves end by themselves."
     for name in ("supply_valve", "dump_valve"):
@@ -106,7 +106,7 @@ def _valves_unheard(mounted: Mounted) -> Iterator[str]:
 
 
 def _unheard(mounted: Mounted, output: str) -> Iterator[str]:
-    """What becomes of one muscle when no device hears from the computer any more."""
+    """Sentences on one muscle when its devices no longer receive anything from the computer."""
     pressure, opens, by_hand = _device_of(mounted, output), _opens_unheard(mounted, output), _by_hand(mounted)
     if pressure is not None and pressure.watchdog:
         also = ""
@@ -191,7 +191,7 @@ def _interlock(mounted: Mounted) -> str:
 
 
 def noticed(trip: TripRecord, quantity: str = "pressure") -> str:
-    """What a trip of the watch list looks at, in words."""
+    """What a trip of the watch list detects, in words."""
     rate = RATE_OF.get(quantity, quantity)
     high = trip.high or 0.0
     lasting = f" for {seconds(trip.delay)}" if trip.delay else ""
@@ -211,7 +211,7 @@ Rows = list[list[str]]
 
 @dataclass(frozen=True)
 class Card:
-    """Everything on the card, in the words and units of people."""
+    """Contents of the card, as texts in display units."""
 
     name: str
     file: str
@@ -220,23 +220,23 @@ class Card:
     """File, SHA-256."""
     simulated: bool
     facts: Rows
-    """What, value."""
+    """Property, value."""
     unconfirmed: str
-    """A warning where values are not confirmed, else empty."""
+    """A warning if values are not confirmed, else empty."""
     first: str
     """What to do first in an emergency."""
     emergency: str
     """The command that vents from any terminal."""
     protection: str
-    """What protects people."""
+    """Protection of people."""
     limits: Rows
-    """Quantity, what may be commanded, who says so, what may be measured, action with delay, who says so."""
+    """Quantity, command range, its source, trip range, action with delay, its source."""
     vent: Rows
     """Action of the safe state, deadline."""
     proof: str
     stop: str
     failures: Rows
-    """What fails, what happens."""
+    """Failure, consequence."""
     watch: Rows
     """Channel, what is noticed, action."""
     interlocks: Rows
@@ -344,7 +344,7 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
 
 
 def _quantities(mounted: Mounted) -> dict[str, str]:
-    """Quantity of each channel and output."""
+    """Quantity of each channel and commanded value."""
     found = {name: record.quantity for name, record in mounted.bench.commanded.items()}
     return found | {channel.name: channel.quantity for channel in mounted.bench.channels}
 

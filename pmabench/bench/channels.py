@@ -1,6 +1,7 @@
 """Channels and outputs of a bench file with their scales: calibrations, command limits, valves.
 
-Calibrations lie next to the file that names them. A command limit is the intersection of device, bench and specimen.
+Calibrations are in a folder next to the file that names them. A command limit is the intersection of device, bench and
+specimen.
 
 Muscles that valves fill and empty in pulses: an exhaust valve does not empty a muscle whose fill valve is stuck open
 (5.2 of 7 bar remain). So the supply is shut first, then dumps that are open without power empty all muscles at once.
@@ -24,14 +25,14 @@ from pmabench.files.quantity import unit_factor
 
 SUPPLY_VALVE = "supply_valve"
 LONGEST_PULSE = 0.1
-"""A valve that opens for longer [s] would bring a muscle from nothing to its limit in one pulse."""
+"""A longer pulse [s] could bring a muscle from zero to its limit at once."""
 PLATFORM_MUSCLES = 3
 MEASURED = ("acceleration_x", "acceleration_y", "acceleration_z")
 COUNTERPART = {"fill": "exhaust", "exhaust": "fill"}
 
 
 def paired(c: Compilation, name: str, valve: b.ValveRecord) -> b.ValveRecord:
-    """The record of a valve with its longest pulse and its counterpart, where it opens in pulses."""
+    """Record of a valve, with its longest pulse and its counterpart if it opens in pulses."""
     pulse, at = c.bench.valves[name].pulse, ("outputs", name)
     kind, _, number = name.partition("_")
     if pulse is None:
@@ -46,7 +47,7 @@ def paired(c: Compilation, name: str, valve: b.ValveRecord) -> b.ValveRecord:
 
 
 def aims(c: Compilation) -> tuple[b.AimRecord, ...]:
-    """Limits of each pressure and of the tilt, and every problem of a bench whose valves open in pulses."""
+    """Limits of each pressure and of the tilt of a platform; adds every problem of valves that open in pulses."""
     if (platform := c.bench.platform) is None:
         return ()
     if len(c.bench.muscles) != PLATFORM_MUSCLES:
@@ -60,7 +61,7 @@ def aims(c: Compilation) -> tuple[b.AimRecord, ...]:
 
 
 def _pressure(c: Compilation, name: str) -> b.AimRecord | None:
-    """What one muscle may be brought to: the limits of bench, muscle and specimen."""
+    """Limits of the pressure of one muscle, from bench, muscle and specimen; None with a problem."""
     limit, at = c.bench.limits.get(name), ("limits", name)
     if limit is None or limit.command is None or limit.command_low is None:
         c.fault(at, f'lacks a limit of what valves may bring about; add "{name}: {{command_low: ..., command: ...}}"')
@@ -82,7 +83,7 @@ def _pressure(c: Compilation, name: str) -> b.AimRecord | None:
 
 
 def _refuse_without_valves(c: Compilation) -> None:
-    """Two valves of each muscle that open in pulses, a shut-off of the supply, and dumps that open without power."""
+    """Require two pulsed valves per muscle, a shut-off of the supply, and dumps that open without power."""
     valves: Mapping[str, b.ValveRecord] = c.valves
     for number in c.bench.muscles:
         for kind in COUNTERPART:
@@ -108,7 +109,7 @@ def _refuse_without_valves(c: Compilation) -> None:
 
 
 def refuse_unsafe_order(c: Compilation, actions: tuple[b.SafeAction, ...]) -> None:
-    """A problem where the safe state does not shut the supply first, open every dump at once, and look at the end."""
+    """Require a safe state that shuts the supply first, opens every dump at once, and confirms pressures at the end."""
     at: Location = ("safe_state",)
     if not actions or (actions[0].do, actions[0].target) != ("close", SUPPLY_VALVE):
         c.fault((*at, 0), f'the supply is shut first: "- {{close: {SUPPLY_VALVE}, within: ...}}"')
@@ -131,7 +132,7 @@ def _before_any_wait(actions: tuple[b.SafeAction, ...]) -> Iterator[tuple[str, s
 
 
 def numbers(c: Compilation) -> dict[str, float]:
-    """What the control of the platform must know of it, in SI, by the names of `model.many.platform.described`."""
+    """Numbers for the control of the platform, in SI, by the names of `model.many.platform.described`; else empty."""
     platform, air = c.bench.platform, c.bench.air
     if platform is None:
         return {}
@@ -145,12 +146,12 @@ def numbers(c: Compilation) -> dict[str, float]:
 
 
 MOST = 1e100
-"""Largest number that is accepted; its square is still finite."""
+"""Largest accepted number; its square must not overflow."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A channel's scale, where it comes from, the unit of its raw readings, what it covers, and the file's text."""
+    """A channel's scale, its record, the unit of its raw readings, the calibrated range, and the text of the file."""
 
     scale: b.Scale = field(default_factory=b.Scale)
     record: b.CalibrationRecord = field(default_factory=b.CalibrationRecord)
@@ -163,7 +164,7 @@ class Calibration:
 
 
 def read_calibration(path: Path, quantity: str) -> Calibration:
-    """The calibration in a file, for a channel that measures `quantity`; raises `InvalidFile` with every problem."""
+    """Read the calibration file of a channel that measures `quantity`; raises `InvalidFile` with every problem."""
     document = read_document(path)
     file = validate(CalibrationFile, document)
     problems = []
@@ -215,7 +216,7 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
 
 
 def fit_line(raw: list[float], value: list[float]) -> b.Scale:
-    """Least-squares line through reference points, value against raw; ValueError where they make none."""
+    """Least-squares line of value over raw; raises ValueError if the points do not define one."""
     if any(abs(number) > MOST for number in (*raw, *value)):
         raise ValueError("a number is out of all range")
     n = len(raw)
@@ -229,11 +230,11 @@ def fit_line(raw: list[float], value: list[float]) -> b.Scale:
 
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
-"""What a calibration may be called: it is a file's name."""
+"""Valid ids of calibrations, which are file names."""
 
 
 def channels(c: Compilation) -> dict[str, b.ChannelRecord]:
-    """Every channel that has no problem, by name."""
+    """Every channel without a problem, by name."""
     return {name: channel for name in c.bench.channels if (channel := _channel(c, name))}
 
 
@@ -292,18 +293,18 @@ def _calibration(c: Compilation, name: str, quantity: str, location: Location) -
 
 
 def _folders(c: Compilation, location: Location) -> list[Path]:
-    """Where calibrations may lie: next to the file that names the calibration, then next to every file of the bench."""
+    """Folders that may hold calibrations: next to the file that names the calibration, then next to all others."""
     files = [c.bench_document.place(location)[0], *c.bench_document.texts]
     parents = dict.fromkeys(Path(file).resolve().parent for file in files)
     return [folder for parent in parents for folder in (parent / "calibrations", parent.parent / "calibrations")]
 
 
 SET_POINTS = ("pressure", "displacement")
-"""The outputs that take values, by name; every other name is a valve's and needs `energised`."""
+"""Names of outputs that take values; any other name is a valve's and needs `energised`."""
 DRIVES = {"displacement": "actuator", "angle": "joint"}
-"""An output that a drive moves -> the section of the bench file that has its stroke and its speed."""
+"""Output that a drive moves -> section of the bench file with its stroke and speed."""
 LEAST_ROOM = 1e-3
-"""Margin of a driven end below the specimen's contraction limit: the channel's uncertainty, at least so much [1]."""
+"""Least margin of a driven end below the specimen's contraction limit, if the channel's uncertainty is less [1]."""
 
 
 def outputs(c: Compilation) -> dict[str, b.OutputRecord]:
@@ -312,7 +313,7 @@ def outputs(c: Compilation) -> dict[str, b.OutputRecord]:
 
 
 def set_points(c: Compilation) -> tuple[str, ...]:
-    """The names of outputs that take values here."""
+    """Names of outputs that take values on this bench."""
     if c.bench.platform is not None:
         return ()
     return ("angle", *(f"pressure_{number}" for number in c.bench.muscles)) if c.bench.muscles else SET_POINTS
@@ -379,7 +380,7 @@ def _output(c: Compilation, name: str, measured: b.ChannelRecord | None) -> b.Ou
 def _limits(
     c: Compilation, name: str, quantity: str, ends: list[float], measured: b.ChannelRecord | None
 ) -> tuple[float, str, float, str]:
-    """The highest of the lower limits and the lowest of the upper ones [SI], each with its place."""
+    """Highest of the lower limits and lowest of the upper limits [SI], each followed by its place in a file."""
     scale = c.place("outputs", name, "scale")
     lows, highs = [(min(ends), scale)], [(max(ends), scale)]
     limit = c.bench.limits.get(name)

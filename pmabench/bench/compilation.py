@@ -1,8 +1,8 @@
-"""A bench and a specimen while they are compiled: their models, where each value is written, every problem found.
+"""A bench and a specimen during compilation: their models, the place of each value, every problem found.
 
-The key `to_confirm` lists values that a program derived and nobody has confirmed. Comments are no data: what must not
-be overlooked is a list in the file. A person confirms a value by deleting its entry; a bench file whose list is empty
-also needs a name under `reviewed`, because the safety values were among them.
+The key `to_confirm` lists values that a program derived and nobody has confirmed; comments are not read, so this has
+to be data. A person confirms a value by deleting its entry; a bench file whose list is empty also needs a name under
+`reviewed`, because the safety values were among them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LIMITS = ("command", "command_low", "trip", "trip_low")
 
 
 def known_places(c: Compilation) -> None:
-    """A problem for each entry of `to_confirm` that names no key of its file."""
+    """Add a problem for each entry of `to_confirm` that is no key of its file."""
     for document in (c.bench_document, c.specimen_document):
         for index, name in enumerate(_entries(document)):
             data: Any = document.data if document is not None else {}
@@ -41,7 +41,7 @@ def known_places(c: Compilation) -> None:
 
 
 def unconfirmed(c: Compilation) -> Iterator[Problem]:
-    """A problem at each value that is listed in `to_confirm`, and one where nobody reviewed what was confirmed."""
+    """A problem for each value listed in `to_confirm`, and one if nobody reviewed the confirmed ones."""
     for document in (c.bench_document, c.specimen_document):
         for name in _entries(document):
             location = tuple(int(part) if part.isdecimal() else part for part in name.split("."))
@@ -66,9 +66,9 @@ UNITS_OF_CHANNELS = {unit for quantity in CHANNEL_QUANTITY.values() for unit in 
 
 
 def _of_other_units(document: Document) -> Iterator[Problem]:
-    """Values whose unit belongs to another quantity, of a file that does not fit its model and goes no further."""
+    """Values with a unit of another quantity, in a file that failed validation and is not compiled further."""
     for location, name, value in _named_values(document.data):
-        with suppress(ValueError):  # what is no reading at all is said by the model
+        with suppress(ValueError):  # the model reports what is no reading at all
             unit = raw_quantity(value)[1]
             if location[0] == "channels" and unit not in UNITS_OF_CHANNELS:
                 continue  # a range may be in the device's own unit
@@ -79,7 +79,7 @@ def _of_other_units(document: Document) -> Iterator[Problem]:
 
 
 def _named_values(data: dict[str, Any]) -> Iterator[tuple[Location, str, object]]:
-    """Ranges, scales and limits that are written under the name of a channel: place, name, value."""
+    """Ranges, scales and limits under the name of a channel: place, name, value."""
     for section, keys in (("channels", ("range",)), ("outputs", ("scale",)), ("limits", LIMITS)):
         entries = data.get(section)
         for name, entry in entries.items() if isinstance(entries, dict) else ():
@@ -90,23 +90,23 @@ def _named_values(data: dict[str, Any]) -> Iterator[tuple[Location, str, object]
                 values = given if isinstance(given, list) else [given]
                 for index, value in enumerate(values):
                     at: Location = (section, name, key, index) if isinstance(given, list) else (section, name, key)
-                    if isinstance(value, list) and len(value) == 2:  # of a scale: what the device has, and its value
+                    if isinstance(value, list) and len(value) == 2:  # point of a scale: device value, then SI value
                         at, value = (*at, 1), value[1]
                     if isinstance(value, str) and entry.get("unit") is None:
                         yield at, name, value
 
 
 class Borne(NamedTuple):
-    """What a muscle bears, whose limits these are, and where they are written."""
+    """Limits of a muscle, whose they are, and where they are written."""
 
     limits: SpecimenLimits
     whose: str
     place: Callable[..., str]
-    """`path:line:column` of the value at a location below."""
+    """Function from the keys of a value to its `path:line:column`."""
 
 
 class Compilation:
-    """A bench being compiled: files, records and problems so far; `InvalidFile` where a file does not fit its model."""
+    """A bench during compilation: files, records, problems; raises `InvalidFile` if a file does not fit its model."""
 
     def __init__(self, bench: Document, specimen: Document | None, today: datetime.date) -> None:
         self.bench_document, self.specimen_document, self.today = bench, specimen, today
@@ -114,15 +114,15 @@ class Compilation:
         self.texts = {"bench.yaml": document_text(bench)}
         """Name in a run's snapshot -> text; calibrations are added."""
         self.calibrated: dict[str, tuple[float, float]] = {}
-        """Channel -> lowest and highest value [SI] that its calibration covers."""
+        """Channel -> lowest and highest calibrated value [SI]."""
         self.extrapolated: list[str] = []
-        """Trips beyond what a calibration covers, each with how well it is known there."""
+        """Trips outside the calibrated range, each with its uncertainty, as text."""
         self.channels: dict[str, ChannelRecord] = {}
-        """Every channel that has no problem, by name; outputs and valves likewise."""
+        """Every channel without a problem, by name; outputs and valves likewise."""
         self.outputs: dict[str, OutputRecord] = {}
         self.valves: dict[str, ValveRecord] = {}
         self.driver_lacks: list[str] = []
-        """Warnings about devices' options; each line goes on after "this bench has"."""
+        """Warnings about devices' options; each continues the sentence "this bench has"."""
         files: dict[type[Strict], Any] = {SpecimenFile: any_specimen()}
         if specimen is not None:
             self.texts["specimen.yaml"] = document_text(specimen)
@@ -140,15 +140,15 @@ class Compilation:
 
     @property
     def length(self) -> float | None:
-        """Mounted length of the specimen [m]; None where the bench is looked at alone."""
+        """Mounted length of the specimen [m]; None without a specimen."""
         return self.specimen.mounted.length if self.specimen_document is not None else None
 
     def fault(self, location: Location, message: str, *, key: bool = False) -> None:
-        """A problem at a value of the bench file, or at its key."""
+        """Add a problem at a value of the bench file, or at its key."""
         self.problems.append(self.bench_document.problem(location, message, key=key))
 
     def unknown(self, location: Location, what: str, name: str, known: Collection[str]) -> bool:
-        """Whether `name` is not among the known ones, which is then a problem."""
+        """Whether `name` is not in `known`; then a problem is added."""
         if name in known:
             return False
         self.fault(location, f'no {what} "{name}"{did_you_mean(name, known)}')
@@ -156,7 +156,7 @@ class Compilation:
 
     @property
     def names(self) -> list[str]:
-        """What channels may be called here: with the number of the muscle where there are several."""
+        """Valid channel names on this bench; with the muscle's number if there are several muscles."""
         alone = [name for name in CHANNEL_QUANTITY if name == without_number(name)[0]]
         if not self.bench.muscles:
             return alone
@@ -164,7 +164,7 @@ class Compilation:
         return [f"{name}_{number}" for number in self.bench.muscles for name in OF_A_MUSCLE] + shared
 
     def borne(self, name: str) -> Iterator[Borne]:
-        """What the muscle bears to which a channel or an output belongs: as the bench file says, and the specimen's."""
+        """Limits of the muscle of a channel or output: those in the bench file, if any, and those of the specimen."""
         if (number := without_number(name)[1][1:]) in self.bench.muscles:
             place = partial(self.place, "muscles", number, "limits")
             yield Borne(self.bench.muscles[number].limits, f"muscle {number}'s", place)
@@ -172,16 +172,16 @@ class Compilation:
 
     @property
     def pressures(self) -> list[OutputRecord]:
-        """The outputs without a problem that command the pressure of a muscle."""
+        """Outputs without a problem that command the pressure of a muscle."""
         return [output for output in self.outputs.values() if output.quantity == "pressure"]
 
     @property
     def highest(self) -> OutputRecord | None:
-        """That of them that may be commanded highest."""
+        """The pressure output with the highest command limit; None without one."""
         return max(self.pressures, key=lambda output: output.high, default=None)
 
     def si(self, reading: tuple[float, str], quantity: str, location: Location) -> float:
-        """A reading of the bench file in SI; 0 where it is a problem."""
+        """A reading of the bench file in SI; 0 with a problem."""
         try:
             value = reading[0] * unit_factor(reading[1], quantity)
         except ValueError as error:

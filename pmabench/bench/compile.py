@@ -1,4 +1,4 @@
-"""Bench, specimen and calibration files to one compiled bench. Knows no protocol.
+"""Compiles bench, specimen and calibration files to one bench. Independent of the protocol.
 
 Made of `channels` (calibrations, command limits, valves), `safety` (limits on what is measured, watch list, safe state
 with its proof and interlocks), `session` and `remarks`; they share a `Compilation`. `??` as a value in a file is a
@@ -27,7 +27,7 @@ from pmabench.bench.session import Session, lacks_session, session
 from pmabench.files.document import Document, Location, read_document
 
 OPEN = "??"
-"""A value that is still to be filled in; `import --guess` writes the same mark."""
+"""Placeholder for a missing value, also written by `import --guess`."""
 
 
 def unfilled(bench: Path, documents: Sequence[Document]) -> list[Problem]:
@@ -65,7 +65,7 @@ def _open(data: Any, at: Location) -> Iterator[Location]:
 
 @dataclass(frozen=True)
 class Mounted:
-    """A bench with a specimen in it: the compiled bench, the files it was made of, and what it lacks."""
+    """A bench with a specimen mounted: the compiled bench, its source files, and what it lacks."""
 
     bench: CompiledBench
     bench_file: BenchFile
@@ -74,30 +74,30 @@ class Mounted:
     """Name in the snapshot -> text."""
     lacks: tuple[str, ...]
     session: Session | None = None
-    """What the bench file asks for before the first run."""
+    """The session that the bench file declares; None without one."""
     doubts: tuple[str, ...] = ()
-    """What may be a mistake, a line each."""
+    """Possible mistakes in the files, a line each."""
     in_session: Mapping[str, Any] | None = None
-    """The session whose zeros the bench carries, as manifests name it."""
+    """Session whose zeros the bench uses, as written to manifests; None without one."""
     unconfirmed: tuple[Problem, ...] = ()
-    """Values that a program derived and nobody has confirmed; nothing runs in real time with them."""
+    """Values that a program derived and nobody has confirmed; they must be confirmed before a run in real time."""
 
     def refuse_unconfirmed(self) -> None:
-        """Raise `InvalidFile` with every unconfirmed value, on a bench in real time."""
+        """Raise `InvalidFile` with every unconfirmed value if the bench runs in real time."""
         if self.bench.realtime and self.unconfirmed:
             raise InvalidFile(self.unconfirmed)
 
 
 def mount(bench_path: Path, specimen_path: Path, today: datetime.date | None = None) -> Mounted:
-    """Compile a bench with a specimen in it; raises `InvalidFile` with every problem of every file.
+    """Compile a bench with a specimen mounted; raises `InvalidFile` with every problem of every file.
 
-    Calibrations that ended before `today` are named in `lacks`.
+    Calibrations that expired before `today` are listed in `lacks`.
     """
     return _compile(_compilation([bench_path, specimen_path], today), bench_path)
 
 
 def mount_alone(bench_path: Path, today: datetime.date | None = None) -> Mounted:
-    """Compile a bench without a specimen, to look at it: what a specimen limits is left out, and it cannot be run."""
+    """Compile a bench without a specimen, for inspection only: no limits of a specimen, and it cannot be run."""
     return _compile(_compilation([bench_path], today), bench_path)
 
 
@@ -185,9 +185,9 @@ def _devices(c: Compilation, actions: tuple[SafeAction, ...]) -> Iterator[Device
 
 
 def _refuse_twice(c: Compilation, devices: Sequence[DeviceRecord]) -> None:
-    """A problem for each address, input and output that the file has twice.
+    """Add a problem for each address, input and output that occurs twice in the file.
 
-    With the address of the first regulator, copied, a second one would never be vented, and its vent be confirmed.
+    If a second regulator had a copy of the first one's address, it would never be vented, and its vent confirmed.
     """
     seen: dict[tuple[str, ...], Location] = {}
 
@@ -206,7 +206,7 @@ def _refuse_twice(c: Compilation, devices: Sequence[DeviceRecord]) -> None:
 
 
 def _verified(file: DeviceFile) -> str:
-    """What the bench file says about the driver; empty where that is left to the driver."""
+    """Statement of the bench file on how the driver was verified; empty without one."""
     if file.verified is None:
         return ""
     firmware = f", firmware {file.verified.firmware}" if file.verified.firmware else ""
@@ -214,6 +214,6 @@ def _verified(file: DeviceFile) -> str:
 
 
 def _left_safe(valve: ValveRecord, actions: tuple[SafeAction, ...]) -> ValveRecord:
-    """The record of a valve, with the position in which the safe state leaves it."""
+    """The valve with the position in which the safe state leaves it."""
     last = [action.do for action in actions if action.target == valve.name and action.do in {"open", "close"}]
     return valve if valve.longest else replace(valve, safe="closed" if last and last[-1] == "close" else "open")

@@ -1,16 +1,15 @@
-"""What a driver says about the options that a bench file gives it, before anything is opened.
+"""Checks by a driver of the options that a bench file gives it, before anything is opened.
 
-A driver may have a class method `check(device: DeviceRecord)` that yields (place, message) for all that is wrong. A
-place starts at the device (`options` or `address`) or at the top of the bench file (`channels`, `outputs`, `interlocks`
+A driver may have a class method `check(device: DeviceRecord)` that yields (place, message) for every mistake. A place
+starts at the device (`options` or `address`) or at the top of the bench file (`channels`, `outputs`, `interlocks`
 by name). It must touch no device and import nothing heavy.
+Another one, `fastest(device: DeviceRecord)`, may return its highest sample rate with these options [Hz], so that we
+can warn of a protocol that asks for more, and `lacks(device: DeviceRecord)` yields surprises of these options,
+each continuing the sentence "this bench has"; both are called only if the options are valid.
 
-Another one, `fastest(device: DeviceRecord)`, may return its highest sample rate with these options [Hz], so that a
-protocol that asks for more is warned of, and `lacks(device: DeviceRecord)` yields what of these options may
-surprise, each going on after "this bench has"; both are asked only where nothing is wrong with the options.
-
-The option `map`, where it is text, names a YAML file next to the bench file: its content takes its place. So does the
-text of a DBC file (messages of a CAN bus), which the option `dbc` names, and the numbers of a plant file, where the
-option `plant` names one.
+A text as option `map` names a YAML file next to the bench file; its content replaces the name. The same holds for the
+text of a DBC file (messages of a CAN bus), named by the option `dbc`, and the numbers of a plant file, named by the
+option `plant`.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ from pmabench.files.document import Document, Location, document_text, read_docu
 
 MAP, DBC, PLANT = "map", "dbc", "plant"
 LONGEST = 2_000_000
-"""Longest DBC file that is read [bytes]."""
+"""Longest DBC file accepted [bytes]."""
 
 
 def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
-    """The device with its map file read; what its driver finds wrong becomes a problem at its place."""
+    """The device with its files read into the options; adds a problem for everything its driver objects to."""
     at: Location = ("devices", device.name)
     options, map_document = _options_with_files(c, device)
     if any(options[name] is None for name in options if device.options[name] is not None):
@@ -63,14 +62,14 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
 
 
 def loaded(target: str) -> type:
-    """The driver class `module:Class`; raises ImportError or AttributeError."""
+    """Driver class `module:Class`; raises ImportError or AttributeError."""
     module, _, name = target.partition(":")
     found: type = getattr(import_module(module), name)
     return found
 
 
 def _options_with_files(c: Compilation, device: DeviceRecord) -> tuple[dict[str, Any], Document | None]:
-    """The options with each file that they name replaced by its content, and the map file; None for a faulty file."""
+    """Options with file names replaced by contents (None for an invalid file), and the map file if there is one."""
     options, at = dict(device.options), ("devices", device.name, "options")
     map_document: Document | None = None
     if isinstance(options.get(MAP), str):
@@ -84,7 +83,7 @@ def _options_with_files(c: Compilation, device: DeviceRecord) -> tuple[dict[str,
 
 
 def _add_problem(c: Compilation, at: Location, place: Location, message: str, map_document: Document | None) -> None:
-    """A problem that a driver found, at its place in the map file, among channels and interlocks, or at the device."""
+    """Add a driver's problem at its place: in the map file, at a channel, output or interlock, or at the device."""
     if map_document is not None and place[:2] == ("options", MAP):
         c.problems.append(map_document.problem(place[2:], message))
     elif place and place[0] in {"channels", "outputs"}:
@@ -97,7 +96,7 @@ def _add_problem(c: Compilation, at: Location, place: Location, message: str, ma
 
 
 def _lacks_a_capability(c: Compilation, device: DeviceRecord, driver: type) -> bool:
-    """Whether the bench file wants of a device what its driver cannot do, which is then a problem at its place."""
+    """Whether the bench file uses a capability that the driver lacks; adds a problem for each."""
     wants: list[tuple[Location, type, str]] = []
     wants += [(("channels", channel.name, "device"), Stream, "measures nothing") for channel in device.channels]
     wants += [(("outputs", output.name, "device"), SetPoint, "takes no set-points") for output in device.outputs]
@@ -122,7 +121,7 @@ def _lacks_a_capability(c: Compilation, device: DeviceRecord, driver: type) -> b
 
 
 def _read_dbc(c: Compilation, name: str, at: Location) -> str | None:
-    """The text of a DBC file, kept for the run's snapshot; None where it is a problem. Such files are in Latin-1."""
+    """Text of a DBC file (Latin-1), kept for the run's snapshot; None with a problem."""
     path = Path(name)
     if path.is_absolute() or ".." in path.parts or path.suffix.lower() != ".dbc":
         c.fault(at, f'a .dbc file next to this one is expected, for instance "sensors/load-cell.dbc", not "{name}"')
@@ -141,7 +140,7 @@ def _read_dbc(c: Compilation, name: str, at: Location) -> str | None:
 
 
 def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str, Any] | None:
-    """The numbers of a plant file, kept for the run's snapshot; None where it is a problem."""
+    """Numbers of a plant file, kept for the run's snapshot; None with a problem."""
     name = device.options[PLANT]
     if not isinstance(name, str):
         c.fault(at, "the name of a plant, or a plant file next to this one, is expected")
@@ -159,7 +158,7 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
 
 
 def _yaml_path(c: Compilation, name: str, at: Location, example: str) -> Path | None:
-    """The path of a .yaml file next to the file that names it at `at`; None where it is a problem."""
+    """Path of a .yaml file next to the file that names it at `at`; None with a problem."""
     path = Path(name)
     if path.is_absolute() or ".." in path.parts or path.suffix != ".yaml":
         c.fault(at, f'a .yaml file next to this one is expected, for instance "{example}", not "{name}"')
@@ -168,7 +167,7 @@ def _yaml_path(c: Compilation, name: str, at: Location, example: str) -> Path | 
 
 
 def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
-    """Keep the text for the run's snapshot; False, with a problem, where another file already has this name."""
+    """Keep the text for the run's snapshot; False, with a problem, if another file already has this name."""
     if name == "protocol.yaml" or c.texts.setdefault(name, text) != text:
         c.fault(at, f'in the record of a run another file is called "{name}"; give this one another name')
         return False
@@ -176,7 +175,7 @@ def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
 
 
 def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
-    """The map file, kept for the run's snapshot; None where it is a problem."""
+    """Map file, kept for the run's snapshot; None with a problem."""
     if (path := _yaml_path(c, name, at, "registers/regulator.yaml")) is None:
         return None
     try:

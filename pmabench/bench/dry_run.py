@@ -1,13 +1,13 @@
 """A lab's own bench with the simulated plant in place of its devices, for `check --simulate`; opens nothing.
 
-The muscle is simulated by coefficients that are expected, else by its type, else by its braid. Coefficients are
-straight lines of force over contraction; a type or a braid is a surface (`pmabench.model.real`), whose friction and
-damping are assumed. `factors` says how far off its force may be: a dry run is made with each of them.
+The muscle is simulated from expected coefficients, else from its type, else from its braid. Coefficients give straight
+lines of force over contraction; a type or a braid gives a surface (`pmabench.model.real`), with assumed friction and
+damping. `factors` covers the uncertainty of its force: a dry run is made with each of them.
 
-Scales, counts, ranges, limits, trips and the safe state stay as the bench file has them. What has no place in a plant
-(other sensors, interlocks, watchdogs, the time that devices need) is left out and named.
+Scales, counts, ranges, limits, trips and the safe state remain those of the bench file. What a plant does not have
+(other sensors, interlocks, watchdogs, response times of devices) is left out and listed.
 
-Several muscles, on a joint or a platform, are those of paper 3 (modified Daerden) of the specimen's diameter, length
+Several muscles, on a joint or a platform, are those of paper 3 (modified Daerden) with the specimen's diameter, length
 and braid angle; the rest is as the bench file describes it.
 """
 
@@ -31,42 +31,42 @@ from pmabench.model.published_muscles import braid_surface, find_type
 from pmabench.model.real.muscle import Surface
 
 LAG, DEAD_TIME = 0.1, 0.02
-"""Of the simulated regulator [s]: those of proportional valves on small muscles."""
+"""First-order lag and dead time of the simulated regulator [s]: proportional valves on small muscles."""
 TYPE_FACTORS = (1.0, 0.8, 1.2)
-"""Times the force of a type: muscles of one type differ, and lengths of 100 mm pull a fifth less than long ones."""
+"""Factors on the force of a type: muscles of one type differ, and those of 100 mm pull a fifth less than long ones."""
 BRAID_FACTORS = (0.75, 0.5, 1.0)
-"""Times the force of a braid: in the catalogues of DMSP-20 and DMSP-40 most points are between half and all of it."""
+"""Factors on the force of a braid: catalogue points of DMSP-20 and DMSP-40 are mostly between half and all of it."""
 FRICTION = 0.03
-"""Half of the gap between both ways, and friction, as a share of F_ce."""
+"""Half width of the hysteresis loop, and friction, as a fraction of F_ce."""
 TIME_CONSTANT = 0.25
-"""B over K [s]."""
+"""Time constant B / K [s]."""
 MIDDLE = 0.1
-"""Contraction at which K counts for the damping [1]."""
+"""Contraction at which K is taken for the damping [1]."""
 STRETCHED = -0.03
 WIDTHS, WEIGHTS = (0.8e-3, 3.2e-3, 10e-3, 32e-3), (0.2, 0.3, 0.3, 0.2)
-"""Of the hysteresis over contraction, as shares of the length: those of the plant `real`."""
+"""Widths [fraction of the length] and weights of the hysteresis over contraction: those of the plant `real`."""
 STEEPNESS = np.geomspace(5.0, 80.0, 60)
-"""Where the exponent of a surface is looked for [1]."""
+"""Trial values for the exponent of a surface [1]."""
 BAR = 1e-5
 """Scales pressures to numbers near 1 [1/Pa]."""
 POINTS = 9
-"""Pressures at which coefficients are made of a surface."""
+"""Number of pressures at which coefficients are computed from a surface."""
 
 
 @dataclass(frozen=True)
 class PredictedMuscle:
-    """A muscle as numbers of a plant (without noise of sensors), with what is known of its source."""
+    """A muscle as numbers of a plant (without sensor noise), with its source."""
 
     numbers: dict[str, Any]
     expected: ExpectedFile | None
-    """Its coefficients, to predict what it can lift; None where they are not known."""
+    """Its coefficients, to predict what it can lift; None if not known."""
     source: str
-    """Where it is from, and how far off it may be, in words."""
+    """Origin and uncertainty, in words."""
     factors: tuple[float, ...] = (1.0,)
-    """Forces to try, as factors; the first is the most likely one."""
+    """Factors on the force to try; the most likely one first."""
 
     def times(self, factor: float) -> PredictedMuscle:
-        """The same with another force."""
+        """The same muscle with its force multiplied by `factor`."""
         if (expected := self.expected) is not None:
             points = [
                 point.model_copy(update={name: factor * getattr(point, name) for name in ("F_ce", "K", "B_c", "B_r")})
@@ -82,7 +82,7 @@ class PredictedMuscle:
         return replace(self, numbers=numbers, expected=expected)
 
     def contraction(self, pressure: float, load: float) -> float | None:
-        """Where a load [N] rests at a pressure [Pa], without friction [m]; None where that is not known."""
+        """Equilibrium contraction [m] under a load [N] at a pressure [Pa], without friction; None if not known."""
         if "surface" in self.numbers:
             eps = np.linspace(self.numbers["reach"][1], 0.0, 201)
             force = Surface(**self.numbers["surface"]).force(eps, np.full(eps.shape, pressure))
@@ -96,9 +96,9 @@ class PredictedMuscle:
 
 
 def as_expected(expected: ExpectedFile, specimen: SpecimenFile, highest: float, source: str) -> PredictedMuscle:
-    """By coefficients, on straight lines between their points, up to `highest` [Pa].
+    """Muscle from coefficients, interpolated linearly between their points, up to `highest` [Pa].
 
-    F_ce goes on straight below the lowest point, down to 0; all else stays as at the nearest point.
+    F_ce is extrapolated linearly below the lowest point, down to 0; the others stay as at the nearest point.
     """
     points = sorted(expected.points, key=lambda point: point.pressure)
     highest = max(points[-1].pressure, highest)
@@ -121,7 +121,7 @@ def as_expected(expected: ExpectedFile, specimen: SpecimenFile, highest: float, 
 
 
 def of_specimen(specimen: SpecimenFile, highest: float) -> PredictedMuscle:
-    """By the specimen's type in the library, else by its braid, up to `highest` [Pa]."""
+    """Muscle from the specimen's type in the library, else from its braid, up to `highest` [Pa]."""
     known = find_type(specimen.make, specimen.type)
     if known is not None and known.surface is not None:
         surface, factors = known.surface, TYPE_FACTORS
@@ -140,7 +140,7 @@ def of_specimen(specimen: SpecimenFile, highest: float) -> PredictedMuscle:
 def by_surface(
     surface: Surface, specimen: SpecimenFile, highest: float, source: str, factors: tuple[float, ...] = (1.0,)
 ) -> PredictedMuscle:
-    """By a force surface, up to `highest` [Pa], with friction and damping assumed."""
+    """Muscle from a force surface, up to `highest` [Pa], with friction and damping assumed."""
     numbers = {
         **_common(specimen, highest, "surface"),
         "law": "real",
@@ -161,7 +161,7 @@ def by_surface(
 
 
 def nearest_surface(places: Sequence[tuple[float, float, float]]) -> Surface:
-    """The surface nearest to forces [N] at (pressure [Pa], contraction over length [1], force), by least squares."""
+    """Least-squares fit of a surface to places (pressure [Pa], contraction over length [1], force [N])."""
     P, eps, F = np.array(places).T
     bar = P * BAR
     best: tuple[float, Surface] | None = None
@@ -189,7 +189,7 @@ def _common(specimen: SpecimenFile, highest: float, file: str) -> dict[str, Any]
 
 
 def _damping(surface: Surface, length: float, highest: float) -> dict[str, Any]:
-    """B_c and B_r over pressure: the time constant times the stiffness in the middle."""
+    """B_c and B_r over pressure: the time constant times the stiffness at `MIDDLE`."""
     P = np.linspace(0.0, highest, POINTS)
     B = TIME_CONSTANT * np.maximum(surface.slope(np.full(POINTS, MIDDLE), P), 1.0) / length
     points = {"points": np.stack([P, B], axis=1).tolist()}
@@ -197,7 +197,7 @@ def _damping(surface: Surface, length: float, highest: float) -> dict[str, Any]:
 
 
 def _coefficients(surface: Surface, specimen: SpecimenFile, highest: float, source: str) -> ExpectedFile:
-    """F_ce of the surface, and K as the mean slope up to the middle, at some pressures."""
+    """F_ce of the surface, and K as its mean slope up to `MIDDLE`, at `POINTS` pressures."""
     P = np.linspace(0.1 * highest, highest, POINTS)
     force = np.maximum(surface.force(np.zeros(POINTS), P), 0.0)
     there = surface.force(np.full(POINTS, MIDDLE), P)
@@ -210,14 +210,14 @@ def _coefficients(surface: Surface, specimen: SpecimenFile, highest: float, sour
 
 
 def _to(end: float, values: list[list[float]]) -> list[list[float]]:
-    """For an end of the range beyond the points: that end with the value of the nearest; the points with the upper."""
+    """Extend a table to `end`: [end, value at the nearest point] at the lower end, the whole table at the upper end."""
     if end <= values[0][0]:
         return [[end, values[0][1]]] if end < values[0][0] else []
     return [*values, *([[end, values[-1][1]]] if end > values[-1][0] else [])]
 
 
 def _force(points: list[Any], highest: float) -> list[list[float]]:
-    """F_ce [N] over pressure [Pa], straight on beyond the points and never below 0."""
+    """F_ce [N] over pressure [Pa], extrapolated linearly beyond the points and never below 0."""
     known = [[point.pressure, point.F_ce] for point in points]
     if len(known) > 1:
         (P0, F0), (P1, F1) = known[:2]
@@ -233,7 +233,7 @@ def _force(points: list[Any], highest: float) -> list[list[float]]:
 
 
 def plant_text(muscle: PredictedMuscle, day: datetime.date) -> str:
-    """A muscle by a surface as a plant file, for a bench that has no devices yet."""
+    """Plant file of a muscle from a surface, for a bench that has no devices yet."""
     numbers = muscle.numbers
     s, stops = numbers["surface"], numbers["over_x"]
     damping = ", ".join(
@@ -275,7 +275,7 @@ INPUTS = {
 }
 """Channel of a bench -> input of the simulated one."""
 NOISE = 2e-4
-"""Of each channel, as a share of its range."""
+"""Standard deviation of the noise of each channel, as a fraction of its range."""
 
 
 @dataclass(frozen=True)
@@ -284,13 +284,13 @@ class DryRun:
 
     mounted: Mounted
     muscle: str
-    """Where the simulated muscle comes from."""
+    """Origin of the simulated muscle."""
     left_out: tuple[str, ...]
-    """What is not simulated, a sentence each."""
+    """Sentences on what is not simulated."""
 
 
 def dry_run(mounted: Mounted, options: Mapping[str, Any], muscle: str) -> DryRun:
-    """The bench with a simulated plant by `options` of the mock driver; `muscle` says where these are from."""
+    """The bench with a simulated plant from `options` of the mock driver; `muscle` states their origin."""
     bench, many = mounted.bench, bool(mounted.bench_file.muscles)
     known = inputs(mounted) if many else INPUTS
     channels = [channel for channel in bench.channels if channel.name in known]
@@ -331,7 +331,7 @@ def _left_out(bench: CompiledBench, names: set[str]) -> Iterator[str]:
 
 
 def options_of(muscle: PredictedMuscle, mounted: Mounted) -> dict[str, Any]:
-    """Options of the mock driver for a predicted muscle, with sensors as noisy as the channels' ranges are wide."""
+    """Options of the mock driver for a predicted muscle; sensor noise is in proportion to the channels' ranges."""
     if mounted.bench_file.muscles:
         return muscle.numbers
     noise = {
@@ -353,7 +353,7 @@ def highest_pressure(mounted: Mounted) -> float:
 
 DUMP, SUPPLY = "dump_valve", "supply_valve"
 SAME = ("angle", "torque", "supply", "acceleration_x", "acceleration_y", "acceleration_z", "turn_x", "turn_y")
-"""Channels that are inputs of the simulated bench by the same name."""
+"""Channels with the same name as an input of the simulated bench."""
 
 
 def inputs(mounted: Mounted) -> dict[str, str]:
@@ -374,14 +374,14 @@ def driven(mounted: Mounted) -> bool:
 
 
 def valve_output(valve: ValveRecord) -> str:
-    """Which valve of the simulated bench takes its place: its own name, or the one before all muscles."""
+    """Valve of the simulated bench that represents it: of the same name, or the one before all muscles."""
     return valve.name if valve.longest or without_number(valve.name)[0] == DUMP else SUPPLY
 
 
 def several(mounted: Mounted) -> tuple[dict[str, Any], str]:
-    """Options of the mock driver, and in words whose muscles these are.
+    """Options of the mock driver, and a text on the origin of the muscles.
 
-    Raises UsageError where the bench file does not say what the joint is made of, or has another free end.
+    Raises UsageError if the bench file lacks the dimensions of the joint, or has another free end.
     """
     file, specimen = mounted.bench_file, mounted.specimen_file
     angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE

@@ -1,4 +1,4 @@
-"""What every driver implements, and the compiled bench as plain records; standard library only.
+"""The interface of drivers, and the compiled bench as plain records; standard library only.
 
 A driver is a class that is built as `Driver(device, clock)` from a `DeviceRecord` and a clock, imports nothing heavy
 before `open`, and implements `Device` and those of the small capabilities below that its device has.
@@ -6,13 +6,12 @@ Values that cross this interface are in the device's own units (counts, volts, p
 next to them in the records and is done above the driver. Raises only `pmabench.base.errors.DeviceError`.
 
 In real time each device has one thread that calls it. A call returns within 0.2 s (`open` within 2 s) or raises; no
-write is retried; after a time-out the line is drained, so that no answer belongs to an older question. `collect` never
-waits for a sample: a polled device has its own thread that polls. A class method `check(device)` may name what is
-wrong with the options before anything is opened, others, `fastest(device)` and `lacks(device)`, how fast it samples at
-most with them, and what of them may surprise: `pmabench.bench.driver_options`.
-
-The records are all that guard, engine and drivers know of a bench file, and go to other processes as JSON. Values are
-SI; a `Scale` has what the device itself gives. `Truth` is what is really wired to the devices of a rig, for emulators.
+write is retried; after a time-out the line is drained, so that no answer is taken for that of a later question.
+`collect` never waits for a sample: a polled device has its own polling thread. Optional class methods are called
+before anything is opened (`pmabench.bench.driver_options`): `check(device)` yields mistakes in the options,
+`fastest(device)` returns the highest sampling rate with them, `lacks(device)` yields their possible surprises.
+The records are all that guard, engine and drivers know of a bench file, and are sent to other processes as JSON. Values
+are SI; a `Scale` converts device units. `Truth` is the actual wiring of the devices of a rig, for emulators.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class CalibrationRecord:
-    """Where a channel's scale comes from, and how well it is known (95 %, k = 2)."""
+    """Source of a channel's scale, and its uncertainty (95 %, k = 2)."""
 
     id: str = ""
     reference: str = ""
@@ -85,11 +84,11 @@ class ChannelRecord:
     reference: str = "gauge"
     calibration: CalibrationRecord = field(default_factory=CalibrationRecord)
     zero: float | None = None
-    """What the session's zero took off the calibration's `scale.offset` [SI]; None: no zero was taken."""
+    """Shift of `scale.offset` below the calibration's by the session's zero [SI]; None: no zero was taken."""
 
     @property
     def calibrated(self) -> Scale:
-        """The scale of the calibration, without any zero: what the device itself knows."""
+        """The scale of the calibration, without the zero: what the device knows."""
         return Scale(self.scale.slope, self.scale.offset + (self.zero or 0.0))
 
 
@@ -97,7 +96,7 @@ class ChannelRecord:
 class OutputRecord:
     """One commanded quantity; `low` and `high` are the active command limits [SI].
 
-    `low_from` and `high_from` say who set them, as `file:line:column`.
+    `low_from` and `high_from` are the places that set them, as `file:line:column`.
     """
 
     name: str
@@ -114,28 +113,28 @@ class OutputRecord:
     low_from: str = ""
     high_from: str = ""
     rate: float = 0.0
-    """Highest rate of change [SI/s]; 0 for none."""
+    """Highest rate of change [SI/s]; 0: no limit."""
 
 
 @dataclass(frozen=True)
 class ValveRecord:
-    """A valve that is switched: `energised` says whether it is `closed` or `open` while its output is on."""
+    """A valve that is switched; `energised` is its position while the output is on, `closed` or `open`."""
 
     name: str
     device: str
     output: str
     energised: str = "closed"
     safe: str = "open"
-    """Where the safe state leaves it; while the bench runs it is the other way, unless it opens in pulses."""
+    """Position in the safe state; the other one during a run, unless it opens in pulses."""
     longest: float = 0.0
-    """It opens in pulses of at most so long [s], and is shut between them; 0: it is switched and stays."""
+    """Longest pulse [s] of a valve that is shut between pulses; 0: it is switched and stays."""
     never_with: str = ""
-    """The valve that is never open at the same time: the other one of the muscle."""
+    """Name of the valve that must not be open at the same time: the other one of the muscle."""
 
 
 @dataclass(frozen=True)
 class AimRecord:
-    """What valves steer and no device takes as a set-point, as a muscle's pressure or a tilt, and its limits [SI]."""
+    """A quantity that valves control without an output for it, such as a muscle's pressure or a tilt; limits in SI."""
 
     name: str
     quantity: str
@@ -146,18 +145,18 @@ class AimRecord:
 
     @property
     def low_from(self) -> str:
-        """As of an output."""
+        """As for an output."""
         return self.source
 
     @property
     def high_from(self) -> str:
-        """As of an output."""
+        """As for an output."""
         return self.source
 
 
 @dataclass(frozen=True)
 class InterlockRecord:
-    """A digital input that must stay at its `safe` level, `high` or `low`; elsewhere the guard vents and latches."""
+    """A digital input that must stay at its `safe` level, `high` or `low`; otherwise the guard vents and latches."""
 
     name: str
     device: str
@@ -167,26 +166,26 @@ class InterlockRecord:
 
 @dataclass(frozen=True)
 class TripRecord:
-    """A limit on what is measured.
+    """A limit on a measured value.
 
-    `kind` says what is looked at: `range` (outside `low` .. `high`), `rate` (changes faster than `high` [SI/s]),
-    `stale` (no sample for `delay`), `frozen` (not one change of the raw value for `delay`), `off-range` (at or
-    beyond the end of the channel's range), `following` (further than `high` from what is commanded), `burst` (falls
-    by more than `high` within `window` while it is commanded to stay or rise), `slack` (under `low`).
+    `kind` is the condition: `range` (outside `low` .. `high`), `rate` (changes faster than `high` [SI/s]),
+    `stale` (no sample for `delay`), `frozen` (raw value unchanged for `delay`), `off-range` (at or beyond an end of the
+    channel's range), `following` (deviates from its command by more than `high`), `burst` (falls by more than `high`
+    within `window` while it is commanded to stay or rise), `slack` (under `low`).
     """
 
     channel: str
     low: float | None
     high: float | None
     delay: float
-    """How long it must be so before the action [s]."""
+    """Time for which the condition must last before the action [s]."""
     action: str
-    """What happens then: `warn`, `hold` (nothing new is commanded until it is over), `stop` (controlled), `vent`."""
+    """Action: `warn`, `hold` (no new command until it is over), `stop` (controlled), `vent`."""
     source: str = ""
     """`file:line:column` of the limit."""
     kind: str = "range"
     window: float = 0.0
-    """Over what time a burst falls [s]."""
+    """Time window of a burst [s]."""
 
 
 @dataclass(frozen=True)
@@ -202,25 +201,25 @@ class SafeAction:
     target: str
     value: float
     within: float
-    """Deadline [s]; the next action follows then at the latest."""
+    """Deadline [s], after which the next action starts in any case."""
     rate: float = 0.0
 
 
 @dataclass(frozen=True)
 class ProofTest:
-    """The vent path tried at arming: fill to `pressure` [Pa], vent; it must be below `below` within `within` [s]."""
+    """Test of the vent path at arming: fill to `pressure` [Pa], vent; must be below `below` within `within` [s]."""
 
     pressure: float
     below: float
     within: float
     fill: float = 5.0
-    """Longest time to fill [s]."""
+    """Longest time for filling [s]."""
 
 
 def place(address: str, options: Mapping[str, Any], *, resolve: bool = True) -> str:
-    """Where a device is, in one spelling for all bench files; empty for a simulation without an address."""
+    """Address of a device in one spelling for all bench files; empty for a simulation without an address."""
     if not address or address.startswith("/"):
-        return os.path.realpath(address) if address else ""  # what a link of /dev/serial/by-id leads to
+        return os.path.realpath(address) if address else ""  # target of a link in /dev/serial/by-id
     host, colon, port = address.rpartition(":")
     if not colon or not port.isdigit() or "/" in host:
         return " ".join(str(part) for part in (options.get("server", ""), address) if part)
@@ -244,38 +243,38 @@ class DeviceRecord:
     valves: tuple[ValveRecord, ...] = ()
     interlocks: tuple[InterlockRecord, ...] = ()
     watchdog: float = 0.0
-    """The device vents by itself when it hears nothing for so long [s]; 0: it has no watchdog."""
+    """Time without communication after which the device vents by itself [s]; 0: it has no watchdog."""
     verified: str = ""
-    """What its driver was tried on: `hardware (who, date, firmware)`, `emulator only`, or in other words."""
+    """How its driver was verified: `hardware (who, date, firmware)`, `emulator only`, or in other words."""
     verified_firmware: str = ""
-    """The firmware for which the bench file says so; empty: any."""
+    """Firmware to which `verified` applies; empty: any."""
     drift: float = 2e-4
-    """How far its clock may drift against the computer's [1]; what comes later by more each second is late."""
+    """Largest drift of its clock against the computer's [1]; samples that arrive later than it explains are late."""
     fastest: float = 0.0
-    """Highest rate at which it samples with these options [Hz]; 0: its driver does not say."""
+    """Highest sampling rate with these options [Hz]; 0: not stated by its driver."""
     fastest_from: str = ""
-    """Where the options that set it are written, as `path:line:column`."""
+    """Place of the options that determine it, as `path:line:column`."""
 
     @property
     def guarded(self) -> bool:
-        """Whether its link belongs to the guard: it carries something that moves, vents or forbids."""
+        """Whether the guard opens it: it has outputs, valves, interlocks or a watchdog."""
         return bool(self.outputs or self.valves or self.interlocks or self.watchdog)
 
 
 @dataclass(frozen=True)
 class CompiledBench:
-    """A bench with a specimen mounted, checked and flattened; all the guard needs to keep it safe."""
+    """A bench with a specimen mounted, checked and flattened; all that the guard needs to keep it safe."""
 
     name: str
     simulated: bool
     realtime: bool
     free_end: str
-    """`weights`, `actuator`, `fixed` or `free`."""
+    """`weights`, `actuator`, `fixed`, `free`, `joint` or `platform`."""
     devices: tuple[DeviceRecord, ...]
     trips: tuple[TripRecord, ...]
     safe_state: tuple[SafeAction, ...]
     hands_below: float
-    """Measured gauge pressure under which hands may go in [Pa]."""
+    """Measured gauge pressure below which hands may go in [Pa]."""
     hands_at_pressure: float = 0.0
     """Highest pressure at which a protocol may ask for hands at pressure [Pa]; 0: never."""
     gravity: float = 9.81
@@ -284,25 +283,25 @@ class CompiledBench:
     hanging: bool = True
     """Whether a load in kg moves with the muscle (weights) or acts as a pure force (constant-force device)."""
     load_tolerance: float = 0.1
-    """How far the force of a load at rest may be from its weight [1]."""
+    """Allowed deviation of the force of a load at rest from its weight [1]."""
     load_action: str = "warn"
-    """What follows when it is further: `warn` or `stop`."""
+    """Action at a larger deviation: `warn` or `stop`."""
     slack_below: float = 0.0
-    """Force under which the specimen counts as slack [N]."""
+    """Force below which the specimen counts as slack [N]."""
     length: float = 0.0
     """Mounted length of the specimen [m]."""
     setup_pressure: float = 100e3
     """Highest pressure that may be commanded before the bench is proven [Pa]."""
     stop_rate: float = 0.0
-    """Rate at which a controlled stop takes the pressure down before the safe state [Pa/s]; 0: at once."""
+    """Rate at which a controlled stop lowers the pressure before the safe state [Pa/s]; 0: at once."""
     proof: ProofTest | None = None
     aims: tuple[AimRecord, ...] = ()
     together: str = ""
-    """The watch on what several channels say about one thing, by its name in the engine's table; empty: none."""
+    """Name of the consistency check of several channels, in the engine's table; empty: none."""
     platform: Mapping[str, float] = field(default_factory=dict)
-    """What the control of a platform must know of it [SI], by name; empty where there is none."""
+    """Numbers for the control of a platform [SI], by name; empty without one."""
     path: str = ""
-    """The bench file."""
+    """Path of the bench file."""
 
     @property
     def valves(self) -> tuple[ValveRecord, ...]:
@@ -321,7 +320,7 @@ class CompiledBench:
 
     @property
     def commanded(self) -> dict[str, OutputRecord | AimRecord]:
-        """All that plans command, by name: values of outputs, and what valves bring about."""
+        """All that plans command, by name: outputs, and quantities controlled by valves."""
         return {**{output.name: output for output in self.outputs}, **{aim.name: aim for aim in self.aims}}
 
     @property
@@ -335,20 +334,20 @@ class CompiledBench:
 
     @classmethod
     def from_json(cls, text: str) -> CompiledBench:
-        """The inverse of `to_json`; KeyError where something that protects is missing."""
+        """The inverse of `to_json`; raises KeyError if devices, trips or safe state are missing."""
         data = json.loads(text)
-        for name in ("devices", "trips", "safe_state"):  # an empty default would be a bench without limits
+        for name in ("devices", "trips", "safe_state"):  # an empty default would make a bench without limits
             data[name]
         return _record(cls, data)
 
 
 def device_from(data: Mapping[str, Any]) -> DeviceRecord:
-    """A device from its JSON object, as `dataclasses.asdict` gives it."""
+    """A device record from its JSON object, as given by `dataclasses.asdict`."""
     return _record(DeviceRecord, data)
 
 
 def _record(kind: type[R], data: Mapping[str, Any]) -> R:
-    """A record from its JSON object, with all the records that are in it."""
+    """A record from its JSON object, with its nested records."""
     values = dict(data)
     for name, hint in get_type_hints(kind).items():
         inner = next((each for each in (hint, *get_args(hint)) if isinstance(each, type) and is_dataclass(each)), None)
@@ -360,20 +359,20 @@ def _record(kind: type[R], data: Mapping[str, Any]) -> R:
 
 @dataclass(frozen=True)
 class Plug:
-    """What is plugged into one terminal: a sensor or an actuator with its signal, and how the terminal shows that."""
+    """A sensor or an actuator at one terminal with its signal, and the terminal's scale for that signal."""
 
     sensor: Scale
     """Signal to SI."""
     digits: Scale = field(default_factory=Scale)
-    """Scale from what the device gives or takes to the signal."""
+    """Scale from device units to the signal."""
     unit: str = ""
-    """Of the signal: only plugs with the same one fit into each other's terminals."""
+    """Unit of the signal: a plug only fits terminals of the same unit."""
     low: float = 0.0
-    """Where the range of the sensor begins [SI]."""
+    """Lower end of the sensor's range [SI]."""
 
     @property
     def scale(self) -> Scale:
-        """Scale from what the device gives or takes to SI."""
+        """Scale from device units to SI."""
         return Scale(self.sensor.slope * self.digits.slope, float(self.sensor.to_si(self.digits.offset)))
 
 
@@ -382,30 +381,30 @@ class Wired:
     """One device as it is really wired: a record for its emulator, and the plugs by terminal."""
 
     record: DeviceRecord
-    """Channels, outputs, valves and interlocks have the names of what they are in the plant, and the plugs' scales."""
+    """Channels, outputs, valves and interlocks are named by their meaning in the plant, and have the plugs' scales."""
     inputs: Mapping[str, Plug]
     outputs: Mapping[str, Plug]
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A rig as its truth file says, by the names of its devices; without addresses."""
+    """A rig as described by its truth file, by device name; without addresses."""
 
     path: str
     devices: Mapping[str, Wired]
 
 
 COMPUTER = "computer"
-"""`Identity.clock` of a device that has none, whose driver stamps its samples."""
+"""`Identity.clock` of a device without a clock, whose driver stamps its samples."""
 EMULATED = "emulated "
-"""How the model name of an emulator begins: what it records is never taken for a real muscle."""
+"""Prefix of the model name of an emulator: its recordings are never taken for those of a real muscle."""
 UNPROVEN = f"{EMULATED}unproven "
-"""How the model name begins where the emulator took wiring and scales from the bench file: errors cancel out."""
+"""The same if the emulator took wiring and scales from the bench file, so that mistakes cancel out."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Who answered when the device was opened."""
+    """Identity that a device reported when it was opened."""
 
     maker: str
     model: str
@@ -413,15 +412,16 @@ class Identity:
     firmware: str
     simulated: bool = False
     clock: str = "own"
-    """`own`: its samples carry the device's clock. `computer`: they are stamped with bench time by the driver, halfway
-    between question and answer, or when a line began to come; half of a poll is then the time from stamp to arrival."""
+    """`own`: samples carry its own clock. `computer`: the driver stamps them with bench time, halfway from request
+    to answer, or at the first byte of a line; the delay from stamp to arrival is then half of a poll.
+    """
     answers: float = 0.0
-    """How long it took at least to answer a question [s], where the driver measures that and polls as that allows."""
+    """Shortest time for an answer [s], if the driver measures it and polls accordingly; else 0."""
 
 
 @dataclass(frozen=True)
 class Load:
-    """What the operator's hands put on the free end."""
+    """What the operator attached to the free end."""
 
     force: float
     """Dead load F_L [N]."""
@@ -431,7 +431,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Segment:
-    """A command over a stretch of time, as data, so that a device can follow it by itself.
+    """A command over a period of time, as data, so that a device can follow it by itself.
 
     From `start` [s, bench time] on: `ramp`: from `origin` to `target` at `rate` (then constant); `sine`:
     `origin + amplitude * sin(2 pi frequency (t - start))` for `cycles` whole cycles (then constant at `origin`).
@@ -459,7 +459,7 @@ class Block:
     time: Sequence[int]
     columns: Mapping[str, Sequence[float]]
     host: int = -1
-    """When the newest sample arrived at the computer [ns, bench time]; -1 where nobody noted it."""
+    """Arrival of the newest sample at the computer [ns, bench time]; -1 if unknown."""
 
 
 @runtime_checkable
@@ -470,12 +470,12 @@ class Device(Protocol):
         """Connect and identify; nothing moves and nothing is commanded."""
 
     def close(self) -> None:
-        """Let go of the link; harmless when repeated."""
+        """Close the connection; may be called again."""
 
 
 @runtime_checkable
 class OpensToVent(Protocol):
-    """Can be opened where `open` refuses what only matters for measuring, as a fault of a sensor or another range."""
+    """Can be opened to vent if `open` refuses a fault that matters for measuring only, such as another range."""
 
     def open_to_vent(self) -> Identity:
         """Connect as far as the commands of a safe state need it; nothing is set, moved or commanded."""
@@ -486,13 +486,13 @@ class Stream(Protocol):
     """Samples its channels together on one clock."""
 
     def start(self, rate: float) -> float:
-        """Begin to sample at `rate` [Hz]; returns the rate that the device will really use."""
+        """Begin to sample at `rate` [Hz]; returns the actual rate."""
 
     def collect(self) -> Block:
-        """Every sample taken since the last call, oldest first; at once, and may be empty."""
+        """All samples since the last call, oldest first; returns at once, possibly an empty block."""
 
     def stop(self) -> None:
-        """End sampling; harmless when repeated."""
+        """End sampling; may be called again."""
 
 
 @runtime_checkable
@@ -500,7 +500,7 @@ class SetPoint(Protocol):
     """Takes commanded values."""
 
     def write(self, output: str, value: float) -> None:
-        """Command `value` [device units] at once, ending a segment under way; never retried."""
+        """Command `value` [device units] at once, ending a segment in progress; never retried."""
 
     def read_back(self, output: str) -> float:
         """The value that the device holds now [device units]."""
@@ -510,8 +510,8 @@ class SetPoint(Protocol):
 class Follower(Protocol):
     """Follows ramps and sines by itself.
 
-    A driver that steps along them keeps in an attribute `unanswered` when a step was sent last of which nobody knows
-    whether it was carried out [s, bench time]: such a step may come after the safe value.
+    A driver that makes the steps itself keeps in an attribute `unanswered` the time of its last step with an unknown
+    outcome [s, bench time]: such a step may be carried out after the safe value.
     """
 
     def follow(self, output: str, segment: Segment) -> None:
@@ -520,10 +520,10 @@ class Follower(Protocol):
 
 @runtime_checkable
 class Hands(Protocol):
-    """A bench whose operator is part of the device: it is informed of what hands did, as answered at the prompt."""
+    """A device that simulates the operator too: it is informed of what was attached, as answered at the prompt."""
 
     def place(self, load: Load) -> None:
-        """The free end now carries `load`."""
+        """Inform the device that the free end now carries `load`."""
 
 
 @runtime_checkable
@@ -534,15 +534,15 @@ class Switch(Protocol):
         """Energise the output or not; never retried."""
 
     def is_on(self, output: str) -> bool:
-        """What the device holds now."""
+        """Whether the output is energised, as held by the device."""
 
 
 @runtime_checkable
 class Pulses(Protocol):
-    """Opens valves for a time that it keeps by itself, whatever the sample period is."""
+    """Opens valves for a time that the device keeps, independent of the sample period."""
 
     def pulse(self, output: str, seconds: float) -> None:
-        """Energise the output from now on for `seconds`; one that is on stays on until the later end; never retried."""
+        """Energise the output for `seconds` from now; one that is on stays on until the later end; never retried."""
 
 
 @runtime_checkable
@@ -550,7 +550,7 @@ class Motion(Protocol):
     """Can stop a motion by itself, faster than a new set-point would."""
 
     def halt(self, output: str) -> None:
-        """Stop where it is (drive quick stop), and hold."""
+        """Stop at the present position (drive quick stop), and hold it."""
 
 
 @runtime_checkable
@@ -563,27 +563,27 @@ class Inputs(Protocol):
 
 @runtime_checkable
 class Watchdog(Protocol):
-    """Vents by itself when the program is silent."""
+    """Vents by itself when communication stops."""
 
     def arm_watchdog(self, seconds: float) -> float:
-        """Arm it; returns the time that the device itself says it will wait [s]."""
+        """Arm it; returns the time-out that the device reports [s]."""
 
     def feed_watchdog(self) -> None:
-        """Show the device that the program is alive."""
+        """Signal the device that the program is alive."""
 
     def disarm_watchdog(self) -> None:
-        """End it; outputs stay as they are."""
+        """Disarm it; outputs stay as they are."""
 
 
 @runtime_checkable
 class Supervised(Protocol):
-    """Reports what it holds apart from its outputs, so that a restart or a changed setting is seen (promise S11)."""
+    """Reports its state apart from its outputs, so that a restart or a changed setting is detected (promise S11)."""
 
     def held(self) -> Mapping[str, float | str]:
-        """What the device itself reports now: read from it at each call, never remembered by the driver.
+        """State that the device reports now: read from it at each call, never cached by the driver.
 
-        `watchdog`: after how long without a sign of life it would vent [s], 0 where it is off or has fired. A device
-        that goes on counting after it has fired reports its time: there, outputs that are read back show the vent.
+        `watchdog`: time without a sign of life after which it would vent [s], 0 if it is off or has fired. A device
+        that continues to count after firing reports its time: there, outputs that are read back show the vent.
         `uptime`: a number that only grows until the device restarts. Every other entry (serial number, trigger of the
         watchdog, mode, count of restarts) must stay what it was when the bench was armed. The name of an entry is
         printed in the reason of a trip.
@@ -592,7 +592,7 @@ class Supervised(Protocol):
 
 @runtime_checkable
 class Rescue(Protocol):
-    """Has a second way to its outputs, for when the usual call hangs."""
+    """Has a second connection to its outputs, for when the usual call hangs."""
 
     def rescue(self, output: str, value: float) -> None:
         """Command `value` [device units; 0 and 1 for a valve] over a separate connection, within 0.2 s, no retry.

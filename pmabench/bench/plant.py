@@ -1,6 +1,6 @@
-"""Plant files to the plain numbers that a simulated bench is made of; knows no bench.
+"""Plant files to the plain numbers that a simulated bench is made of; independent of the bench.
 
-They are plain so that they can go to another process and into a record; `pmabench.model.presets` makes the plant.
+Plain numbers can be sent to another process and kept in a record; `pmabench.model.presets` makes the plant.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ LEAST = {"F_ce": 0.0, "K": 1.0, "B_c": 1.0, "B_r": 1.0, "tau_r": 1e-4}
 MOST = {"F_ce": 1e6, "K": 1e6, "B_c": 1e7, "B_r": 1e7, "tau_r": 100.0}
 """Range in which each coefficient must lie at all pressures of the plant [SI]."""
 JUMP = 0.02
-"""Most that a coefficient may jump at a break, of its highest value."""
+"""Largest jump of a coefficient at a break, as a fraction of its highest value."""
 PAPER_2 = 5e5
-"""Up to which its contractors were measured [Pa]."""
+"""Highest pressure at which the contractors of paper 2 were measured [Pa]."""
 AT_REST = 1.0
-"""Forces up to this count as none, without pressure [N]."""
+"""Largest force without pressure that counts as zero [N]."""
 
 Piece = list[float]
 
 
 @dataclass(frozen=True)
 class Plant:
-    """A valid plant file: its numbers (SI, and coefficients as they were printed), and its text."""
+    """A valid plant file: its numbers (SI, and coefficients as printed), and its text."""
 
     numbers: dict[str, Any]
     text: str
     path: Path
 
     def beyond(self, outputs: Iterable[OutputRecord]) -> Iterator[str]:
-        """A sentence for each output of a bench that commands more pressure than the plant is described for."""
+        """A sentence for each pressure output of a bench that may exceed the plant's highest pressure."""
         highest = self.numbers["highest_pressure"]
         for output in outputs:
             if output.quantity == "pressure" and output.high > highest * (1 + 1e-9):
@@ -53,13 +53,13 @@ class Plant:
 
 
 def read_plant(path: Path) -> Plant:
-    """The plant in a file; raises `InvalidFile` with every problem."""
+    """Read a plant file; raises `InvalidFile` with every problem."""
     document = read_document(path)
     return Plant(plant_numbers(document), document_text(document), path)
 
 
 def plant_numbers(document: Document) -> dict[str, Any]:
-    """What `pmabench.model.presets.setup_of` takes; raises `InvalidFile` with every problem."""
+    """Input of `pmabench.model.presets.setup_of`; raises `InvalidFile` with every problem."""
     check_schema(PlantFile, document)
     law = document.data.get("law")
     if law is not None and str(law) not in LAWS:
@@ -85,7 +85,7 @@ def plant_numbers(document: Document) -> dict[str, Any]:
 
 
 def _real_numbers(document: Document, file: RealFile) -> dict[str, Any]:
-    """Surface, damping, stops and creep; height 0 and no stops where none are given."""
+    """Surface, damping, hysteresis and creep; height 0 and no stop operators if none are given."""
     compilation = _Curves(document, file.highest_pressure)
     curves = {symbol: compilation.curve(symbol, getattr(file, symbol)) for symbol in ("B_c", "B_r")}
     if wrong := [*compilation.problems, *_too_soft(document, file)]:
@@ -106,10 +106,10 @@ def _real_numbers(document: Document, file: RealFile) -> dict[str, Any]:
 
 
 def _too_soft(document: Document, file: RealFile) -> Iterator[Problem]:
-    """Where the force without history would rise with the contraction, or be there without pressure.
+    """Problems if the force without hysteresis rises with contraction, or exists without pressure.
 
-    Stiffness is a straight line over P and, where it bends, a sum of one exponential and a constant over eps: its least
-    value is in a corner of the range.
+    The stiffness is linear in P and, if it is curved, an exponential plus a constant in eps: its minimum is in a corner
+    of the range.
     """
     surface, highest = file.surface, file.highest_pressure
     line = (1 - exp(-surface.s * surface.span)) / surface.span
@@ -127,7 +127,7 @@ def _too_soft(document: Document, file: RealFile) -> Iterator[Problem]:
 
 
 def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
-    """Problems where the muscle may be driven beyond the range of its law."""
+    """Problems if the muscle may be driven beyond the range of its law."""
     if file.reach[0] < -0.9 * file.B2:
         pole = f"must stay above {-0.9 * file.B2:.4g}, short of the pole of the rubber term at -B2"
         yield document.problem(("reach", 0), f"{file.reach[0]:.4g} {pole}")
@@ -138,7 +138,7 @@ def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
 
 
 def _beyond_paper_2(document: Document, file: ContractorFile) -> Iterator[Problem]:
-    """Problems where a contractor's formulas do not hold (paper 2 eqs. 8-9)."""
+    """Problems outside the validity of a contractor's formulas (paper 2 eqs. 8-9)."""
     if file.highest_pressure > PAPER_2 * (1 + 1e-9):
         known_range = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
         yield document.problem(
@@ -154,14 +154,14 @@ def _beyond_paper_2(document: Document, file: ContractorFile) -> Iterator[Proble
 
 
 class _Curves:
-    """Coefficients over pressure, from 0 to `highest` [Pa], with every problem found."""
+    """Coefficients over pressure, from 0 to `highest` [Pa]; collects every problem."""
 
     def __init__(self, document: Document, highest: float) -> None:
         self._document, self._highest = document, highest
         self.problems: list[Problem] = []
 
     def curve(self, symbol: str, given: Any) -> dict[str, Any]:
-        """The arguments of `Curve.printed`: pieces in `unit` over powers of `pressure`; empty with a problem."""
+        """Arguments of `Curve.printed`: pieces in `unit` over powers of `pressure`; incomplete with a problem."""
         before = len(self.problems)
         if isinstance(given, tuple):
             value = self._si(given, SYMBOLS[symbol], (symbol,))
@@ -217,7 +217,7 @@ class _Curves:
             return {}
 
         def printed(reading: tuple[float, str] | None, at: Location, missing: float) -> float:
-            """A pressure in the printed unit; unchanged where it is in that unit already."""
+            """A pressure in the printed unit; not converted if it is in that unit."""
             if reading is None or reading[1] == given.pressure:
                 return missing if reading is None else reading[0]
             return self._si(reading, "pressure", at) / pressure
@@ -263,10 +263,10 @@ class _Curves:
             elif high * pressure < self._highest * (1 - 1e-9):
                 self._short((symbol, "domain", 1), high * pressure)
 
-    # -- what a muscle can be ------------------------------------------------------------------------------------
+    # -- plausibility of a muscle ---------------------------------------------------------------------------------
 
     def _check(self, symbol: str, curve: dict[str, Any]) -> None:
-        """The curve must be a muscle's at all pressures from 0 to the highest."""
+        """Add a problem unless the curve is plausible at all pressures from 0 to the highest."""
         quantity, least, most = SYMBOLS[symbol], LEAST[symbol], MOST[symbol]
         seen = list(_extremes(curve, self._highest))
         (at_low, low), (at_high, high) = (pick(seen, key=lambda pair: pair[1]) for pick in (min, max))
@@ -291,7 +291,7 @@ class _Curves:
 
 
 def _expanded(coefficients: Sequence[float], centre: float, scale: float) -> Piece:
-    """The polynomial of (P - centre) / scale as one of P, exactly until the last rounding."""
+    """Expand a polynomial of (P - centre) / scale into one of P, in exact arithmetic until the final rounding."""
     result: list[Fraction] = [Fraction(0)]
     for coefficient in reversed(coefficients):
         shifted = [Fraction(0), *(c / Fraction(scale) for c in result)]
@@ -313,7 +313,7 @@ def _value(coefficients: Sequence[float], P: float) -> float:
 
 
 def _turns(coefficients: Sequence[float], low: float, high: float) -> list[float]:
-    """Where the polynomial may have its extremes: the ends, and the zeros of its derivative between them."""
+    """Candidates for extremes of the polynomial: the ends, and the zeros of its derivative between them."""
     slope = [n * c for n, c in enumerate(coefficients)][1:]
     if len(slope) < 2:
         return [low, high]
@@ -335,7 +335,7 @@ def _turns(coefficients: Sequence[float], low: float, high: float) -> list[float
 
 
 def _extremes(curve: dict[str, Any], highest: float) -> Iterator[tuple[float, float]]:
-    """Pressures [Pa] and values [SI] among which are the lowest and the highest between 0 and `highest` [Pa]."""
+    """Pressures [Pa] and values [SI] that include the minimum and maximum between 0 and `highest` [Pa]."""
     if "points" in curve:
         points = curve["points"]
         inside = [(P, value) for P, value in points if P <= highest]
@@ -351,13 +351,13 @@ def _extremes(curve: dict[str, Any], highest: float) -> Iterator[tuple[float, fl
 
 
 def _jumps(curve: dict[str, Any]) -> Iterator[tuple[float, float, float]]:
-    """Each break [Pa] with the values before and behind it [SI]."""
+    """Each break [Pa] with the values to its left and right [SI]."""
     for edge, (left, right) in zip(curve.get("breaks", []), pairwise(curve.get("pieces", [])), strict=True):
         yield edge * curve["pressure"], _value(left, edge) * curve["unit"], _value(right, edge) * curve["unit"]
 
 
 def _way_out(curve: dict[str, Any], highest: float) -> str:
-    """Advice how to write a force that would be negative at low pressure."""
+    """Advice on how to write a force that would be negative at low pressure."""
     if "points" in curve:
         return "a muscle cannot push: give 0 N there"
     piece, pressure = curve["pieces"][0], curve["pressure"]

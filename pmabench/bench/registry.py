@@ -10,9 +10,9 @@ from pmabench.base.errors import did_you_mean
 from pmabench.base.system import registered
 
 EMULATOR_ONLY = "emulator only"
-"""What a driver was tried on that does not say it by its class attribute `verified`."""
+"""Verification of a driver without a class attribute `verified`."""
 HARDWARE = "hardware"
-"""How `verified` begins where a driver was tried on a device: `hardware (who, date, firmware)`."""
+"""Start of `verified` for a driver that was tried on a device: `hardware (who, date, firmware)`."""
 
 
 @lru_cache(maxsize=1)
@@ -21,12 +21,12 @@ def _points() -> dict[str, EntryPoint]:
 
 
 def drivers() -> dict[str, str]:
-    """Name of each driver and its `module:Class`."""
+    """Name of each driver -> `module:Class`."""
     return {name: point.value for name, point in _points().items()}
 
 
 def driver_class(name: str) -> str:
-    """`module:Class` of a driver given by its name, or given as `module:Class` itself; ValueError where unknown."""
+    """`module:Class` of a driver by its name, or as given in that form; ValueError if unknown."""
     if re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", name):
         return name
     known = drivers()
@@ -36,11 +36,11 @@ def driver_class(name: str) -> str:
 
 
 def driver_version(target: str) -> str:
-    """Version of the package that installed the driver `module:Class`; empty where no package did."""
+    """Version of the package that installed the driver `module:Class`; empty without one."""
     found = next((point for point in _points().values() if point.value == target and point.dist is not None), None)
     return found.dist.version if found is not None and found.dist is not None else ""
 
 
 def verified(driver: object) -> str:
-    """What a driver class was tried on: `hardware (who, date, firmware)`, or `emulator only`."""
+    """How a driver class was verified: `hardware (who, date, firmware)`, or `emulator only`."""
     return str(getattr(driver, "verified", EMULATOR_ONLY))

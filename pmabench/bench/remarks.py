@@ -1,4 +1,4 @@
-"""What a bench lacks, and what its files say that is likely a mistake; each a line with its remedy or place."""
+"""What a bench lacks, and likely mistakes in its files; each a line with its remedy or place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pmabench.bench.safety import ENDS, SUPPLY_MARGIN, watched_by
 
 
 def lacks(c: Compilation) -> Iterator[str]:
-    """Each line goes on after "this bench has"; a relief valve that protects nothing is a problem, not a lack."""
+    """Lines that continue the sentence "this bench has"; a relief valve that protects nothing is added as a problem."""
     yield from _air(c)
     yield from c.driver_lacks
     yield from _calibrations(c)
@@ -75,7 +75,7 @@ def _calibrations(c: Compilation) -> Iterator[str]:
 
 
 def _pressure_elsewhere(c: Compilation) -> Iterator[str]:
-    """A line where the guard, which outlives the program, cannot read the pressure by itself."""
+    """Lines on pressures that the guard, which outlives the program, cannot read, and on extrapolated trips."""
     guarded = {file.device for file in c.bench.outputs.values()} | {lock.input.device for lock in c.bench.interlocks}
     guarded |= {name for name, file in c.bench.devices.items() if file.watchdog}
     apart = [c.channels[name] for name in c.bench.pressures if name in c.channels]
@@ -98,13 +98,13 @@ LEAVES = {
     **dict.fromkeys(("pressure", "dump_valve", "fill", "supply_valve"), "the pressure at its last value"),
     **dict.fromkeys(DRIVES, "a drive in motion"),
 }
-"""What a computer that dies leaves, by the output whose device has no watchdog."""
+"""Name of the output -> what a failing computer leaves if its device has no watchdog."""
 AT_LEAST = {"displacement": "2 mm", "angle": "3 deg"}
-"""How far a drive is usually from what is commanded, on its way."""
+"""Usual deviation of a moving drive from its command."""
 
 
 def _watchdogs(c: Compilation) -> Iterator[str]:
-    """A line for each device without one that pressurises or moves."""
+    """A line for each device that pressurises or moves something without a watchdog."""
     left = {file.device: LEAVES.get(without_number(name)[0], "") for name, file in c.bench.valves.items()}
     left |= {
         file.device: LEAVES[without_number(name)[0]] for name, file in c.bench.set_points.items() if name in c.outputs
@@ -124,7 +124,7 @@ def _watchdogs(c: Compilation) -> Iterator[str]:
 
 
 def _drives(c: Compilation) -> Iterator[str]:
-    """A line for each drive that may go where it was not sent, or pull beyond its lower end, and nothing sees it."""
+    """Lines for each drive whose deviation from its command, or travel below its lower end, is not monitored."""
     watched = {entry.channel for entry in c.bench.watch if entry.kind == "following" and entry.action in ENDS}
     below = {watched_by(key) for key, one in c.bench.limits.items() if one.trip_low and one.action in ENDS}
     for name in [name for name in DRIVES if name in c.outputs and name in c.channels]:
@@ -140,8 +140,25 @@ def _drives(c: Compilation) -> Iterator[str]:
             )
 
 
+BEYOND = 1.5
+"""A line that is closed stays closed for 1.5 times its watchdog, after 0.7 s without effect; then it is opened [s]."""
+
+
+def _hasty_confirmations(c: Compilation) -> Iterator[str]:
+    """A line where a vent is judged before a device is back that was left to its watchdog."""
+    longest = max((file.watchdog or 0.0 for file in c.bench.devices.values()), default=0.0)
+    needs = 1.5 * longest + BEYOND
+    for action in c.bench.safe_state:
+        if longest and action.confirm and action.within is not None and action.within < needs:
+            yield (
+                f"{action.within:g} s to confirm {action.confirm}: a device that does not obey is left to its watchdog "
+                f"of {longest:g} s, and not heard before that; remedy: within {needs:g} s or more"
+            )
+
+
 def _of_a_real_bench(c: Compilation) -> Iterator[str]:
     yield from _watchdogs(c)
+    yield from _hasty_confirmations(c)
     yield from _drives(c)
     if not c.bench.pressures:
         return
@@ -167,7 +184,7 @@ def _of_a_real_bench(c: Compilation) -> Iterator[str]:
 
 
 LENGTH_OFF = 0.05
-"""Relative difference of mounted and simulated length that makes another muscle of it."""
+"""Relative difference of mounted and simulated length above which they are different muscles."""
 DIAMETER_OFF = 0.2
 """The same for the inner diameter, which files often give as the nominal one."""
 FORCE_OFF = 0.3
@@ -177,16 +194,16 @@ LOOKED_AT = 300e3
 
 
 class Simulated(NamedTuple):
-    """What distinguishes a simulated muscle from others."""
+    """Properties that distinguish a simulated muscle from others."""
 
     length: float
     """Mounted length [m]."""
     diameter: float
-    """Inner diameter [m]; of muscles whose model has none, that of the type."""
+    """Inner diameter [m]; that of the type if the model has none."""
     serial: str
-    """Of the specimen file that is shipped for it."""
+    """Serial number in the specimen file that is shipped for it."""
     pull: float | None = None
-    """F_ce at 300 kPa [N] where muscles of one size differ in it."""
+    """F_ce at 300 kPa [N]; only if muscles of one size differ in it."""
 
 
 SIMULATED: dict[str, Simulated] = {
@@ -203,14 +220,14 @@ SIMULATED: dict[str, Simulated] = {
     "arm-30": Simulated(0.3, 0.02, "MOCK-ARM"),
     "real": Simulated(0.25, 0.02, "MOCK-REAL"),
 }
-"""The muscles that a bench file can name.
+"""Muscles that a bench file can name.
 
-As data: who checks a driver compiles a bench, and must not know the models.
+Copied here as data, because compiling a bench must not import the models.
 """
 UNCOVERED = 0.1
-"""Share of a channel's range that its calibration may leave out at an end."""
+"""Fraction of a channel's range that its calibration may leave out at an end."""
 TOO_WIDE = 2.0
-"""A calibration over so many times the range of its channel is likely another sensor's."""
+"""A calibration over more than this multiple of its channel's range is probably another sensor's."""
 
 
 def mistaken(c: Compilation, devices: Sequence[DeviceRecord]) -> Iterator[str]:
@@ -224,7 +241,7 @@ def mistaken(c: Compilation, devices: Sequence[DeviceRecord]) -> Iterator[str]:
 
 
 def _other_muscle(c: Compilation, device: str, plant: Any) -> Iterator[str]:
-    """The first thing in which the simulated muscle is not the specimen."""
+    """The first difference between the simulated muscle and the specimen."""
     name = str(plant.get("name") if isinstance(plant, dict) else plant)
     known = SIMULATED.get(name) if isinstance(plant, str) else None
     muscle = plant if isinstance(plant, dict) else known._asdict() if known is not None else {}
@@ -247,7 +264,7 @@ def _by_size(c: Compilation, muscle: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _by_name(c: Compilation, known: Simulated) -> Iterator[str]:
-    """By the force that the specimen file expects, else by the serial number of another simulated muscle."""
+    """Differences in the force that the specimen file expects, and in the serial number of another simulated muscle."""
     points = c.specimen.expected.points if c.specimen.expected is not None and known.pull is not None else ()
     for index, point in enumerate(points):
         if point.pressure == LOOKED_AT and known.pull and abs(known.pull - point.F_ce) > FORCE_OFF * known.pull:
@@ -260,7 +277,7 @@ def _by_name(c: Compilation, known: Simulated) -> Iterator[str]:
 
 
 def _of_another_range(c: Compilation, channel: ChannelRecord, low: float, high: float) -> Iterator[str]:
-    """Points far outside the range are another sensor's; a range far outside the points is not covered."""
+    """Warn of points far wider than the range (another sensor's?), and of a range far beyond the points."""
     allowed = UNCOVERED * (channel.high - channel.low)
     points = f"{show(low, channel.quantity)} to {show(high, channel.quantity)}"
     reads = f"{show(channel.low, channel.quantity)} to {show(channel.high, channel.quantity)}"

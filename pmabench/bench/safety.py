@@ -26,11 +26,11 @@ LONGEST_DELAY = 1.0
 LONGEST_WATCH = 60.0
 """Longest time of an entry of the watch list [s]."""
 EXTRAPOLATED = 0.25
-"""How far beyond its ends a straight line through a calibration's points is believed, as a share of what they cover."""
+"""Largest extrapolation of a calibration line, as a fraction of the calibrated range."""
 SUPPLY_MARGIN = 50e3
-"""Least by which the supply lies above the highest set-point [Pa]."""
+"""Least margin of the supply above the highest set-point [Pa]."""
 SUPPLY_DELAY = 1.0
-"""How long the supply may be lower before the bench holds [s]."""
+"""Time of low supply after which the bench holds [s]."""
 
 LIMIT_CHANNEL = {
     "pressure": "pressure",
@@ -41,7 +41,7 @@ LIMIT_CHANNEL = {
     "torque": "torque",
     "supply": "supply",
 }
-"""Key of `limits`, without the number of a muscle -> the channel that is watched."""
+"""Key of `limits`, without the number of a muscle -> the watched channel."""
 RATE_OF = {
     "pressure": "pressure rate",
     "length": "speed",
@@ -51,11 +51,11 @@ RATE_OF = {
 }
 """Quantity -> its rate of change."""
 ENDS = ("stop", "vent")
-"""Actions that take the pressure off."""
+"""Actions that release the pressure."""
 
 
 def watched_by(limit: str) -> str:
-    """The channel that a limit watches: `displacement_2` for `contraction_2`."""
+    """Channel that a limit watches: `displacement_2` for `contraction_2`."""
     name, number = without_number(limit)
     return LIMIT_CHANNEL[name] + number
 
@@ -124,7 +124,7 @@ def _range(c: Compilation, name: str, limit: LimitFile, channel: ChannelRecord) 
 
 
 def _most_contraction(c: Compilation, name: str, length: float) -> tuple[float, str]:
-    """The least contraction [m] that limits the muscle of a channel or limit, and where it is written."""
+    """Lowest contraction limit [m] for the muscle of a channel or limit, and its place in a file."""
     return min((borne.limits.contraction * length, borne.place("contraction")) for borne in c.borne(name))
 
 
@@ -139,7 +139,7 @@ def _bound(c: Compilation, name: str, reading: Reading | None, key: str) -> floa
 
 
 def _inside(c: Compilation, at: Location, value: float, channel: ChannelRecord) -> None:
-    """A trip must be measurable by the channel: inside its range, and not far beyond what its calibration covers."""
+    """Require a trip inside the channel's range, and not far outside the calibrated one."""
     quantity = channel.quantity
     if not channel.low < value < channel.high:
         span = f"{show(channel.low, quantity)} to {show(channel.high, quantity)}"
@@ -161,21 +161,21 @@ def _inside(c: Compilation, at: Location, value: float, channel: ChannelRecord) 
 
 
 def _beyond(c: Compilation, channel: ChannelRecord, value: float) -> float:
-    """How far a value lies outside of what the calibration covers, as a share of that; 0 inside and without one."""
+    """Distance of a value from the calibrated range, as a fraction of that range; 0 inside or without a calibration."""
     low, high = c.calibrated.get(channel.name, (value, value))
     return max(low - value, value - high, 0.0) / (high - low) if high > low else 0.0
 
 
 def _extrapolation(c: Compilation, channel: ChannelRecord, value: float) -> float:
-    """Additional uncertainty of a value beyond the calibrated points [SI].
+    """Additional uncertainty of a value outside the calibrated range [SI].
 
-    A line that is off by no more than U at both ends of its points is off by U (1 + 2 d) at a share d beyond them.
+    A line that is off by at most U at both ends of its points is off by up to U (1 + 2 d) at a fraction d beyond them.
     """
     return 2.0 * _beyond(c, channel, value) * channel.calibration.offset_uncertainty
 
 
 def _above_commands(c: Compilation, name: str, high: float, channel: ChannelRecord) -> None:
-    """A trip lies above what may be commanded, by the channel's uncertainty and the regulator's overshoot."""
+    """Require a trip above the command limit, by the channel's uncertainty and the regulator's overshoot."""
     if (output := c.outputs.get(watched_by(name))) is None:
         return
     margin = channel.calibration.uncertainty(high) + _extrapolation(c, channel, high)
@@ -190,7 +190,7 @@ def _above_commands(c: Compilation, name: str, high: float, channel: ChannelReco
 
 
 def _below_commands(c: Compilation, name: str, low: float, channel: ChannelRecord) -> None:
-    """The lower trip of what a drive moves lies below what may be commanded, by the channel's uncertainty."""
+    """Require a lower trip of a drive below the lowest command, by the channel's uncertainty."""
     output = c.outputs.get(watched_by(name))
     margin = channel.calibration.uncertainty(low) + _extrapolation(c, channel, low)
     if output is not None and output.rate and (low >= output.low or low > output.low - margin * (1 - 1e-9)):
@@ -211,7 +211,7 @@ def _protects_the_muscle(c: Compilation, name: str, limit: LimitFile, high: floa
 
 
 def _of_the_specimen(c: Compilation, watched: Collection[str]) -> Iterator[TripRecord]:
-    """The contraction limit of each muscle, where no limit of the bench that stops or vents is as strict."""
+    """Contraction limit of each muscle, unless a limit of the bench that stops or vents covers it."""
     for name in c.channels:
         if without_number(name)[0] == "displacement" and name not in watched and c.length is not None:
             most, place = _most_contraction(c, name, c.length)
@@ -224,7 +224,7 @@ def _of_the_specimen(c: Compilation, watched: Collection[str]) -> Iterator[TripR
 
 
 def _of_the_joint(c: Compilation) -> None:
-    """The angle of a joint is measured, and watched to both sides."""
+    """Require a channel for the angle of a joint, with trip limits on both sides."""
     if "angle" not in c.bench.channels:
         c.fault(("channels",), 'nothing measures the angle of the joint; add a channel "angle"')
     limit = c.bench.limits.get("angle")
@@ -234,7 +234,7 @@ def _of_the_joint(c: Compilation) -> None:
 
 
 def _supply(c: Compilation) -> Iterator[TripRecord]:
-    """A measured supply stays above what may be commanded; the bench holds while it does not."""
+    """Trip that holds the bench while a measured supply is too low for the highest set-point."""
     supply, output = c.channels.get("supply"), c.highest
     if supply is None or output is None:
         return
@@ -296,9 +296,9 @@ def _above_zero(c: Compilation, reading: Reading | None, quantity: str, at: Loca
 
 
 LATEST_VENT = 10.0
-"""Longest time before the safe state begins to take the pressure off [s]."""
+"""Longest time before the safe state begins to release the pressure [s]."""
 SETUP_PRESSURE = 100e3
-"""Highest pressure before the bench is proven, where the file does not say [Pa]."""
+"""Highest pressure before the bench is proven, if the file does not set it [Pa]."""
 
 
 def safe_state(c: Compilation) -> tuple[SafeAction, ...]:
@@ -374,7 +374,7 @@ def _confirm(c: Compilation, file: SafeActionFile, at: Location) -> SafeAction |
 
 
 def _vents(c: Compilation, actions: tuple[SafeAction, ...], name: str) -> None:
-    """The pressure `name` begins to fall soon, ends at its safe value, and is looked at after that."""
+    """Require that the pressure `name` begins to fall soon, ends at its safe value, and is confirmed afterwards."""
     to_pressure = [n for n, a in enumerate(actions) if a.do in {"set", "ramp"} and a.target == name]
     dumps = {"dump_valve", f"dump_valve{without_number(name)[1]}"}
     first = [n for n, a in enumerate(actions) if n in to_pressure or (a.do == "open" and a.target in dumps)]
@@ -394,7 +394,7 @@ def _vents(c: Compilation, actions: tuple[SafeAction, ...], name: str) -> None:
 
 
 def _ends_safe(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
-    """Every drive is stopped or brought to a place, every valve gets a position, and the dump valve ends open."""
+    """Require that every drive is stopped or moved, every valve gets a position, and dump valves end open."""
     for name, output in c.outputs.items():
         if output.quantity == "pressure":
             continue
@@ -414,11 +414,11 @@ def _ends_safe(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
 
 
 WAITED_FOR = ("ramp", "hold", "confirm")
-"""Actions of the safe state after which the next one waits."""
+"""Actions of the safe state that must end before the next one starts."""
 
 
 def _in_order(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
-    """Several muscles go down as the bench file declares: all at once, or outputs and valves in its order."""
+    """Require that several muscles vent as declared: all at once, or outputs and valves in the declared order."""
     if (declared := c.bench.vents) == "together":
         off = [n for n, a in enumerate(actions) if a.target in c.bench.pressures and a.do in {"set", "ramp"}]
         waits = [a for a in actions[min(off) : max(off)] if a.do in WAITED_FOR] if off else []
@@ -467,7 +467,7 @@ def setup_pressure(c: Compilation) -> float:
 
 
 def proof(c: Compilation, most: float) -> ProofTest | None:
-    """The proof of the vent path, within the set-up pressure `most` [Pa]."""
+    """Proof of the vent path, within the set-up pressure `most` [Pa]; None if not declared."""
     if (file := c.bench.proof) is None:
         return None
     if not c.pressures:

@@ -1,4 +1,4 @@
-"""The session of a bench file in SI, and which loads its stack of weights can make."""
+"""The session of a bench file in SI, and the loads that its stack of weights can make."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pmabench.bench.files.bench import SelfTestFile, SessionFile
 from pmabench.files.document import Location
 
 TOLERANCE = 1e-3
-"""A load counts as made when the stack comes so near [kg]."""
+"""Difference within which a load counts as made [kg]."""
 MOST_SUMS = 200_000
-"""Most different stacks that are looked at."""
+"""Largest number of different stacks that are considered."""
 _GRID = 1e-4
-"""Stacks nearer to each other are one [kg]."""
+"""Resolution of masses [kg]; stacks closer together count as equal."""
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,15 @@ class Stack:
     """A hanger and its plates."""
 
     hanger: float
-    """[kg]"""
+    """Mass of the hanger [kg]."""
     plates: Sequence[tuple[int, float]]
-    """How many of which mass [kg]; empty: not known, anything from the hanger on is believed."""
+    """Count and mass [kg] of each kind of plate; empty: not known, any load from the hanger upwards is accepted."""
 
     @cached_property
     def _sums(self) -> dict[int, tuple[int, int]]:
-        """Mass of plates on the grid -> the mass without the last plate, and which plate that was.
+        """Mass of plates in units of `_GRID` -> mass without the last plate, and index of that plate.
 
-        Plate by plate from the heaviest; each mass is kept as it was first made, so no plate is used too often.
+        Plates are added from the heaviest on; each mass keeps its first combination, so no plate is used too often.
         """
         sums = {0: (0, -1)}
         for number, (count, each) in enumerate(self._heaviest_first):
@@ -55,11 +55,11 @@ class Stack:
 
     @cached_property
     def loads(self) -> list[float]:
-        """Every load that can be made [kg], ascending: nothing at all, the hanger, the hanger with plates."""
+        """All loads that can be made [kg], ascending: nothing, the hanger, the hanger with plates."""
         return sorted({0.0, *(self.hanger + mass * _GRID for mass in self._sums)})
 
     def around(self, mass: float) -> list[float]:
-        """The nearest loads [kg] that can be made, below and above `mass`; one where `mass` can be made."""
+        """Nearest possible loads [kg] below and above `mass`; a single one if `mass` itself is possible."""
         if not self.plates:
             return [mass] if mass == 0 or mass >= self.hanger - TOLERANCE else [0.0, self.hanger]
         place = bisect_left(self.loads, mass)
@@ -72,14 +72,14 @@ class Stack:
         return len(near) == 1 and abs(near[0] - mass) <= TOLERANCE
 
     def why_not(self, mass: float, shown: Callable[[float], str] = "{:g} kg".format) -> str:
-        """Why a load cannot be made, with the nearest ones, as `shown` says masses [kg]; empty where it can."""
+        """Why a load cannot be made, with the nearest ones, formatted by `shown`; empty if it can."""
         if self.can_make(mass):
             return ""
         near = " or ".join(shown(load) for load in self.around(mass))
         return f"{shown(mass)} cannot be made with the weights of this bench ({self}); nearest: {near}"
 
     def text(self, mass: float) -> str:
-        """What makes a load that can be made, for instance `hanger 1 kg + 1 x 5 kg + 1 x 2.5 kg = 8.5 kg`."""
+        """Parts of a possible load, for instance `hanger 1 kg + 1 x 5 kg + 1 x 2.5 kg = 8.5 kg`."""
         if mass <= 0 or not self.plates:
             return ""
         left = min(self._sums, key=lambda plates: abs(self.hanger + plates * _GRID - mass))
@@ -97,14 +97,14 @@ class Stack:
 
 
 WARM_UP = 600.0
-"""Shortest warm-up that counts as whole (10 min, paper 0, static study) [s]."""
+"""Shortest warm-up that counts as complete [s] (10 min, paper 0, static study)."""
 NOISE = 0.005
-"""Most rms noise of a channel, of its range, where the bench file says nothing [1]."""
+"""Largest rms noise of a channel as a fraction of its range, if not given in the bench file [1]."""
 
 
 @dataclass(frozen=True)
 class WarmUp:
-    """Cycles between no pressure and `pressure` [Pa] of `period` [s], for `duration` [s]."""
+    """Cycles between zero and `pressure` [Pa] with `period` [s], for `duration` [s]."""
 
     duration: float
     pressure: float
@@ -113,7 +113,7 @@ class WarmUp:
 
 @dataclass(frozen=True)
 class Zero:
-    """The zero of one channel: at most `most` [SI] from the calibration's; `load` [kg] brings the free end there."""
+    """Zero of one channel: at most `most` [SI] from the calibration's; `load` [kg] puts the free end there."""
 
     most: float
     at: str = ""
@@ -135,17 +135,17 @@ class SelfTest:
 
 @dataclass(frozen=True)
 class Session:
-    """What is done once before the first run, and for how long it counts [s]."""
+    """Steps before the first run, and the time for which they are valid [s]."""
 
     self_test: SelfTest | None = None
     warm_up: WarmUp | None = None
     zeros: Mapping[str, Zero] = field(default_factory=dict)
     valid: float = 12 * 3600.0
     expected: tuple[str, ...] = ("pressure", "force", "displacement")
-    """Channels whose zeros a whole session takes."""
+    """Channels whose zeros a complete session takes."""
 
     def shortened(self, *, warm_up: bool = True) -> tuple[str, ...]:
-        """In words: which parts are shorter than the papers and good practice ask for; `warm_up`: it is not skipped."""
+        """Parts that are shorter than papers and good practice recommend, in words; `warm_up`: it is not skipped."""
         found = []
         if self.warm_up is None:
             found.append("no warm-up")
@@ -179,7 +179,7 @@ def session(c: Compilation, setup: float) -> Session | None:
 
 
 def lacks_session(c: Compilation) -> Iterator[str]:
-    """A line where a real bench has no session; goes on after "this bench has"."""
+    """A line if a real bench has no session; continues the sentence "this bench has"."""
     if c.bench.time == "real" and c.bench.platform is not None:
         yield (
             "no session, for self-test, warm-up and zeros need outputs that command pressures: wiring and zeros are "

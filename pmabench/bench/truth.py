@@ -20,7 +20,7 @@ from pmabench.files.shipped import shipped_folder
 ENDLESS = 1e9
 NOWHERE = "127.0.0.1:0"
 OF_THE_BENCH = ("address", "watchdog")
-"""Places of a device record that a truth file does not have."""
+"""Fields of a device record that a truth file does not have."""
 
 
 def truth_of(bench: Path) -> Path | None:
@@ -31,7 +31,7 @@ def truth_of(bench: Path) -> Path | None:
 
 
 def read_truth(path: Path) -> b.Truth:
-    """The rig in a file; raises `InvalidFile` with every problem."""
+    """Read the rig in a truth file; raises `InvalidFile` with every problem."""
     document = read_document(path)
     file = validate(TruthFile, document)
     problems: list[Problem] = []
@@ -46,7 +46,7 @@ def read_truth(path: Path) -> b.Truth:
 
 
 class _Device:
-    """One device of the file, with every problem found."""
+    """One device of the file; collects every problem."""
 
     def __init__(self, document: Document, name: str, file: DeviceTruth, folder: Path) -> None:
         self.document, self.name, self.file, self._folder = document, name, file, folder
@@ -54,11 +54,11 @@ class _Device:
         self.problems: list[Problem] = []
 
     def fault(self, location: Location, message: str) -> None:
-        """A problem at a value of this device."""
+        """Add a problem at a value of this device."""
         self.problems.append(self.document.problem((*self.at, *location), message))
 
     def wired(self) -> b.Wired:
-        """The device at an address that is to be replaced."""
+        """The wired device, with a placeholder as address."""
         file, name, driver = self.file, self.name, ""
         try:
             driver = driver_class(file.driver)
@@ -92,7 +92,7 @@ class _Device:
         return step
 
     def _plug(self, at: Location, key: str, what: str, signal: Line, device: Line | None) -> tuple[b.Plug, str]:
-        """The plug, and the unit of what the device itself gives or takes."""
+        """The plug, and the device's own unit."""
         quantity = CHANNEL_QUANTITY[what]
         unit = self._one_unit(signal, 0, (*at, key))
         ends = [self._si(point[1], quantity, (*at, key, i, 1)) for i, point in enumerate(signal)]
@@ -125,7 +125,7 @@ class _Device:
             return b.Scale()
 
     def _options(self) -> dict[str, Any]:
-        """The options, with the content of a register map or DBC file that lies next to this file in its place."""
+        """Options, with the names of a register map or DBC file next to this file replaced by its content."""
         options = dict(self.file.options)
         for key, suffix in ((MAP, ".yaml"), (DBC, ".dbc")):
             name = options.get(key)
@@ -152,7 +152,7 @@ def _text(path: Path) -> str:
 
 
 def _refused_by_driver(device: _Device, record: b.DeviceRecord) -> Iterator[Problem]:
-    """What the driver finds wrong with the options and the names of terminals."""
+    """Problems that the driver reports on options and terminals."""
     try:
         check = getattr(loaded(record.driver), "check", None)
     except (ImportError, AttributeError) as error:

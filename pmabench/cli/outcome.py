@@ -16,6 +16,7 @@ import click
 
 from pmabench.cli.common import Ui, fields, read_or_not, rewrite, say
 from pmabench.cli.names import short, typed
+from pmabench.guard.safe import UNANSWERED
 from pmabench.guard.station import Station
 from pmabench.report.terminal import print_texts
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 FINISHED = ("finished", "failed")
 WIDTH = 80
+MAY_COME = "; a command may still come: shut the supply"
 
 
 def cut(text: str) -> str:
@@ -102,8 +104,7 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
     seconds = outcome.bench_seconds
     length = f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
     done = f"{outcome.trials_done} of {trials} {'trial' if trials == 1 else 'trials'}"
-    vented = "; vented" if outcome.vent is not None and outcome.vent.confirmed else _vent_words(outcome)
-    head = f"{mark}{outcome.status.upper()}  {kind}: {done}, {length}{vented}"
+    head = f"{mark}{outcome.status.upper()}  {kind}: {done}, {length}{_vent_words(outcome, 'vented')}"
     lines = wrap(head, WIDTH, subsequent_indent="   ")
     if outcome.why:
         lines += wrap(outcome.why, 80, initial_indent="   ", subsequent_indent="   ", max_lines=4, placeholder=" …")
@@ -141,8 +142,12 @@ def _unconfirmed(outcome: Outcome, most: int | None = None) -> list[str]:
     ]
 
 
-def _vent_words(outcome: Outcome) -> str:
-    return f"; vent {outcome.vent.result}" if outcome.vent is not None else ""
+def _vent_words(outcome: Outcome, confirmed: str = "vent confirmed") -> str:
+    if outcome.vent is None:
+        return ""
+    words = confirmed if outcome.vent.confirmed else f"vent {outcome.vent.result}"
+    late = UNANSWERED in outcome.vent.actions and outcome.status not in FINISHED  # a lost step of a ramp is made up
+    return f"; {words}{MAY_COME if late else ''}"
 
 
 @contextmanager

@@ -239,6 +239,8 @@ def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tu
 
 
 def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
+    from pmabench.model.loop import MOST
+
     def cell(estimate: Any) -> str:
         if estimate is None or estimate.value is None:
             return ""
@@ -259,7 +261,8 @@ def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
             if row.answer is not None:
                 overshoot, settling = row.answer.overshoot, row.answer.settling
                 cells.append(f"{100 * overshoot:.0f} %" if isfinite(overshoot) else "unstable")
-                cells.append(f"{settling:.3g} s" if isfinite(settling) else "never")
+                later = f"later than {MOST} T_u" if isfinite(overshoot) else "never"
+                cells.append(f"{settling:.3g} s" if isfinite(settling) else later)
         rows.append([row.rule.title, *cells, *[""] * (len(heads) - 1 - len(cells))])
     print_grid(ui.console(), heads, rows, ("rule",))
 

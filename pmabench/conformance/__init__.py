@@ -1,11 +1,11 @@
-"""What every driver must keep, tried against the driver's own emulator; for shipped drivers and for those of others.
+"""Requirements for every driver, tested against the driver's own emulator; for shipped drivers and those of others.
 
-`suite` is the table of checks and runs them on a device of a bench file; it looks at the class alone,
-`samples`, `commands` and `following` at an open device, `broken_wire` at what it does when the wire is bad. `rig`
-starts emulator and driver, and measures how long calls take; between the two is a `relay` (TCP or serial) that damages
-bytes. `truth` asks emulator or simulation what plant and device really do.
+`suite` is the table of checks and runs them on a device of a bench file. It tests the class alone;
+`samples`, `commands` and `following` test an open device, `broken_wire` its behaviour on a faulty connection. `rig`
+starts emulator and driver, and measures the duration of calls; between the two is a `relay` (TCP or serial) that
+damages bytes. `truth` asks emulator or simulation for the actual state of plant and device.
 
-Nothing is ever tried on a device that does not say over its wire that it is emulated.
+Nothing is ever tested on a device that does not report over its connection that it is emulated.
 """
 
 from pmabench.conformance.rig import FAILED, NOT_APPLICABLE, NOT_CHECKED, PASSED, Result

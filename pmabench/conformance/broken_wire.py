@@ -1,4 +1,4 @@
-"""Checks of what a driver does on a silent, slow or broken wire, and with thousands of damaged answers.
+"""Checks of a driver on a silent, slow or broken connection, and with thousands of damaged answers.
 
 Every call ends in time, in a DeviceError or a number; no write is repeated; nothing is left behind.
 """
@@ -22,25 +22,25 @@ from pmabench.conformance.relay import Hostile, late, silence
 from pmabench.conformance.samples import RATE, number, take
 
 LATE = 0.35
-"""Answers that come after every time-out of a call [s]."""
+"""Delay of answers, longer than every time-out of a call [s]."""
 SETTLES = 3.0
-"""How long threads and connections are given to end [s]."""
+"""Time for threads and connections to end [s]."""
 MANY = 10
-"""Rounds of questions after which no more may be open than before."""
+"""Rounds of questions after which no more threads or files may be open than before."""
 RECOVERS = 5
-"""How often a question may fail after the wire is well again."""
+"""How often a question may fail after the connection is good again."""
 LISTENS = 0.03
-"""How long samples are damaged before they are collected [s]."""
+"""Duration of damaged sampling before samples are collected [s]."""
 HEALS = 2
-"""How often a question may fail on a good wire before the device is opened again."""
+"""How often a question may fail on a good connection before the device is opened again."""
 OPENS = 5
-"""How often it may fail to open after that."""
+"""How often opening it may fail then."""
 SELDOM_LATE = 500
-"""Of so many pieces one call may be late: this computer has other things to do, too."""
+"""One late call is allowed per this number of damaged pieces, as the computer may be busy."""
 
 
 def calls(rig: rigs.Rig, device: Any) -> list[tuple[str, Callable[[], Any], float]]:
-    """Everything that a guard or an engine calls while it runs: name, call, longest time [s]."""
+    """Everything that guard and engine call during a run: name, call, longest time [s]."""
     found: list[tuple[str, Callable[[], Any], float]] = []
     for output in rig.record.outputs:
         value = _fifth(output)
@@ -52,12 +52,12 @@ def calls(rig: rigs.Rig, device: Any) -> list[tuple[str, Callable[[], Any], floa
 
 
 def _fifth(output: OutputRecord) -> float:
-    """A value a fifth above the safe one [device units]."""
+    """A value one fifth of the range above the safe one [device units]."""
     return raw(output, output.safe + 0.2 * (output.high - output.safe))
 
 
 def silent(rig: rigs.Rig) -> str:
-    """When the device falls silent, every call says so in time, and a write is sent once."""
+    """When the device stops answering, every call raises DeviceError in time, and a write is sent once."""
     answers: list[str] = []
     for sampling in (False, True) if rig.streams() else (False,):
         with rig.opened(rate=RATE if sampling else 0.0) as device:
@@ -70,7 +70,7 @@ def silent(rig: rigs.Rig) -> str:
 
 
 def _in_silence(rig: rigs.Rig, device: Any) -> list[str]:
-    """What each call says; raises Failed where a write is carried out more than once."""
+    """Answer of each call as text; raises Failed if a write is carried out more than once."""
     answers = []
     for what, act, within in calls(rig, device):
         before = len(sent(rig))
@@ -89,7 +89,7 @@ def _in_silence(rig: rigs.Rig, device: Any) -> list[str]:
 
 
 def _says_that_samples_stay_away(rig: rigs.Rig, device: Any) -> str:
-    """A silent stream is an error, or gives no samples: then pmabench says so after its own time."""
+    """Text for a silent stream: `collect` raises DeviceError, or gives no samples, which the engine notices."""
     for _ in range(15):
         rig.pass_time(0.1)
         block = rig.call("collect() in silence", device.collect).judged(rigs.COLLECTS_WITHIN)
@@ -101,7 +101,7 @@ def _says_that_samples_stay_away(rig: rigs.Rig, device: Any) -> str:
 
 
 def late_answers(rig: rigs.Rig) -> str:
-    """An answer that comes too late is never taken for the answer to the next question."""
+    """A late answer is never taken for the answer to the next question."""
     output = rig.record.outputs[0]
     safe = raw(output, output.safe)
     refused = 0
@@ -109,10 +109,10 @@ def late_answers(rig: rigs.Rig) -> str:
         rig.call("write()", device.write, output.output, safe).good()
         holds = [safe]
         for share in (0.3, 0.1, 0.2):
-            rig.feed()  # a device whose watchdog has fired takes no value that could be mixed up
+            rig.feed()  # a device whose watchdog has fired accepts no value that could be mixed up
             value = raw(output, output.safe + share * (output.high - output.safe))
             rig.damage(late(LATE))
-            for _ in range(2):  # so that one is still owed after the next command
+            for _ in range(2):  # so that one answer is still outstanding after the next command
                 rig.call("read_back() with a late answer", device.read_back, output.output).judged()
             rig.well()
             before = len(sent(rig))
@@ -189,7 +189,7 @@ def exchanges(rig: rigs.Rig) -> str:
 
 def nothing_left(rig: rigs.Rig) -> str:
     """After close() no thread, no file and no connection is left, whether all was well or the wire silent."""
-    for wire in ("first", "good", "silent"):  # what the emulator itself keeps is there after the first connection
+    for wire in ("first", "good", "silent"):  # what the emulator itself keeps open is there after the first
         before = _left()
         rig.open()
         device: Any = rig.device
@@ -216,7 +216,7 @@ def nothing_left(rig: rigs.Rig) -> str:
 
 
 def _refuse_growth(rig: rigs.Rig, device: Any) -> None:
-    """Raise Failed where calls leave threads or files behind while the device is open."""
+    """Raise Failed if calls leave threads or files behind while the device is open."""
     asked = rig.questions(device)
     for rounds in (3, MANY):
         before = _left()
@@ -232,7 +232,7 @@ def _refuse_growth(rig: rigs.Rig, device: Any) -> None:
 
 
 def _left() -> tuple[frozenset[str], int]:
-    """Names of the threads that live, and how many files are open."""
+    """Names of the living threads, and number of open files."""
     names = frozenset(
         f"{thread.name} ({thread.ident})" for thread in threading.enumerate() if not thread.name.startswith("link-")
     )
@@ -240,7 +240,7 @@ def _left() -> tuple[frozenset[str], int]:
 
 
 class Battle:
-    """Damages one piece after another; `many` pieces in all."""
+    """Random calls with damaged answers, until `many` pieces have been damaged."""
 
     def __init__(self, rig: rigs.Rig, many: int, seed: int) -> None:
         self._rig, self._many, self._seed = rig, many, seed
@@ -251,7 +251,7 @@ class Battle:
         self._times: list[int] = []
 
     def fight(self) -> str:
-        """Run it; raises Failed with the number of the piece, so that the same seed finds it again."""
+        """Run it; raises Failed with the number of the piece and the seed, to reproduce it."""
         rig = self._rig
         self._open()
         try:
@@ -279,7 +279,7 @@ class Battle:
         return f"{self._damage.done} damaged pieces: {answer}"
 
     def _open(self) -> None:
-        """A new driver on a good wire; what came before may still be on its way."""
+        """Open a new driver on a good connection, with retries as old bytes may still arrive."""
         rig = self._rig
         for attempt in range(OPENS):
             try:
@@ -295,7 +295,7 @@ class Battle:
         self._device, self._times = rig.device, []
 
     def _opening(self) -> None:
-        """The damage meets a device that is being opened."""
+        """Open and close a device on a damaged connection."""
         rig = self._rig
         rig.shut()
         device = rig.build(rig.record)
@@ -306,7 +306,7 @@ class Battle:
         self._open()
 
     def _one(self) -> None:
-        """One call on a damaged wire, then one on a good one."""
+        """One call on a damaged connection, then the same on a good one."""
         rig = self._rig
         choices: list[tuple[str, Any]] = [("output", o) for o in rig.record.outputs for _ in range(2)]
         choices += [("valve", v) for v in rig.record.valves] + [("lock", i) for i in rig.record.interlocks]

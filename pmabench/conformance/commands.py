@@ -1,4 +1,4 @@
-"""Checks of commands on a good wire: what arrives in the emulated device and its plant, and what calls return."""
+"""Checks of commands on a good connection: what reaches the emulated device and its plant, and what calls return."""
 
 from __future__ import annotations
 
@@ -17,51 +17,51 @@ from pmabench.conformance.truth import Truth
 from pmabench.guard.limits import to_device
 
 ARRIVES = 0.15
-"""So soon a command is in the device, without any other call [s]."""
+"""Time within which a command must reach the device, without any other call [s]."""
 MOVES = 5.0
-"""So long an actuator may be on its way [s]."""
+"""Longest travel time of an actuator [s]."""
 EXACT = 2e-4
-"""How far the plant's set-point may be from what was commanded, of the output's range, besides its resolution."""
+"""Tolerance of the plant's set-point, as a fraction of the output's range, in addition to its resolution."""
 NOWHERE = "no-such-output"
 
 
 def raw(output: OutputRecord, si: float) -> float:
-    """What the guard would send for a value [SI]."""
+    """Device value that the guard would send for a value [SI]."""
     return to_device(output, min(max(si, output.low), output.high))
 
 
 def at(output: OutputRecord, share: float) -> float:
-    """A value this share of the way from the safe one to the highest [device units]."""
+    """Value at this fraction of the way from the safe to the highest value [device units]."""
     return raw(output, output.safe + share * (output.high - output.safe))
 
 
 def near(output: OutputRecord, held: Any, value: float) -> bool:
-    """Whether what is read back is what was written, as the guard looks at it."""
+    """Whether the value read back is the one written, within the guard's tolerance."""
     return isinstance(held, float | int) and abs(held - value) <= max(output.resolution, 1e-6 * abs(held), 1e-9)
 
 
 def times_sent(rig: Rig, output: OutputRecord, value: float, before: int) -> int:
-    """How often the emulator was sent `value` since there were `before` entries in `sent`."""
+    """How often the emulator has received `value` since `before`, a length of `sent`."""
     wanted, most = float(output.scale.to_si(value)), close_enough(output)
     entries = [entry for entry in sent(rig)[before:] if entry.get("output", output.name) == output.name]
     return sum(abs(entry["si"] - wanted) <= most for entry in entries)
 
 
 def sent(rig: Rig) -> list[dict[str, Any]]:
-    """The set-points and targets that the emulated device was sent."""
+    """Log entries of the set-points and targets that the emulated device received."""
     return [entry for kind in ("set", "move") for entry in rig.logged(kind)]
 
 
-# -- what the plant's side says ---------------------------------------------------------------------------------------
+# -- the plant's state ------------------------------------------------------------------------------------------------
 
 
 def close_enough(output: OutputRecord) -> float:
-    """How far the plant's set-point may be from a command [SI]."""
+    """Tolerance of the plant's set-point [SI]."""
     return EXACT * (output.high - output.low) + abs(output.scale.slope) * output.resolution
 
 
 def commanded(truth: Truth, output: OutputRecord) -> float:
-    """The set-point that the plant's regulator or actuator has [SI]."""
+    """Set-point of the plant's regulator or actuator [SI]; raises NotChecked without one."""
     if (found := truth.now().get(f"{output.name}_command")) is None:
         raise NotChecked(f"the emulated plant has no {output.name} that is commanded")
     return float(found)
@@ -74,7 +74,7 @@ def reaches(rig: Rig, truth: Truth, output: OutputRecord, value: float, within: 
 
 
 def _travel(rig: Rig, truth: Truth, output: OutputRecord, value: float) -> None:
-    """Wait while an actuator is on its way, the watchdog fed: its vent would stop it, or take it there."""
+    """Wait for an actuator to arrive, feeding the watchdog, whose vent would stop it or move it there."""
     until = rig.bench_clock.now() + MOVES
     while not reaches(rig, truth, output, value, 0.05) and rig.bench_clock.now() < until:
         rig.feed()
@@ -90,7 +90,7 @@ def _soon(rig: Rig, within: float, holds: Callable[[], bool]) -> bool:
 
 
 def dump_of(valves: Sequence[ValveRecord]) -> ValveRecord | None:
-    """The dump valve among them."""
+    """The dump valve among them; None if there is none."""
     named = [valve for valve in valves if "dump" in valve.name] or (list(valves) if len(valves) == 1 else [])
     return named[0] if named else None
 
@@ -98,9 +98,9 @@ def dump_of(valves: Sequence[ValveRecord]) -> ValveRecord | None:
 def refuse_position(
     rig: Rig, truth: Truth, valve: ValveRecord, *, on: bool, after: str, by_itself: bool = False
 ) -> None:
-    """Raise Failed where a valve's coil, or the dump valve itself, is not as it was commanded.
+    """Raise Failed if a valve's coil, or the dump valve itself, is not as commanded.
 
-    `by_itself`: the device has switched it, of which nothing was sent.
+    `by_itself`: the device has switched the valve without a command.
     """
     if not by_itself and not _soon(rig, ARRIVES, lambda: truth.coil(valve) is on):
         state = {True: "energised", False: "not energised", None: "where it was: nothing arrived"}[truth.coil(valve)]
@@ -114,7 +114,7 @@ def refuse_position(
 
 
 def _refuse_nowhere(rig: Rig, *calls: str) -> None:
-    """Raise Failed where a call takes a name that does not exist."""
+    """Raise Failed if a call accepts an output that does not exist."""
     for name in calls:
         given = [0.0] if name == "write" else []
         act = partial(getattr(rig.device, name), NOWHERE, *given, **({"on": False} if name == "switch" else {}))
@@ -169,7 +169,7 @@ def _one_set_point(rig: Rig, truth: Truth, output: OutputRecord, value: float, *
 
 
 def _shown(rig: Rig, truth: Truth, output: OutputRecord) -> None:
-    """A channel that shows the command shows it."""
+    """Raise Failed unless the channel for the command of this output, if there is one, shows it."""
     for channel in rig.record.channels if rig.streams() else ():
         if channel.name != f"{output.name}_command":
             continue
@@ -278,7 +278,7 @@ def _is_held(truth: Truth, output: OutputRecord, held: Any) -> bool:
 
 
 def lift(rig: Rig, truth: Truth | None = None) -> None:
-    """Leave the safe state: valves on, outputs up."""
+    """Leave the safe state: valves energised, outputs up."""
     for valve in rig.record.valves:
         rig.call("switch(on=True)", rig.device.switch, valve.output, on=True).nothing()
     for output in rig.record.outputs:
@@ -288,9 +288,9 @@ def lift(rig: Rig, truth: Truth | None = None) -> None:
 
 
 def refuse_unsafe(rig: Rig, truth: Truth, after: str, *, by_itself: bool = False) -> None:
-    """Raise Failed where an output is not at its safe value in the plant, or a valve is energised.
+    """Raise Failed if an output is not at its safe value in the plant, or a valve is energised.
 
-    `by_itself`: the device has vented; a drive then only stops.
+    `by_itself`: the device has vented without a command; a drive then only stops.
     """
     for valve in rig.record.valves:
         refuse_position(rig, truth, valve, on=False, after=after, by_itself=by_itself)
@@ -320,7 +320,7 @@ def safe_state(rig: Rig) -> str:
 
 
 def _rescued(device: Any, name: str, value: float) -> float:
-    """Command a value over the second way; how long that took [s]."""
+    """Command a value over the second connection; returns the duration [s]."""
     began = time.monotonic()
     try:
         given = device.rescue(name, value)

@@ -1,4 +1,4 @@
-"""Checks of what a device does by itself: ramps, sines, stops; its watchdog; what it reports to hold (promise S11)."""
+"""Checks of functions in the device: ramps, sines, stops; its watchdog; its report in `held` (promise S11)."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pmabench.conformance.samples import RATE
 from pmabench.conformance.truth import Truth
 
 BEHIND = 0.12
-"""How far a ramp may be from its time [s]."""
+"""Largest time deviation of a ramp [s]."""
 EARLY, LATEST = 0.1, 0.25
-"""How much before and after its time a watchdog may act [s]."""
+"""How much before and after its time a watchdog may fire [s]."""
 NOTICED = 0.5
-"""So soon a difference must be in `held` [s]."""
+"""Time within which a difference must appear in `held` [s]."""
 
 
 def ramps(rig: Rig) -> str:
@@ -57,7 +57,7 @@ def _begin_at(rig: Rig, truth: Truth, output: OutputRecord, value: float) -> Non
 
 
 def _watch(rig: Rig, truth: Truth, output: OutputRecord, segment: Segment, lasts: float) -> None:
-    """Raise Failed where the plant's set-point leaves the segment, or does not end where it ends."""
+    """Raise Failed if the plant's set-point deviates from the segment, or does not end at its end."""
 
     def value(moment: float) -> float:
         since = min(max(moment - segment.start, 0.0), lasts)
@@ -136,7 +136,7 @@ def watchdog(rig: Rig) -> str:
         rig.call("disarm_watchdog()", device.disarm_watchdog).nothing()
         rig.wait(asked + LATEST)
         noted: list[Any] = rig.logged("watchdog")
-        if rig.emulator is None:  # it writes nothing down: an output that is no longer up says so
+        if rig.emulator is None:  # it keeps no log: an output that is no longer up shows that it fired
             regulated = [output for output in rig.record.outputs if output.quantity == "pressure"]
             noted = [output for output in regulated if not reaches(rig, truth, output, at(output, 0.3))]
         if noted:
@@ -204,12 +204,12 @@ def held(rig: Rig) -> str:
 
 
 def _reports_change(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
-    """What is changed at the emulated device itself is reported, where the emulator can change it."""
+    """Raise Failed unless `held` reports a change at the emulated device, if the emulator can make one."""
     if not getattr(rig.server, "change_held", bool)():
         return
     rig.wait(NOTICED)
     after = rig.call("held()", device.held).judged()
-    if isinstance(after, DeviceError):  # an answer may be lost; what is refused is refused again
+    if isinstance(after, DeviceError):  # an answer may be lost; an actual refusal comes again
         after = rig.call("held()", device.held).judged()
     if not isinstance(after, DeviceError) and not _difference(before, after):
         raise Failed(f"{', '.join(before)}: changed at the device, and held() is as before: it answers from memory")
@@ -245,7 +245,7 @@ def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
 
 
 def _outputs_show_it(rig: Rig, device: Any) -> bool:
-    """Whether a fired watchdog shows in an output or a valve: some devices go on counting by themselves (LabJack)."""
+    """Whether a fired watchdog shows in an output or a valve: some devices continue to count after firing (LabJack)."""
     for output in rig.record.outputs:
         value = rig.call("read_back()", device.read_back, output.output).judged()
         if isinstance(value, DeviceError) or not near(output, value, at(output, 0.3)):
@@ -264,7 +264,7 @@ def _held(rig: Rig, device: Any) -> Mapping[str, Any]:
 
 
 def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
-    """What a guard would trip on; empty: nothing."""
+    """Difference on which a guard would trip, as text; empty if none."""
     for name in {*before, *after}:
         was, now = before.get(name), after.get(name)
         if was is None or now is None or (now < was if name == "uptime" else now != was):

@@ -1,4 +1,4 @@
-"""A relay between driver and emulator, on TCP or a pseudo-terminal, and what it does to the bytes of the device."""
+"""A relay between driver and emulator, on TCP or a pseudo-terminal, that can damage the bytes of the device."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from pathlib import Path
 from random import Random
 
 Pieces = Sequence[tuple[float, bytes]]
-"""What arrives instead: after so long [s], these bytes."""
+"""What arrives instead: delay [s] and bytes of each piece."""
 Damage = Callable[[bytes], Pieces]
 SELDOM = {"late", "nothing"}
-"""They cost a time-out each."""
+"""Rarely chosen kinds of damage, as each costs a time-out."""
 PIECE = 4096
 WAIT = 0.05
 """Longest wait for bytes on a serial line [s]."""
@@ -29,7 +29,7 @@ def silence(_data: bytes) -> Pieces:
 
 
 def late(seconds: float) -> Damage:
-    """Everything arrives, `seconds` later."""
+    """Everything arrives `seconds` later."""
     return lambda data: ((seconds, data),)
 
 
@@ -58,57 +58,57 @@ KINDS: dict[str, Callable[[bytes, Random, bytes], Pieces]] = {
     "late": lambda data, chance, _before: [(chance.uniform(0.02, 0.4), data)],
     "nothing": lambda _data, _chance, _before: [],
 }
-"""Name -> what arrives instead of `data`, where `before` came last."""
+"""Kind of damage -> function of (data, random numbers, previous data) that returns what arrives instead."""
 
 
 class Hostile:
-    """Damages every piece in the way `kind`; remembers the piece before."""
+    """Damages every piece in the way `kind`; keeps the previous piece."""
 
     def __init__(self, chance: Random) -> None:
         self._chance = chance
         self._before = b""
         self.kind = "cut"
         self.done = 0
-        """Pieces that were damaged."""
+        """Number of damaged pieces."""
 
     def another(self) -> str:
-        """Choose a kind for what comes now; its name."""
+        """Choose the kind of damage for the next pieces; returns its name."""
         names = [name for name in KINDS if name not in SELDOM or self._chance.random() < 0.3]
         self.kind = self._chance.choice(names)
         return self.kind
 
     def __call__(self, data: bytes) -> Pieces:
-        """As a `Damage`."""
+        """What arrives instead of `data`."""
         before, self._before = self._before, data
         self.done += 1
         return KINDS[self.kind](data, self._chance, before) if data else ()
 
 
 class Relay(ABC):
-    """Passes everything on. What the driver sends is passed on as it is; `damage` is done to what the device sends."""
+    """Passes everything on; `damage` is applied only to what the device sends."""
 
     def __init__(self) -> None:
         self.damage: Damage | None = None
         self.heard: list[tuple[bool, bytes]] = []
-        """What went through, in its order: whether the device sent it, and the bytes."""
+        """All pieces in order: whether the device sent it, and its bytes."""
         self.address = ""
-        """What the driver connects to."""
+        """Address for the driver."""
 
     @abstractmethod
     def hang_up(self) -> None:
-        """End the connections that there are."""
+        """Cut all connections."""
 
     @abstractmethod
     def close(self) -> None:
-        """End."""
+        """Stop the relay."""
 
     def asked(self, data: bytes) -> list[bytes]:
-        """What the driver sends is passed on as it is."""
+        """What the driver sends, unchanged."""
         self.heard.append((False, data))
         return [data]
 
     def arriving(self, data: bytes) -> list[bytes]:
-        """What arrives of a piece from the device, after the waits that its damage asks for."""
+        """What arrives of a piece from the device, after the delays of its damage."""
         self.heard.append((True, data))
         if (damage := self.damage) is None:
             return [data]
@@ -121,7 +121,7 @@ class Relay(ABC):
 
 
 class TcpRelay(Relay):
-    """Listens on 127.0.0.1 (`port` 0: a free one) and connects to `far`, as HOST:PORT, for each connection."""
+    """Listens on a free port of 127.0.0.1 and connects to `far`, HOST:PORT, for each connection."""
 
     def __init__(self, far: str) -> None:
         super().__init__()
@@ -139,7 +139,7 @@ class TcpRelay(Relay):
                 end.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening and cut all connections."""
         with suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
@@ -163,7 +163,7 @@ class TcpRelay(Relay):
             threading.Thread(target=self._serve, args=(near, far), name="conformance relay", daemon=True).start()
 
     def _serve(self, near: socket.socket, far: socket.socket) -> None:
-        """Both directions of a connection, whose ends are closed when both have ended."""
+        """Serve both directions of a connection; close it when both have ended."""
         pump = threading.Thread(target=self._pump, args=(near, far, self.asked), name="conformance relay", daemon=True)
         pump.start()
         self._pump(far, near, self.arriving)
@@ -175,7 +175,7 @@ class TcpRelay(Relay):
     def _pump(
         self, source: socket.socket, target: socket.socket, passed_on: Callable[[bytes], Sequence[bytes]]
     ) -> None:
-        """One direction; with it the other one ends, too."""
+        """Serve one direction; when it ends, the other one ends too."""
         with suppress(OSError):
             while data := source.recv(PIECE):
                 for piece in passed_on(data):
@@ -186,7 +186,7 @@ class TcpRelay(Relay):
 
 
 class SerialRelay(Relay):
-    """A pseudo-terminal reached by the link `path`, in front of the port `far`."""
+    """A pseudo-terminal with the symbolic link `path`, in front of the port `far`."""
 
     def __init__(self, path: Path, far: str) -> None:
         super().__init__()
@@ -207,11 +207,11 @@ class SerialRelay(Relay):
             thread.start()
 
     def hang_up(self) -> None:
-        """As when the plug is pulled: the port is gone."""
+        """As if the plug were pulled: the port is gone."""
         self.close()
 
     def close(self) -> None:
-        """End, and take the link away; harmless when repeated."""
+        """Stop the relay and remove the link; may be called again."""
         if self._ended.is_set():
             return
         self._ended.set()
@@ -230,5 +230,5 @@ class SerialRelay(Relay):
                     continue
                 data = os.read(source, PIECE)
                 for piece in self.asked(data) if source == self._near else self.arriving(data):
-                    if piece and select.select([], [target], [], 0)[1]:  # what finds no room is lost
+                    if piece and select.select([], [target], [], 0)[1]:  # what does not fit into the buffer is lost
                         os.write(target, piece)

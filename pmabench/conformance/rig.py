@@ -1,4 +1,4 @@
-"""One device of a driver for the checks: its emulator, the relays before it, the driver; what came of its calls."""
+"""One device under test: its emulator, the relays before it, the driver; outcomes of its calls."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ PASSED, FAILED, NOT_APPLICABLE, NOT_CHECKED = "pass", "fail", "does not apply", 
 OPENS_WITHIN = 2.0
 """Longest time that `open` may take [s]."""
 STARTS_WITHIN = 8.0
-"""And that of a simulation without a wire, which may start another process [s]: so long the guard waits."""
+"""The same for a simulation without a connection, which may start another process [s]; the guard waits as long."""
 COLLECTS_WITHIN = 0.5
 """Longest time that `start`, `collect` and `stop` may take [s]."""
 HUNG = 10.0
-"""A call that is not back after so long counts as hanging [s]."""
+"""A call that has not returned after this time counts as hanging [s]."""
 CALLS_WITHIN = PATIENCE
 """Longest time that a command or a question may take [s]."""
 _PLACE = re.compile(r"(.*://)?((?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):\d{1,5})")
-"""HOST:PORT, also behind the beginning of an address like `slcan:socket://`."""
+"""HOST:PORT, also after a prefix such as `slcan:socket://`."""
 SLACK = 0.1
-"""What every call is given besides [s], and three times what this computer was late meanwhile."""
+"""Extra time for every call [s], in addition to three times the lag of this computer."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """One line of the suite: the check, its verdict, and a sentence that says why."""
+    """One line of the suite: the check, its promise, its verdict, and the reason in a sentence."""
 
     check: str
     promise: str
@@ -52,31 +52,31 @@ class Result:
 
 
 class Failed(Exception):
-    """The driver breaks the promise; the text says how and what to do."""
+    """The driver breaks the promise; the text states how and what to do."""
 
 
 class Late(Failed):
-    """Something came too late, for which a busy computer can be the reason: it must happen again to count."""
+    """Something was late, possibly because the computer is busy; it counts only if it happens in every attempt."""
 
 
 class NotApplicable(Exception):
-    """The device has nothing of the kind; the text says what is missing."""
+    """The device has nothing to check; the text states what is missing."""
 
 
 class NotChecked(Exception):
-    """Something could not be compared with an independent reference; the text says what, why, and what was compared."""
+    """Something had no independent reference; the text states what, why, and what was compared."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Value or error of a call, and how long it took."""
+    """Value or error of a call, and its duration."""
 
     what: str
     value: Any
     error: BaseException | None
     seconds: float
     lag: float
-    """By how much this computer was late meanwhile [s]: other programs want it too."""
+    """Largest delay of this computer's scheduling during the call [s], caused by other programs."""
 
     def nothing(self, within: float = CALLS_WITHIN) -> None:
         """As `good`, for a call that returns nothing."""
@@ -84,7 +84,7 @@ class Outcome:
             raise Failed(f"{self.what} returned {value!r}; by the interface it returns None")
 
     def judged(self, within: float = CALLS_WITHIN) -> Any:
-        """Its value, or the DeviceError; raises Failed where it took too long or raised anything else."""
+        """The value, or the DeviceError; raises Failed if the call took too long or raised anything else."""
         if self.seconds > within + SLACK + 3 * self.lag:
             raise Late(f"{self.what} took {self.seconds:.2f} s; at most {within:g} s is allowed")
         if self.error is not None and not isinstance(self.error, DeviceError):
@@ -93,7 +93,7 @@ class Outcome:
         return self.value if self.error is None else self.error
 
     def good(self, within: float = CALLS_WITHIN) -> Any:
-        """Its value; raises Failed also where it is a DeviceError."""
+        """The value; a DeviceError also raises Failed."""
         value = self.judged(within)
         if isinstance(value, DeviceError):
             raise Late(f"{self.what} failed on a good wire: {value}")  # a busy computer's emulator may answer too late
@@ -101,7 +101,7 @@ class Outcome:
 
 
 class _Lag:
-    """Notes by how much a thread that sleeps is woken too late: what the computer takes, not the driver."""
+    """Measures by how much a sleeping thread wakes up late: time taken by the computer, not the driver."""
 
     def __init__(self) -> None:
         self.worst = 0.0
@@ -109,7 +109,7 @@ class _Lag:
         threading.Thread(target=self._watch, name="conformance lag", daemon=True).start()
 
     def close(self) -> None:
-        """End."""
+        """Stop the thread."""
         self._ended.set()
 
     def _watch(self) -> None:
@@ -121,10 +121,10 @@ class _Lag:
 
 
 class Rig:
-    """The device of one record; `wiring` is what its rig's truth file says, where it has one.
+    """The device of one record; `wiring` is the content of its truth file, if it has one.
 
-    `emulated`: whether an emulator is behind it; `relays`: where bytes can be damaged.
-    Without an emulator a driver is tried only where it is a simulation itself.
+    `emulator`: None without one; then a driver is tested only if it is a simulation itself. `relays`: where bytes can
+    be damaged.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class Rig:
         self._owner = Owner(record.name)
         self.device: Any = None
         self.identity: Any = None
-        """What the last `open` gave."""
+        """Result of the last `open`."""
         self._armed = False
         self._served = served = _rewritten(record, lambda _: f"127.0.0.1:{free_port()}", lambda _: self._far())
         try:
@@ -155,31 +155,31 @@ class Rig:
             self.close()
             raise
 
-    # -- standing up ----------------------------------------------------------------------------------------------
+    # -- setting up -----------------------------------------------------------------------------------------------
 
     def _tcp(self, far: str) -> str:
-        """A relay in front of HOST:PORT; where it listens."""
+        """Put a relay in front of HOST:PORT; returns its address."""
         self.relays.append(TcpRelay(far))
         return self.relays[-1].address
 
     def _serial(self, far: str) -> str:
-        """A relay in front of a serial port; where it is reached."""
+        """Put a relay in front of a serial port; returns its path."""
         self.relays.append(SerialRelay(self._folder / self.asked.name, far))
         return self.relays[-1].address
 
     def _far(self) -> str:
-        """The serial port of the emulator."""
+        """Serial port of the emulator."""
         return str(self._folder / f"{self.asked.name}-far")
 
     def renew_wire(self) -> None:
-        """Put a serial line that was pulled back in place."""
+        """Restore a serial line that was cut."""
         for index, relay in enumerate(self.relays):
             if isinstance(relay, SerialRelay):
                 relay.close()
                 self.relays[index] = SerialRelay(Path(relay.address), self._far())
 
     def close(self) -> None:
-        """End everything."""
+        """Close driver, relays and emulator."""
         with suppress(Exception):
             self.shut()
         for relay in self.relays:
@@ -189,7 +189,7 @@ class Rig:
         self._lag.close()
 
     def restart(self) -> bool:
-        """Switch the emulated device off and on; whether there is one. What it held is gone, the wire stays."""
+        """Switch the emulated device off and on: its state is lost, the connection stays. Whether that is possible."""
         if self.emulator is None:
             return self._inject("restart")
         self.emulator.close()
@@ -199,19 +199,19 @@ class Rig:
         return True
 
     def switch_off_watchdog(self) -> bool:
-        """Switch the watchdog off at the emulated device itself; whether that can be done here."""
+        """Switch the watchdog off at the emulated device itself; whether that is possible."""
         if self.emulator is None:
             return self._inject("watchdog-off")
         return bool(getattr(self.server, "switch_off_watchdog", bool)())
 
     def _inject(self, fault: str) -> bool:
-        """Let it happen to a simulation in another process; whether there is one."""
+        """Inject a fault into a simulation in another process; whether there is one."""
         if (control := getattr(self.device, "control", None)) is not None:
             control("inject", fault=fault)
         return control is not None
 
     def truth(self) -> Truth:
-        """What plant and device really do; raises NotChecked where nobody but the driver knows."""
+        """Source of the actual state of plant and device; raises NotChecked if only the driver knows it."""
         driver = self.driver()
         if self.emulator is not None:
             return Emulated(self.record, lambda: self.emulator, self._another)
@@ -222,17 +222,17 @@ class Rig:
         raise NotChecked("there is neither an emulator nor a simulation to compare with")
 
     def _another(self) -> Any:
-        """A second driver of the same device, not open, for its `rescue`; None where it has no such call."""
+        """A second driver of the same device, not open, for its `rescue`; None if it has no such method."""
         return self.build(self.record) if issubclass(self.driver(), Rescue) else None
 
     # -- the driver -----------------------------------------------------------------------------------------------
 
     def clock(self) -> Clock:
-        """A clock as the bench of this device has it."""
+        """A clock of the same kind as this device's bench."""
         return RealClock() if self._realtime else VirtualClock()
 
     def driver(self) -> type:
-        """The class; raises Failed where it cannot be loaded."""
+        """Driver class; raises Failed if it cannot be loaded."""
         module, _, name = self.record.driver.partition(":")
         try:
             found = getattr(import_module(module), name)
@@ -243,23 +243,23 @@ class Rig:
         return found
 
     def build(self, record: DeviceRecord) -> Any:
-        """A new driver, not open; raises Failed where it refuses its record."""
+        """A new driver, not open; raises Failed if it refuses its record."""
         try:
             return self.driver()(record, self.bench_clock)
         except Exception as error:
             raise Failed(f"it cannot be built from the bench's record: {type(error).__name__}: {error}") from error
 
     def open(self, *, armed: bool = True) -> Identity:
-        """A new driver, open on a good wire, its watchdog armed as the guard arms it before it commands anything.
+        """Open a new driver on a good connection, and arm its watchdog as the guard does.
 
-        Raises Failed, also where no emulator and no simulation answers.
+        Raises Failed, also if neither an emulator nor a simulation answers.
         """
         self.well()
         self.bench_clock = self.clock()
         self.device = self.build(self.record)
         outcome = self.call("open()", self.device.open, hung=HUNG)
         if self.emulator is None and isinstance(outcome.error, DeviceError):
-            outcome = self.call("open()", self.device.open, hung=HUNG)  # its process may have needed longer to start
+            outcome = self.call("open()", self.device.open, hung=HUNG)  # its process may have taken longer to start
         identity = self.identity = outcome.good(self.opens_within)
         if not isinstance(identity, Identity):
             raise Failed(f"open() gave {identity!r}; an Identity is expected")
@@ -274,7 +274,7 @@ class Rig:
         return identity
 
     def shut(self) -> None:
-        """Close the driver, if there is one."""
+        """Close the driver, if there is one, and disarm its watchdog."""
         device: Device | None = self.device
         self.device = None
         if device is not None:
@@ -285,7 +285,7 @@ class Rig:
 
     @contextmanager
     def opened(self, *, armed: bool = True, rate: float = 0.0) -> Iterator[Any]:
-        """The driver open, and sampling where a `rate` [Hz] is given and it can; closed at the end."""
+        """Context with the driver open, sampling at `rate` [Hz] if given and possible; closed at the end."""
         self.open(armed=armed)
         try:
             if rate and self.streams():
@@ -296,7 +296,7 @@ class Rig:
             self.shut()
 
     def call(self, what: str, act: Callable[..., Any], *arguments: Any, hung: float = HUNG, **keywords: Any) -> Outcome:
-        """Make a call from the device's one thread; raises Failed where it hangs."""
+        """Make a call from the device's only thread; raises Failed if it hangs."""
         self._lag.worst = 0.0
         began = time.monotonic()
         call: Call = self._owner.submit(partial(act, *arguments, **keywords))
@@ -306,7 +306,7 @@ class Rig:
         return Outcome(what, call.result, call.error, time.monotonic() - began, self._lag.worst)
 
     def questions(self, device: Any) -> list[tuple[str, Callable[[], Any]]]:
-        """What can be asked of a device without changing anything: name and call."""
+        """All calls that change nothing: name and call."""
         record = self.record
         asked: list[tuple[str, Callable[[], Any]]] = []
         asked += [("read_back()", partial(device.read_back, output.output)) for output in record.outputs]
@@ -316,39 +316,39 @@ class Rig:
         return asked + ([("collect()", device.collect)] if self.streams() else [])
 
     def pass_time(self, seconds: float) -> None:
-        """Let bench time pass, the watchdog fed."""
+        """Let bench time pass, feeding the watchdog."""
         end = self.bench_clock.now() + seconds
         while (left := end - self.bench_clock.now()) > 1e-9:
             self.feed()
             self.wait(min(left, 0.1))
 
     def feed(self) -> None:
-        """Feed the watchdog where it is armed."""
+        """Feed the watchdog if it is armed."""
         if self._armed and self.device is not None:
             self.call("feed_watchdog()", self.device.feed_watchdog).judged()
 
-    # -- the wire -------------------------------------------------------------------------------------------------
+    # -- the connection -------------------------------------------------------------------------------------------
 
     def damage(self, how: Any) -> None:
-        """Do this to what the device sends from now on."""
+        """Damage everything that the device sends from now on."""
         for relay in self.relays:
             relay.damage = how
 
     def well(self) -> None:
-        """No damage any more."""
+        """End the damage."""
         self.damage(None)
 
     def wait(self, seconds: float) -> None:
-        """Let bench time pass, and the watchdog run."""
+        """Let bench time pass without feeding the watchdog."""
         self.bench_clock.wait_until(self.bench_clock.now() + seconds)
 
     def logged(self, kind: str) -> list[dict[str, Any]]:
-        """What the emulator says was commanded."""
+        """Commands of one kind in the emulator's log; empty without an emulator."""
         return [] if self.emulator is None else list(self.emulator.log.of(kind, self.record.name))
 
     @property
     def opens_within(self) -> float:
-        """Longest time that `open` may take here [s]."""
+        """Longest time that `open` may take for this device [s]."""
         return OPENS_WITHIN if self.emulator is not None else STARTS_WITHIN
 
     def streams(self) -> bool:
@@ -357,7 +357,7 @@ class Rig:
 
 
 def open_files() -> int:
-    """How many files and sockets are open; 0 where the system does not say."""
+    """Number of open files and sockets; 0 if the system does not report it."""
     try:
         return len(os.listdir("/proc/self/fd"))  # noqa: PTH208
     except OSError:
@@ -365,7 +365,7 @@ def open_files() -> int:
 
 
 def free_port() -> int:
-    """A port of this machine that nobody listens at now."""
+    """A TCP port of this machine that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -373,12 +373,12 @@ def free_port() -> int:
 
 @lru_cache
 def _kept_port(_place: str, _driver: str) -> int:
-    """A free port for a simulation that starts another process: one process for all checks."""
+    """A free port for a simulation that starts a process; the same for all checks, so that there is only one."""
     return free_port()
 
 
 def _emulator(record: DeviceRecord, wiring: Wiring | None) -> Any:
-    """The emulator of the project with this device in it; UsageError where there is none."""
+    """The project's emulator with this device in it; UsageError without one."""
     found = [point for point in registered("pmabench.emulators") if point.name == "plant"]
     if not found:
         raise UsageError("no emulator is installed")
@@ -386,7 +386,7 @@ def _emulator(record: DeviceRecord, wiring: Wiring | None) -> Any:
 
 
 def _rewritten(record: DeviceRecord, tcp: Callable[[str], str], serial: Callable[[str], str]) -> DeviceRecord:
-    """The record with every place on the network or at a serial port put elsewhere: its address, and options."""
+    """The record with its network addresses and serial ports replaced, in address and options."""
 
     def moved(value: Any) -> Any:
         found = _PLACE.fullmatch(value) if isinstance(value, str) else None

@@ -1,4 +1,4 @@
-"""Checks of the samples on a good wire: their form and their times, and their values against the emulated plant."""
+"""Checks of samples on a good connection: their form, their times, and their values against the emulated plant."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from pmabench.conformance.truth import State, Truth
 from pmabench.guard.limits import to_device
 
 RATE = 50.0
-"""At which channels are sampled [Hz]."""
+"""Sampling rate [Hz]."""
 FIRST = 3.0
-"""How long first samples are waited for [s]."""
+"""Longest wait for the first samples [s]."""
 WATCHED = 1.0
-"""How long the times of samples are looked at [s]."""
+"""Duration of the check of sample times [s]."""
 PAUSE = 0.6
-"""So long nobody collects once [s]."""
+"""A pause in collecting [s]."""
 AT_ONCE = 20
-"""So many calls of `collect` in a row must cost far less than so many samples take."""
+"""Number of successive `collect` calls, which must take far less time than as many samples."""
 SHARE = 0.001
-"""How far a value may be from the plant's, of the channel's range: converters, digits, calibrations rounded."""
+"""Tolerance of values, as a fraction of the channel's range: converters, digits, rounded calibrations."""
 STATES = (
     State(0.0, 0.0, 5.0),
     State(487.3e3, 0.0371, 211.0),
@@ -38,42 +38,42 @@ STATES = (
     State(0.0, 0.0, 5.0, supply=False),
 )
 SETTLES = 0.5
-"""After so long a channel follows within `WINDOW`, or rests [s]."""
+"""Time after which a channel follows within `WINDOW`, or rests [s]."""
 WINDOW = 0.06
-"""How far the time of a sample may be from the plant's for its value [s]."""
+"""Range of time shifts searched between samples and plant [s]."""
 SLOWEST = 0.018
-"""Slowest motion of a drive [m/s]."""
+"""Slowest speed of a drive [m/s]."""
 DISTINCT = 20
-"""Two states must differ by so many tolerances before a channel counts as checked."""
+"""A channel counts as checked if two states differ by this number of tolerances."""
 SWEEP = 1.2
-"""How long the plant is moved while its samples are compared one by one [s]; the emulator's plant remembers 2 s."""
+"""Duration of the motion while samples are compared one by one [s]; the emulator's plant keeps 2 s."""
 GRID = 0.002
 LAG = 0.75
-"""Most that samples may be behind or before the plant, as a share of their period."""
+"""Largest delay or advance of samples against the plant, as a fraction of their period."""
 RAGGED = 0.35
-"""Mean deviation along the sweep, as a share of what the plant changes between two samples."""
+"""Largest mean deviation during the motion, as a fraction of the plant's change per sample period."""
 
 
 @dataclass
 class Recording:
-    """Samples of a stretch in raw units, and the bench time at which each block came [s]."""
+    """Consecutive samples in raw units, and the bench time at which each block came [s]."""
 
     channels: Sequence[ChannelRecord]
     stamped: bool = False
-    """Whether the times are bench time already."""
+    """Whether sample times are already bench time."""
     times: list[int] = field(default_factory=list)
     values: dict[str, list[float]] = field(default_factory=dict)
     borders: list[int] = field(default_factory=list)
-    """Index of the first sample of each block that is not empty."""
+    """Index of the first sample of each non-empty block."""
     collected: list[float] = field(default_factory=list)
-    """When each of these blocks was collected."""
+    """When each of these blocks was collected [s, bench time]."""
     arrived: list[float] = field(default_factory=list)
-    """When the newest sample of each of them arrived, as far as the driver says."""
+    """When the newest sample of each of them arrived [s]; time of collecting if the driver does not report it."""
     kept: list[tuple[Block, tuple[list[int], dict[str, list[float]]]]] = field(default_factory=list)
-    """The blocks, and what was in them when they came."""
+    """The blocks, and copies of their contents at that time."""
 
     def take(self, block: Any, now: float) -> None:
-        """Add a block that came at `now`; raises Failed where pmabench could not record it."""
+        """Add a block that came at `now` [s]; raises Failed if pmabench could not record it."""
         self.values = self.values or {channel.name: [] for channel in self.channels}
         first = len(self.times)
         take(self.channels, block, self.times, self.values)
@@ -94,7 +94,7 @@ class Recording:
         return [float(channel.scale.to_si(value)) for value in self.values[channel.name]]
 
     def moments(self) -> list[float]:
-        """Bench time of each sample [s]: its own time, put where the block that came quickest fits."""
+        """Bench time of each sample [s]: device time, shifted by the block with the shortest delay."""
         if self.stamped:
             return [time / 1e9 for time in self.times]
         newest = [*self.borders[1:], len(self.times)]
@@ -107,7 +107,7 @@ def _copy(block: Block) -> tuple[list[int], dict[str, list[float]]]:
 
 
 def take(channels: Sequence[ChannelRecord], block: Any, times: list[int], values: Mapping[str, list[float]]) -> None:
-    """Add a block to earlier ones; raises Failed where pmabench could not record it."""
+    """Append a block to earlier ones; raises Failed if pmabench could not record it."""
     if not isinstance(block, Block):
         raise Failed(f"collect() gave {type(block).__name__}; a Block is expected")
     count = len(block.time)
@@ -124,7 +124,7 @@ def take(channels: Sequence[ChannelRecord], block: Any, times: list[int], values
 
 
 def number(channel: ChannelRecord, value: Any) -> float:
-    """A raw value as a number; NaN is accepted, since it is marked as out of range above the driver."""
+    """A raw value as a number; NaN is accepted, as it is marked as out of range above the driver."""
     try:
         found = float(value)
     except (TypeError, ValueError):
@@ -135,7 +135,7 @@ def number(channel: ChannelRecord, value: Any) -> float:
 
 
 def record(rig: Rig, seconds: float, recording: Recording | None = None) -> Recording:
-    """Collect ten times a second for so long, the watchdog fed."""
+    """Collect ten times a second for `seconds` [s], feeding the watchdog."""
     recording = recording or Recording(rig.record.channels)
     for _ in range(max(1, round(10 * seconds))):
         rig.pass_time(0.1)
@@ -144,13 +144,13 @@ def record(rig: Rig, seconds: float, recording: Recording | None = None) -> Reco
 
 
 def collect(rig: Rig, recording: Recording) -> None:
-    """One block more."""
+    """Collect one more block."""
     block = rig.call("collect()", rig.device.collect).good(COLLECTS_WITHIN)
     recording.take(block, rig.bench_clock.now())
 
 
 def begin(rig: Rig) -> float:
-    """Start sampling and wait for first samples; the rate that the driver says [Hz]."""
+    """Start sampling and wait for first samples; returns the rate that the driver reports [Hz]."""
     rate = rig.call("start()", rig.device.start, RATE).good(COLLECTS_WITHIN)
     if isinstance(rate, bool) or not isinstance(rate, float | int) or not 0 < rate < math.inf:
         raise Failed(f"start({RATE:g}) gave {rate!r}; the rate that the device uses is expected [Hz]")
@@ -171,7 +171,7 @@ def samples(rig: Rig) -> str:
     rig.open()
     rate = begin(rig)
     found = record(rig, WATCHED)
-    rig.pass_time(PAUSE)  # a busy engine collects late, and loses nothing
+    rig.pass_time(PAUSE)  # a busy engine collects late, and must lose nothing
     collect(rig, found)
     _at_once(rig, found, rate)
     _paced(found, rate)
@@ -187,7 +187,7 @@ def samples(rig: Rig) -> str:
 
 
 def _at_once(rig: Rig, found: Recording, rate: float) -> None:
-    """`collect` waits for no sample."""
+    """Raise Late if `collect` waits for samples."""
     began, lag = monotonic(), 0.0
     for _ in range(AT_ONCE):
         outcome = rig.call("collect()", rig.device.collect)
@@ -198,7 +198,7 @@ def _at_once(rig: Rig, found: Recording, rate: float) -> None:
 
 
 def _paced(found: Recording, rate: float) -> None:
-    """The times of the samples, against the rate and the computer's clock."""
+    """Check the times of the samples against the rate and the computer's clock."""
     seconds = [time / 1e9 for time in found.times]
     steps = [later - earlier for earlier, later in pairwise(seconds)]
     if len(steps) < 10:
@@ -213,7 +213,7 @@ def _paced(found: Recording, rate: float) -> None:
     if not 0.85 * period <= usual <= 1.15 * period:
         raise Late(f"start() said {rate:g} Hz, and samples are {1e3 * usual:.3g} ms apart, not {1e3 * period:.3g} ms")
     first_of_block = {border - 1 for border in found.borders}
-    wrong = []  # both: what a loaded computer delays hides nothing that the driver does
+    wrong = []  # both: a delay by a busy computer must not hide faults of the driver
     for word, weights in (
         ("missing", [max(0, round(step / period) - 1) if step > 1.6 * period else 0 for step in steps]),
         ("there twice", [int(step < 0.4 * period) for step in steps]),
@@ -227,7 +227,7 @@ def _paced(found: Recording, rate: float) -> None:
 
 
 def _ends(rig: Rig, found: Recording) -> None:
-    """`stop` may be repeated, and after another `start` nothing old comes."""
+    """Check that `stop` may be repeated, and that no old samples come after another `start`."""
     rig.call("stop()", rig.device.stop).nothing(COLLECTS_WITHIN)
     rig.call("stop() again", rig.device.stop).nothing(COLLECTS_WITHIN)
     rig.pass_time(0.3)
@@ -258,7 +258,7 @@ def values(rig: Rig) -> str:
         moved = _moves(rig, truth, seen, rate, stamped=stamped) if truth.history else []
     agree = f"{', '.join(checked) or 'nothing'} as in the plant, in states far apart"
     agree += f"; {', '.join(moved)} also sample by sample on the move" if moved else ""
-    outputs = {f"{output.name}_command" for output in rig.record.outputs}  # the check of set-points looks at these
+    outputs = {f"{output.name}_command" for output in rig.record.outputs}  # checked with the set-points
     why = [
         f"{c.name} ({_why(c.name, known)})"
         for c in rig.record.channels
@@ -283,16 +283,16 @@ def _why(name: str, known: set[str]) -> str:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What a channel showed in a state, and what the plant had [SI]."""
+    """Values of channels and of the plant in a state [SI]."""
 
     shown: Mapping[str, float]
     had: Mapping[str, float]
     off: Mapping[str, float]
-    """Deviation of most samples."""
+    """Median deviation beyond the plant's values."""
 
 
 def _bring(rig: Rig, truth: Truth, state: State) -> float:
-    """Bring the plant to a state, its end by the device's own drive where it has one; how long that may take [s]."""
+    """Bring the plant to a state, an end with the device's own drive; returns the time that this may take [s]."""
     truth.bring(state)
     seconds = SETTLES if truth.history else 2.0
     for output in rig.record.outputs if truth.history else ():
@@ -323,12 +323,12 @@ def _in_state(rig: Rig, truth: Truth, state: State, known: set[str]) -> _Seen:
 
 
 def tolerance(channel: ChannelRecord) -> float:
-    """How far a right value may be from the plant's [SI]."""
+    """Tolerance of a value against the plant [SI]."""
     return SHARE * (channel.high - channel.low) + (1.5 * abs(channel.scale.slope) if channel.raw_type == "int32" else 0)
 
 
 def _agrees(channel: ChannelRecord, others: Sequence[ChannelRecord], states: Sequence[_Seen]) -> bool:
-    """Whether a channel was seen in states far apart; raises Failed where it shows another value than the plant's."""
+    """Whether a channel was seen in states far apart; raises Failed if its value is not the plant's."""
     had = [state.had[channel.name] for state in states]
     most = tolerance(channel)
     if max(state.off[channel.name] for state in states) > most:
@@ -362,7 +362,7 @@ def _diagnosis(channel: ChannelRecord, others: Sequence[ChannelRecord], states: 
 
 
 def _moves(rig: Rig, truth: Truth, channels: Sequence[ChannelRecord], rate: float, *, stamped: bool) -> list[str]:
-    """Every sample belongs to its time while the plant moves; the channels that moved enough for that to be seen."""
+    """Compare samples with the plant in motion; returns the channels that moved enough."""
     rig.pass_time(_bring(rig, truth, _swept(0.0)))
     rig.call("collect()", rig.device.collect).good(COLLECTS_WITHIN)
     found, began, due = Recording(rig.record.channels, stamped), rig.bench_clock.now(), 0.0
@@ -382,13 +382,13 @@ def _moves(rig: Rig, truth: Truth, channels: Sequence[ChannelRecord], rate: floa
 
 
 def _swept(since: float) -> State:
-    """A triangle, to and fro: a steady change."""
+    """A triangle wave: a constant rate of change."""
     share = 2 * abs(since / 0.8 % 1.0 - 0.5)
     return State(360e3 - 300e3 * share, 0.02 - 0.018 * share, 210.0 - 200.0 * share)
 
 
 def _grid(rig: Rig, truth: Truth, found: Recording) -> list[tuple[float, Mapping[str, float]]]:
-    """The plant around the samples: bench time [s], quantities."""
+    """State of the plant around the samples: bench time [s], quantities."""
     assert isinstance(rig.bench_clock, RealClock)  # noqa: S101  (a plant with a history is in real time)
     moments, zero = found.moments(), rig.bench_clock.start
     first = moments[0] - WINDOW
@@ -399,7 +399,7 @@ def _grid(rig: Rig, truth: Truth, found: Recording) -> list[tuple[float, Mapping
 def _follows(
     channel: ChannelRecord, found: Recording, grid: Sequence[tuple[float, Mapping[str, float]]], period: float
 ) -> bool:
-    """Whether a channel moved; raises Late where its samples are those of other times."""
+    """Whether a channel moved enough; raises Late if its samples belong to other times."""
     moments, shown = found.moments(), found.si(channel)
     at, real = [time for time, _ in grid], [quantities[channel.name] for _, quantities in grid]
 

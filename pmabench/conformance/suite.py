@@ -1,6 +1,6 @@
-"""The table of checks, and the runs of them on a device of a bench file: one line each with its verdict and why.
+"""The table of checks, and their runs on a device of a bench file: one line each with verdict and reason.
 
-Here are the checks of a driver that is not open (what it imports and says about its options), of opening and closing.
+Also the checks of a driver that is not open (what it imports, its options), of opening and of closing.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def declared(rig: Rig) -> str:
 
 
 def nobody(rig: Rig) -> str:
-    """Where nobody answers, `open` says so in time, and `close` does no harm."""
+    """Without a device `open` raises DeviceError in time, and `close` does no harm."""
     for relay in rig.relays:
         relay.close()
     device = rig.build(rig.record)
@@ -168,12 +168,12 @@ def life(rig: Rig) -> str:
 
 
 def _commanded(rig: Rig) -> list[Any]:
-    """What the emulated device was commanded so far."""
+    """Commands in the log of the emulated device."""
     return [entry for kind in ("set", "switch", "move", "halt") for entry in rig.logged(kind)]
 
 
 Need = tuple[Callable[[Rig], Any], str]
-"""Whether a device has what a check needs, and what is said where it has not."""
+"""Whether a device has what a check needs, and the text if it has not."""
 
 
 def _can(capability: type, group: str = "name") -> Callable[[Rig], bool]:
@@ -220,29 +220,29 @@ CHECKS: dict[str, tuple[Callable[[Rig], str], *tuple[Need, ...]]] = {
     "exchanges": (broken_wire.exchanges, WIRE),
     "nothing left": (broken_wire.nothing_left, WIRE),
 }
-"""Name -> check and what it needs; what it promises is the first line of its docstring."""
+"""Name -> check and its needs; the promise is the first line of the check's docstring."""
 HOSTILE = "hostile answers"
 ATTEMPTS = 3
-"""A check in which a call is late is tried so often."""
+"""Number of attempts for a check in which a call is late."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A device as a bench file names it."""
+    """A device of a bench file."""
 
     record: DeviceRecord
     realtime: bool
     """Whether its bench runs in real time."""
     bench: str
-    """The bench file's name."""
+    """Name of the bench file."""
     wiring: Truth | None = None
-    """What its rig's truth file says of wiring and scales; None: the bench file alone says it, and proves nothing."""
+    """Wiring and scales from its rig's truth file; None: taken from the bench file alone, which proves nothing."""
 
 
 def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
     """Every device of a driver (its name, or `module:Class`) in a bench file, or in all shipped ones.
 
-    Raises InvalidFile where no bench file with one can be used, UsageError where the driver is not known.
+    Raises InvalidFile if no bench file with one is valid, UsageError if the driver is unknown.
     """
     try:
         target = driver_class(driver)
@@ -268,7 +268,7 @@ def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
 
 
 def subject(driver: str, bench: Path | None = None, device: str | None = None) -> Subject:
-    """The device with most to try, or the one called `device`; raises UsageError where there is none."""
+    """The device with the most to check, or the one called `device`; raises UsageError if there is none."""
     if found := [one for one in subjects(driver, bench) if device in {None, one.record.name}]:
         return max(found, key=lambda one: _size(one.record))
     named = f' called "{device}"' if device else ""
@@ -279,15 +279,15 @@ def subject(driver: str, bench: Path | None = None, device: str | None = None) -
 
 
 def _size(record: DeviceRecord) -> tuple[int, int]:
-    """Kinds of things, and things, that a device has."""
+    """Number of kinds of channels, outputs and so on of a device, and their total number."""
     groups = (record.channels, record.outputs, record.valves, record.interlocks)
     return sum(map(bool, groups)) + bool(record.watchdog), sum(map(len, groups))
 
 
 def run(subject: Subject, *, hostile: int = 300, seed: int = 1, only: Collection[str] = ()) -> Iterator[Result]:
-    """Every check of one device, or `only` some, each with a new emulator.
+    """Run every check on one device, or only those in `only`, each with a new emulator.
 
-    `hostile` is how many pieces are damaged.
+    `hostile` is the number of damaged pieces.
     """
 
     def battle(rig: Rig) -> str:

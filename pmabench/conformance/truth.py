@@ -1,7 +1,7 @@
-"""What plant and device really do, asked without the driver that is tried: the emulator, or the simulation itself.
+"""Actual state of plant and device, without the driver under test: from the emulator, or from the simulation itself.
 
 Three sources with the same methods. An emulated device has the plant of its emulator behind it; a driver that is a
-simulation has `simulation()`, and one whose simulation is another process has `control(do)`. Knows no wire.
+simulation has `simulation()`, and one whose simulation is another process has `control(do)`. Uses no connection.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ from pmabench.bench.interface import DeviceRecord, Segment, ValveRecord
 
 DUMP_VALVE = "dump_valve"
 SPEED = 0.2
-"""At which an actuator is sent to another place [m/s]."""
+"""Speed of an actuator on its way to another position [m/s]."""
 MASS = 5.0
-"""That moves with a load [kg]."""
+"""Mass that moves with a load [kg]."""
 
 
 @dataclass(frozen=True)
 class State:
-    """Where the plant is brought, whatever the driver does."""
+    """A state of the plant that is set independently of the driver."""
 
     pressure: float
-    """[Pa]"""
+    """Pressure [Pa]."""
     position: float
-    """Of an actuator [m of contraction]."""
+    """Contraction set by an actuator [m]."""
     force: float
     """Load on a free end [N]."""
     supply: bool = True
 
 
 class Emulated:
-    """The emulator's plant, and what the emulated device wrote down; quantities are SI, by the names of channels."""
+    """The emulator's plant and the log of the emulated device; quantities are SI, by channel name."""
 
     history = True
-    """Whether `at` knows the last second."""
+    """Whether `at` also returns past values."""
 
     def __init__(self, record: DeviceRecord, emulator: Any, rescue: Callable[[], Any]) -> None:
         self._record, self._emulator, self._rescue = record, emulator, rescue
@@ -47,7 +47,7 @@ class Emulated:
         return self._emulator().plant
 
     def now(self) -> Mapping[str, float]:
-        """What each channel is exposed to now [SI]."""
+        """Present value of the quantity of each channel [SI]."""
         return dict(self._plant.quantities())
 
     def at(self, moment: float) -> Mapping[str, float]:
@@ -55,7 +55,7 @@ class Emulated:
         return dict(self._plant.at(moment))
 
     def coil(self, valve: ValveRecord) -> bool | None:
-        """What arrived for a valve."""
+        """Last command to a valve: True if energised; None without one."""
         entries = [e for e in self._emulator().log.of("switch", self._record.name) if e.get("valve") == valve.name]
         return bool(entries[-1]["on"]) if entries else None
 
@@ -71,7 +71,7 @@ class Emulated:
         plant.fail("supply_lost_at", over=state.supply)
         plant.command(state.pressure)
         if any(output.quantity == "length" for output in self._record.outputs):
-            return  # the device's own drive moves the end, and trips where it is moved otherwise
+            return  # the device's own drive moves the end, and would trip if it were moved otherwise
         if "displacement_command" in self.now():
             plant.drive(state.position, SPEED)
         else:
@@ -82,7 +82,7 @@ class Emulated:
         self._plant.fail("e_stop_at", over=not pressed)
 
     def by_hand(self, output: str, value: float) -> bool:
-        """Change an output without the driver; whether that can be done."""
+        """Change an output without the driver; whether that is possible."""
         own = getattr(self._emulator().devices[self._record.name], "by_hand", None)
         if own is None:
             return rescued(self._rescue(), output, value)
@@ -91,7 +91,7 @@ class Emulated:
 
 
 class Inside:
-    """A driver that is a simulation, with the same face."""
+    """The same for a driver that is a simulation."""
 
     history = False
 
@@ -104,21 +104,21 @@ class Inside:
 
     @property
     def _state(self) -> Mapping[str, Any]:
-        """Its quantities by inputs, its valves by outputs, and whether the dump is open."""
+        """Quantities by input, valves by output, and whether the dump valve is open."""
         now = self._simulation
         valves = {valve.output: now.is_on(valve.output) for valve in self._record.valves}
         return {"quantities": now.quantities(), "valves": valves, "dump_open": now.dump_open}
 
     def now(self) -> Mapping[str, float]:
-        """What each channel is exposed to now [SI]; inputs of the simulation by the names of a bench's channels."""
+        """Present value of the quantity of each channel [SI]; inputs of the simulation under the names of channels."""
         return {name.replace("_set", "_command"): float(value) for name, value in self._state["quantities"].items()}
 
     def at(self, _moment: float) -> Mapping[str, float]:
-        """What each channel is exposed to now [SI]: the past is not known."""
+        """As `now`: the past is not known."""
         return self.now()
 
     def coil(self, valve: ValveRecord) -> bool | None:
-        """What arrived for a valve."""
+        """Whether a valve is energised."""
         return bool(self._state["valves"][valve.output])
 
     def dump_open(self) -> bool:
@@ -139,7 +139,7 @@ class Inside:
         simulation.fail("e_stop_at", simulation.time if pressed else None)
 
     def by_hand(self, output: str, value: float) -> bool:
-        """Change an output without the driver; whether that can be done."""
+        """Change an output without the driver; whether that is possible."""
         simulation = self._simulation
         for record in self._record.outputs:
             if record.output == output:
@@ -150,7 +150,7 @@ class Inside:
 
 
 class Behind(Inside):
-    """A driver whose simulation is another process."""
+    """The same for a driver whose simulation is another process."""
 
     def __init__(self, record: DeviceRecord, device: Callable[[], Any], rescue: Callable[[], Any]) -> None:
         super().__init__(record, device)
@@ -165,7 +165,7 @@ class Behind(Inside):
         self._device().control("inject", fault="e_stop", after=0.0 if pressed else None)
 
     def by_hand(self, output: str, value: float) -> bool:
-        """Change an output without the driver; whether that can be done."""
+        """Change an output without the driver; whether that is possible."""
         return rescued(self._rescue(), output, value)
 
 
@@ -173,7 +173,7 @@ Truth = Emulated | Inside
 
 
 def rescued(another: Any, output: str, value: float) -> bool:
-    """Change an output by a second driver, which needs no `open` for it and of which the first one knows nothing."""
+    """Change an output by a second driver that is not open, unnoticed by the first; whether that was possible."""
     if another is None:
         return False
     try:

@@ -1,7 +1,7 @@
-"""Measured channels against their limits: plain values, lines of text, and a bench that is looked at without a run.
+"""Measured channels against their limits: plain values, lines of text, and the screen of a bench without a run.
 
-The page of such a bench has per channel raw value, value, noise, rate, age and limits. Colours are the sixteen of every
-terminal; text that must be noticed has its own background, and a sign too.
+That screen has for each channel raw value, value, noise, rate, age and limits. Colours are the sixteen of every
+terminal; text that must be noticed also has a background colour and a mark.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ WARN, BAD, GOOD, STRONG, FAINT = "bold black on yellow", "bold white on red", "b
 
 @dataclass
 class Channel:
-    """A measured channel and what it must not reach [SI]."""
+    """A measured channel and its limits [SI]."""
 
     name: str
     quantity: str
@@ -36,11 +36,11 @@ class Channel:
     most: float | None = None
     """Lowest and highest value seen."""
     age: float | None = None
-    """Of the newest value [s]."""
+    """Age of the newest value [s]."""
     stream: str = ""
 
     def show(self, value: float, least: float, most: float) -> None:
-        """The newest value, and the least and greatest of those that came with it."""
+        """Update with the newest value, and with the minimum and maximum of its block."""
         self.value = value
         if isfinite(least) and isfinite(most):
             self.least = least if self.least is None else min(least, self.least)
@@ -64,11 +64,11 @@ class Channel:
 
     @property
     def span(self) -> float:
-        """The largest value that is expected [SI], for the number of decimals."""
+        """Largest expected absolute value [SI], which determines the number of decimals."""
         return max((abs(v) for v in self.axis() if isfinite(v)), default=1.0)
 
     def axis(self) -> tuple[float, float]:
-        """Ends of the bar [SI]: its trip limits, a little beyond; else limits of the command or of the range."""
+        """Ends of the bar [SI]: slightly beyond the trip limits, else limits of the command or of the range."""
         low = self.trip_low if self.trip_low is not None else min(0.0, self.command_low or 0.0)
         high = self.trip_high if self.trip_high is not None else self.command_high
         if high is None or not high > low:
@@ -79,7 +79,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Setting:
-    """What an output is commanded to [SI]."""
+    """Last command to an output [SI]."""
 
     output: str
     quantity: str
@@ -89,7 +89,7 @@ class Setting:
 
 
 def fill(lines: Sequence[Text], width: int, height: int) -> list[Text]:
-    """The lines cut to width and height, with empty lines where there are too few."""
+    """The lines cut to width and height, padded with empty lines."""
     kept = list(lines[:height]) + [Text() for _ in range(height - len(lines))]
     for line in kept:
         line.no_wrap = True
@@ -98,7 +98,7 @@ def fill(lines: Sequence[Text], width: int, height: int) -> list[Text]:
 
 
 def channel_text(channel: Channel, value: float | None, wide: int) -> Text:
-    """The begin of a channel's line: its alarm, its name `wide` columns wide, and a value with its unit."""
+    """Start of a channel's line: alarm mark, name in `wide` columns, value with its unit."""
     alarm, name = channel.alarm, clean(channel.name).replace("_command", " set")
     style = ("", WARN, BAD)[alarm]
     line = Text().append((" ", "!", "!!")[alarm].ljust(2), style).append(f"{name[:wide]:<{wide}}")
@@ -134,26 +134,26 @@ def limit_bar(channel: Channel, width: int) -> Text:
 FIXED = 71
 """Columns of a line without its bar."""
 OLD = 1.0
-"""Age from which on a value is marked [s]."""
+"""Age from which a value is marked [s]."""
 
 
 @dataclass
 class Row:
-    """One channel as it is now."""
+    """Present values of one channel."""
 
     channel: Channel
     raw: float | None = None
     raw_unit: str = ""
     noise: float | None = None
-    """Rms about a straight line over the last block [SI]."""
+    """Rms deviation from a straight line over the last block [SI]."""
     rate: float = 0.0
     tare: float = 0.0
-    """What the key z took off what is shown [SI]."""
+    """Value subtracted for display by the key z [SI]."""
 
 
 @dataclass
 class Page:
-    """What is shown around the channels."""
+    """Contents of the screen other than the channels."""
 
     title: str
     simulated: bool = False
@@ -164,7 +164,7 @@ class Page:
 
 
 def monitor_screen(page: Page, width: int, height: int) -> list[Text]:
-    """The picture: `height` lines, none wider than `width` columns."""
+    """The screen: `height` lines of at most `width` columns."""
     head = Text()
     if page.simulated:
         head.append(" SIMULATED ", WARN).append(" ")
@@ -196,14 +196,14 @@ def _line(row: Row, width: int) -> Text:
 
 
 def _noise(row: Row) -> str:
-    """In display units; what is nothing but rounding is 0."""
+    """Noise in display units; 0 if it is rounding only."""
     if row.noise is None:
         return "-"
     return f"{row.noise / quantity(row.channel.quantity).scale:.2g}" if row.noise > 1e-9 * row.channel.span else "0"
 
 
 def monitor_line(page: Page, t: float) -> str:
-    """The same as one plain line: time, then each channel with its value and noise."""
+    """The same on one plain line: time, then each channel with its value and noise."""
     parts = []
     for row in page.rows.values():
         q = quantity(row.channel.quantity)

@@ -3,7 +3,7 @@
 Starts the display process, talks to it, and is never held up by it. Standard library only.
 
     display = Display()
-    display.start(writer.folder)                            # at once; the picture comes half a second later
+    display.start(writer.folder)                            # at once; the screen appears half a second later
     ...
     asked = display.ask("Put 6 kg on the free end.", words=("clear",))
     while waiting:                                   # several times a second, as long as the run lasts
@@ -12,14 +12,14 @@ Starts the display process, talks to it, and is never held up by it. Standard li
             if message.get("answer", {}).get("id") == asked:
                 ...                                  # message["answer"]["text"] is one of the words
             if message.get("key") == "v":
-                ...                                  # "r" repeat this trial, "p" pause or go on, "v" vent now
+                ...                                  # "r" repeat this trial, "p" pause or continue, "v" vent now
             if "note" in message:
                 ...                                  # a line that was typed
         if not display.alive:
             ...                                      # it died or was never possible: prompts cannot be answered there
     display.close()
 
-Ctrl-C reaches the run itself, as without a display. What is printed to the terminal meanwhile spoils the picture until
+Ctrl-C reaches the run itself, as without a display. Text printed to the terminal meanwhile damages the screen until
 its next line changes: use `log`.
 """
 
@@ -39,7 +39,7 @@ from typing import Any
 from pmabench.base import terminal
 
 MOST = 1 << 16
-"""Bytes that wait to be sent, and the longest message."""
+"""Most bytes waiting to be sent, and longest message."""
 
 
 class Link:
@@ -51,7 +51,7 @@ class Link:
         self._out = bytearray()
         self._in = bytearray()
         self.closed = False
-        """Whether the other end is gone."""
+        """Whether the other end is closed."""
 
     def fileno(self) -> int:
         """The file descriptor, for `select`."""
@@ -59,11 +59,11 @@ class Link:
 
     @property
     def waiting(self) -> bool:
-        """Whether something waits to be sent."""
+        """Whether data wait to be sent."""
         return bool(self._out)
 
     def send(self, message: Mapping[str, Any]) -> bool:
-        """Send as far as the other end takes it now; the rest goes with later calls. False: dropped."""
+        """Queue a message and send what the other end accepts now; the rest follows in later calls. False: dropped."""
         self.flush()
         line = json.dumps(message, default=str).encode() + b"\n"
         if self.closed or len(self._out) + len(line) > MOST:
@@ -73,7 +73,7 @@ class Link:
         return not self.closed
 
     def flush(self) -> None:
-        """Send what waits, as far as it is taken."""
+        """Send waiting data, as far as the other end accepts them."""
         try:
             while self._out and not self.closed:
                 del self._out[: self._socket.send(self._out)]
@@ -100,7 +100,7 @@ class Link:
         return [message for message in map(_parsed, lines) if message is not None]
 
     def close(self) -> None:
-        """Close this end; harmless when repeated."""
+        """Close this end; may be called again."""
         self.closed = True
         self._socket.close()
 
@@ -114,11 +114,11 @@ def _parsed(line: bytes) -> dict[str, Any] | None:
 
 
 LEAVE = b"\x1b[0m\x1b[?25h\x1b[?1049l"
-"""Colours off, cursor on, back from the other screen."""
+"""Reset colours, show the cursor, leave the alternate screen."""
 
 
 class Display:
-    """A display process and the link to it. No method but `close` waits for anything."""
+    """A display process and the link to it. Only `close` may block."""
 
     def __init__(self, *, color: bool = True) -> None:
         self._color = color
@@ -134,7 +134,7 @@ class Display:
         """Start the process for a run's folder.
 
         It draws on standard error and reads keys from standard input, where these are a terminal.
-        Raises OSError where no process can be started.
+        Raises OSError if no process can be started.
         """
         ours, theirs = socket.socketpair()
         self._before = terminal.attributes(0)
@@ -151,14 +151,14 @@ class Display:
 
     @property
     def alive(self) -> bool:
-        """Whether the process is there to show and to answer."""
+        """Whether the process is running and connected."""
         if self._process is None or self._link is None or self._process.poll() is not None or self._link.closed:
             self._leave()
             return False
         return True
 
     def ask(self, text: str, words: Sequence[str] = ("clear",)) -> int:
-        """Show a question until it is answered by one of the words; its number, which the answer carries."""
+        """Show a question until it is answered by one of the words; returns its number, which the answer contains."""
         self._count += 1
         self._asked = {"id": self._count, "text": text, "words": list(words)}
         self._sent = False
@@ -171,11 +171,11 @@ class Display:
         self._push()
 
     def log(self, text: str) -> bool:
-        """A line for the log; False where it was dropped because the display does not read."""
+        """A line for the log; False if it was dropped because the display does not read."""
         return self._link.send({"log": text}) if self._link is not None else False
 
     def live(self, values: Mapping[str, float]) -> None:
-        """Values [SI] by channel while nothing is recorded; dropped where older ones still wait."""
+        """Values [SI] by channel while nothing is recorded; dropped if older ones still wait."""
         if self._link is not None and not self._link.waiting:
             self._link.send({"live": dict(values)})
 
@@ -205,7 +205,7 @@ class Display:
         return True
 
     def close(self, end: Mapping[str, Any] | None = None, within: float = 3.0) -> None:
-        """End the display and give the terminal back: politely, after `within` [s] by force. Harmless when repeated."""
+        """End the display and restore the terminal; after `within` [s] by force. May be called again."""
         process, link = self._process, self._link
         if process is None or link is None:
             return

@@ -1,6 +1,6 @@
-"""The loop of the display: reads the run four times a second, draws, reads keys, talks to the run where it is linked.
+"""The loop of the display: reads the run four times a second, draws, reads keys, talks to the run if it is linked.
 
-The terminal is as before on every way out. Whatever blocks here blocks nobody else.
+The terminal is always restored at the end. Blocking calls here do not block the run.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pmabench.display.verdicts import prepare
 from pmabench.display.view import Extra, Question, closing, screen
 
 PERIOD = 0.25
-"""A picture at most so often [s], but where a key was pressed."""
+"""Shortest interval between screens [s], unless a key was pressed."""
 LONGEST_NOTE = 500
 ENTER_SCREEN = b"\x1b[?1049h\x1b[?25l\x1b[2J"
 LINKED = "r repeat this trial  p pause or go on  n note  v vent now  Ctrl-C stop and vent"  # fits 80 columns
@@ -77,7 +77,7 @@ def tidy_signals(*, child: bool) -> Iterator[None]:
 
 
 class Painter:
-    """Draws lines on a terminal's other screen, only those that changed."""
+    """Draws lines on a terminal's alternate screen; only changed ones are written."""
 
     def __init__(self, stream: TextIO, *, color: bool) -> None:
         self._fd = stream.fileno()
@@ -87,7 +87,7 @@ class Painter:
         self._size = (0, 0)
 
     def size(self) -> tuple[int, int]:
-        """Columns and rows of the terminal now."""
+        """Present columns and rows of the terminal."""
         try:
             width, height = os.get_terminal_size(self._fd)
         except OSError:
@@ -96,7 +96,7 @@ class Painter:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Switch to the terminal's other screen, and back at the end."""
+        """Switch to the terminal's alternate screen, and back at the end."""
         self._write(ENTER_SCREEN)
         try:
             yield
@@ -105,7 +105,7 @@ class Painter:
                 self._write(LEAVE)
 
     def draw(self, lines: Sequence[Text], size: tuple[int, int]) -> None:
-        """Show these lines; only those that changed are written."""
+        """Show these lines; only changed ones are written."""
         drawn = rendered(lines, size[0], color=self._color, ascii_only=self._ascii)
         before = self._drawn if size == self._size else []
         out = "" if before else "\x1b[0m\x1b[2J"
@@ -128,7 +128,7 @@ _ASCII = dict(zip("━─●╎┃…±·▏\N{REPLACEMENT CHARACTER}", "=-O:|~~
 
 
 def rendered(lines: Sequence[Text], width: int, *, color: bool, ascii_only: bool = False) -> list[str]:
-    """Lines with the codes of the sixteen colours; without `color` bold, dim and reverse are left."""
+    """Lines with codes for the sixteen colours; without `color` only bold, dim and reverse."""
     plain: dict[str, Any] = dict.fromkeys(("legacy_windows", "highlight", "markup", "emoji"), False)
     terminal_like: dict[str, Any] = {"force_terminal": True, "color_system": "standard", "no_color": not color}
     rich = Rich(file=io.StringIO(), width=width, **terminal_like, **plain)
@@ -145,14 +145,14 @@ def rendered(lines: Sequence[Text], width: int, *, color: bool, ascii_only: bool
 
 
 def _dots(character: str) -> str:
-    """A braille character as a sign that every terminal has, by where its dots are."""
+    """A braille character as an ASCII character that resembles its dots."""
     code = ord(character) - 0x2800
     return " '.:"[bool(code & 0x1B) + 2 * bool(code & 0xE4)]
 
 
 @dataclass(eq=False)
 class Console:
-    """Shows one run until it ends, until `q` where it is not linked, or until the link ends.
+    """Shows one run until it ends, until `q` if it is not linked, or until the link ends.
 
     With `on`, the run that comes after it in the same program is shown next.
     """
@@ -177,7 +177,7 @@ class Console:
         self._quiet = False
 
     def run(self, *, quiet: bool = False) -> RunState:
-        """Show the run; what is known of it at the end. `quiet`: print nothing, only follow."""
+        """Show the run; returns its last known state. `quiet`: print nothing, only follow."""
         self._quiet = quiet
         if self.plain or quiet:
             self._run_plain()
@@ -185,7 +185,7 @@ class Console:
         painter = Painter(self.stream, color=self.color)
         with ExitStack() as stack:
             stack.enter_context(painter.open())
-            with suppress(UsageError):  # without keys it is a picture all the same
+            with suppress(UsageError):  # without keys the screen is still useful
                 self._keys = stack.enter_context(terminal.key_by_key(0))
             with suppress(EOFError):
                 self._run_drawn(painter)
@@ -232,7 +232,7 @@ class Console:
             print(line.encode(encoding, "replace").decode(encoding), file=self.stream, flush=True)
 
     def _close(self, width: int) -> None:
-        """Print what stays on the terminal: the last trials and, unless the run prints it, how it ended."""
+        """Print the last trials, which remain on the terminal, and how it ended, unless the run prints that."""
         lines = closing(self.state, width)
         if self.link is None:
             lines = [*lines, Text(last_line(self.state))]
@@ -251,7 +251,7 @@ class Console:
             self._over = self._orphaned = not behind
 
     def _goes_on(self) -> bool:
-        """Whether another run follows; shows it as soon as it is there."""
+        """Whether another run follows; shows it as soon as it exists."""
         manifest = self.state.files.manifest
         if not self.on:
             return False
@@ -266,7 +266,7 @@ class Console:
     # -- the run ------------------------------------------------------------------------------------------------------
 
     def _listen(self) -> bool:
-        """Handle messages of the run; True where a question was asked or withdrawn, or the run ended."""
+        """Handle messages of the run; True if a question was asked or withdrawn, or the run ended."""
         urgent = False
         for message in self.link.receive() if self.link is not None else ():
             urgent |= "ask" in message or "end" in message
@@ -307,7 +307,7 @@ class Console:
             time.sleep(seconds)
 
     def _pressed(self, seconds: float) -> bool:
-        """Wait for keys and messages; True where the picture must be drawn again at once."""
+        """Wait for keys and messages; True if the screen must be redrawn at once."""
         keys = self._keys
         if keys is None or not terminal.in_front(keys.fd):
             self._wait(seconds)
@@ -340,7 +340,7 @@ class Console:
             self.state.log(text)
 
     def _answer(self, key: str) -> None:
-        """Handle one key of an answer; only the words that were asked for count."""
+        """Handle one key of an answer; only the requested words are accepted."""
         if key == terminal.ENTER:
             text = self._typed.strip().lower()
             self._typed, self._refused = "", text
@@ -363,7 +363,7 @@ class Console:
 
 
 def _edited(text: str, key: str, longest: int) -> str:
-    """A line after one more key: backspace, Ctrl-U (all), or a character that can be printed."""
+    """The text after one more key: backspace, Ctrl-U (delete all), or a printable character."""
     if key == terminal.BACKSPACE:
         return text[:-1]
     if key == "\x15":
@@ -372,10 +372,9 @@ def _edited(text: str, key: str, longest: int) -> str:
 
 
 def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False, on: bool = False) -> RunState:
-    """Watch a run until it ends; a picture on standard output where that is a terminal, else plain lines.
+    """Watch a run until it ends; on a screen if standard output is a terminal, else as plain lines.
 
-    With `on` also the runs that come after it: the one behind a session, the next ones of a campaign.
-
+    With `on`, also the runs that follow: the one after a session, the next ones of a campaign.
     Raises Interrupted at a signal that ends it.
     """
     plain = plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb"

@@ -1,7 +1,7 @@
-"""Reads a run folder on from where reading stopped, keeps its newest samples, and finds the run that comes after it.
+"""Reads a run folder incrementally, keeps its newest samples, and finds the run that comes after it.
 
-Knows files, not what the run means; writes nothing. Whatever is missing, torn or half written is read at a later call,
-or never; nothing here raises for it.
+Reads files without interpreting the run; writes nothing. Missing, torn or half-written data are read at a later call,
+or never, without an error.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from pmabench.store.seal import read_archive
 from pmabench.store.timebase import fit_clock, onto
 
 MOST_BYTES = 4 << 20
-"""Read of one file at one call; so the first pictures of a long run come at once."""
+"""Bytes read from one file per call, so that the first screen of a long run appears quickly."""
 MOST_ROWS = 200_000
-"""The same for a stream of a closed run."""
+"""The same for a stream of a closed run, in rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Block:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object; empty where there is none that can be read."""
+    """A JSON object; empty if it cannot be read."""
     with suppress(OSError, ValueError, RecursionError):
         with open_regular(path) as file:
             data = json.loads(file.read())
@@ -52,18 +52,18 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 class JournalTail:
-    """The whole lines of `events.jsonl`, each given once."""
+    """The complete lines of `events.jsonl`, each returned once."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / files.EVENTS
         self._offset = self._lines = self._crc = 0
         self.fault = ""
-        """Why the rest of the file is not used."""
+        """Why the rest of the file is not used; empty without a fault."""
         self.written = 0.0
         """When the file last changed [s, wall clock]."""
 
     def read(self) -> list[Event]:
-        """The lines that are new."""
+        """New lines since the last call."""
         if self.fault:
             return []
         try:
@@ -89,7 +89,7 @@ class JournalTail:
 
 
 class StreamTail:
-    """One stream, live or closed, in SI; its rows are given once, in order."""
+    """One stream, live or closed, in SI; its rows are returned once, in order."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self.name = name
@@ -99,26 +99,26 @@ class StreamTail:
         self._offset = self._batches = 0
         self._most = MOST_BYTES
         self._table: Any = None
-        """Of a closed run, while it is read."""
+        """Table of a closed run while it is being read."""
         self._whole = False
         """Whether a closed run was read to its end."""
         self.rows = 0
         self.rate = 0.0
         self.infos: dict[str, ChannelInfo] = {}
         self.clock: ClockInfo | None = None
-        """As a `clock` event has it; else it is fitted to when the samples came in."""
+        """Clock of a `clock` event; without one it is fitted to the arrival times of the samples."""
         self._arrivals: list[tuple[int, int]] = []
         self._fitted = 0
         self._by_arrivals = ClockInfo()
         self.behind = False
-        """Whether there was more to read than one call takes."""
+        """Whether more data are available than one call reads."""
         self.fault = ""
-        """Why the first bytes that made no whole batch could not be read."""
+        """Why an incomplete batch could not be read; empty without a fault."""
         self.written = 0.0
         """When the file last changed [s, wall clock]."""
 
     def read(self) -> list[Block]:
-        """The rows that are new."""
+        """New rows since the last call."""
         self.behind = False
         if self._whole:
             return []
@@ -151,7 +151,7 @@ class StreamTail:
         self._offset += reader.position - start
         self.behind = len(raw) == self._most
         if self.behind and reader.batches == self._batches:
-            self._most *= 2  # a batch larger than one call takes
+            self._most *= 2  # a batch is larger than one call reads
         self.fault = reader.fault if reader.torn and not self.behind else ""
         self._batches, self.rows = reader.batches, reader.rows
         return blocks
@@ -188,7 +188,7 @@ class StreamTail:
         return Block(clock.time(time_ns), values, np.asarray(flags, dtype=np.uint16))
 
     def _fit(self) -> ClockInfo:
-        """The clock by the arrivals so far, fitted anew when there are twice as many."""
+        """Clock fitted to the arrivals so far; fitted again when their number has doubled."""
         if self._arrivals and len(self._arrivals) >= 2 * self._fitted:
             self._fitted = len(self._arrivals)
             self._by_arrivals = fit_clock(*zip(*self._arrivals, strict=True))
@@ -196,12 +196,12 @@ class StreamTail:
 
 
 def _values(column: Any) -> Array:
-    """A column of a closed stream, shape (n,); Arrow's own way, which imports pandas, only where a value is missing."""
+    """A column of a closed stream, shape (n,); Arrow's own conversion imports pandas, so only if a value is missing."""
     return np.asarray(column.to_numpy() if column.null_count else numbers(column))
 
 
 class Follower:
-    """A run folder that may not be there yet, is being written, has ended, or whose writer died."""
+    """A run folder that may not exist yet, is being written, has ended, or whose writer died."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -212,12 +212,12 @@ class Follower:
         self.streams: dict[str, StreamTail] = {}
         self.journal = JournalTail(folder)
         self.problem = ""
-        """Why the folder cannot be read as a run."""
+        """Why the folder cannot be read as a run; empty without a fault."""
         self._notes = 0
 
     @property
     def there(self) -> bool:
-        """Whether the run's manifest is there."""
+        """Whether the run's manifest exists."""
         return bool(self.manifest)
 
     def events(self) -> list[Event]:
@@ -238,7 +238,7 @@ class Follower:
         return events
 
     def samples(self) -> list[tuple[StreamTail, list[Block]]]:
-        """Samples that are new, by stream. Call `events` first: samples are written before the end of their trial."""
+        """New samples by stream. Call `events` first: samples are written before the end of their trial."""
         if self.manifest:
             sealed = self.seal["files"] if self.seal is not None else None
             for path in sorted((self.folder / files.STREAMS).glob("*")):
@@ -264,16 +264,16 @@ class Follower:
 
     @property
     def behind(self) -> bool:
-        """Whether more is to be read at once."""
+        """Whether more data can be read at once."""
         return any(stream.behind for stream in self.streams.values())
 
     @property
     def status(self) -> str:
-        """`running` while the writer lives, else how the run ended; `waiting` where there is none yet."""
+        """`running` while the writer lives, else how the run ended; `waiting` if there is no run yet."""
         if not self.manifest:
             return "waiting"
         if self.seal is None and not self.manifest.get("writer"):
-            return "running"  # a system that cannot say whether the writer lives
+            return "running"  # this system cannot report whether the writer lives
         return status_of(self.manifest, self.seal)
 
     def _begin(self) -> None:
@@ -287,13 +287,13 @@ class Follower:
 
 
 class Kept:
-    """Blocks of samples in the order in which they came."""
+    """Blocks of samples in order of arrival."""
 
     def __init__(self) -> None:
         self._blocks: dict[str, deque[Block]] = {}
 
     def add(self, stream: str, block: Block) -> None:
-        """Keep a block, which is not empty."""
+        """Keep a non-empty block."""
         self._blocks.setdefault(stream, deque()).append(block)
 
     def forget(self, before: float) -> None:
@@ -304,12 +304,12 @@ class Kept:
 
     @property
     def newest(self) -> float:
-        """Time of the newest sample [s]; 0 where there is none."""
+        """Time of the newest sample [s]; 0 without samples."""
         return max((float(blocks[-1].t[-1]) for blocks in self._blocks.values()), default=0.0)
 
     @property
     def reached(self) -> float:
-        """Time up to which every stream was read [s]."""
+        """Time up to which every stream was read [s]; -inf without samples."""
         return min((float(blocks[-1].t[-1]) for blocks in self._blocks.values()), default=-np.inf)
 
     def trace(self, channel: str) -> tuple[Array, Array]:
@@ -322,9 +322,9 @@ class Kept:
     def between(
         self, begin: float, end: float, rates: Mapping[str, float]
     ) -> tuple[Array, dict[str, Array], Flags, float]:
-        """Times [s], channels [SI], flags and rate [Hz], about from `begin` to `end` [s].
+        """Times [s], channels [SI], flags and rate [Hz], from about `begin` to `end` [s].
 
-        On the times of the stream with the displacement, else the pressure, as `open_run` has them.
+        On the times of the stream with the displacement, else the pressure, as in `open_run`.
         """
         parts: dict[str, tuple[Array, dict[str, Array], Flags]] = {}
         for name, blocks in self._blocks.items():
@@ -346,11 +346,11 @@ class Kept:
 
 
 GOES_ON = {"session": ("finished",), "campaign": ("finished", "failed")}
-"""How a session, or a run of a campaign, ends where another run follows."""
+"""Status of a session, or of a run of a campaign, after which another run follows."""
 
 
 def awaits_another(manifest: Mapping[str, Any], status: str) -> bool:
-    """Whether the program that wrote this run still lives and is going to begin another one."""
+    """Whether the program that wrote this run is alive and will begin another one."""
     if status_of(manifest, None) != "running":
         return False
     place = manifest.get("campaign")
@@ -360,7 +360,7 @@ def awaits_another(manifest: Mapping[str, Any], status: str) -> bool:
 
 
 def run_after(folder: Path, manifest: Mapping[str, Any]) -> Path | None:
-    """The first run next to `folder` that the same program began later; None where there is none yet."""
+    """The first later run of the same program next to `folder`; None if there is none yet."""
     later = []
     for path in folder.resolve().parent.glob(f"*/{files.MANIFEST}"):
         with suppress(InvalidFile, OSError):

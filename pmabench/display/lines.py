@@ -1,4 +1,4 @@
-"""Finished trials as a table as wide as there is room, and a run as plain lines for pipes and logs; judges nothing."""
+"""Finished trials as a table that fits the width, and a run as plain lines for pipes and logs; judges nothing."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from pmabench.display.wording import clean, clock, of_point, point_text, quantit
 
 FAINT, WARN, GOOD = "dim", "bold black on yellow", "green"
 VALUE, OFF, PLACE = 7, 6, 7
-"""Widths of a value, of its distance from what it is compared with, and of a part of the operating point."""
+"""Widths of a value, of its deviation from the reference, and of a coordinate of the operating point."""
 WIDE = 108
-"""From this width on doubts are in the line of their trial, else below it."""
+"""Width from which doubts are on the line of their trial instead of below it."""
 _HIDDEN = ("mass", "cycles", "setpoint", "bias", "mean", "amplitude")
 
 
 def point_columns(lines: Sequence[TrialLine]) -> list[str]:
-    """Names of the operating point that differ between trials."""
+    """Coordinates of the operating point to be shown: all but the less important ones."""
     names = list(dict.fromkeys(name for line in lines for name in line.point))
     return [name for name in names if name not in _HIDDEN] or names[:1]
 
 
 def number_text(number: Number) -> str:
-    """The value in the unit of the heading, four digits; a star where it depends on the specimen file."""
+    """The value in the unit of the heading, four digits; with a star if it depends on the specimen file."""
     if number.value is None:
         return "-"
     shown = number.value / quantity(number.quantity).scale
@@ -34,7 +34,7 @@ def number_text(number: Number) -> str:
 
 
 def half_text(number: Number) -> str:
-    """The half width of the interval that scatter gives, as a share of the value; empty where it is not known."""
+    """Half width of the scatter interval, in percent of the value; empty if unknown."""
     if number.half is None or not number.value:
         return ""
     share = 100 * number.half / abs(number.value)
@@ -42,7 +42,7 @@ def half_text(number: Number) -> str:
 
 
 def off_text(number: Number) -> str:
-    """The relative difference from the value that it is compared with."""
+    """Relative deviation from the reference; empty without one."""
     off = number.off
     if off is None or number.assumed:
         return ""
@@ -62,7 +62,7 @@ def _heading(lines: Sequence[TrialLine], names: Sequence[str]) -> str:
 
 
 def _row(line: TrialLine, names: Sequence[str]) -> Text:
-    """One trial: verdict, number, point, each quantity with its distance from prediction or repeats."""
+    """One trial: verdict, number, point, each quantity with its interval or deviation."""
     text = Text().append(line.mark, GOOD if line.ok else WARN).append(f" {line.number:>5}", "bold")
     for name in names:
         value, scale = line.point.get(name), of_point(name)[1].scale
@@ -74,9 +74,9 @@ def _row(line: TrialLine, names: Sequence[str]) -> Text:
 
 
 def trial_table(lines: Sequence[TrialLine], width: int, room: int, spare: int = 0) -> list[Text]:
-    """A heading and the last trials, newest at the end, at most `room` lines in all; empty where there is no room.
+    """A heading and the last trials, newest at the end, at most `room` lines; empty without room.
 
-    With `spare` lines beyond, the meaning of percent and star is below where it does not fit next to the heading.
+    With `spare` extra lines, the legend for percent and star is below if it does not fit next to the heading.
     """
     if not lines or room < 2:
         return []
@@ -106,7 +106,7 @@ def trial_table(lines: Sequence[TrialLine], width: int, room: int, spare: int = 
 
 
 def _legend(lines: Sequence[TrialLine]) -> str:
-    """What percent and star mean in these lines."""
+    """Legend for percent and star in these lines."""
     against = against_text(lines)
     text = f"  % against {against}" if against else ""
     text += "; ± 95 %, by scatter" if any(half_text(n) for line in lines for n in line.numbers) else ""
@@ -115,20 +115,20 @@ def _legend(lines: Sequence[TrialLine]) -> str:
 
 
 def against_text(lines: Sequence[TrialLine]) -> str:
-    """What the numbers of these lines are compared with."""
+    """Reference of the numbers in these lines, in words."""
     kinds = {n.reference_is for line in lines for n in line.numbers if n.reference_is}
     words = {"expected": "the specimen file", "repeats": "earlier repeats"}
     return " or ".join(words[kind] for kind in sorted(kinds))
 
 
 def first_line(state: RunState) -> str:
-    """The kind, specimen and id of the run."""
+    """Kind, specimen and id of the run."""
     simulated = "SIMULATED " if state.simulated else ""
     return clean(f"{simulated}{state.kind}, {state.specimen}: {state.files.manifest.get('id', '')}")
 
 
 def plain_line(item: Notice | TrialLine, trials: int) -> str:
-    """A notice or a finished trial."""
+    """A notice or a finished trial as one line."""
     if isinstance(item, Notice):
         mark = {"info": "", "doubt": "! ", "fault": "!! "}[item.level]
         return f"{clock(item.t) + ' ' if item.t is not None else ''}{mark}{clean(item.text)}"

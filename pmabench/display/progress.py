@@ -1,4 +1,4 @@
-"""Where a run is in its plan, by its events, and how long the rest will take; knows no samples."""
+"""Position of a run in its plan, from its events, and the remaining time; uses no samples."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pmabench.protocol.plan import STEPS, Ask, Record, Seek, Step, WaitUntil
 from pmabench.store.records import Event
 
 _WITH_EVENT = ("set", "ramp", "follow", "record", "ask", "seek")
-"""Steps whose beginning is an event."""
+"""Steps that begin with an event."""
 ENOUGH = 0.02
-"""Share of the plan after which the pace so far says how long the rest takes [1]."""
+"""Fraction of the plan after which the remaining time is estimated from the pace so far [1]."""
 
 
 class Progress:
     """The current step of a plan, found from the events of its run.
 
-    The pace leaves out the time between a prompt and its answer, pauses and a reference trial that is done again, and
-    steps that the pointer went over without doing them, because an earlier run has done them.
+    The pace excludes the time between a prompt and its answer, pauses, a repeated reference trial, and steps that were
+    skipped because an earlier run had done them.
     """
 
     def __init__(self, plan: Mapping[str, Any], before: Collection[int] = ()) -> None:
@@ -33,25 +33,25 @@ class Progress:
         self._until = list(accumulate((max(0.0, float(seconds)) for seconds in usual), initial=0.0))
         left = (i for i, s in enumerate(self._steps) if _opens(s) and getattr(s, "trial", None) not in before)
         self._at = next(left, len(self._steps)) if before else 0
-        """Index of the current step; at first of the first trial that was not finished `before` this run."""
-        self._begun = False  # whether the step at the pointer has begun
+        """Index of the current step; initially of the first trial that was not finished `before` this run."""
+        self._begun = False  # whether the current step has begun
         self._t = 0.0
         self._asked: float | None = None
         self._out = 0.0
-        """Time that does not count [s]."""
+        """Time excluded from the pace [s]."""
         self._aside: float | None = None
-        """Since when the plan has not moved on [s]: in a pause, or in a trial that is none of it."""
+        """Since when the plan has not advanced [s]: in a pause, or in a trial outside the plan."""
         self._leapt = self._until[self._at]
-        """Duration of the steps that were skipped [s], less those that were repeated."""
+        """Planned duration of the skipped steps [s], minus that of repeated ones."""
         self._first: float | None = None
 
     @property
     def length(self) -> float:
-        """Duration of the whole plan [s] where every wait ends at once and every search lasts its longest."""
+        """Planned duration [s] if every wait ends at once and every search takes its longest time."""
         return self._until[-1]
 
     def take(self, event: Event) -> None:
-        """Move on to the step that an event belongs to."""
+        """Advance to the step that an event belongs to."""
         self._first = event.t if self._first is None else self._first
         kind, phase = event.kind, event.data.get("phase")
         if kind == "pause" or (kind == "trial-begin" and event.data.get("again")):
@@ -101,7 +101,7 @@ class Progress:
         return min(1.0, self._behind(t) / self.length) if self.length > 0 else 0.0
 
     def _behind(self, t: float) -> float:
-        """Planned duration of the steps that are done [s]; the step under way counts at most its planned duration."""
+        """Planned duration of the completed steps [s]; of the current step at most its planned duration."""
         after = range(self._at + self._begun, len(self._steps))
         ends = next((i for i in after if self._steps[i].kind in _WITH_EVENT), len(self._steps))
         now = t if self._aside is None else self._aside
@@ -109,7 +109,7 @@ class Progress:
         return self._until[self._at] + min(since, self._until[ends] - self._until[self._at])
 
     def left(self, t: float) -> tuple[float, bool] | None:
-        """Time left at `t` [s] without the operator's, and whether that is by the pace so far; None where unknown."""
+        """Remaining time at `t` [s] without the operator's, and whether it is from the pace so far; None if unknown."""
         if not self.length:
             return None
         behind = self._behind(t)

@@ -1,6 +1,6 @@
-"""The state of a run at this moment, as plain values from the events and samples in its folder.
+"""Present state of a run, as plain values from the events and samples in its folder.
 
-Draws nothing. Samples are kept for the curves and for the trials that still need their line, no longer.
+Draws nothing. Samples are kept only for the curves and for trials that still need their line.
 """
 
 from __future__ import annotations
@@ -22,16 +22,15 @@ from pmabench.display.wording import event_text
 from pmabench.store.records import Array, Event, Flag, Flags, RunData, cut_trials
 
 CURVES = 30.0
-"""The curves go back so far [s] ..."""
+"""Shortest time range of the curves [s] ..."""
 LONGEST_CURVES = 120.0
-"""... or to the beginning of the trial, at most so far."""
+"""... which is extended to the beginning of the trial, up to this limit."""
 LIVE = 2.0
-"""How long values that the run itself sends are shown [s]."""
+"""How long values sent by the run are shown [s]."""
 LATEST = 1.0
-"""A trial gets its line so long after its end at the latest [s], whatever samples are missing, unless more are there
-to be read."""
+"""Longest wait for the samples of an ended trial before its line is made [s], if no more are ready to be read."""
 LOG = 200
-"""Notices that are kept."""
+"""Number of notices kept."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Notice:
 
 @dataclass
 class Trial:
-    """A trial while it is under way."""
+    """A trial in progress."""
 
     index: int
     begin: float
@@ -56,16 +55,16 @@ class Trial:
     """A reference trial that is repeated because the run continues another one."""
     end: float | None = None
     seen: float = 0.0
-    """Wall clock when its end was read [s]."""
+    """Wall clock time at which its end was read [s]."""
     events: list[Event] = field(default_factory=list)
     at_limit: list[str] = field(default_factory=list)
 
 
 class RunState:
-    """All that is known of a run. `poll` reads what is new; nothing here raises for what the folder holds."""
+    """All that is known of a run. `poll` reads new data; invalid data in the folder cause no errors."""
 
     def __init__(self, folder: Path, also: Callable[[StreamTail, Block], None] | None = None) -> None:
-        """`also` is handed each block of samples, for what keeps them longer."""
+        """`also` is called with each block of samples, to keep them longer."""
         self.files = Follower(folder)
         self._also = also
         self.channels: dict[str, Channel] = {}
@@ -76,17 +75,17 @@ class RunState:
         self.trial: Trial | None = None
         self.paused = False
         self.held: set[str] = set()
-        """Limits that hold the bench: nothing new is commanded."""
+        """Active hold limits: no new commands are sent."""
         self.wanted: set[str] = set()
-        """Keys of the operator that wait for the end of the trial: `pause`, `repeat`."""
+        """Keys of the operator that take effect at the end of the trial: `pause`, `repeat`."""
         self.prompt = ""
-        """What the operator is asked and has not answered."""
+        """Present question to the operator; empty without one."""
         self.notices: deque[Notice] = deque(maxlen=LOG)
         self.lines: list[TrialLine] = []
         self.fresh: list[Notice | TrialLine] = []
-        """What is new since somebody last emptied it."""
+        """New items since it was last emptied."""
         self.end_event: dict[str, Any] | None = None
-        """What the `end` event said."""
+        """Data of the `end` event."""
         self.progress: Progress | None = None
         self._verdicts = Verdicts()
         self._waiting: list[Trial] = []
@@ -96,10 +95,10 @@ class RunState:
         self._fault = ""
         self._now = 0.0
 
-    # -- what happened ------------------------------------------------------------------------------------------------
+    # -- events -------------------------------------------------------------------------------------------------------
 
     def poll(self, now: float | None = None) -> bool:
-        """Read what is new; `now` is the wall clock [s]. Whether more waits to be read at once."""
+        """Read new data; `now` is the wall clock [s]. Returns whether more can be read at once."""
         self._now = now = time.time() if now is None else now
         before = self.files.there
         events = self.files.events()
@@ -128,14 +127,14 @@ class RunState:
         self.fresh.append(notice)
 
     def live(self, values: Mapping[str, float], now: float | None = None) -> None:
-        """Values [SI] that the run itself sends while it records nothing."""
+        """Values [SI] sent by the run while it records nothing."""
         known = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
         when = time.time() if now is None else now
         if self._live is None or when >= self._live[0]:
             self._live = when, known
 
     def _begin(self) -> None:
-        """Read limits and channels from the bench, and the prediction from the specimen, once the folder exists."""
+        """Read limits and channels from the bench, and expected coefficients from the specimen, once they exist."""
         bench = self.files.bench
         recorded = self.files.plan.get("record")
         for device in _list(bench.get("devices")):
@@ -183,7 +182,7 @@ class RunState:
             self.log(*sentence, event.t)
 
     def _take_of_operator(self, kind: str, data: Mapping[str, Any]) -> None:
-        """What is asked, which keys wait, and what holds or pauses the run."""
+        """Update question, waiting keys, holds and pause."""
         if kind == "prompt":
             self.prompt = str(data.get("text", ""))
         elif kind in ("answer", "trip", "ended-early", "end"):
@@ -199,7 +198,7 @@ class RunState:
             self.wanted.discard("repeat")
 
     def _take_of_trial(self, event: Event) -> None:
-        """The beginning and end of a trial, and what happens in it."""
+        """Update the current trial: beginning, end, and events in it."""
         data = event.data
         if event.kind == "trial-begin" and isinstance(data.get("trial"), int):
             point = {str(k): float(v) for k, v in (data.get("point") or {}).items() if isinstance(v, int | float)}
@@ -248,7 +247,7 @@ class RunState:
             self._also(stream, block)
 
     def _judge(self) -> None:
-        """Give each ended trial its line, once all its samples were read."""
+        """Make the line of each ended trial, once all its samples were read."""
         while self._waiting:
             trial = self._waiting[0]
             late = self._now - trial.seen > LATEST and not self.files.behind
@@ -260,7 +259,7 @@ class RunState:
                 self.fresh.append(line)
 
     def _complete(self, end: float) -> bool:
-        """Whether all samples up to a time were read: the run is closed, or every stream has got there."""
+        """Whether all samples up to a time were read: the run is closed, or every stream has reached it."""
         if self.files.behind:
             return self.samples.reached >= end
         slowest = min((stream.rate for stream in self.files.streams.values() if stream.rate), default=np.inf)
@@ -287,16 +286,16 @@ class RunState:
         return self._verdicts.judge(run, cut[0], trial.at_limit) if cut else None
 
     def between(self, begin: float, end: float) -> tuple[Array, dict[str, Array], Flags, float]:
-        """Samples of all streams on the times of one, as `Kept.between`."""
+        """Samples of all streams on the times of one, as in `Kept.between`."""
         return self.samples.between(begin, end, {name: stream.rate for name, stream in self.files.streams.items()})
 
     def _forget(self) -> None:
-        """Let go of samples that nothing needs any more."""
+        """Drop samples that are no longer needed."""
         begun = [trial.begin for trial in (*self._waiting, self.trial) if trial is not None]
         self.samples.forget(min([self._t - LONGEST_CURVES, *begun]) - 1.0)
 
     def _ages(self, now: float) -> None:
-        """Age of each newest value by the time of its file; values that the run sends are younger."""
+        """Age of each newest value from the time of its file; values sent by the run are newer."""
         for channel in self.channels.values():
             stream = self.files.streams.get(channel.stream)
             channel.age = max(0.0, now - stream.written) if stream is not None and channel.value is not None else None
@@ -306,10 +305,10 @@ class RunState:
                     self.channels[name].show(value, value, value)
                     self.channels[name].age = max(0.0, now - self._live[0])
 
-    # -- what is shown ------------------------------------------------------------------------------------------------
+    # -- values for display -------------------------------------------------------------------------------------------
 
     def span(self) -> tuple[float, float]:
-        """What the curves show [s]: the trial so far, at least the last half minute."""
+        """Time range of the curves [s]: the trial so far, at least the last half minute."""
         end = self.samples.newest
         begin = self.trial.begin if self.trial is not None else end
         return min(end - CURVES, max(begin, end - LONGEST_CURVES)), end
@@ -326,7 +325,7 @@ class RunState:
 
     @property
     def specimen(self) -> str:
-        """Type and serial."""
+        """Type and serial number."""
         specimen = self.files.manifest.get("specimen")
         if isinstance(specimen, dict):
             return f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
@@ -334,12 +333,12 @@ class RunState:
 
     @property
     def trials(self) -> int:
-        """How many trials are planned."""
+        """Number of planned trials."""
         return int(self.files.manifest.get("trials_planned") or 0)
 
     @property
     def done(self) -> int:
-        """How many trials came to their end, in this run and in those that it continues."""
+        """Number of completed trials, in this run and in those that it continues."""
         return len(self.before | {line.index for line in self.lines if line.ended and not line.again})
 
     @property
@@ -358,7 +357,7 @@ class RunState:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether no more data will come."""
         closed = self.files.seal is not None or self.files.status == "interrupted"
         return self.files.there and closed and not self.files.behind and not self._waiting
 
@@ -372,13 +371,13 @@ class RunState:
 
     @property
     def vent(self) -> str:
-        """Result of the vent at the end, as `confirmed`; empty before."""
+        """Result of the vent at the end, such as `confirmed`; empty before."""
         end = (self.files.seal or {}).get("end") or self.end_event
         return str(_dict(_dict(end).get("vent")).get("result", ""))
 
     @property
     def t(self) -> float:
-        """Bench time [s]; at a bench in real time it advances also while nothing is written."""
+        """Bench time [s]; in real time it also advances while nothing is written."""
         written = max([s.written for s in self.files.streams.values()] + [self.files.journal.written], default=0.0)
         if self.status == "running" and self.files.bench.get("realtime") and written:
             return self._t + max(0.0, self._now - written)

@@ -1,6 +1,6 @@
-"""The line that a finished trial gets: what it measured, what was expected, `ok` or the reasons to doubt.
+"""The line of a finished trial: measured and expected values, `ok` or the reasons to doubt.
 
-A trial is measured by the functions of its kind of test that `process` uses, without intervals, and compared with the
+A trial is evaluated by the functions of its kind of test that `process` uses, without intervals, and compared with the
 specimen file's prediction and with earlier repeats. Draws nothing.
 """
 
@@ -22,7 +22,7 @@ from pmabench.store.records import UNUSABLE, Flag, RunData, TrialData
 
 
 def read_expected(folder: Path) -> Expected | None:
-    """`expected` of the specimen file that a run was made from; None where there is none that can be read."""
+    """`expected` of the specimen file of a run; None if it is missing or cannot be read."""
     from pmabench.bench.files.specimen import SpecimenFile
     from pmabench.files.document import read_document, validate
 
@@ -38,35 +38,35 @@ def read_expected(folder: Path) -> Expected | None:
 
 
 FAR = 0.10
-"""Relative distance from prediction or from less than three repeats that is doubted."""
+"""Relative deviation from the prediction, or from fewer than three repeats, above which a value is doubted."""
 SPREADS = 3.0
-"""Standard deviations from three and more repeats that are doubted ..."""
+"""The same for three or more repeats, in standard deviations ..."""
 LEAST = 0.01
-"""... where they are more than this, relative."""
+"""... if that is more than this relative deviation."""
 USED = ("finished", "failed")
-"""Only trials that came to their end have numbers."""
+"""Only trials with these statuses have numbers."""
 REACHED = (0.02, 3e3)
-"""A pressure counts as reached within this share of the command, at least this [Pa]."""
+"""Tolerance for reaching a pressure: fraction of the command, and at least this value [Pa]."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """One quantity of a trial and what it is compared with [SI]."""
+    """One quantity of a trial and its reference [SI]."""
 
     symbol: str
     quantity: str
     value: float | None
     reference: float | None = None
     reference_is: str = ""
-    """`expected` (of the specimen file) or `repeats` (their mean); empty: none."""
+    """`expected` (from the specimen file) or `repeats` (their mean); empty without a reference."""
     assumed: bool = False
     """Whether it depends on the specimen file: with one load alone K and F_ce cannot be separated."""
     half: float | None = None
-    """Half width of the 95 % interval by the scatter of trials alone."""
+    """Half width of the 95 % interval, from the scatter of trials alone."""
 
     @property
     def off(self) -> float | None:
-        """Relative distance from the reference."""
+        """Relative deviation from the reference; None without one."""
         if self.value is None or not self.reference:
             return None
         return self.value / self.reference - 1.0
@@ -83,7 +83,7 @@ class TrialLine:
     numbers: tuple[Number, ...]
     doubts: tuple[str, ...]
     again: bool = False
-    """A reference trial that was repeated because the run continues another one; no trial of the plan."""
+    """A reference trial that was repeated because the run continues another one; not a trial of the plan."""
 
     @property
     def number(self) -> int:
@@ -97,13 +97,13 @@ class TrialLine:
 
     @property
     def mark(self) -> str:
-        """`ok`, `? ` where there is a doubt; a dash where it gave no number, as was expected of it."""
+        """`ok`; `? ` with a doubt; a dash if it gave no number, as expected."""
         nothing = bool(self.numbers) and all(number.value is None for number in self.numbers)
         return "? " if self.doubts else "– " if nothing else "ok"
 
     @property
     def ended(self) -> bool:
-        """Whether the trial came to its end."""
+        """Whether the trial was completed."""
         return self.status in USED
 
     def replaces(self, earlier: TrialLine) -> bool:
@@ -130,7 +130,7 @@ class Verdicts:
         return TrialLine(trial.index, point, trial.repeat, trial.status, numbers, tuple(doubts), trial.again)
 
     def _numbers(self, run: RunData, trial: TrialData, doubts: list[str]) -> Iterator[Number]:
-        """What a trial that came to its end measured; adds to the `doubts`."""
+        """Quantities of a completed trial; appends to `doubts`."""
         try:
             measured, reasons = measure(run, trial, self.expected, self._quick)
         except (ValueError, KeyError, IndexError, TypeError, ZeroDivisionError, np.linalg.LinAlgError) as error:
@@ -143,7 +143,7 @@ class Verdicts:
         key = tuple(sorted((name, round(value, 6)) for name, value in trial.point.items()))
         before = self._earlier.setdefault(key, {})
         if trial.status == "finished":
-            before.pop(trial.index, None)  # done again
+            before.pop(trial.index, None)  # it is being repeated
         for item in measured:
             number, doubt = _compare(item, [seen[item.symbol] for seen in before.values() if item.symbol in seen])
             yield number
@@ -155,7 +155,7 @@ class Verdicts:
 
 
 def _compare(item: Measured, earlier: list[float]) -> tuple[Number, str]:
-    """A number with its reference, and a doubt where it lies far from it; repeats count more than a prediction."""
+    """A number with its reference, and a doubt if it deviates too much; repeats have priority over a prediction."""
     value, reference, source = item.value, item.expected, "expected" if item.expected is not None else ""
     doubt = ""
     if earlier and not item.pooled:
@@ -184,7 +184,7 @@ def _away(value: float, reference: float) -> str:
 
 
 def _flagged(trial: TrialData) -> list[str]:
-    """Samples that fits leave out, by flag."""
+    """Number of samples that fits exclude, with their flags."""
     bad = trial.flags & np.uint16(UNUSABLE)
     if not bad.any():
         return []
@@ -193,7 +193,7 @@ def _flagged(trial: TrialData) -> list[str]:
 
 
 def _not_reached(trial: TrialData) -> list[str]:
-    """A sentence where the measured pressure did not reach its command before the next one."""
+    """A sentence if the measured pressure did not reach its command before the next one."""
     if "pressure" not in trial.channels or not len(trial.t):
         return []
     commands = [c for c in trial.commands if c.output == "pressure"]
@@ -212,14 +212,14 @@ def _not_reached(trial: TrialData) -> list[str]:
 
 
 def prepare(name: str) -> None:
-    """Import in advance what a kind needs, which takes a second, so that keys are not delayed at the first trial."""
+    """Import the modules of a kind in advance, which takes a second: keys must not be delayed at the first trial."""
     kind = registry.find(name)
     if kind and kind.live:
         kind.part("live")
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Quantities of a trial and doubts from its samples; none for kinds of test without live quantities."""
+    """Quantities and doubts of a trial from its samples; none for kinds of test without live quantities."""
     kind = registry.find(run.kind)
     if kind is None or not kind.live:
         return [], []

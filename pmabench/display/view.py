@@ -1,4 +1,4 @@
-"""The whole picture of a run as lines of exactly the asked width and number; knows the state, no terminal."""
+"""The screen of a run as lines of exactly the given width and number; uses the state, no terminal."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ OF_SEVERAL = (
     *((f"pressure_{number}", "cyan") for number in (1, 2, 3)), ("angle", "green"), ("torque", "magenta"),
     ("acceleration_x", "green"), ("acceleration_y", "magenta"),
 )  # fmt: skip
-"""The curves where none of the others is there."""
+"""Curves if none of the above exist."""
 SYMBOLS = {
     "pressure": "P", "displacement": "x", "force": "F", "pressure_1": "P1", "pressure_2": "P2", "pressure_3": "P3",
     "angle": "θ", "torque": "τ", "acceleration_x": "a_x", "acceleration_y": "a_y",
 }  # fmt: skip
 LEAST_RANGE = {"pressure": 2e3, "length": 0.2e-3, "force": 2.0, "angle": 2e-3, "torque": 0.1, "acceleration": 0.2}
-"""Smallest range [SI] that a curve fills."""
+"""Smallest range [SI] of a curve's axis."""
 NARROWEST = 60
-"""Curves are drawn from this width on."""
+"""Width from which curves are drawn."""
 FIXED = 58
 """Columns of a channel's line without its bar."""
 CLOSING = 12
-"""Lines of trials that stay on the terminal at the end."""
+"""Lines of trials that remain on the terminal at the end."""
 TALLEST = 16
-"""Most lines of the curves."""
+"""Largest height of the curves in lines."""
 WANTED = (("pause", "will pause"), ("repeat", "will repeat this trial"))
-"""Keys of the operator that wait for the end of the trial, in words."""
+"""Keys of the operator that take effect at the end of the trial, in words."""
 FRESH = 3.0
 """Age up to which a pressure is shown with a question to the operator [s]."""
 SILENT = 2.0
-"""Time without a recorded sample after which the picture says so [s]."""
+"""Time without a recorded sample after which a message is shown [s]."""
 OLD = 1.0
-"""Age of the newest sample from which on it is marked while samples are recorded [s]."""
+"""Age from which the newest sample is marked during recording [s]."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class Question:
 
     text: str
     words: tuple[str, ...] = ()
-    """Answers that count; empty: it is answered elsewhere."""
+    """Accepted answers; empty: it is answered elsewhere."""
     typed: str = ""
     refused: str = ""
 
 
 @dataclass(frozen=True)
 class Extra:
-    """What the console adds to the state."""
+    """Parts that the console adds to the screen."""
 
     question: Question | None = None
     footer: str = ""
@@ -69,7 +69,7 @@ class Extra:
 
 
 def screen(state: RunState, width: int, height: int, extra: Extra | None = None) -> list[Text]:
-    """The picture: `height` lines, none wider than `width` columns."""
+    """The screen: `height` lines of at most `width` columns."""
     if not state.files.there:
         return fill([Text(clean(state.files.problem or f"waiting for {state.files.folder}"))], width, height)
     width, height = max(20, width), max(3, height)
@@ -86,7 +86,7 @@ def screen(state: RunState, width: int, height: int, extra: Extra | None = None)
 
 
 def _row(left: Text, right: Text, width: int) -> Text:
-    """One line with a part at each end; the left part is cut where there is too little room."""
+    """One line with left-aligned and right-aligned parts; the left part is cut if there is too little room."""
     room = max(0, width - right.cell_len - 1)
     left.truncate(room, overflow="ellipsis")
     return Text.assemble(left, " " * max(1, width - left.cell_len - right.cell_len), right)
@@ -119,7 +119,7 @@ def _head(state: RunState, width: int) -> list[Text]:
 
 
 def _doing(state: RunState) -> Text:
-    """The phase of the trial, or that the run is paused, held or about to pause."""
+    """Phase of the trial, or that the run is paused, held or about to pause."""
     if state.status != "running":
         return Text()
     if state.paused:
@@ -138,7 +138,7 @@ def _done(state: RunState) -> str:
 
 
 def _time(state: RunState, width: int) -> Text:
-    """Time elapsed, time left, and a bar of progress."""
+    """Elapsed time, remaining time, and a progress bar."""
     t = state.t
     line = Text(f"{clock(t)} elapsed")
     if state.progress is None or not state.progress.length or state.status != "running":
@@ -212,7 +212,7 @@ def _counts(state: RunState) -> Text:
 
 
 def _lower(state: RunState, width: int, room: int, *, curves: bool) -> list[Text]:
-    """Curves, trials and log share what is left: the log least, the curves most."""
+    """Curves, trials and log share the remaining lines: the log gets the fewest, the curves the most."""
     drawn = curves and width >= NARROWEST and state.rows > 0
     notices = min(len(state.notices), 2 if room < 14 else max(3, room // 6))
     gap = 1 if notices else 0
@@ -237,14 +237,14 @@ def _lower(state: RunState, width: int, room: int, *, curves: bool) -> list[Text
 
 
 def _notice(t: float | None, text: str, level: str, width: int) -> list[Text]:
-    """A sentence of the log in as many lines as it needs."""
+    """A sentence of the log, in as many lines as it needs."""
     begin = Text.assemble((f"{clock(t) if t is not None else '':>7} ", FAINT), (SIGNS[level].ljust(2), LEVELS[level]))
     parts = wrapped(clean(text), width - begin.cell_len - 1)
     return [Text.assemble(begin, " ", parts[0]), *(Text(" " * (begin.cell_len + 1) + part) for part in parts[1:])]
 
 
 def _curves(state: RunState, width: int, height: int) -> list[Text]:
-    """Pressure, displacement and force next to each other: a title with the range, the curve, and the time."""
+    """Pressure, displacement and force next to each other: title with range, curve, and time axis."""
     known = CURVES if any(name in state.channels for name, _colour in CURVES) else OF_SEVERAL
     shown = [(state.channels[name], colour) for name, colour in known if name in state.channels]
     if not shown:
@@ -285,7 +285,7 @@ def _ends(channel: Channel, low: float, high: float) -> str:
 
 
 def _question(state: RunState, extra: Extra, width: int) -> list[Text]:
-    """What the operator is asked, with the pressure that is measured now."""
+    """The question to the operator, with the present pressure."""
     question = extra.question or (Question(state.prompt) if state.prompt and state.status == "running" else None)
     if question is None:
         return []
@@ -313,7 +313,7 @@ def _footer(extra: Extra) -> Text | None:
 
 
 def closing(state: RunState, width: int) -> list[Text]:
-    """The last trials, which stay on the terminal when the picture is closed."""
+    """The last trials, which remain on the terminal when the screen is closed."""
     return fill(table := trial_table(state.lines, width, CLOSING, spare=1), width, len(table))
 
 
@@ -323,10 +323,10 @@ _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype
 def curve(
     t: Array, y: Array, span: tuple[float, float], range_: tuple[float, float], size: tuple[int, int]
 ) -> list[str]:
-    """Lines of text, from the top, of y over t (both of shape (n,)) inside a span of t and a range of y.
+    """Lines of braille text, from the top, of y over t (both of shape (n,)) in the ranges `span` and `range_`.
 
-    `size` is columns and rows of characters. Between neighbouring dots the curve is joined; what is no number is left
-    out, and what lies outside the range is drawn at its edge.
+    `size` is columns and rows of characters. Neighbouring dots are joined; values that are not finite are left out,
+    and values outside the range are drawn at its edge.
     """
     columns, rows = max(1, size[0]), max(1, size[1])
     grid = np.zeros((rows * 4, columns * 2), dtype=bool)
@@ -342,7 +342,7 @@ def curve(
 
 
 def _draw(grid: NDArray[np.bool_], x: NDArray[np.int64], row: NDArray[np.int64]) -> None:
-    """Dots from lowest to highest of each column, joined to the column before."""
+    """Draw lowest to highest dot of each column, joined to the column before."""
     order = np.argsort(x, kind="stable")
     x, row = x[order], row[order]
     starts = np.flatnonzero(np.diff(x, prepend=-1))

@@ -1,4 +1,4 @@
-"""Words and numbers of the display: device and file text made harmless, times, values in people's units."""
+"""Words and numbers of the display: safe text from devices and files, times, values in display units."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from pmabench.store.analyses.results import POINT_QUANTITIES
 from pmabench.store.records import Event
 
 LONGEST = 400
-"""Characters of a text that are kept."""
+"""Longest text in characters."""
 POINT = {
     "load": "F_L", "pressure": "P", "from": "P_1", "frequency": "f", "setpoint": "x", "contraction": "x",
     "speed": "v", "lower": "x_1", "upper": "x_2", "start": "x_0", "step": "dx", "mean": "x_0", "amplitude": "A",
     "bias": "P_0", "mass": "M", "tip_mass": "w", "pressure_1": "P_1", "pressure_2": "P_2", "angular_speed": "ω",
     "lowest_angle": "θ_1", "highest_angle": "θ_2", "goal": "θ", "integral": "K_i", "phi": "φ", "psi": "ψ",
 }  # fmt: skip
-"""Names of an operating point -> symbol; those that are shown."""
+"""Coordinate of an operating point -> symbol; only these are shown with a unit."""
 
 
 def clean(text: object) -> str:
-    """A text on one line without anything that a terminal could obey."""
+    """A text on one line without control characters."""
     return printable(" ".join(str(text)[: 4 * LONGEST].split()), LONGEST)
 
 
 def quantity(name: str) -> Quantity:
-    """The quantity of this name; one without a unit where it is not known."""
+    """Quantity of this name; one without a unit if it is unknown."""
     return QUANTITIES.get(name, Quantity(name, "", "", 1.0))
 
 
 def of_point(name: str) -> tuple[str, Quantity]:
-    """Symbol and quantity of a name of an operating point."""
+    """Symbol and quantity of a coordinate of an operating point."""
     return POINT.get(name, clean(name)), quantity(POINT_QUANTITIES[name] if name in POINT else "")
 
 
@@ -48,14 +48,14 @@ def clock(seconds: float) -> str:
 
 
 def decimals(span: float) -> int:
-    """How many decimals a value needs whose largest size is `span` [display unit]: four digits in all."""
+    """Number of decimals for values up to `span` [display unit]: four digits in total."""
     if not isfinite(span) or span <= 0:
         return 2
     return min(3, max(0, 4 - max(1, ceil(log10(span) + 1e-9))))
 
 
 def value_text(value: float | None, name: str, span: float) -> str:
-    """A value [SI] of the named quantity, with as many decimals as `span` [SI] needs."""
+    """A value [SI] of the named quantity, with decimals according to `span` [SI]."""
     if value is None or not isfinite(value):
         return "-"
     q = quantity(name)
@@ -64,21 +64,21 @@ def value_text(value: float | None, name: str, span: float) -> str:
 
 
 def point_text(point: Mapping[str, float]) -> str:
-    """An operating point in words; the moving mass is left out where the load is given."""
+    """An operating point in words; the moving mass is left out if the load is given."""
     shown = {name: value for name, value in point.items() if not (name == "mass" and "load" in point)}
     texts = (of_point(name)[1].show(value, 4) if name in POINT else f"{value:.4g}" for name, value in shown.items())
     return ", ".join(f"{clean(name)} {text}" for name, text in zip(shown, texts, strict=True))
 
 
 def about_run(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Of which kind, when and of which campaign a run is; a day is a session."""
+    """Kind, time, day (`session`) and campaign of a run."""
     campaign, started = manifest.get("campaign"), clean(manifest.get("started_utc", ""))
     name = clean(campaign.get("name", "")) if isinstance(campaign, dict) else ""
     return {"kind": clean(manifest.get("kind", "")), "started": started, "session": started[:10], "campaign": name}
 
 
 _ELSEWHERE = ("command", "acknowledged", "clock", "found", "trial-begin", "trial-end", "key", "live")
-"""Events that are shown in another way than in the log."""
+"""Events that are not shown in the log, but elsewhere."""
 _IN_LOG = {
     "armed": ("armed: ", "bench", "info"),
     "prompt": ("asked: ", "text", "info"),
@@ -98,7 +98,7 @@ _IN_LOG = {
 
 
 def event_text(event: Event) -> tuple[str, str] | None:
-    """An event as a sentence, and how bad it is: `info`, `doubt`, `fault`; None for what is shown elsewhere."""
+    """An event as a sentence, and its level: `info`, `doubt`, `fault`; None if it is shown elsewhere."""
     data, kind = event.data, event.kind
     if kind in _ELSEWHERE:
         return None
@@ -109,7 +109,7 @@ def event_text(event: Event) -> tuple[str, str] | None:
     if kind in _IN_LOG:
         words, entry, level = _IN_LOG[kind]
         lines = str(data.get(entry, "")).strip().splitlines() if entry else []
-        return words + clean(lines[-1] if lines else ""), level  # of a traceback the last line says what it was
+        return words + clean(lines[-1] if lines else ""), level  # the last line of a traceback is the error
     if kind == "load":
         force, mass = data.get("force"), data.get("mass")
         text = f"load {quantity('force').show(float(force), 4)}" if isinstance(force, int | float) else "load"
@@ -142,7 +142,7 @@ def _session(data: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _self_test(data: Mapping[str, Any]) -> tuple[str, str]:
-    """Counts of the checks by verdict; those that failed in full."""
+    """Number of checks by verdict, and the failed ones in full."""
     checks = [check for check in data.get("checks") or [] if isinstance(check, dict)]
     counts = Counter(str(check.get("verdict")) for check in checks)
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())

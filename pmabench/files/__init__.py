@@ -1,1 +1,1 @@
-"""YAML that people write: places of every value, quantities with units, strict models, all problems at once."""
+"""Reading YAML files: places of every value, quantities with units, strict models, all problems at once."""

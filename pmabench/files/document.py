@@ -1,4 +1,4 @@
-"""YAML files to strict models, every problem at once with file:line:column; knows no particular kind of file."""
+"""YAML files to strict models, every problem at once with file:line:column; for any kind of file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MAX_BYTES = 1_000_000
 MAX_NODES = 100_000
 MAX_DEPTH = 40
 OFTEN = 50_000
-"""Texts of up to so many characters are kept as they were read: calibrations and benches are read several times."""
+"""Texts of up to this length are cached: calibrations and benches are read several times."""
 
 _TAGS = {"str", "int", "float", "bool", "null", "seq", "map", "timestamp", "merge", "value"}
 
@@ -33,7 +33,7 @@ Model = TypeVar("Model", bound="Strict")
 
 
 class Strict(BaseModel):
-    """A model that takes what it knows and nothing else."""
+    """A model that refuses unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False, populate_by_name=True)
 
@@ -43,7 +43,7 @@ Place = tuple[str, int, int]
 
 @lru_cache(maxsize=64)
 def _composed(text: str) -> Node | None:
-    """The nodes of a text, which nobody changes."""
+    """The nodes of a text; they must not be changed."""
     yaml = YAML(typ="safe", pure=True)
     yaml.allow_duplicate_keys = False
     node: Node | None = yaml.compose(text)
@@ -51,20 +51,20 @@ def _composed(text: str) -> Node | None:
 
 
 class Document:
-    """A YAML file: its plain data, where each value is, and the texts that it was made of.
+    """A YAML file: its plain data, the place of each value, and the texts that it was made of.
 
-    A top-level `include: other.yaml` takes the other file first; keys given here replace those of the same name.
+    With a top-level `include: other.yaml` the other file is read first; keys in this file replace equal ones.
     """
 
     def __init__(self, path: str, text: str) -> None:
         self.path = path
         self.texts: dict[str, str] = {path: text}
         self._places: dict[Location, tuple[Place, Place]] = {}
-        """Of each value, and of its key; of the value once more where it has none."""
+        """Places of each value and of its key; twice the value's if it has no key."""
         self.data = self._read(text)
 
     def place(self, location: Location, *, key: bool = False) -> Place:
-        """Path, line and column (from 1) of the value, or of its key; of the nearest parent where it is missing."""
+        """Path, line and column (from 1) of the value or its key; of the nearest parent if it is missing."""
         for end in range(len(location), -1, -1):
             if found := self._places.get(location[:end]):
                 return found[1 if key else 0]
@@ -79,7 +79,7 @@ class Document:
         return ":".join(str(part) for part in self.place(location))
 
     def include(self, other: Document) -> None:
-        """Put the other document under this one."""
+        """Take the other document as defaults for this one."""
         own = self.data
         own.pop("include", None)
         self.texts = {**self.texts, **other.texts}
@@ -95,7 +95,7 @@ class Document:
         self.put(location, text, f"--set {name}")
 
     def put(self, location: Location, text: str, source: str) -> None:
-        """Set the value `text` (YAML) at a location; `source` says where the value comes from."""
+        """Set the value `text` (YAML) at a location; `source` names the origin of the value."""
         value = Document(source, f"value: {text}")
         target: Any = self.data
         for part in location[:-1]:
@@ -193,7 +193,7 @@ def _scalar(node: ScalarNode) -> str | int | float | bool | None:
 
 
 def read_document(path: Path, depth: int = 0) -> Document:
-    """Read a YAML file and what it includes; raises `InvalidFile` in one sentence where that cannot be done."""
+    """Read a YAML file and its includes; raises `InvalidFile` with a one-sentence reason."""
     name = _shown(path)
     with reading(name):
         found = path.stat()
@@ -220,7 +220,7 @@ def read_document(path: Path, depth: int = 0) -> Document:
 
 
 def _shown(path: Path) -> str:
-    """The path as a person in this folder would write it."""
+    """The path relative to the current folder, if it is inside."""
     try:
         return str(path.resolve().relative_to(Path.cwd()))
     except (ValueError, OSError):
@@ -231,13 +231,13 @@ _SCHEMA = re.compile(r"pmabench\.([a-z-]{1,40})/([0-9]{1,4})")
 
 
 def _schema_of(model: type[BaseModel]) -> str:
-    """What the key `schema` of such files must be; empty where they have none."""
+    """Required value of the key `schema` in files of a model; empty if they have none."""
     field = model.model_fields.get("schema_")
     return str(get_args(field.annotation)[0]) if field is not None and get_args(field.annotation) else ""
 
 
 def check_schema(model: type[BaseModel], document: Document) -> None:
-    """Raise `InvalidFile` with this one problem where the document says that it is of another kind than the model."""
+    """Raise `InvalidFile` with this problem alone if the document is of another kind than the model."""
     written, expected = document.data.get("schema"), _schema_of(model)
     found, wanted = _SCHEMA.fullmatch(str(written)), _SCHEMA.fullmatch(expected)
     if found is None or wanted is None or found[0] == wanted[0]:
@@ -251,7 +251,7 @@ def check_schema(model: type[BaseModel], document: Document) -> None:
 
 
 def validate(model: type[Model], document: Document) -> Model:
-    """The model of a document, or `InvalidFile` with every problem."""
+    """The model of a document; raises `InvalidFile` with every problem."""
     check_schema(model, document)
     try:
         return model.model_validate(document.data)
@@ -277,7 +277,7 @@ def _problems(model: type[BaseModel], document: Document, error: ValidationError
 
 
 def _in_data(data: Any, location: Location) -> Location:
-    """The location without the tags of unions, which are not in the file."""
+    """The location without pydantic's tags of unions, which are not in the file."""
     found: list[str | int] = []
     for index, part in enumerate(location):
         if isinstance(data, Mapping) and isinstance(part, str):
@@ -319,12 +319,12 @@ def _sentence(model: type[BaseModel], item: Any, found: Location) -> tuple[str, 
 
 
 def _annotations(model: type[BaseModel]) -> dict[str, Any]:
-    """What stands for each key of a model, by the name that it has in a file."""
+    """Annotation of each key of a model, by its name in the file."""
     return {field.alias or name: field.annotation for name, field in model.model_fields.items()}
 
 
 def _models_at(model: Any, location: tuple[str | int, ...]) -> list[type[BaseModel]]:
-    """The models that may be at a location: annotations walked, all branches of unions kept."""
+    """Models that are possible at a location: follows annotations, with all branches of unions."""
     here = [model]
     for part in location:
         step: list[Any] = []
@@ -348,7 +348,7 @@ def _unwrapped(annotation: Any) -> list[Any]:
 
 
 def document_text(document: Document) -> str:
-    """The text of a document, with the texts that it includes behind it; the same wherever the files lie."""
+    """Text of a document, followed by the texts that it includes; independent of the folder of the files."""
     (first, *rest) = sorted(document.texts.items(), key=lambda item: item[0] != document.path)
     return first[1] + "".join(f"\n# ---- {Path(path).name} ----\n" + _commented(text) for path, text in rest)
 
@@ -358,9 +358,9 @@ def _commented(text: str) -> str:
 
 
 def among(alone: Sequence[str], of_a_muscle: Sequence[str]) -> Callable[[Any], str]:
-    """A check that a value is one of these names, of which those `of_a_muscle` may carry a number from 1 on.
+    """Validator for one of these names; those in `of_a_muscle` may have a number from 1.
 
-    That is `pressure`, or `pressure_2` where a bench has several muscles.
+    For instance `pressure`, or `pressure_2` if a bench has several muscles.
     """
     numbers = [f"_{number}" for number in range(1, MUSCLES + 1)]
 

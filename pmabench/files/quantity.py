@@ -1,4 +1,4 @@
-"""Quantities as people write them, NUMBER UNIT, to SI floats; knows units, not what they are used for.
+"""Quantities as written in files, NUMBER UNIT, to SI floats; knows units, not their use.
 
 Number and unit are split by our own pattern before the units library sees the unit alone, because on a whole string it
 reads `1,5 bar` as 15 bar, takes `nan`, and hangs on `9**9**9 mm`.
@@ -27,7 +27,7 @@ _COUNTED = re.compile(rf"(\d{{1,3}})\s*x\s*({NUMBER}\s*{UNIT})")
 
 _TYPED = str.maketrans({"·": ".", "²": "2", "³": "3"})
 USUAL = {q.name: {q.unit: 1.0, q.shown_in.translate(_TYPED): q.scale} for q in QUANTITIES.values() if q.example}
-"""Quantity -> unit -> factor, as the units library has them, which takes a quarter of a second to be loaded."""
+"""Quantity -> unit -> factor, equal to those of the units library, which takes a quarter of a second to load."""
 USUAL["pressure"] |= {"hPa": 100.0, "MPa": 1e6, "mbar": 100.0, "bar": 1e5}
 USUAL["length"] |= {"um": 1e-6, "cm": 1e-2}
 USUAL["time"] |= {"ms": 1e-3, "min": 60.0, "h": 3600.0}
@@ -45,13 +45,13 @@ def _units() -> UnitRegistry[Any]:
 
 @lru_cache(maxsize=512)
 def unit_factor(unit: str, quantity: str) -> float:
-    """How many SI units one `unit` of `quantity` is; raises ValueError with a hint where it is none."""
+    """Factor from `unit` of `quantity` to SI; raises ValueError with a hint if it is not a unit of it."""
     usual = USUAL.get(quantity, {}).get(unit)
     return library_factor(unit, quantity) if usual is None else usual
 
 
 def library_factor(unit: str, quantity: str) -> float:
-    """The same by the units library."""
+    """The same from the units library."""
     if unit == "%":
         if quantity != "ratio":
             raise ValueError(f'"%" is allowed only where a ratio is expected, here a {quantity}, {_hint(quantity)}')
@@ -78,7 +78,7 @@ def library_factor(unit: str, quantity: str) -> float:
 
 
 def _in_library(unit: str) -> str:
-    """A unit as the units library writes it."""
+    """A unit in the notation of the units library."""
     text = re.sub(r"([A-Za-zµΩ])(-?\d)", r"\1**\2", unit.replace("·", "*").replace("^", "").replace("µ", "u"))
     return re.sub(r"(?<=[A-Za-z0-9])\.(?=[A-Za-z])", "*", text)
 
@@ -100,7 +100,7 @@ def _example(quantity: str) -> str:
 
 
 def parse_quantity(value: object, quantity: str) -> float:
-    """`"300 kPa"` to 300000.0; raises ValueError that says what was expected."""
+    """`"300 kPa"` to 300000.0; raises ValueError with what was expected."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         value = float(value) if abs(value) < 1e300 else float("inf")
         if value == 0 and quantity == "ratio":
@@ -155,18 +155,18 @@ def parse_plates(value: object) -> tuple[int, float]:
 
 
 class AsText:
-    """Texts that people write, as a field of a pydantic model: how one is read, and the JSON Schema of it."""
+    """Annotation for a field of a pydantic model that is written as text: its parser and its JSON schema."""
 
     def __init__(self, parse: Callable[[object], object], description: str, *examples: str, **more: str) -> None:
         self.parse = parse
         self.schema = {"type": "string", "description": description, "examples": list(examples), **more}
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Read the text before the value is validated."""
+        """Parse the text before the value is validated."""
         return no_info_before_validator_function(self.parse, handler(source))
 
     def __get_pydantic_json_schema__(self, _schema: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """The text that people write."""
+        """Schema of the text."""
         return dict(self.schema)
 
 
@@ -211,7 +211,7 @@ Plates = Annotated[tuple[int, float], AsText(parse_plates, "COUNT x MASS", "5 x 
 
 
 def raw_quantity(value: object) -> tuple[float, str]:
-    """`"9.998 V"` to `(9.998, "V")`: a reading in device units, kept as it is."""
+    """`"9.998 V"` to `(9.998, "V")`: a reading in device units, not converted."""
     if isinstance(value, str):
         match = _PATTERN.fullmatch(value.strip())
         if match is not None and isfinite(float(match[1])):

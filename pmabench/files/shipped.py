@@ -1,4 +1,4 @@
-"""Where the shipped protocols and fixtures lie: in the installed package, else in the checkout."""
+"""Folders of the shipped protocols and fixtures: in the installed package, else in the checkout."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ SHIPPED = {
 
 
 def shipped_folder(kind: str) -> Path:
-    """The folder with the shipped files of a kind."""
+    """Folder with the shipped files of a kind."""
     inside = _PACKAGE / "shipped" / SHIPPED[kind]
     return inside if inside.is_dir() else _PACKAGE.parent / SHIPPED[kind]
 
 
 def find_file(kind: str, name: str) -> Path:
-    """The file at the path `name`, or the shipped file of that name; `InvalidFile` where there is neither."""
+    """The file at the path `name`, else the shipped file of that name; raises `InvalidFile` if there is neither."""
     path = Path(name)
     if not name:
         raise invalid('""', f"names no {kind}; give a file or the name of a shipped one")

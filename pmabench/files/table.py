@@ -1,7 +1,7 @@
-"""Tables that people write as CSV with units in the header: numbers with their places; knows no model, no report.
+"""CSV tables with units in the header: numbers with their places; independent of models and reports.
 
-A head is `pressure [kPa]`, `pressure (kPa)` or `P_kPa`; a line that begins with `#` before the head says where the
-table is from.
+A header is `pressure [kPa]`, `pressure (kPa)` or `P_kPa`; lines that begin with `#` before it state the source of the
+table.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from pmabench.files.quantity import NUMBER, unit_factor
 
 Array = NDArray[np.float64]
 LARGEST = 50_000_000
-"""Bytes of a file that is read."""
+"""Largest file that is read [bytes]."""
 MOST_ROWS = 200_000
 MOST_PROBLEMS = 50
 BEYOND = 1e30
-"""No measured value is as large [SI]."""
+"""Limit above which a value cannot be a measured one [SI]."""
 _NUMBER = re.compile(NUMBER)
 _BRACKETS = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))\s*")
 
@@ -40,7 +40,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """One column: the whole head, what is before its unit, the unit (None where none is written), the cells."""
+    """One column: the whole header, the part before its unit, the unit (None if not given), the cells."""
 
     head: Cell
     name: str
@@ -54,15 +54,15 @@ class Table:
 
     path: Path
     source: str
-    """What the lines with `#` before the head say."""
+    """Text of the lines with `#` before the header."""
     columns: tuple[Column, ...]
 
     def problem(self, cell: Cell, message: str) -> Problem:
-        """Something that is wrong at a cell."""
+        """A `Problem` at a cell."""
         return Problem(str(self.path), cell.line, cell.column, message)
 
     def only(self, name: str, text: str) -> Table:
-        """The rows whose cell in column `name` is `text`; ValueError that says what there is."""
+        """Rows whose cell in column `name` is `text`; ValueError with the valid names."""
         found = [column for column in self.columns if name in (column.name, column.head.text)]
         if not found:
             raise ValueError(f'{self.path} has no column "{name}"{did_you_mean(name, [c.name for c in self.columns])}')
@@ -75,9 +75,9 @@ class Table:
 
 
 def read_table(path: Path) -> Table:
-    """The table in `path`, split at commas, semicolons or tabs, whichever the head has most of.
+    """Read the table in `path`; the separator is comma, semicolon or tab, the most frequent in the header.
 
-    Raises InvalidFile with every row that has not as many cells as the head.
+    Raises InvalidFile with every row whose number of cells differs from the header's.
     """
     lines = [(number, line) for number, line in enumerate(_text(path).splitlines(), 1) if line.strip()]
     source = []
@@ -130,7 +130,7 @@ def split_head(head: str) -> tuple[str, str | None]:
 
 
 def _split(number: int, line: str, mark: str) -> list[Cell]:
-    """The cells of a line; `mark` inside double quotes does not part them."""
+    """Cells of a line; a separator `mark` inside double quotes is part of the cell."""
     cells, start, quoted = [], 0, False
     for place, sign in enumerate(line + mark):
         if sign == '"':
@@ -147,14 +147,14 @@ def _split(number: int, line: str, mark: str) -> list[Cell]:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a column may mean: its names (the first is the one in messages) and its quantity."""
+    """A quantity that a column may contain: its names (the first is used in messages) and its key in `QUANTITIES`."""
 
     names: tuple[str, ...]
     quantity: str
 
 
 def meaning(column: Column, wanted: Sequence[Wanted]) -> tuple[Wanted, str | None] | None:
-    """Which of `wanted` a head names, and its unit; `P_kPa` is P in kPa where nothing is called P_kPa."""
+    """Entry of `wanted` that a header names, and its unit, else None; `P_kPa` is P in kPa unless it is a name."""
     for item in wanted:
         if column.name in item.names:
             return item, column.unit
@@ -175,7 +175,7 @@ def _is_unit(unit: str, quantity: str) -> bool:
 
 
 def unit_scale(unit: str | None, quantity: str) -> float:
-    """SI units in one `unit` of `quantity`; a ratio or a pure number may have none. ValueError says what is wrong."""
+    """SI units in one `unit` of `quantity`; a ratio or a count needs none. Raises ValueError."""
     if unit in (None, "", "1", "-") and quantity in ("ratio", "count"):
         return 1.0
     if unit is None or unit in ("", "-"):
@@ -193,10 +193,10 @@ def numbers(
     *,
     blank: bool = False,
 ) -> tuple[list[Array], list[int]]:
-    """The columns (column, quantity, unit) [SI] without rows that have an empty cell in one, and those rows' places.
+    """Values of the columns (column, quantity, unit) [SI], and the indices of their rows, without empty cells.
 
-    `check` may say of the value [SI] of a column, by its place, what is wrong with it; `within` whether its row counts.
-    With `blank` an empty cell is NaN and its row stays. Raises InvalidFile with every cell that is no number.
+    `check` returns what is wrong with a value [SI] in a column (by index); rows with a false `within` are left out.
+    With `blank` an empty cell is NaN and its row is kept. Raises InvalidFile with every cell that is no number.
     """
     problems: list[Problem] = []
     wide: set[int] = set()

@@ -1,4 +1,4 @@
-"""Mistakes that the YAML and schema libraries find, in the words of somebody who writes a file; knows no file."""
+"""Mistakes that the YAML and schema libraries find, in the words of the author of a file; reads no file."""
 
 from __future__ import annotations
 

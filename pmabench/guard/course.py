@@ -1,4 +1,4 @@
-"""Where an output is commanded to at any time, from its last command: pure functions of bench time [s]."""
+"""Commanded value of an output as a function of bench time [s] since its last command; pure functions."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Course:
-    """The commanded value [SI] at a bench time [s]; a sine has crests at `crest` [s] and each `half` [s] from there."""
+    """Commanded value [SI] over bench time [s]; a sine has a peak or trough at `crest` [s] and every `half` [s]."""
 
     value: Callable[[float], float]
     crest: float = 0.0
     half: float = math.inf
 
     def __call__(self, now: float) -> float:
-        """The value that is commanded at this time."""
+        """Commanded value [SI] at the time `now` [s]."""
         return self.value(now)
 
     def crests(self, now: float) -> list[float]:
-        """Times of the crests next to this one: what lies between two of them is nowhere beyond both."""
+        """Times [s] of the peak or trough of a sine nearest to `now`, and of its neighbours; empty for other courses.
+
+        Between two of them the value stays between its values there, so they are enough for finding its extremes.
+        """
         if self.half == math.inf:
             return []
         nearest = self.crest + self.half * round((now - self.crest) / self.half)
@@ -28,7 +31,7 @@ class Course:
 
 
 def step(value: float) -> Course:
-    """At `value` from now on."""
+    """Constant at `value` [SI]."""
     return Course(lambda _now: value)
 
 

@@ -1,4 +1,4 @@
-"""The guard: owns the devices that can move anything, checks each command on what the device will really get, vents.
+"""The guard: owns the devices that can move anything, checks each command on the value the device will get, vents.
 
 Small enough to be read in one sitting. It does not trust the engine: values outside the active limits, NaN and
 infinity are refused here again, whatever was checked before. Knows devices through `pmabench.bench.interface` only.
@@ -45,13 +45,13 @@ from pmabench.guard.supervision import FED, SAFE, Kind, Supervision
 __all__ = ["Guard", "Measure", "State", "Vent"]
 
 FRESH = 0.5
-"""Values that are older [s], by the shortest delay of a device's samples, confirm nothing."""
+"""Age [s], above the smallest delay seen from this device, at which a sample is too old to confirm anything."""
 SILENT = 0.3
-"""A device that gives no sample for so long [s] is begun again: whoever else vents may have ended its sampling."""
+"""Sampling of a device without samples for this time [s] is restarted: another venting process may have stopped it."""
 MOTIONS = ("length", "angle")
-"""Quantities of outputs that move."""
+"""Quantities of outputs that move something."""
 AT_REST = 5e-3
-"""A motion that stays within this share of its command limits has come to rest [1]: slower ones are not seen."""
+"""A motion is at rest when it stays within this fraction of its command range [1]; slower motions are not noticed."""
 Measure = Callable[[], Mapping[str, float]]
 """Lets a little bench time pass; returns the latest measured values [SI]."""
 
@@ -61,7 +61,7 @@ class State(Enum):
 
     DISARMED = "disarmed"
     SETUP = "set up"
-    """Armed, and not proven yet: low pressure only."""
+    """Armed, but its pressure path has not been proven yet: low pressure only."""
     RUNNING = "running"
     STOPPING = "stopping"
     SAFE = "safe"
@@ -71,9 +71,9 @@ class State(Enum):
 class Guard:
     """Commands the outputs of one compiled bench.
 
-    `threads`: each device is called from its own thread, and those that only measure are left to the engine.
-    `forgiving`: devices that cannot be opened are left out, each is vented as soon as it is open, and those that
-    confirm the vent are opened even where they only measure.
+    `threads`: each device is called from its own thread, and the devices that only measure are left to the engine.
+    `forgiving`: a device that cannot be opened is left out; each one that opens is vented at once; devices that only
+    measure are opened too if the safe state confirms one of their channels.
     """
 
     def __init__(self, bench: CompiledBench, clock: Clock, *, threads: bool = False, forgiving: bool = False) -> None:
@@ -89,22 +89,22 @@ class Guard:
         ends = [(c.name, c.low) for device in bench.devices for c in device.channels]
         ends += [(trip.channel, trip.low) for trip in bench.trips if trip.kind == "range" and trip.low is not None]
         self._floors = {name: end for name, end in sorted(ends) if end < 0}
-        """Lower end of a channel's range, or low trip limit, below zero [SI]: a reading beyond it confirms nothing."""
+        """Lower end of a channel's range or low trip limit, if negative [SI]; a reading below it confirms nothing."""
         self._safe: SafeState | None = None
         self._tripped = False
         self.run = self.why = ""
-        """Name of the run folder for which it is armed, and what began the safe state."""
+        """`run`: name of the run folder for which the bench is armed; `why`: what caused the safe state."""
         self._courses: dict[str, course.Course] = {}
-        """Where each output was sent last [SI over s]."""
+        """Last commanded course of each output [SI over bench time in s]."""
         self._closed: dict[str, bool] = {}
-        """How each valve was switched last."""
+        """Last commanded position of each valve: True if closed."""
         self.unanswered = -inf
-        """When a command was sent last whose outcome is not known [s]."""
+        """Bench time of the last command whose outcome is not known [s]."""
         self._measured: dict[str, float] = {}
-        """Newest values when the safe state began [SI]."""
+        """Newest measured values when the safe state began [SI]."""
         self._given_up: set[str] = set()
         self._heard: dict[str, float] = {}
-        """When each device gave samples, or was begun, last [s]."""
+        """When each device last gave samples, or its sampling was started [s]."""
         self._starting: dict[str, Call] = {}
         self._clocks: dict[str, DeviceClock] = {}
         self._shuts: dict[str, float] = {}
@@ -119,31 +119,34 @@ class Guard:
         self.links.open(records, self._first_of, forgiving=self._forgiving)
 
     def _confirms(self, record: DeviceRecord) -> bool:
-        """Whether a device that only measures is opened too: without an engine the guard needs it to confirm a vent."""
+        """Whether to open a device that only measures: when venting without an engine, the guard needs its values."""
         wanted = {action.target for action in self.bench.safe_state}  # pressures, and motions that must end
         return self._forgiving and any(channel.name in wanted for channel in record.channels)
 
     def _first_of(self, name: str) -> list[Act]:
-        """First commands of the safe state for a device that was just opened, when the guard is to vent only."""
+        """Commands that start the safe state, for a device that was just opened; empty unless the guard only vents."""
         begins = list(takewhile(lambda action: action.do in AT_ONCE, self.bench.safe_state if self._forgiving else ()))
         begins = begins if self._safe is None else self._safe.commands
         targets = [(action, self._target(action)) for action in begins]
         return [self._action(action, target) for action, target in targets if target and target.device == name]
 
     def close(self) -> None:
-        """Let go of every device, its watchdog off where the bench is safe; harmless when repeated."""
+        """Close all devices; disarm their watchdogs only if the vent is confirmed. May be called again."""
         vent = self._safe.vent if self._safe is not None else None
         self.links.close(disarm=vent is not None and vent.confirmed and UNANSWERED not in self.faults())
 
     def faults(self) -> list[str]:
-        """What went wrong in the safe state, besides its result."""
+        """Faults during the safe state, apart from its result."""
         assert self._safe is not None  # noqa: S101
         return self._safe.faults
 
     # -- arming -------------------------------------------------------------------------------------------------
 
     def arm(self, run: str = "") -> None:
-        """Refuse a bench that cannot be made safe; watchdogs on, every output safe, valves closed: set up for `run`."""
+        """Arm the bench for `run`: watchdogs on, outputs at safe values, valves closed; then `SETUP` or `RUNNING`.
+
+        Raises LimitRefused for a bench that cannot be made safe, and if an interlock is open.
+        """
         if self.state is not State.DISARMED:
             raise LimitRefused(f"the bench is {self.state.value}: it cannot be armed")
         self.run = run
@@ -164,7 +167,7 @@ class Guard:
         self.state = State.SETUP if self.bench.proof is not None else State.RUNNING
 
     def release(self) -> None:
-        """The bench is proven: commands up to the limits from now on."""
+        """Allow commands up to the full limits, once the bench is proven."""
         if self.state is not State.SETUP:
             raise LimitRefused(f"the bench is {self.state.value}: it cannot be released")
         self.state = State.RUNNING
@@ -172,7 +175,7 @@ class Guard:
     # -- commands -----------------------------------------------------------------------------------------------
 
     def set(self, name: str, value: float) -> float:
-        """Command `value` [SI]; returns the value [SI] that the device got, rounded to the safe side."""
+        """Command `value` [SI]; returns the value [SI] that the device received, rounded towards the safe value."""
         return self._write(self._allowed(name, value), value)
 
     def ramp(self, name: str, origin: float, target: float, rate: float) -> None:
@@ -205,18 +208,21 @@ class Guard:
         self._courses[name] = course.sine(segment.start, mean, amplitude, frequency, cycles)
 
     def place(self, load: Load) -> None:
-        """Report what hands did to the devices that have an operator inside."""
+        """Report to simulated devices, which contain an operator, what was attached by hand."""
         self.links.place(load)
 
     def valves(self, *, closed: bool, only: str = "") -> None:
-        """Valves, or `only` one, as in a run, or (not `closed`) in the safe state: dump open for hands."""
+        """Put all valves, or the valve `only`, into their position for a run (`closed`) or for the safe state.
+
+        The latter opens dump valves for work by hand.
+        """
         self._refuse_unless_active("valves")
         for valve in [valve for valve in self._valves.values() if only in {"", valve.name}]:
             in_run = valve.safe == "open" or valve.longest > 0
             self._switch(valve, closed=in_run if closed else valve.safe == "closed")
 
     def steer(self, aims: Mapping[str, float], pulses: Mapping[str, float]) -> None:
-        """Open each valve of `pulses` now for so long [s], to bring muscles to `aims` [SI]: all of them, or none.
+        """Open each valve of `pulses` now for that time [s], to bring muscles to `aims` [SI]: all of them, or none.
 
         Raises LimitRefused for an aim or a time outside its limits, and for a valve whose counterpart is open.
         """
@@ -230,12 +236,12 @@ class Guard:
             self._shuts[valve.name] = max(self._shuts.get(valve.name, now), self.clock.now() + seconds)
 
     def value_sent(self, name: str, value: float) -> float:
-        """The value [SI] that the device would get for `value`, after scaling and rounding."""
+        """Value [SI] that the device would receive for `value`, after scaling and rounding."""
         output = self._outputs[name]
         return float(output.scale.to_si(to_device(output, value)))
 
     def collect(self, name: str) -> Block:
-        """The new samples of one device; the guard keeps the newest values of channels that it confirms."""
+        """New samples of one device; fresh ones update `latest`."""
         block = self.links.collect(name)
         if len(block.time):
             self._heard[name] = self.clock.now()
@@ -246,7 +252,7 @@ class Guard:
         return block
 
     def _age(self, name: str, newest: int) -> float:
-        """How old the newest sample of a device is [s], against the least that this ever was; 0 in virtual time."""
+        """Age of a device's newest sample [s] above its smallest delay so far; 0 in virtual time."""
         now = self.clock.now()
         ahead = self._clocks.setdefault(name, DeviceClock()).ahead(newest, now)
         return now - newest * 1e-9 - ahead if self._threads else 0.0
@@ -296,7 +302,10 @@ class Guard:
     # -- the safe state -----------------------------------------------------------------------------------------
 
     def begin_safe(self, *, tripped: bool = False, hurry: bool = False, why: str = "") -> None:
-        """Begin the declared safe state; when it is under way or over, only send its commands again."""
+        """Begin the declared safe state; once it is over, only send its commands again.
+
+        `hurry` skips ramps and holds. The first `why` is kept.
+        """
         self.why = self.why or why
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED
         if self._safe is None:
@@ -324,7 +333,7 @@ class Guard:
             self._safe.hurry()
 
     def _expected(self, name: str) -> tuple[float, float]:
-        """Where an output is commanded to be now, infinite where nobody knows, and how far off it may be [SI]."""
+        """Value that an output is commanded to now, inf if unknown, and the allowed deviation from it [SI]."""
         output = self._outputs.get(name)
         if output is None or name not in self._courses:
             return inf, 0.0
@@ -333,13 +342,13 @@ class Guard:
         return self._now_at(output), slack
 
     def _last_unanswered(self) -> float:
-        """When a command was sent last whose outcome is not known [s], also a step of a driver's own ramp or sine."""
+        """Bench time of the last command with unknown outcome [s], including a driver's steps of ramps and sines."""
         steps = [getattr(device, "unanswered", -inf) for device in list(self.devices.values())]
         self.unanswered = max([self.unanswered, *steps])
         return self.unanswered
 
     def step_safe(self, latest: Mapping[str, float]) -> Vent | None:
-        """Advance the safe state with the latest measured values [SI]; its result when it is over."""
+        """Advance the safe state with the latest measured values [SI]; returns its result when over, else None."""
         if self._safe is None:
             return None
         over = self._safe.step(self.clock.now(), latest)
@@ -350,7 +359,7 @@ class Guard:
         return self._safe.vent
 
     def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
-        """Run the safe state to its end. `measure` may fail: then the vent is `commanded`, not `confirmed`."""
+        """Run the safe state to its end. If `measure` fails, the vent is `commanded`, not `confirmed`."""
         self.begin_safe(tripped=tripped, why=why)
         vent = self.step_safe({})
         while vent is None:
@@ -365,13 +374,19 @@ class Guard:
         return vent
 
     def feeds(self, record: DeviceRecord) -> bool:
-        """Whether a device gets a sign of life: not one that the safe state has no effect on, or no answer of (S13)."""
+        """Whether to feed the watchdog of a device (S13).
+
+        Not if safe commands are unanswered or not held, or have no effect: then its watchdog is to run out.
+        """
         if self._safe is None:
             return True
         return not (_ends(record) & self._safe.unsettled or self._without_effect(record))
 
     def _without_effect(self, record: DeviceRecord) -> bool:
-        """Whether what a device commands does not go down or come to rest: of valves, which are nobody's, any."""
+        """Whether safe commands to a device show no effect: its outputs do not fall or come to rest.
+
+        A device with valves only is blamed for any such channel, as channels are not assigned to valves.
+        """
         assert self._safe is not None  # noqa: S101
         looked_at = {action.target for action in self.bench.safe_state if action.do == "confirm"}
         own = {output.name for output in record.outputs} & {*looked_at, *self._safe.unmoved}
@@ -380,8 +395,8 @@ class Guard:
     def _give_up(self) -> None:
         """Close the lines of devices on which the safe state has no effect, so that their watchdogs run out.
 
-        Any question feeds some. A device that does not answer at all is opened anew, and commanded as soon as it is
-        there: either it hears nothing, and its watchdog runs out, or it hears the safe value.
+        Any request feeds the watchdog of some devices. A device that does not answer is opened again and commanded
+        once it is open: either it receives nothing and its watchdog runs out, or it receives the safe value.
         """
         assert self._safe is not None  # noqa: S101
         for record in self.bench.devices:
@@ -401,16 +416,16 @@ class Guard:
         self.links.open_again(self._first_of)
 
     def attend(self, moment: float, rate: float) -> None:
-        """At this moment [s] of the safe state: feed watchdogs, have measured what confirms, look at interlocks."""
+        """During the safe state, at bench time `moment` [s]: feed watchdogs, keep sampling, check interlocks."""
         waits = self._safe is not None and self._safe.waits
         stopped = {action.target for action in self._safe.commands if action.do == "stop"} if self._safe else set()
         for record in self.bench.devices:
-            kinds: list[Kind] = [FED] if self.feeds(record) else []  # a watchdog must end no ramp and no hold
+            kinds: list[Kind] = [FED] if self.feeds(record) else []  # a watchdog must not cut a ramp or a hold short
             if waits and not _ends(record) & stopped:  # a drive that was stopped is not ready
                 kinds.append(SAFE)
             try:
                 self.supervision.attend(record, moment, kinds)
-            except LimitTripped as error:  # whoever opened it waits for no ramp
+            except LimitTripped as error:  # whoever opened an interlock must not wait for a ramp
                 self.begin_safe(tripped=True, hurry=True)
                 self._safe.fault(str(error))  # type: ignore[union-attr]
                 waits = False
@@ -418,7 +433,7 @@ class Guard:
             self.keep_measuring(rate)
 
     def keep_measuring(self, rate: float) -> None:
-        """Have what confirms the vent measured at `rate` [Hz]; what gives no samples is begun again."""
+        """Keep the devices that confirm the vent sampling at `rate` [Hz]; restart those that give no samples."""
         now = self.clock.now()
         slow = {record.name: 3 / record.fastest for record in self.bench.devices if record.fastest}
         for name, device in list(self.devices.items()):
@@ -429,7 +444,7 @@ class Guard:
                 self._starting[name] = self.links.submit(name, partial(device.start, used))
 
     def _begin(self, action: SafeAction) -> Call:
-        """Start an action; what goes wrong belongs to the outcome of the safe state, which goes on."""
+        """Start an action; an error becomes part of the outcome of the safe state, which continues."""
         target = self._target(action)
         if target is None:
             return _failed(DeviceError(action.target, "is not open"))
@@ -447,7 +462,7 @@ class Guard:
         return self._outputs.get(action.target) or self._valves.get(action.target)
 
     def _action(self, action: SafeAction, target: OutputRecord | ValveRecord) -> Act:
-        """A safe action as a call; that of a ramp returns how long the ramp takes [s]."""
+        """Call that carries out a safe action; for a ramp it returns the duration [s]."""
         if isinstance(target, ValveRecord):
             return self.links.switching(target, closed=action.do == "close")
         if action.do == "stop":
@@ -458,10 +473,10 @@ class Guard:
         return self.links.writing(target, action.value)
 
     def _ramp_down(self, output: OutputRecord, action: SafeAction) -> float:
-        """Begin a safe ramp, in the thread of the device; how long it takes [s].
+        """Begin a safe ramp, in the thread of the device; returns its duration [s].
 
-        A pressure begins at the lowest of what was commanded, held and measured, and goes down at once where the device
-        holds something else: it may be empty already, and a ramp would fill it.
+        A pressure starts at the lower of its commanded and measured value, and is set to its end at once if the device
+        holds another set-point: the muscle may already be empty, and a ramp would fill it again.
         """
         known = output.name in self._courses
         origin = self._now_at(output) if known else float(output.scale.to_si(self.links.read_back(output)))
@@ -476,14 +491,14 @@ class Guard:
         return abs(action.value - origin) / action.rate
 
     def _differs(self, output: OutputRecord) -> bool:
-        """Whether a device holds something else than it was commanded to, or does not say."""
+        """Whether a device holds a set-point other than the commanded one, or does not answer."""
         try:
             return bool(self.supervision.output_differs(output)())
         except DeviceError:
             return True
 
     def _rescue(self, action: SafeAction) -> Call | None:
-        """Try an action over the second way of its device, where it has one."""
+        """Send an action over the device's second connection; None for a stop, or without such a connection."""
         target = self._target(action)
         if target is None or action.do == "stop":
             return None
@@ -492,7 +507,7 @@ class Guard:
         return self.links.rescue(target, float((action.do == "close") == (target.energised == "closed")))
 
     def _look(self, action: SafeAction) -> Call | None:
-        """Ask whether the device holds what a safe action commanded; None for a stop, whose place nobody knows."""
+        """Ask whether the device holds what a safe action commanded; None for a stop, whose position is not known."""
         target = self._target(action)
         if action.do == "stop":
             return None
@@ -503,12 +518,12 @@ class Guard:
         return self._submit(target.device, lambda: self.supervision.valve_differs(target, closed=closed))
 
     def describe(self) -> dict[str, Any]:
-        """Who answered, for the manifest."""
+        """Identities of the open devices, for the manifest."""
         return {name: vars(identity) for name, identity in self.identities.items()}
 
 
 def _failed(error: Exception) -> Call:
-    """A call that could not be made."""
+    """A call that has already failed with `error`."""
     call = Call(lambda: None)
     call.error = error
     call.done.set()
@@ -516,5 +531,5 @@ def _failed(error: Exception) -> Call:
 
 
 def _ends(record: DeviceRecord) -> set[str]:
-    """What a device commands."""
+    """Names of the outputs and valves of a device."""
     return {output.name for output in record.outputs} | {valve.name for valve in record.valves}

@@ -1,7 +1,7 @@
-"""What outputs and valves may be commanded to: pure functions of records.
+"""Limits of commands to outputs and valves: pure functions of records.
 
-An output is looked at on the value that the device really gets; valves that open in pulses by how long, at what they
-aim, and never both of a muscle.
+An output is checked on the value that the device receives; valves that open in pulses on the duration, on the target
+value, and on both valves of a muscle never being open together.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pmabench.bench.interface import CompiledBench, OutputRecord, SafeAction, Tr
 
 
 def refuse_aims(bench: CompiledBench, aims: Mapping[str, float], most: float) -> None:
-    """Raise LimitRefused where one of `aims` [SI] has no limit or lies outside it; `most` [Pa] bounds pressures too."""
+    """Raise LimitRefused if one of `aims` [SI] has no limit or lies outside it; pressures also above `most` [Pa]."""
     records = {aim.name: aim for aim in bench.aims}
     for name, value in aims.items():
         record = records.get(name)
@@ -29,7 +29,7 @@ def refuse_aims(bench: CompiledBench, aims: Mapping[str, float], most: float) ->
 
 
 def refuse_pulse(valves: Mapping[str, ValveRecord], name: str, seconds: float) -> ValveRecord:
-    """The valve of this name; LimitRefused where it does not open in pulses, or not for so long [s]."""
+    """Valve of this name; raises LimitRefused if it does not exist, does not open in pulses, or not for `seconds`."""
     valve = valves.get(name)
     if valve is None:
         raise LimitRefused(f'the bench has no valve "{name}"')
@@ -41,7 +41,7 @@ def refuse_pulse(valves: Mapping[str, ValveRecord], name: str, seconds: float) -
 
 
 def refuse_together(pulses: Collection[str], valves: Mapping[str, ValveRecord], still: Collection[str]) -> None:
-    """Raise LimitRefused where both valves of a muscle would be open; `still` are those that are open now."""
+    """Raise LimitRefused if both valves of a muscle would be open; `still` are the valves that are open now."""
     for name in pulses:
         other = valves[name].never_with
         if other in pulses or other in still:
@@ -49,7 +49,7 @@ def refuse_together(pulses: Collection[str], valves: Mapping[str, ValveRecord], 
 
 
 def refuse_unsafe_pulses(bench: CompiledBench) -> None:
-    """Raise LimitRefused where valves open in pulses and the bench has no other way to take the air off.
+    """Raise LimitRefused if valves open in pulses and the bench has no other way to release the air.
 
     An exhaust valve cannot empty a muscle whose fill valve is stuck open: the supply is shut first, then dumps open,
     for all muscles at once, and the pressure of each is confirmed.
@@ -73,7 +73,7 @@ def refuse_unsafe_pulses(bench: CompiledBench) -> None:
 
 
 def _refuse_exhausts_alone(bench: CompiledBench, pulsed: Collection[str]) -> None:
-    """The safe state begins with a shut-off of the supply, and opens dumps before it waits for anything."""
+    """Raise LimitRefused unless the safe state first shuts off the supply, then opens dumps before it waits."""
     begins = []
     for action in bench.safe_state:
         if action.do not in {"open", "close", "set"}:
@@ -89,7 +89,7 @@ def _refuse_exhausts_alone(bench: CompiledBench, pulsed: Collection[str]) -> Non
 
 
 def refuse_unsafe_bench(bench: CompiledBench) -> None:
-    """Raise LimitRefused where a bench cannot be made safe, whatever was checked before."""
+    """Raise LimitRefused if a bench cannot be made safe, whatever was checked before."""
     outputs = {output.name: output for output in bench.outputs}
     for output in outputs.values():
         numbers = (output.low, output.high, output.scale.slope, output.scale.offset, output.rate, output.resolution)
@@ -129,7 +129,7 @@ def _ends_above(trip: TripRecord) -> bool:
 
 
 def to_device(output: OutputRecord, value: float) -> float:
-    """Device units, rounded to the resolution towards the safe value, and at the safe value downwards [SI]."""
+    """Value in device units, rounded to the resolution: in SI towards the safe value, and down at the safe value."""
     raw = float(output.scale.to_raw(value))
     if output.resolution == 0:
         return raw
@@ -143,7 +143,7 @@ def to_device(output: OutputRecord, value: float) -> float:
 
 
 def refuse_outside(output: OutputRecord, values: tuple[float, ...], most: float) -> None:
-    """Raise LimitRefused where one of `values` [SI], or what the device would make of it, is outside the limits.
+    """Raise LimitRefused if one of `values` [SI], or what the device would make of it, is outside the limits.
 
     `most` [SI] is a second upper limit: that of the set-up before the bench is proven.
     """
@@ -166,7 +166,7 @@ def refuse_outside(output: OutputRecord, values: tuple[float, ...], most: float)
 
 
 def refuse_jump(output: OutputRecord, now: float, origin: float) -> None:
-    """An output with a highest rate starts a motion at its commanded value `now` [SI]."""
+    """Raise LimitRefused if an output with a rate limit would start away from its commanded value `now` [SI]."""
     room = 1e-3 * (output.high - output.low) + abs(output.resolution * output.scale.slope)
     if output.rate and abs(origin - now) > room:
         where, shown = show(now, output.quantity), show(origin, output.quantity)

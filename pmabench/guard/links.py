@@ -43,19 +43,19 @@ OPENS_WITHIN = 8.0
 """Longest time that a device may take to be opened [s]."""
 
 ARMS_WITHIN = 1.0
-"""The same for its watchdog, which takes several questions; nothing is under pressure yet [s]."""
+"""Longest time for arming a watchdog, which takes several requests; nothing is pressurised yet [s]."""
 BRIEF = 0.02
-"""Samples are waited for so long [s] where their device is busy."""
+"""Longest wait for samples of a busy device [s]."""
 OPENS_AGAIN = 0.5
-"""A device that could not be opened is tried again after so long [s]."""
+"""Interval between attempts to open a device [s]."""
 
 Act = Callable[[], Any]
-"""A call of a device, ready to be made in the thread that owns it."""
+"""A call of a device, to be made in the thread that owns it."""
 Capability = TypeVar("Capability")
 
 
 def load_driver(record: DeviceRecord, clock: Clock) -> Device:
-    """The driver of a device, made from `module:Class`; nothing is opened."""
+    """Driver instance of a device, from `module:Class`; nothing is opened. Raises DeviceError."""
     module, _, name = record.driver.partition(":")
     try:
         made = getattr(import_module(module), name)(record, clock)
@@ -70,7 +70,7 @@ class Links:
     """The open devices, by name. `threads`: each is called from its own thread."""
 
     patience, hands_over = PATIENCE, 2 * PATIENCE
-    """How long a call may take [s], and handing over samples, for a question may be under way."""
+    """Longest time for a call, and for handing over samples, as another request may be in progress [s]."""
 
     def __init__(self, bench: CompiledBench, clock: Clock, *, threads: bool) -> None:
         self.devices: dict[str, Device] = {}
@@ -79,17 +79,17 @@ class Links:
         self._owner = Owner if threads else Direct
         self._owners: dict[str, Direct | Owner] = {}
         self.opening: dict[str, Call] = {}
-        """The last attempt to open each device: why it is not open."""
+        """Last attempt to open each device; holds the reason if it is not open."""
         self._collecting: dict[str, Call] = {}
         self._able: dict[tuple[str, type[Any]], Any] = {}
-        """Capabilities of each device, kept because asking takes longer than most commands."""
+        """Capabilities of each device, cached because checking takes longer than most commands."""
         self.sampling: dict[str, float] = {}
-        """At what rate devices sample [Hz]."""
+        """Requested sampling rate of each device that samples [Hz]."""
         self._back: dict[str, float] = {}
-        """When a device whose line was closed is opened again [s, clock]."""
+        """When a device that is closed is opened again [s, clock]."""
 
     def open(self, records: list[DeviceRecord], first: Callable[[str], list[Act]], *, forgiving: bool) -> None:
-        """Open the devices in parallel, and make the calls that `first` names on each as soon as it is open.
+        """Open the devices in parallel, and on each make the calls of `first` for its name as soon as it is open.
 
         With `forgiving`, devices that cannot be opened are left out; otherwise a failure closes those already open.
         """
@@ -114,11 +114,11 @@ class Links:
         if name in self.sampling and isinstance(device, Stream):
             device.start(self.sampling[name])
         for act in first(name):
-            with suppress(Exception):  # it is sent again, and counted, when the safe state runs
+            with suppress(Exception):  # it is sent again, and its failure reported, when the safe state runs
                 act()
 
     def close(self, *, disarm: bool) -> None:
-        """Let go of every device, its watchdog off where that is wanted; harmless when repeated."""
+        """Close all devices, with `disarm` their watchdogs first; may be called again."""
         for name, device in list(self.devices.items()):
             with suppress(DeviceError):
                 if disarm and isinstance(device, Watchdog):
@@ -127,13 +127,13 @@ class Links:
         self.devices.clear()
 
     def hang_up(self, name: str, rest: float) -> None:
-        """Close the line of a device; it is opened again after so long [s]."""
+        """Close the line of a device; it is opened again after `rest` [s]."""
         if name in self.devices:
             self.submit(name, self.devices.pop(name).close)
             self._back[name] = self._clock.now() + rest
 
     def open_again(self, first: Callable[[str], list[Act]]) -> None:
-        """Open the devices again that are due, with the calls of `first`; what fails is tried again a little later."""
+        """Open closed devices that are due, with the calls of `first`; a failure is tried again after `OPENS_AGAIN`."""
         for record in self._bench.devices:
             due = self._back.get(record.name, inf) <= self._clock.now() and record.name not in self.devices
             if due and self.free(record.name):
@@ -141,15 +141,15 @@ class Links:
                 self.opening[record.name] = self.submit(record.name, partial(self._open, record, first, True))
 
     def call(self, name: str, act: Act) -> Any:
-        """Make a call of a device and wait for it."""
+        """Call a device and return the result; raises DeviceError if it fails or takes too long."""
         return self._owners[name].call(act, self.patience)
 
     def submit(self, name: str, act: Act) -> Call:
-        """Have a call of a device made; what comes of it shows later."""
+        """Queue a call of a device without waiting; the result appears in the returned call."""
         return self._owners[name].submit(act)
 
     def need(self, name: str, capability: type[Capability], lacks: str, channel: str = "") -> Capability:
-        """The device, as one that can do this; raises DeviceError with what it `lacks`."""
+        """Device with this capability; raises DeviceError with the text `lacks` if it has not got it."""
         device = self.devices.get(name)
         if self._able.get((name, capability), self) is not device:
             if not isinstance(device, capability):
@@ -158,35 +158,35 @@ class Links:
         able: Capability = self._able[name, capability]
         return able
 
-    # -- calls that command something, ready to be made -----------------------------------------------------------
+    # -- calls that command something, not made yet ---------------------------------------------------------------
 
     def writing(self, output: OutputRecord, value: float) -> Act:
-        """Command `value` [SI], rounded to the safe side."""
+        """Call that commands `value` [SI], rounded to the safe side."""
         device = self.need(output.device, SetPoint, "takes no set-points", output.output)
         return partial(device.write, output.output, to_device(output, value))
 
     def following(self, output: OutputRecord, segment: Segment) -> Act:
-        """Follow a ramp or a sine."""
+        """Call that starts a ramp or a sine."""
         device = self.need(output.device, Follower, "cannot follow a ramp or a sine by itself", output.output)
         return partial(device.follow, output.output, segment)
 
     def switching(self, valve: ValveRecord, *, closed: bool) -> Act:
-        """Close a valve, or open it."""
+        """Call that closes or opens a valve."""
         device = self.need(valve.device, Switch, "switches no valves", valve.output)
         return partial(device.switch, valve.output, on=closed == (valve.energised == "closed"))
 
     def pulsing(self, valve: ValveRecord, seconds: float) -> Act:
-        """Open a valve for a time [s]."""
+        """Call that opens a valve for a time [s]."""
         device = self.need(valve.device, Pulses, "opens no valve for a time that it keeps by itself", valve.output)
         return partial(device.pulse, valve.output, seconds)
 
     def halting(self, output: OutputRecord) -> Act:
-        """Stop a motion where it is."""
+        """Call that stops a motion at its present position."""
         device = self.need(output.device, Motion, "cannot stop a motion by itself", output.output)
         return partial(device.halt, output.output)
 
     def rescue(self, target: OutputRecord | ValveRecord, raw: float) -> Call | None:
-        """Command a raw value over the device's second way, from a thread that hangs alone; None where it has none."""
+        """Command a raw value over the device's second connection, in a thread that may hang; None without one."""
         device = self.devices.get(target.device)
         if not isinstance(device, Rescue):
             return None
@@ -194,16 +194,16 @@ class Links:
         threading.Thread(target=call.run, daemon=True).start()
         return call
 
-    # -- calls that are waited for --------------------------------------------------------------------------------
+    # -- calls that wait for their result -------------------------------------------------------------------------
 
     def refuse_other_read_back(self, output: OutputRecord) -> None:
-        """Raise DeviceError where a device does not hold the safe value that was sent."""
+        """Raise DeviceError if a device does not hold the safe value that was sent."""
         held = self.call(output.device, partial(self.read_back, output))
         if abs(held - to_device(output, output.safe)) > max(output.resolution, 1e-6 * abs(held)):
             raise DeviceError(output.device, f"holds {held:g} after {output.safe:g} was sent", output.output)
 
     def read_back(self, output: OutputRecord) -> float:
-        """What a device holds [device units]; called from the thread that owns it."""
+        """Set-point that a device holds [device units]; called from the thread that owns it."""
         return self.need(output.device, SetPoint, "takes no set-points", output.output).read_back(output.output)
 
     def is_closed(self, valve: ValveRecord) -> bool:
@@ -212,7 +212,7 @@ class Links:
         return device.is_on(valve.output) == (valve.energised == "closed")
 
     def arm_watchdogs(self) -> None:
-        """Arm the watchdog of each device that the bench says has one, and hear from it that it is armed."""
+        """Arm the watchdogs that the bench file lists; raises DeviceError if a device does not confirm the time."""
         for record in self._bench.devices:
             if record.watchdog:
                 device = self.need(record.name, Watchdog, "has no watchdog, and the bench file says that it has")
@@ -222,17 +222,17 @@ class Links:
                     raise DeviceError(record.name, f"its watchdog says {armed:g} s where {asked}")
 
     def free(self, name: str) -> bool:
-        """Whether a device has answered all that it was asked."""
+        """Whether a device has no call pending."""
         return self._owners[name].idle
 
     def place(self, load: Load) -> None:
-        """Report what hands did to the devices that have an operator inside."""
+        """Report to simulated devices, which contain an operator, what was attached by hand."""
         for name, device in list(self.devices.items()):
             if isinstance(device, Hands):
                 self.call(name, partial(device.place, load))
 
     def stream(self, name: str, rate: float) -> float:
-        """Let a device sample at `rate` [Hz], or end it with 0; the rate that it really uses."""
+        """Start sampling at `rate` [Hz], or stop it with 0; returns the actual rate."""
         device = self.need(name, Stream, "takes no samples")
         self.sampling.pop(name, None)
         used = float(self.call(name, partial(device.start, rate) if rate else device.stop) or 0.0)
@@ -240,7 +240,7 @@ class Links:
         return used
 
     def collect(self, name: str) -> Block:
-        """The new samples of one device; none yet while it answers something else."""
+        """New samples of one device; none while it is busy with another call."""
         device = self.need(name, Stream, "takes no samples")
         call = self._collecting.pop(name, None) or self.submit(name, device.collect)
         if not call.done.wait(BRIEF) and time.monotonic() - call.asked < self.hands_over:

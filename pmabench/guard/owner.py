@@ -1,4 +1,4 @@
-"""One owner per link: all calls of a device come from one thread, and none is waited for longer than it may take."""
+"""One owner per link: all calls of a device come from one thread, and waiting for each has a time limit."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from typing import Any
 from pmabench.base.errors import DeviceError, PmaError
 
 PATIENCE = 0.2
-"""How long a call of a device may take [s]."""
+"""Time limit for a call of a device [s]."""
 
 
 class Call:
-    """A call that was handed to an owner."""
+    """A call that was given to an owner."""
 
     def __init__(self, act: Callable[[], Any]) -> None:
         self._act = act
         self.asked, self.ended = time.monotonic(), inf
-        """When it was handed over, and when it was done [s, monotonic]."""
+        """When it was queued, and when it ended [s, monotonic]; inf before."""
         self.done = threading.Event()
         self.behind = False
-        """Whether it waits behind a call that did not come back in time."""
+        """Whether it is queued behind a call that is overdue."""
         self.result: Any = None
         self.error: Exception | None = None
 
     def run(self) -> None:
-        """Make the call, and keep its result or what it raises."""
+        """Make the call; keep its result, or the exception that it raises."""
         try:
             self.result = self._act()
-        except Exception as error:  # belongs to whoever asked for the call
+        except Exception as error:  # belongs to the caller
             self.error = error
         self.ended = time.monotonic()
         self.done.set()
 
     def get(self, device: str) -> Any:
-        """The result of the call; raises what it raised, foreign errors as a DeviceError of `device`."""
+        """Result of the call; raises its exception, foreign types as a DeviceError of `device`."""
         if self.error is None:
             return self.result
         if isinstance(self.error, PmaError):
@@ -55,13 +55,13 @@ class Direct:
         self.name = name
 
     def submit(self, act: Callable[[], Any]) -> Call:
-        """Make the call."""
+        """Make the call; it has ended on return."""
         call = Call(act)
         call.run()
         return call
 
     def wait(self, call: Call, within: float) -> Any:
-        """What came of a call."""
+        """Result of a call; raises its exception."""
         return call.get(self.name)
 
     def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
@@ -75,7 +75,7 @@ class Owner:
     def __init__(self, name: str) -> None:
         self.name = name
         self._late: Call | None = None
-        """The last call that did not come back in time."""
+        """The last call that exceeded its time limit."""
         self._last = Call(lambda: None)
         self._last.run()
         self._calls: SimpleQueue[Call] = SimpleQueue()
@@ -87,7 +87,7 @@ class Owner:
 
     @property
     def idle(self) -> bool:
-        """Whether everything is done that was asked."""
+        """Whether all calls have ended."""
         return self._last.done.is_set()
 
     def _work(self) -> None:
@@ -102,9 +102,9 @@ class Owner:
         return call
 
     def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
-        """Have the call made and wait for it; raises DeviceError where it takes longer than `within` [s].
+        """Queue the call and wait for its result; raises DeviceError if it takes longer than `within` [s].
 
-        What was asked before has as much time, too: a slow device may be at it.
+        Earlier calls are first waited for, also for `within` [s]: a slow device may be busy with one.
         """
         if not self._last.done.wait(0.0 if self._hangs else within):
             self._late = self._last
@@ -112,7 +112,7 @@ class Owner:
         return self.wait(self.submit(act), within)
 
     def wait(self, call: Call, within: float) -> Any:
-        """What came of a call; raises DeviceError where it is not back within `within` [s] from now."""
+        """Result of a call; raises DeviceError if it has not ended within `within` [s] from now."""
         if not call.done.wait(within):
             self._late = call
             raise DeviceError(self.name, f"did not answer within {within:g} s")

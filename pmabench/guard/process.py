@@ -1,9 +1,9 @@
 """The guard process, in its own session: serves one engine over a loopback socket, and outlives it.
 
 The engine's requests are its heartbeat. When they stop, when the engine's end of the socket closes, when an interlock
-opens, when a device has changed by itself, when the guard or the computer was stopped for a while, or when somebody
-asks for it, the guard runs the safe state by itself.
-Messages are those of `pmabench.guard.wire`; each request names what to `do`, each answer has `state` and what `ended`.
+opens, when a device has changed by itself, when the guard or the computer was stopped for a while, or on request,
+the guard runs the safe state by itself.
+Messages are those of `pmabench.guard.wire`; each request names its action as `do`, each answer has `state` and `ended`.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from pmabench.guard.supervision import LOOK
 from pmabench.guard.wire import Messages, encode, keys
 
 SILENCE = 0.25
-"""The engine is lost when nothing was heard of it for so long while it commands [s]."""
+"""The engine is lost after this time without a request from it while the bench is armed [s]."""
 LOST_TIME = 0.25
-"""A guard that lost so much time [s] does not know what happened meanwhile, and ends the run."""
+"""A guard that was paused for longer than this [s] does not know what happened meanwhile, and ends the run."""
 STRANGERS = 32
-"""Links that have not shown the key yet; of more than these the oldest is closed."""
+"""Largest number of connections without a valid key; above it the oldest is closed."""
 TICK = 0.005
 CONNECTS_WITHIN = 5.0
-"""An engine that does not connect within so long [s] is not waited for."""
+"""An engine that does not connect within this time [s] is not waited for."""
 ACTIVE = (State.SETUP, State.RUNNING)
 COMMANDS = ("arm", "release", "set", "ramp", "sine", "valves", "steer")
 PASSED_ON: Mapping[str, Callable[..., Any]] = {
@@ -57,7 +57,7 @@ PASSED_ON: Mapping[str, Callable[..., Any]] = {
 }
 """Requests that only call a method of the guard; its result is the answer's `value`."""
 STALE = 0.5
-"""A command that was sent longer ago [s] is not carried out: whoever sent it to a stopped guard gave up."""
+"""A command sent longer ago than this [s] is not carried out: its sender has given up on a paused guard."""
 
 
 class _Peer:
@@ -65,7 +65,7 @@ class _Peer:
         self.link = link
         self.messages = Messages(key)
         self.known = False
-        """Whether it has shown the key."""
+        """Whether it has sent the key."""
         self.waits = False
         """Whether it waits for the end of the safe state."""
 
@@ -75,13 +75,13 @@ class Pulse:
 
     def __init__(self) -> None:
         self.lost = 0.0
-        """Longest time in which nobody looked [s]; a thread looks every few `TICK`."""
+        """Longest time between two checks [s]; a thread checks every `4 * TICK`."""
         self.over = False
         self._looked = _since_boot()
         threading.Thread(target=self._look_on, name="pulse", daemon=True).start()
 
     def look(self) -> None:
-        """Note how long ago somebody looked."""
+        """Note the time since the last check."""
         before, self._looked = self._looked, _since_boot()
         self.lost = max(self.lost, self._looked - before)
 
@@ -104,7 +104,7 @@ class Service:
         self._peers: list[_Peer] = []
         self._heard = self._looked = time.monotonic()
         self._collected: dict[str, float] = {}
-        """When the samples of each device were handed over last [s]."""
+        """When the samples of each device were last collected [s]."""
         self._pulse = Pulse()
         self._ended: dict[str, str] = {}
         self._vent: Vent | None = None
@@ -112,7 +112,7 @@ class Service:
         self._served = self._asked_to_end = False
 
     def serve(self) -> None:
-        """Until it is over."""
+        """Serve until the bench is safe and the engine has gone; then close all connections."""
         signal.signal(signal.SIGTERM, self._note_signal)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         while not self._over():
@@ -127,14 +127,14 @@ class Service:
         """Handle messages that have arrived, then do what is due."""
         try:
             heard = self._selector.select(TICK)
-            self._refuse_lost_time()  # before any message: what was sent before the pause is no sign of life
+            self._refuse_lost_time()  # before any message: one sent before the pause is no sign of life
             for key, _events in heard:
                 if key.fileobj is self._listener:
                     self._accept()
                 else:
                     self._hear(key.data)
             self._tick()
-        except Exception:  # whatever it is: the bench is made safe by what still works
+        except Exception:  # any error: the bench is made safe by what still works
             _write_down()
             with suppress(Exception):
                 self._end("lost", "an error in the guard; see guard.log")
@@ -150,7 +150,7 @@ class Service:
             self._hang_up(strangers[0])
 
     def _over(self) -> bool:
-        """Whether the bench is safe, and nobody is there any more who could command it."""
+        """Whether the bench is not in use and no engine is left that could command it."""
         here = self._engine is not None or (not self._served and time.monotonic() - self._heard < CONNECTS_WITHIN)
         busy = self.guard.state in {*ACTIVE, State.STOPPING}
         return not busy and (not here or self._asked_to_end)
@@ -166,7 +166,7 @@ class Service:
             for message, _payload in peer.messages.feed(piece) if piece else ():
                 peer.known = True
                 self._answer(peer, message)
-        except (OSError, ValueError, RecursionError):  # a link that broke, or bytes that are no message of ours
+        except (OSError, ValueError, RecursionError):  # a broken connection, or bytes that are no valid message
             if peer.known:
                 _write_down()
             piece = b""
@@ -189,14 +189,14 @@ class Service:
             payload = answer.pop("payload", b"")
         except PmaError as error:
             said = {"type": type(error).__name__, "text": str(error)}
-            if isinstance(error, DeviceError):  # a driver's own kinds of it are not known at the other end
+            if isinstance(error, DeviceError):  # the other end does not know a driver's subclasses
                 said = {"type": "DeviceError", "device": error.device, "channel": error.channel, "text": error.message}
             answer = {"error": said}
         except Exception as error:  # an engine's mistake: reported to it, and nothing was done
             _write_down()
             answer = {"error": {"type": "PmaError", "text": f"guard: {type(error).__name__}: {error}"}}
         if peer is self._engine:
-            self._heard = time.monotonic()  # what the guard itself took is no silence of the engine
+            self._heard = time.monotonic()  # time that the guard took is no silence of the engine
         self._send(peer, answer, payload)
 
     def _do(self, peer: _Peer, do: str, sent: float | None, given: dict[str, Any]) -> dict[str, Any]:
@@ -219,10 +219,10 @@ class Service:
         peer.link.settimeout(SILENCE)
         peer.link.sendall(encode(whole, self._answers, payload))
 
-    # -- what can be asked for ----------------------------------------------------------------------------------
+    # -- requests -----------------------------------------------------------------------------------------------
 
     def do_open(self, peer: _Peer) -> dict[str, Any]:
-        """Open the devices; a latched bench is made safe again and refused. From here on `vent` knows the bench."""
+        """Open the devices; a latched bench is made safe again and refused. From here on `vent` can find the bench."""
         self.station.write("bench", json.loads(self.guard.bench.to_json()))
         if self.guard.devices:
             raise LimitRefused("the bench is open already")
@@ -241,7 +241,7 @@ class Service:
             self._end("trip", latched)
             raise LimitRefused(tripped)
         for identity in self.guard.identities.values():
-            if identity.serial and not identity.simulated:  # the same device behind another address
+            if identity.serial and not identity.simulated:  # the same device may be in use under another address
                 self.station.take_device(f"{identity.maker} {identity.model} serial {identity.serial}")
         return {"identities": self.guard.describe(), "streams": self._streams()}
 
@@ -249,14 +249,14 @@ class Service:
         return [name for name, device in list(self.guard.devices.items()) if isinstance(device, Stream)]
 
     def do_arm(self, peer: _Peer, run: str) -> None:
-        """Arm; from here on the state folder says so, and an end without a word is an unclean one."""
+        """Arm; the state folder records it first, so that an end without a result counts as unclean."""
         if self.guard.state is State.DISARMED:
             self.station.note("armed", run=str(run), why="")
         self.guard.arm(str(run))
         self._pulse.lost = 0.0
 
     def do_collect(self, peer: _Peer, device: str, seen: dict[str, float]) -> dict[str, Any]:
-        """New samples, as they came; `seen` are newest values that the engine measured itself."""
+        """New samples of a device, as raw arrays; `seen` are the newest values that the engine measured itself."""
         self._collected[device] = time.monotonic()
         blocks = [*self._kept.pop(device, []), self.guard.collect(device)]
         blocks = [block for block in blocks if len(block.time)] or blocks[-1:]
@@ -272,7 +272,7 @@ class Service:
         }
 
     def _believed(self, seen: dict[str, float]) -> dict[str, float]:
-        """Values measured by the engine that are used: numbers, of channels that the guard cannot read itself."""
+        """Values of the engine that are used: of channels that the guard does not read itself."""
         own = {c.name for d in self.guard.bench.devices if d.name in self.guard.devices for c in d.channels}
         return {name: float(value) for name, value in seen.items() if name not in own}
 
@@ -281,23 +281,23 @@ class Service:
         self._end("engine", why, tripped=tripped, hurry=hurry)
 
     def do_vent(self, peer: _Peer, who: str) -> dict[str, Any]:
-        """Somebody wants it safe now; answered at once, and again when it is over."""
+        """Make the bench safe on request; answered at once, and again when it is over."""
         self._end("vent", f"vent by {who}", tripped=False, hurry=True)
         peer.waits = True
         return {"commanded": True}
 
     def do_status(self, peer: _Peer, seen: dict[str, float] | None = None) -> dict[str, Any]:
-        """Answer with the state of the guard; `seen` as in `do_collect`, of an engine that collects nothing here."""
+        """State of the guard; `seen` as in `do_collect`, for an engine that collects nothing here."""
         self.guard.latest.update(self._believed(seen or {}) if peer is self._engine else {})
         return {"run": self.guard.run}
 
     def do_bye(self, peer: _Peer) -> None:
-        """The engine has finished and says goodbye."""
+        """Accept the end of the engine's run."""
         if self.guard.state in ACTIVE:
             self._end("lost", "the engine left an armed bench")
         self._engine = None
 
-    # -- what happens by itself ---------------------------------------------------------------------------------
+    # -- what the guard does by itself --------------------------------------------------------------------------
 
     def _tick(self) -> None:
         now = time.monotonic()
@@ -312,7 +312,7 @@ class Service:
                 except PmaError as error:
                     opened = isinstance(error, LimitTripped)
                     how = "trip" if opened or isinstance(error, LimitRefused) else "lost"
-                    self._end(how, str(error), hurry=opened)  # whoever opened an interlock waits for no ramp
+                    self._end(how, str(error), hurry=opened)  # whoever opened an interlock must not wait for a ramp
         going_on = self.guard.state is State.STOPPING or (self._vent is not None and self._vent.confirmed)
         if going_on:  # a watchdog must not fire after a good vent
             self.guard.attend(now, 1 / LOOK)
@@ -332,10 +332,10 @@ class Service:
             self._end("trip", why, hurry=True)  # a watchdog may have emptied it: no ramp
             self.guard.supervision.compare()
         elif self.guard.state is State.STOPPING:
-            self.guard.begin_safe(hurry=True)  # somebody else may have vented meanwhile: no ramp goes on
+            self.guard.begin_safe(hurry=True)  # another process may have vented meanwhile: no ramp continues
 
     def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False) -> None:
-        """Begin the safe state; the first cause is reported."""
+        """Begin the safe state; the first cause is kept and reported."""
         first = not self._ended
         self._ended = self._ended or {"how": how, "why": why}
         self.guard.begin_safe(tripped=tripped, hurry=hurry)
@@ -350,7 +350,7 @@ class Service:
                 with suppress(PmaError):
                     self._kept.setdefault(name, []).append(self.guard.collect(name))
         vent = self.guard.step_safe(self.guard.latest)
-        self.guard.latest.clear()  # what was measured once confirms once
+        self.guard.latest.clear()  # each measurement confirms only once
         if vent is None or self._vent is not None:
             return
         self._vent = vent = Vent(vent.result, (*vent.actions, *self.guard.supervision.differences()))
@@ -375,19 +375,19 @@ class Service:
 
 
 def _write_down() -> None:
-    """What went wrong, into guard.log; a full disk ends nothing."""
+    """Print the current exception into guard.log; a full disk is ignored."""
     with suppress(OSError):
         traceback.print_exc()
 
 
 def _since_boot() -> float:
-    """Time that passes while the computer sleeps too [s], where the system has such a clock."""
+    """Clock that also advances while the computer sleeps [s], where the system has one."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return time.clock_gettime(clock) if clock is not None else time.monotonic()
 
 
 def main() -> None:
-    """Read the compiled bench from stdin, say on stdout where the guard listens, and serve."""
+    """Read the compiled bench from stdin, print port and key to stdout, and serve."""
     given = json.loads(sys.stdin.readline())
     bench = CompiledBench.from_json(json.dumps(given["bench"]))
     station = Station(bench.name)

@@ -30,16 +30,16 @@ from pmabench.guard.station import UNCLEAN, Station
 from pmabench.guard.wire import Message, Messages, encode, keys
 
 RATE = 50.0
-"""At which the pressure is looked at while a vent is confirmed [Hz]."""
+"""Sampling rate of pressures while a vent is confirmed [Hz]."""
 MEASURED_FIRST = 0.5
-"""Before a safe ramp begins, a first measured value is waited for so long [s]."""
+"""Longest wait for a first measured value before a safe ramp begins [s]."""
 
 
 def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
     """Open the guarded devices here, run the safe state, write its result into the bench's state folder.
 
-    Devices that cannot be opened are left out: those that answer are vented. A bench that was armed or tripped before,
-    or is not confirmed to be safe now, is latched.
+    Devices that cannot be opened are left out, the others are vented. The bench is latched if it was armed or tripped
+    before, or is not confirmed to be safe now.
     """
     guard = _opened(bench)
     if any(record.guarded and record.name not in guard.devices for record in bench.devices) and _killed(station):
@@ -47,11 +47,11 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
         guard = _opened(bench)
     unclean = station.read("state").get("what") == "armed"
     if unclean:
-        guard.unanswered = guard.clock.now()  # nobody knows what the guard that has gone sent last
+        guard.unanswered = guard.clock.now()  # the last command of the guard that has gone is not known
 
     def measure() -> Mapping[str, float]:
         guard.latest.clear()
-        guard.attend(guard.clock.now(), RATE)  # each time: what is late on a busy computer may confirm the vent
+        guard.attend(guard.clock.now(), RATE)  # each time: late samples may still confirm the vent
         guard.clock.wait_until(guard.clock.now() + 0.05)
         for name in list(guard.devices):
             with suppress(PmaError):
@@ -61,7 +61,7 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
     try:
         until = guard.clock.now() + MEASURED_FIRST
         while any(a.do == "ramp" for a in bench.safe_state) and not measure() and guard.clock.now() < until:
-            pass  # no ramp begins above what is measured
+            pass  # a ramp must not begin above the measured value
         vent = guard.safe_state(measure)
     finally:
         guard.close()
@@ -80,7 +80,7 @@ def _opened(bench: CompiledBench) -> Guard:
 
 
 def _killed(station: Station) -> bool:
-    """Whether a guard was there that did not answer and holds lines that nobody else can open; it is not any more."""
+    """Kill a guard that holds the lock but does not answer, to free its lines; returns whether there was one."""
     there, deadline = station.read("guard").get("pid"), time.monotonic() + ANSWERS_WITHIN
     if not isinstance(there, int) or not _held(station):
         return False
@@ -99,10 +99,10 @@ def _held(station: Station) -> bool:
 
 
 ANSWERS_WITHIN = 1.0
-"""A guard that does not answer for so long [s] is lost."""
+"""A guard that does not answer within this time [s] is lost."""
 OPENS_WITHIN = 10.0
 ENDS_WITHIN = 5.0
-"""Time that a guard has to open the bench, and to end after the run [s]."""
+"""Time limits of the guard for opening the bench, and for ending after the run [s]."""
 
 
 def exchange(link: socket.socket, message: Mapping[str, Any], token: str, within: float) -> Message:
@@ -134,7 +134,7 @@ class RemoteStream:
         self._guard.ask("stream", name=self._device, rate=0.0)
 
     def collect(self) -> Block:
-        """As `Stream.collect`: 64-bit integers and floats, whatever the device gives."""
+        """As `Stream.collect`, with 64-bit integers and floats whatever types the device gives."""
         about, payload = self._guard.ask("collect", device=self._device, seen=self._guard.seen)
         size = 8 * about["rows"]
         parts = [payload[start : start + size] for start in range(0, len(payload), size)] if size else []
@@ -163,7 +163,7 @@ class RemoteGuard:
         self._state = "disarmed"
 
     def open(self) -> None:
-        """Start the guard and have it open its devices. Raises DeviceError, or LimitRefused where it is latched."""
+        """Start the guard and have it open its devices. Raises DeviceError, or LimitRefused for a latched bench."""
         station = Station(self.bench.name)
         given = {"bench": json.loads(self.bench.to_json()), "start": self._clock.start, "user": user_name()}
         with _log(station) as log:
@@ -194,7 +194,10 @@ class RemoteGuard:
         self.devices = {name: RemoteStream(self, name) for name in answer["streams"]}
 
     def ask(self, do: str, within: float = ANSWERS_WITHIN, **data: Any) -> tuple[dict[str, Any], bytes]:
-        """Send one request; raises the error that the guard reports, or what ended the run other than the engine."""
+        """Send one request; returns answer and payload.
+
+        Raises the error that the guard reports, or the reason for which it has ended the run.
+        """
         with self._lock:
             if self._link is None:
                 raise DeviceError("guard", "is not there any more")
@@ -257,35 +260,35 @@ class RemoteGuard:
         return float(output.scale.to_si(to_device(output, value)))
 
     def begin_safe(self, *, tripped: bool = False, hurry: bool = False, why: str = "") -> None:
-        """Have the safe state begun now; from any thread. Its end is waited for by `safe_state`."""
+        """Have the guard begin the safe state; from any thread. `safe_state` waits for its end."""
         self._safe = True
         with suppress(PmaError):
             self.ask("safe", tripped=tripped, hurry=hurry, why=why)
 
     def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
-        """As `Guard.safe_state`. Where the guard is gone the engine opens the devices itself."""
+        """As `Guard.safe_state`. If the guard is gone, the engine opens the devices itself."""
         self.begin_safe(tripped=tripped, why=why)
         longest = sum(action.within for action in self.bench.safe_state) + LINGERS + 2.0
         deadline = time.monotonic() + longest
         while self._vent is None and self._link is not None and time.monotonic() < deadline:
             before = time.monotonic()
-            with suppress(Exception):  # whatever goes wrong while measuring: the guard goes on by itself
+            with suppress(Exception):  # errors of measuring do not matter: the guard continues by itself
                 measure()
             quick = time.monotonic() - before < 0.01
             if quick or not any(device.guarded and device.channels for device in self.bench.devices):
                 time.sleep(0.05 if quick else 0.0)
-                self.beat()  # with what was measured, where nothing is collected from the guard
+                self.beat()  # sends the measured values when nothing is collected from the guard
         if self._vent is None:
             if self._process is not None:
-                self._process.kill()  # what it was doing must not go on after this vent
+                self._process.kill()  # its commands must not continue after this vent
             try:
                 self._vent = vent_directly(self.bench, Station(self.bench.name), why or "the guard was lost")
-            except Exception as error:  # the run is closed with what is known
+            except Exception as error:  # the run is closed in any case
                 self._vent = Vent("failed", (f"{type(error).__name__}: {error}",))
         return self._vent
 
     def close(self) -> None:
-        """Have the guard end, and wait for that: it holds the lock of the bench, which the next run needs."""
+        """Have the guard end, and wait for it: it holds the lock of the bench, which the next run needs."""
         with suppress(PmaError):
             self._safe = True
             self.ask("bye")
@@ -295,7 +298,7 @@ class RemoteGuard:
         self._wait()
 
     def _wait(self) -> None:
-        """Wait until the guard's process has ended, or `ENDS_WITHIN`: where it cannot vent it outlives the engine."""
+        """Wait up to `ENDS_WITHIN` for the guard process to end; one that still has to vent outlives the engine."""
         if self._process is not None:
             with suppress(subprocess.TimeoutExpired, KeyboardInterrupt):  # the run is over: nothing to interrupt
                 self._process.wait(ENDS_WITHIN)
@@ -304,11 +307,11 @@ class RemoteGuard:
 
 
 AnyGuard = Guard | RemoteGuard
-"""The guard as the engine sees it, in this process or in another."""
+"""The guard as used by the engine, in this process or in another."""
 
 
 def _log(station: Station) -> IO[bytes]:
-    """Where the guard writes what goes wrong in itself; makes the folder. Raises DeviceError where it cannot."""
+    """File guard.log for errors of the guard; makes the folder. Raises DeviceError if it cannot."""
     try:
         station.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         return (station.folder / "guard.log").open("ab")
@@ -319,7 +322,7 @@ def _log(station: Station) -> IO[bytes]:
 
 
 def _ended(ended: Mapping[str, str]) -> PmaError:
-    """What ended the run, when it was not the engine."""
+    """The error for a run that was ended by the guard."""
     if ended["how"] == "trip":
         return LimitTripped(ended["why"])
     if ended["how"] == "vent":

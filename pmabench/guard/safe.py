@@ -6,51 +6,52 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from math import inf, nan
 
+from pmabench.base.errors import NotSent
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES
 from pmabench.bench.interface import SafeAction
 from pmabench.guard.owner import PATIENCE, Call
 
 AT_ONCE = ("set", "stop", "open", "close")
 LOOKS = ("confirm", "rest")
-"""Actions that only look: that a value is low, or (which the guard adds) that a motion has ended."""
+"""Actions that only measure: that a value is low, or (added by the guard) that a motion has ended."""
 NO_EFFECT = 0.7
-"""A measured value that is high, and has not fallen by a fiftieth of its most in so long [s], shows no effect."""
+"""A high value that falls by less than 2 % of its maximum within this time [s] shows no effect of the commands."""
 ANSWERS = 5 * PATIENCE
-"""How long an answer whether a command is held is waited for [s].
+"""Longest wait for an answer whether a command is held [s].
 
-Without one the command counts as not carried out; over the second way, whose line may hang, it counts as sent.
+Without an answer the command counts as not carried out; over the second connection, which may hang, as sent.
 """
 REPEAT = 0.5
-"""While a confirmation is waited for, the commands are sent again so often [s]; they are absolute."""
+"""While a confirmation is waited for, the commands are repeated at this interval [s]; they are absolute."""
 RETRY = 0.1
-"""A command that no device has acknowledged is sent again so often [s], whatever else is waited for."""
+"""Interval for repeating a command that was not acknowledged [s], also during other waits."""
 AWAY = 0.8
-"""A device that acknowledges none for so long [s] is opened anew: some links never come back by themselves."""
+"""A device that acknowledges no command for this time [s] is opened again: some connections do not recover."""
 STAYS = 0.5
-"""All values must stay low together for so long [s] after the last command: a valve may be about to open for that."""
+"""All values must stay low for this time [s] after the last command, as a valve may open with a delay."""
 LINGERS = 3.0
-"""A command that was not answered may be carried out so much later [s]; those of the safe state are sent until then."""
+"""A command without an answer may be carried out up to this much later [s]; safe commands are repeated until then."""
 TWICE = 2
-"""One lost answer is no lost device, and one false reading no empty muscle."""
+"""Count from which it matters: one lost answer is no lost device, and one false reading no empty muscle."""
 UNANSWERED = f"a command was not answered; after {LINGERS:g} s nobody looks whether it comes"
 LEFT = "what it holds is not known, and may be what it held before"
 EMPTIER = 20e3
-"""A ramp that is so far [Pa] above the measured pressure, and at twice of it, would fill the muscle.
+"""A ramp this far [Pa] above the measured pressure, and above twice its value, would fill the muscle.
 
-A pressure so far above what is commanded does not follow, where a tenth of what it was is not more.
+Also the least deviation with which a pressure does not follow its command; 10 % of its initial value if that is more.
 """
 
 
 @dataclass(frozen=True)
 class Vent:
-    """What came of the safe state: `confirmed`, `commanded` (not confirmed) or `failed`, and each action's outcome."""
+    """Result of the safe state: `confirmed`, `commanded` (not confirmed) or `failed`; and outcome of each action."""
 
     result: str
     actions: tuple[str, ...]
 
     @property
     def confirmed(self) -> bool:
-        """Whether a measured value says that the bench is safe."""
+        """Whether measured values show that the bench is safe."""
         return self.result == "confirmed"
 
 
@@ -61,21 +62,21 @@ class _Sent:
     since: float
     rescue: Call | None = None
     look: Call | None = None
-    """Whether the device holds what it acknowledged: an empty text, or a sentence."""
+    """Question whether the device holds the command; its result is an empty text if so, else a sentence."""
 
     def said(self) -> str | None:
-        """What the device answered whether it holds it; None: nothing, or not yet."""
+        """Answer of the device whether it holds the command; None if there is none (yet)."""
         look = self.look
         return (look.result or "") if look is not None and look.done.is_set() and look.error is None else None
 
     def acknowledged(self) -> bool:
-        """Whether the device took it, by either way."""
+        """Whether the device acknowledged it, over either connection."""
         return any(call is not None and call.done.is_set() and call.error is None for call in (self.call, self.rescue))
 
 
 @dataclass
 class _Watched:
-    """How a value was of late that must be low (`confirm`) or stay where it is (`rest`)."""
+    """Recent history of a value that must be low (`confirm`) or constant (`rest`)."""
 
     action: SafeAction
     floor: float
@@ -83,15 +84,15 @@ class _Watched:
     seen: float = -inf
     """When the newest value came [s]."""
     since: float | None = None
-    """Since when every value has been good [s]."""
+    """Start of the present series of good values [s]."""
     bad: float | None = None
-    """Since when none has been [s], and the highest of those."""
+    """Start of the present series of bad values [s]; `most` is their maximum."""
     most: float = -inf
     falls: bool = False
     place: float = nan
 
     def look(self, value: float, now: float) -> bool:
-        """Note a new value; whether it has just come back, after good ones."""
+        """Note a new value; returns whether it turned bad after good ones."""
         before, bound = self.since, self.action.value
         rest = self.action.do == "rest"
         good = abs(value - self.place) <= bound if rest else self.floor < value < bound
@@ -99,7 +100,7 @@ class _Watched:
         if good:
             self.since, self.bad, self.most = now if before is None else before, None, -inf
         elif value != value:
-            self.since = None  # a gauge that fails is no high value
+            self.since = None  # a failed sensor (NaN) is no high value
         else:
             self.since, self.bad = None, now if self.bad is None else self.bad
             self.most, self.place = max(self.most, value), value
@@ -107,18 +108,19 @@ class _Watched:
         return before is not None and not good
 
     def lasts(self, now: float, late: float) -> bool:
-        """Whether it has been good for long enough, and values still come."""
+        """Whether it has been good for `STAYS`, counted from `late` [s], and values still arrive."""
         return self.since is not None and self.seen - max(self.since, late) >= STAYS and now - self.seen <= STAYS
 
     def unmoved(self, now: float) -> bool:
-        """Whether the commands show no effect on it."""
+        """Whether the commands show no effect on the value."""
         return self.bad is not None and now - self.bad >= NO_EFFECT and not self.falls
 
-    def outcome(self, good: bool) -> str:
+    def outcome(self, good: bool, now: float) -> str:
         """What is said of it at the end."""
         action, value = self.action, self.value
         name, within = f"{action.do} {action.target}", f"within {action.within:g} s"
-        measured = "nothing measured" if value is None else _shown(action, value)
+        ago = f" {now - self.seen:.2g} s ago" * (now - self.seen > STAYS)
+        measured = "nothing measured" if value is None else _shown(action, value) + ago
         if action.do == "rest":
             return f"{name}: {measured}, {'at rest' if good else f'and not at rest {within}'}"
         if good:
@@ -130,16 +132,16 @@ class _Watched:
 
 @dataclass
 class _Way:
-    """How far a pressure is from its safe value, or a motion from its place, while a ramp or a hold goes on."""
+    """Distance of a pressure from its safe value, or of a motion from its target, during a ramp or a hold."""
 
     since: float
-    """Since when it has come no nearer [s]."""
+    """When it last came nearer [s]."""
     farthest: float = -inf
     nearest: float = inf
     away: int = 0
 
     def fails(self, far: float, expected: float, slack: float, now: float) -> bool:
-        """Whether it stays, or goes away, although it is expected to be nearer."""
+        """Whether it stays where it is, or moves away, although the commands should bring it nearer."""
         self.farthest = max(self.farthest, expected) if self.nearest < inf else max(far, expected)
         if far <= expected + slack or far < 0.98 * self.nearest:
             self.nearest, self.since = far, now
@@ -150,14 +152,14 @@ class _Way:
 class SafeState:
     """One pass through the actions.
 
-    `begin` starts an action (the result of a ramp is how long it takes [s], 0 where it is at its end at once) and
-    `rescue` tries it over a second way; `look` asks whether a command is held (None: it cannot be asked); all return
-    at once. Commands that follow each other go out together; `ramp`, `hold` and `confirm` are waited for until they
-    are done or their time is over, and in the end all that is looked at must be good at the same time. A value at or
-    below its entry in `floors` [SI] confirms nothing, nor does any within `LINGERS` after `unanswered` [s]. `motions`
-    are outputs that move: in a hurry they stop where they are, while a pressure is let go. `expected` says where an
-    output is commanded to be now, and how far a measured value may be from there [SI]; `compare` asks devices that
-    confirm whether they measure as they did when the bench was armed.
+    `begin` starts an action (the result of a ramp is its duration [s], 0 if it ends at once), `rescue` sends it
+    over a second connection, and `look` asks whether a command is held (None: cannot be asked); all return at once.
+    Consecutive commands are sent together; `ramp`, `hold` and `confirm` are waited for until done or until their time
+    is over, and at the end all measured values must be good at the same time. A value at or below its entry in `floors`
+    [SI] confirms nothing, nor does any within `LINGERS` after `unanswered` [s]. `motions` are moving outputs: `hurry`
+    stops them where they are, while a pressure is released. `expected` returns where an output is commanded to be now,
+    and the allowed deviation of the measured value [SI]; `compare` asks the devices that confirm whether they still
+    measure as they did when the bench was armed.
     """
 
     def __init__(
@@ -175,10 +177,10 @@ class SafeState:
     ) -> None:
         self._compare = compare
         self._asked: list[Call] | None = None
-        """What devices that confirm say of the way they measure."""
+        """Questions whether the devices that confirm still measure as they did when armed."""
         self._floors, self._motions, self._unanswered, self._expected = floors, motions, unanswered, expected
         self._ends: dict[str, float] = {}
-        """Where motions are sent by a ramp [SI]; they were not stopped yet."""
+        """Target of each motion on a ramp that has not been stopped [SI]."""
         self._ways: dict[str, _Way] = {}
         self._todo = list(actions)
         self._finals = [action for action in actions if action.do in LOOKS]
@@ -186,44 +188,44 @@ class SafeState:
             self._todo.pop()
         self._begin, self._rescue, self._look = begin, rescue, look
         self._sent: list[_Sent] = []
-        self._since = self._repeated = now
+        self._begun = self._since = self._repeated = now
         self._ramp: _Sent | None = None
         self._doubts = self._emptier = 0
-        """How often in a row the device of a ramp did not say where it is, and its muscle was measured emptier."""
+        """Consecutive missing answers of a ramp's device, and measurements of a muscle emptier than its ramp."""
         self._watched: list[_Watched] = []
         self.outcome: list[str] = []
         self.faults: list[str] = []
-        """What went wrong, although all may be low in the end; the bench is looked at before anything runs on it."""
+        """Faults, even if all values are low at the end; the bench must be inspected before the next run."""
         self.missing: dict[str, float] = {}
         """Targets that have not acknowledged their command, and since when [s]."""
         self.away: set[str] = set()
-        """Those of them whose device is to be opened anew."""
+        """Those of them whose device must be opened again."""
         self.refusing: set[str] = set()
-        """Targets that acknowledged it, and hold something else."""
+        """Targets whose device answers, and does not obey: it refused the command, or holds something else."""
         self.unmoved: set[str] = set()
         """Channels that have not fallen, or not come to rest, after all commands."""
         self.commands: list[SafeAction] = []
-        """What is commanded again, a ramp by its end."""
+        """Commands to be repeated; a ramp as its end value."""
         self._again: dict[SafeAction, _Sent] = {}
-        """How it was sent last."""
+        """The last repeat of each command, with its call."""
         self._repeats: list[_Sent] = []
-        """Those under way."""
+        """Repeats in progress."""
         self._settled = -inf
-        """When a target that was missing or refusing has held its command first [s]."""
+        """When a target that was missing or refusing first held its command [s]."""
         self.vent: Vent | None = None
-        """What came of it, when it is over."""
+        """Result, once it is over."""
 
     def _at_once(self, action: SafeAction) -> SafeAction:
-        """The command in place of a ramp that may not go on: no motion is sped up."""
+        """Command that replaces a ramp which must not continue: stop for a motion, so that it is not sped up."""
         return replace(action, do="stop" if action.target in self._motions else "set")
 
     def hurry(self) -> None:
-        """Skip the waits: send every command that is left now, and wait for confirmations only."""
+        """Skip all waits: send every remaining command now, then wait for confirmations only."""
         left = (action for action in self._todo if action.do not in {"hold", *LOOKS})
         self._todo = [self._at_once(action) if action.do == "ramp" else action for action in left]
 
     def step(self, now: float, latest: Mapping[str, float]) -> bool:
-        """Do what can be done now, with the `latest` measured values [SI]; whether it is over."""
+        """Do what can be done now, with the `latest` measured values [SI]; returns whether it is over."""
         self._gather(now)
         for command, sent in list(self._again.items()):
             if command.target in self.unsettled and now - sent.since >= RETRY:
@@ -240,11 +242,9 @@ class SafeState:
         asked = self._asked or []
         heard = all(call.done.is_set() for call in asked) or now - self._since >= ANSWERS
         if over and not self._sent and heard:
-            late = self._late()
-            good = [watched.lasts(now, late) for watched in self._watched]
-            self.outcome += [watched.outcome(ok) for watched, ok in zip(self._watched, good, strict=True)]
-            if self._unanswered() > -inf:
-                self.outcome.append(UNANSWERED)
+            good = [watched.lasts(now, self._late()) for watched in self._watched]
+            self.outcome += [watched.outcome(ok, now) for watched, ok in zip(self._watched, good, strict=True)]
+            self.outcome += [UNANSWERED] * (self._unanswered() > self._begun - LINGERS)
             self.outcome += (differs := [f"{call.result}; its values confirm nothing" for call in asked if call.result])
             low = bool(good) and all(good) and not differs
             self.outcome += [f"{name}: {LEFT}" for name in sorted(self.unsettled) if low]
@@ -254,11 +254,11 @@ class SafeState:
 
     @property
     def waits(self) -> bool:
-        """Whether a ramp or a hold is waited for."""
+        """Whether a ramp or a hold is in progress."""
         return bool(self._todo) and self._todo[0].do in {"ramp", "hold"}
 
     def _late(self) -> float:
-        """Since when nothing can come any more that was sent before [s]."""
+        """Time from which no earlier command can take effect any more [s]."""
         return max(self._unanswered() + LINGERS, self._settled)
 
     @property
@@ -267,7 +267,10 @@ class SafeState:
         return self.missing.keys() | self.refusing
 
     def _check_ways(self, now: float, latest: Mapping[str, float]) -> None:
-        """End ramps and holds that a pressure does not follow, and stop a motion that does not go to its place."""
+        """End the ramp of a pressure that does not follow, or a hold, and stop a motion that does not go to its place.
+
+        A pressure that does not fall after that either shows no effect of the commands.
+        """
         for name, value in latest.items():
             end = self._ends.get(name)
             if value != value or (end is None and (name in self._motions or not self.waits)):
@@ -276,31 +279,35 @@ class SafeState:
             far, near = (abs(value - end), abs(expected - end)) if end is not None else (value, expected)
             if self._ways.setdefault(name, _Way(now)).fails(far, near, slack, now):
                 del self._ways[name]
-                self.fault(f"{name}: does not follow what the safe state commands")
-                if end is None:
-                    self.hurry()
-                else:
-                    self._halt(name, now)
+                what = f"{name}: does not follow what the safe state commands"
+                if what in self.faults:
+                    self.unmoved.add(name)
+                    continue
+                self.fault(what)
+                self._end_way(name, now)
 
     def fault(self, text: str) -> None:
-        """Note what went wrong."""
+        """Record a fault."""
         self.outcome.append(text)
         self.faults.append(text)
 
     def _go_on(self, now: float) -> None:
-        """To the next action."""
+        """Advance to the next action."""
         self._todo.pop(0)
         self._since = self._repeated = now
         self._ramp, self._watched = None, []
 
-    def _halt(self, name: str, now: float) -> None:
-        """Stop a motion that was sent to a place."""
-        if self._ramp is not None and self._ramp.action.target == name:
+    def _end_way(self, name: str, now: float) -> None:
+        """Stop a motion, or send what is left for a pressure now, and wait for it no more; others keep their ramps."""
+        left = [action for action in self._todo if action.target == name and action.do in {"ramp", "set"}]
+        if self._todo and (self._todo[0] in left or (self._todo[0].do == "hold" and name not in self._motions)):
             self._go_on(now)
-        self._send(SafeAction("stop", name, 0.0, PATIENCE), now)
+        self._todo = [action for action in self._todo if action not in left]
+        for action in [SafeAction("stop", name, 0.0, PATIENCE)] if name in self._motions else left:
+            self._send(self._at_once(action), now)
 
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
-        """Whether the next action may begin."""
+        """Carry out an action of the list; returns whether the next one may begin."""
         if action.do in LOOKS:
             return self._looked_at([action], now, latest)
         if action.do in AT_ONCE:
@@ -334,7 +341,7 @@ class SafeState:
         return _Sent(action, self._begin(action), now)
 
     def _astray(self, sent: _Sent, now: float, latest: Mapping[str, float], expected: float) -> bool:
-        """Whether a ramp may not go on: its device is away or began anew, and would be filled when it is back."""
+        """Whether a ramp must end: its device is lost or was reset, and the ramp would fill the muscle again."""
         if sent.action.target in self._motions:
             return False
         said = "" if sent.look is None else sent.said()
@@ -347,7 +354,7 @@ class SafeState:
         return self._emptier >= TWICE or bool(said) or self._doubts >= TWICE
 
     def _looked_at(self, actions: list[SafeAction], now: float, latest: Mapping[str, float]) -> bool:
-        """Whether all values are good together, or their time is over; meanwhile the commands are sent again."""
+        """Whether all values are good at the same time, or their time is over; repeats the commands until then."""
         if not self._watched:
             self._watched = [_Watched(action, self._floors.get(action.target, -inf)) for action in actions]
         late, back = self._late(), False
@@ -356,7 +363,7 @@ class SafeState:
             back = (value is not None and watched.look(value, now)) or back
             watched.since = None if self._sent else watched.since
             if watched.unmoved(now) and watched.action.target in self._ends:
-                self._halt(watched.action.target, now)
+                self._end_way(watched.action.target, now)
                 watched.bad = None
             elif watched.unmoved(now):
                 self.unmoved.add(watched.action.target)
@@ -382,14 +389,14 @@ class SafeState:
             self._repeats.append(sent)
 
     def _gather(self, now: float) -> None:
-        """Note the results of the commands under way."""
+        """Note the results of the commands in progress."""
         self._sent = [again for sent in self._sent if (again := self._follow_up(sent, now)) is not None]
         self._repeats = [sent for sent in self._repeats if self._follow_up(sent, now, again=True) is not None]
 
     def _follow_up(self, sent: _Sent, now: float, *, again: bool = False) -> _Sent | None:
-        """The command as it is waited for further, or None where it is over; one that fails first goes the second way.
+        """The command while in progress, None once it is over; a failed one is sent over the second connection.
 
-        One that is sent `again` is asked for only where its target is not known to hold it.
+        A repeat (`again`) asks the device only if its target is not known to hold the command.
         """
         way, target = sent.rescue or sent.call, sent.action.target
         name = f"{sent.action.do} {target}"
@@ -410,7 +417,7 @@ class SafeState:
             self.outcome.append(f"{name}: sent again")
             self._settled = now
             for watched in self._watched:
-                watched.bad = None  # what it does begins now
+                watched.bad = None  # the effect of the command begins now
         elif not again and not wrong:
             ramp_that_is_none = sent.action.do == "ramp" and (way is sent.rescue or way.result == 0)
             how = (" at once" if ramp_that_is_none else "") + (" over the second way" if way is sent.rescue else "")
@@ -418,7 +425,7 @@ class SafeState:
         elif not again:
             self._again[self._at_once(sent.action) if sent.action.do == "ramp" else sent.action] = sent
             self.fault(f"{name}: failed ({wrong})")
-        refuses = bool(wrong and sent.said())
+        refuses = bool(wrong and (sent.said() or isinstance(way.error, NotSent)))
         (self.refusing.add if refuses else self.refusing.discard)(target)
         if wrong and not refuses:
             self.missing.setdefault(target, now)
@@ -427,16 +434,14 @@ class SafeState:
         return None
 
     def _not_held(self, sent: _Sent, now: float) -> str | None:
-        """Why the device does not hold what it acknowledged; empty where it does or cannot say; None: not known yet."""
+        """Why the device does not hold what it acknowledged; empty if it does or cannot say; None while unknown."""
         if self._todo and self._todo[0].do in AT_ONCE:
-            return None  # first everything that is to be commanded now
+            return None  # first send everything that is to be commanded now
         if sent.action.do == "ramp":
-            return ""  # asked while it goes on
+            return ""  # asked while the ramp is in progress
         if sent.look is None or (sent.look.done.is_set() and sent.look.error is not None):
             sent.look = self._look(sent.action)  # again where it failed: the second way may have made a new connection
-        if sent.look is None:
-            return ""
-        if (said := sent.said()) is not None:
+        if (said := "" if sent.look is None else sent.said()) is not None:
             return said
         if now - sent.since < ANSWERS:
             return None
@@ -444,7 +449,7 @@ class SafeState:
 
 
 def _shown(action: SafeAction, value: float | None = None) -> str:
-    """What is measured, or else the bound, in the unit that people read; in SI where the channel's name has none."""
+    """The measured value, or else the bound, in display units; in SI if the channel's quantity is not known."""
     quantity = QUANTITIES.get(CHANNEL_QUANTITY.get(action.target, ""))
     shown = action.value if value is None else value
     return f"{shown:.4g}" if quantity is None else quantity.show(shown, 4)

@@ -25,7 +25,7 @@ UNCLEAN = "the program ended without saying that the bench was safe"
 
 
 def root() -> Path:
-    """Where the folders of all benches are."""
+    """Folder with the folders of all benches."""
     if given := os.environ.get("PMABENCH_STATE"):
         return Path(given)
     if sys.platform == "win32":
@@ -34,7 +34,7 @@ def root() -> Path:
 
 
 def stations() -> Iterator[Station]:
-    """Every bench that was ever armed here."""
+    """All benches that were ever armed on this computer."""
     folder = root()
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if path.is_dir():
@@ -42,7 +42,7 @@ def stations() -> Iterator[Station]:
 
 
 def folder_name(name: str) -> str:
-    """A name for a folder: another one for each name, in any script, also where the system ignores case."""
+    """Folder name, unique for each bench name in any script, also where the file system ignores case."""
     plain = re.sub(r"[^a-z0-9._-]+", "-", name.lower())[:60].strip("-.")
     if plain and plain == name:
         return plain
@@ -50,19 +50,19 @@ def folder_name(name: str) -> str:
 
 
 class Station:
-    """The folder of one bench; the file of each method's name is written whole or not at all."""
+    """Folder of one bench; each JSON file in it is written completely or not at all."""
 
     def __init__(self, name: str, folder: Path | None = None) -> None:
         self.name = name
         self.folder = folder or root() / folder_name(name)
         self._devices: list[str] = []
-        """Places and serial numbers of the devices that are locked for this bench."""
+        """Addresses and serial numbers of the devices that are locked for this bench."""
 
     def take(self) -> None:
-        """Lock the bench for this process until it ends; raises DeviceError where another process has it."""
+        """Lock the bench for this process until it ends; raises DeviceError if another process holds the lock."""
         before = root() / (re.sub(r"[^A-Za-z0-9._-]+", "-", self.name).strip("-.") or "bench")
         if before.is_dir() and not self.folder.exists() and Station("", before).read("bench").get("name") == self.name:
-            before.rename(self.folder)  # its folder up to version 0.1, with its latch
+            before.rename(self.folder)  # its folder name, with its latch, before version 0.2
         self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         if try_lock(self.folder / "lock") is None:
             owner = self.read("guard")
@@ -74,9 +74,9 @@ class Station:
             )
 
     def take_device(self, where: str) -> None:
-        """Lock the device at a place, or with a serial number, for this process until it ends.
+        """Lock the device with this address or serial number for this process until it ends.
 
-        Raises DeviceError where another bench uses it now, or where one that has it is latched.
+        Raises DeviceError if another bench uses it now, or if another bench that uses it is latched.
         """
         if where in self._devices:
             raise DeviceError(self.name, f"two of its devices are one, {where}: correct an address of the bench file")
@@ -98,7 +98,7 @@ class Station:
                 )
 
     def write(self, file: str, data: Mapping[str, Any]) -> None:
-        """Keep `data` in `file`.json: whole, synced, readable by this user only. Raises RecordError."""
+        """Write `data` to `file`.json: complete, synced, readable by this user only. Raises RecordError."""
         path = self.folder / f"{file}.json"
         part = path.with_suffix(f".{os.getpid()}.part")  # guard and `vent` may write at the same time
         try:
@@ -112,18 +112,18 @@ class Station:
             raise RecordError(f"cannot write {path}: {error.strerror}; the state of the bench is not kept") from error
 
     def read(self, file: str) -> dict[str, Any]:
-        """What `file`.json holds; empty where there is none that can be read."""
+        """Contents of `file`.json; empty if it cannot be read."""
         with suppress(OSError, ValueError):
             data = json.loads((self.folder / f"{file}.json").read_text("utf-8"))
             return data if isinstance(data, dict) else {}
         return {}
 
     def remove(self, file: str) -> None:
-        """Take `file`.json away."""
+        """Delete `file`.json."""
         (self.folder / f"{file}.json").unlink(missing_ok=True)
 
     def note(self, what: str, **data: Any) -> None:
-        """Add a line to the bench's journal, and make it the state of the bench; a latch keeps its first reason."""
+        """Add a line to the bench's journal, and make it the current state; a latched bench keeps its first reason."""
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         before = self.read("state")
         line = {"what": what, "at": now, "devices": self._devices or before.get("devices", []), **data}
@@ -135,7 +135,7 @@ class Station:
             stream.write(json.dumps(line) + "\n")
 
     def latched(self) -> str:
-        """Why nothing may run on this bench before an operator has reset it; empty where it may."""
+        """Reason for which an operator must reset the bench before anything may run; empty if there is none."""
         state = self.read("state")
         if state.get("what") == "safe" or not (state or (self.folder / "state.json").exists()):
             return ""

@@ -1,7 +1,7 @@
-"""Whether devices still hold what the guard left them with: restarts, lost watchdogs, commands from elsewhere (S11).
+"""Checks whether devices are still as the guard left them: restarts, lost watchdogs, commands from elsewhere (S11).
 
-Decides nothing: `look` raises with the first difference. A device is asked from the thread that owns it, one question
-at a time, so that a command waits for at most one of them.
+Decides nothing: `look` raises with the first difference. Each device is asked from the thread that owns it, one
+question at a time, so that a command waits for at most one of them.
 """
 # mypy: disable-error-code="type-abstract"
 
@@ -30,32 +30,32 @@ from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
 
 EVERY = 0.45
-"""All questions to a device are asked once in so long [s]."""
+"""Interval in which all questions to a device are asked once [s]."""
 WITHIN = 1.0
-"""A device that has answered no question for so long [s] is lost."""
+"""A device that has answered no question for this time [s] is lost."""
 LOOK, HUNG = 0.05, 0.5
-"""Watchdogs are fed, and interlocks read, so often; an answer that does not come for so long never comes [s]."""
+"""Interval for feeding watchdogs and reading interlocks; and time after which an answer is no longer expected [s]."""
 AGAIN = 0.03
-"""A difference counts when it is still there so much later [s]: some devices show a new value only then."""
+"""A difference counts only if it persists for this time [s]: some devices report a new value late."""
 LAG = 0.3
-"""A device on a ramp or a sine may be so late, or hold set-points that are so early [s]."""
+"""A device may be late by this time [s] on a ramp or a sine, or its set-points early."""
 Kind = tuple[str, float, float, float]
 HELD = ("whether it holds what was commanded", EVERY, WITHIN, 2.0)
 FED = ("to a sign of life", LOOK, 0.0, 2.0)
 SAFE = ("whether its interlocks are closed", LOOK, 0.0, 4.0)
-"""What is asked, how often [s], within what time [s], and not before so many times what it took have passed [1].
+"""Kind of question: wording, interval [s], time limit [s], and pause before the next one, in multiples of its duration.
 
-Samples need the line of a slow device, too.
+The pause leaves time for samples on the line of a slow device.
 """
 KINDS: tuple[Kind, ...] = (FED, SAFE, HELD)
 READS = ("range", "unit", "format", "mapping", "step", "forced", "modules")
-"""Words of what devices report that gives their samples a meaning; the rest may change by a restart or a watchdog."""
+"""Words in reported keys that affect the meaning of samples; other keys may change by a restart or a watchdog."""
 UNANSWERED = "has not answered whether it is as it was when the bench was armed"
 ELSEWHERE = "it restarted, or something else commands it"
 
 
 class Supervision:
-    """Of the devices of one bench. `course` and `closed` hold what outputs and valves were commanded to last."""
+    """Supervision of the devices of one bench. `course` and `closed` hold the last commands to outputs and valves."""
 
     def __init__(
         self,
@@ -70,51 +70,51 @@ class Supervision:
         self._held: dict[str, dict[str, float | str]] = {}
         """What each device reported when the bench was armed."""
         self._uptime: dict[str, float] = {}
-        """Of each device that has one, as it was read last."""
+        """Uptime of each device that reports one, as last read."""
         self._compared: dict[str, Call] = {}
-        """Whether each device is still as it was then, asked apart from the round of questions."""
+        """Comparisons of each device with its report at arming, made outside the round of questions."""
         self._asked: dict[str, Call] = {}
         self._count: dict[str, int] = {}
         self._since: dict[str, float] = {}
-        """When each device was asked last, and below when it answered last [s]."""
+        """When each question was last asked, and (`_answered`) last answered [s]."""
         self._answered: dict[str, float] = {}
         self._lost: dict[str, bool] = {}
-        """Whether the answer before was lost: one lost answer is no lost device."""
+        """Whether the previous answer was lost too: one lost answer is no lost device."""
 
     def begin(self) -> None:
-        """Keep what each device reports now: the bench has just been armed."""
+        """Keep what each device reports now; called when the bench has just been armed."""
         for name, device in list(self._links.devices.items()):
             if isinstance(device, Supervised):
                 self._held[name] = dict(self._links.call(name, device.held))
 
     def look(self, now: float) -> None:
-        """Ask what is due at `now` [s]; LimitTripped: an interlock, LimitRefused: a change, DeviceError: silence."""
+        """Ask what is due at `now` [s]; raises LimitTripped (interlock), LimitRefused (change) or DeviceError."""
         for record in self._bench.devices:
             if record.name in self._links.devices:
                 for kind in self._by_age(record, KINDS):
                     self._ask(record, kind, now)
 
     def attend(self, record: DeviceRecord, now: float, kinds: list[Kind]) -> None:
-        """Ask a device while it vents: raises LimitTripped where an interlock is open; no answer is passed over."""
+        """Ask a device during a vent; raises LimitTripped if an interlock is open, ignores missing answers."""
         if record.name in self._links.devices:
             for kind in self._by_age(record, kinds):
                 with suppress(DeviceError):
                     self.feed(record, now, kind)
 
     def feed(self, record: DeviceRecord, now: float, kind: Kind = FED) -> None:
-        """Send a device with a watchdog a sign of life where it is due; raises DeviceError where that fails."""
+        """Ask one kind of question if it is due (feed the watchdog); raises DeviceError if that fails."""
         try:
             self._ask(record, kind, now)
         except DeviceError:
-            self._asked.pop(record.name + kind[0])  # it may come back: it is asked again
+            self._asked.pop(record.name + kind[0])  # it may recover: it is asked again
             raise
 
     def _by_age(self, record: DeviceRecord, kinds: Sequence[Kind]) -> list[Kind]:
-        """What was asked longest ago first: a device may be free but seldom."""
+        """Kinds in the order of their last question, oldest first: a device may seldom be free."""
         return sorted(kinds, key=lambda kind: self._since.get(record.name + kind[0], -inf))
 
     def _ask(self, record: DeviceRecord, kind: Kind, now: float) -> None:
-        """Ask a device that is free the next one of the questions of a kind."""
+        """Ask a device that is free the next question of a kind."""
         name, (what, every, within, rests) = record.name, kind
         questions = self._questions(record, kind)
         if not questions:
@@ -135,13 +135,13 @@ class Supervision:
             self._asked[key] = self._links.submit(name, questions[self._count[key] % len(questions)])
 
     def compare(self) -> None:
-        """Have every device asked whether it is still as it was when the bench was armed; does not wait."""
+        """Ask every device whether it is still as it was when the bench was armed; does not wait."""
         for name in self._held:
-            known = self._links.devices.get(name)  # its line may be closed before it is its turn
+            known = self._links.devices.get(name)  # its line may be closed before the question is asked
             self._compared[name] = self._links.submit(name, partial(self._held_differs, name, known))
 
     def compare_readings(self, names: Collection[str]) -> list[Call]:
-        """Have these devices asked whether what gives their values a meaning is as it was when the bench was armed."""
+        """Calls that ask these devices whether the meaning of their samples is as it was at arming; not waited for."""
         calls = []
         for name in self._held.keys() & names:
             if keys := [key for key in self._held[name] if any(word in key for word in READS)]:
@@ -153,7 +153,7 @@ class Supervision:
         return f"{name}: {text}" if text else ""
 
     def differences(self) -> list[str]:
-        """What came of `compare` so far, for each device that changed or has not answered; failed questions again."""
+        """Results of `compare` so far: a sentence per device that changed or did not answer; repeats failed calls."""
         found = []
         for name, call in list(self._compared.items()):
             if call.error is not None:
@@ -173,7 +173,7 @@ class Supervision:
                   if not valve.longest)  # fmt: skip
         return [*held, *(self.output_differs(output) for output in record.outputs), *valves]
 
-    # -- questions: each is answered by an empty text, or a sentence --------------------------------------------------
+    # -- questions: the answer is an empty text, or a sentence on what differs ----------------------------------------
 
     def _twice(self, look: Callable[[], str]) -> str:
         if not look():
@@ -191,7 +191,7 @@ class Supervision:
             if key == "uptime" and not isinstance(value, str) and not isinstance(was, str):
                 if value < was:
                     return f"it restarted: its uptime fell from {was:g} to {value:g}"
-                # one reading alone may be torn: two words of a counter are read while the lower one begins again
+                # a single reading may be torn: the two words of a counter are read while the lower one overflows
                 before[key] = max(was, min(value, self._uptime.get(name, was)))
                 self._uptime[name] = value
             elif value != was:
@@ -200,7 +200,7 @@ class Supervision:
         return ""
 
     def output_differs(self, output: OutputRecord) -> Act:
-        """Whether an output holds what it is commanded to when it is asked."""
+        """Question whether an output holds its commanded value at the time it is asked."""
         course = self._course(output)
 
         def look() -> str:
@@ -217,7 +217,7 @@ class Supervision:
         return partial(self._twice, look)
 
     def open_interlock(self, record: DeviceRecord) -> str:
-        """Which interlock of a device is open."""
+        """Sentence on the first open interlock of a device; empty if all are closed."""
         for interlock in record.interlocks:
             inputs = self._links.need(record.name, Inputs, "has no digital inputs", interlock.input)
             if inputs.level(interlock.input) != (interlock.safe == "high"):
@@ -225,7 +225,7 @@ class Supervision:
         return ""
 
     def valve_differs(self, valve: ValveRecord, *, closed: bool) -> Act:
-        """Whether a valve is as it was commanded."""
+        """Question whether a valve is as commanded."""
 
         def look() -> str:
             if self._links.is_closed(valve) == closed:

@@ -1,7 +1,7 @@
-"""Messages between the guard and its clients: a key, two lengths, a JSON object, and bytes that are not looked at.
+"""Messages between the guard and its clients: a key, two lengths, a JSON object, and a binary payload.
 
-Each bench that is in use has two keys of 16 bytes, which only its user can read (`guard.json` in the state folder): one
-opens every request, the other every answer. Whoever does not know them is refused before anything is parsed (S15).
+Each bench in use has two keys of 16 bytes that only its user can read (`guard.json` in the state folder): one starts
+every request, the other every answer. A client without the key is refused before anything is parsed (S15).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Message = tuple[dict[str, Any], bytes]
 
 
 def keys(token: str) -> tuple[bytes, bytes]:
-    """The key of requests and that of answers, from the token in `guard.json`; raises ValueError for another text."""
+    """Keys of requests and of answers, from the token in `guard.json`; raises ValueError if it is not hexadecimal."""
     return bytes.fromhex(token)[:16], bytes.fromhex(token)[16:]
 
 
@@ -30,14 +30,14 @@ def encode(message: Mapping[str, Any], key: bytes, payload: bytes = b"") -> byte
 
 
 class Messages:
-    """Whole messages out of a stream of bytes; raises ValueError for anything else, or without the key."""
+    """Splits a stream of bytes into messages; raises ValueError for anything else, or for a wrong key."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key
         self._bytes = bytearray()
 
     def feed(self, piece: bytes) -> Iterator[Message]:
-        """Every message that is complete with `piece`."""
+        """Yield every message that is complete once `piece` has arrived."""
         self._bytes += piece
         while len(self._bytes) >= _HEAD.size:
             key, text, payload = _HEAD.unpack_from(self._bytes)

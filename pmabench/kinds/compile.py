@@ -63,7 +63,7 @@ LONGEST = 30 * 86400.0
 
 
 def _check_whole(plan: Plan, c: Compilation) -> None:
-    """Check what no located check could: a plan without end, and any step that could leave the active limits."""
+    """Checks that have no place in the file: a plan without end, and steps that could leave the active limits."""
     longest = plan.duration()[1]
     if longest > LONGEST:
         where = max(_times(c.document.data), key=lambda found: found[0], default=(0.0, ("sweep",)))[1]
@@ -78,7 +78,7 @@ def _check_whole(plan: Plan, c: Compilation) -> None:
 
 
 def _times(data: Any, at: Location = ()) -> Iterator[tuple[float, Location]]:
-    """Every time that is written in the protocol [s], with its place."""
+    """Every time value in the protocol [s], with its place."""
     if isinstance(data, dict | list):
         for key, value in data.items() if isinstance(data, dict) else enumerate(data):
             yield from _times(value, (*at, key))
@@ -88,7 +88,7 @@ def _times(data: Any, at: Location = ()) -> Iterator[tuple[float, Location]]:
 
 
 def slower(plan: Plan, document: Document, mounted: Mounted) -> tuple[str, ...]:
-    """A line for each device that cannot sample at the plan's rate, with the places of both rates."""
+    """A line for each device that cannot sample at the plan's rate, with where each rate is set."""
     lines = []
     for device in mounted.bench.devices:
         names = [channel.name for channel in device.channels if channel.name in plan.record]
@@ -103,13 +103,13 @@ def slower(plan: Plan, document: Document, mounted: Mounted) -> tuple[str, ...]:
 
 
 def make_plan(path: Path, mounted: Mounted, settings: Sequence[tuple[str, str]] = ()) -> tuple[Plan, Document]:
-    """Read and compile; the document goes into the run's snapshot."""
+    """Read and compile; the document is kept for the run's snapshot."""
     document, protocol = read_protocol(path, settings)
     return compile_protocol(document, protocol, mounted), document
 
 
 class CampaignRun(Strict):
-    """One run: a protocol, what is changed in it, and a bench other than the one for its free end."""
+    """One run: a protocol, changed settings, and its bench unless it is the one for the protocol's free end."""
 
     protocol: str
     bench: str | None = None
@@ -134,13 +134,13 @@ class PlannedRun:
     mounted: Mounted
     protocol_text: str
     deviations: tuple[str, ...]
-    """What the campaign changes in the protocol, in words."""
+    """Changes that the campaign makes to the protocol, in words."""
     sources: dict[str, Any] = field(default_factory=dict)
-    """Absolute paths of protocol, bench and specimen, and what was `set`."""
+    """Absolute paths of protocol, bench and specimen, and the values of `set`."""
     slower: tuple[str, ...] = ()
     """Devices that cannot sample at the plan's rate, a line each."""
     doubts: tuple[str, ...] = ()
-    """What the files say that may be a mistake, a line each."""
+    """Possible mistakes in the files, a line each."""
 
 
 def plan_campaign(path: Path) -> tuple[str, list[PlannedRun]]:

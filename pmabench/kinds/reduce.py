@@ -38,12 +38,12 @@ OF_FILE = re.compile(r"^[^:]*\.\w{1,5}: ")
 
 
 def results_of(kind: str) -> tuple[Result, ...]:
-    """What the reduction of a kind of run declares that it can give; ValueError for an unknown kind."""
+    """Results that the reduction of a kind of run declares; ValueError for an unknown kind."""
     return registry.kind_of(kind).results
 
 
 def specimen_of(run: RunData) -> str:
-    """Which specimen a run is of: type and serial as its manifest has them."""
+    """Type and serial number of the specimen in the run's manifest."""
     specimen = run.manifest.get("specimen")
     if not isinstance(specimen, Mapping):
         return str(specimen or "")
@@ -62,7 +62,7 @@ def of_one_specimen(runs: Sequence[RunData]) -> Sequence[RunData]:
 
 
 def _whose(run: RunData) -> tuple[str, bool]:
-    """What runs share that are reduced together: the specimen, and whether they are simulated."""
+    """Key of runs that are reduced together: the specimen, and whether they are simulated."""
     return specimen_of(run), run.simulated
 
 
@@ -73,9 +73,9 @@ def reduction_of(run: RunData) -> str:
 
 
 def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | None = None) -> list[Analysis]:
-    """One analysis for each kind of run of each specimen, and what these say about each other.
+    """One analysis for each kind of run of each specimen, and their comparison.
 
-    Real and simulated runs are never mixed, nor are specimens. `options`: kind -> those of its reduction. Raises
+    Real and simulated runs are never mixed, nor are specimens. `options`: kind -> options of its reduction. Raises
     InvalidFile for an unknown kind.
     """
     ordered = in_time(runs)
@@ -91,13 +91,13 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
 
 
 SLOW_ROWS, FORM = "slow rows", "form of all tests"
-"""Parts of kinds: what makes rows of a trial, and what is fitted to those of all kinds together."""
+"""Parts of kinds: function that makes rows of a trial; fit to the rows of all kinds together."""
 
 
 def reduce_together(form: str, runs: Sequence[RunData]) -> list[Analysis]:
-    """One analysis for each specimen, of all its runs whose kind has slow rows; `form` names the kind that fits them.
+    """One analysis for each specimen, from all runs whose kind has slow rows; `form` is the kind that fits them.
 
-    Real and simulated runs are never mixed. Raises UsageError where none of the runs has such rows.
+    Real and simulated runs are never mixed. Raises UsageError where no run has such rows.
     """
     rows = {name: load(kind.parts[SLOW_ROWS]) for name, kind in registry.with_part(SLOW_ROWS).items()}
     able = [run for run in in_time(runs) if run.kind in rows]
@@ -109,7 +109,7 @@ def reduce_together(form: str, runs: Sequence[RunData]) -> list[Analysis]:
 
 
 def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, Mapping[str, Any]]) -> list[Analysis]:
-    """One analysis for each kind, in their order; those that take something from other tests are made last."""
+    """One analysis for each kind, in their order; kinds that use results of other tests are reduced last."""
     analyses: dict[str, Analysis] = {}
     for name in sorted(kinds, key=lambda name: bool(registry.kind_of(name).after)):
         kind, asked = registry.kind_of(name), options.get(name)
@@ -125,7 +125,7 @@ def _offers(analysis: Analysis) -> list[Offer]:
 
 
 def compared(analyses: Sequence[Analysis]) -> Analysis | None:
-    """What tests of one specimen say about each other; None where they share nothing."""
+    """Comparison of the tests of one specimen; None where they have no value in common."""
     known = list(registry.all_kinds())
     ordered = sorted(analyses, key=lambda one: known.index(one.kind) if one.kind in known else len(known))
     instead = next((kind.instead for kind in registry.all_kinds().values() if kind.instead), "")
@@ -156,14 +156,14 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
 
 
 def _given(analysis: Analysis) -> int:
-    """How many values came out."""
+    """Number of estimates with a value."""
     return sum(e.value is not None and not e.withheld for e in analysis.estimates)
 
 
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:
     """One sentence for each reason why results are not accepted.
 
-    These are: nothing came out, a value was withheld, a reduction refuses acceptance, a protocol's limit is not kept.
+    Reasons: no value at all, a withheld value, a reduction that refuses acceptance, a limit of the protocol exceeded.
     """
     failed: list[str] = []
     tested = {run.id: _whose(run) for run in runs}
@@ -183,7 +183,7 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
 
 
 def _withheld(analysis: Analysis) -> list[str]:
-    """One sentence for each reason to withhold, with the values that it concerns.
+    """One sentence for each reason to withhold, with the values concerned.
 
     Reasons that differ in their numbers and files alone are one reason, with those of the first value.
     """
@@ -196,7 +196,7 @@ def _reason(estimate: Estimate) -> str:
 
 
 def _sentence(withheld: Sequence[Estimate]) -> str:
-    """What is withheld for one reason, and the reason: `F_ce (8 values), F_c: withheld: the force ...`."""
+    """Withheld values and their reason: `F_ce (8 values), F_c: withheld: the force ...`."""
     by_symbol = grouped(withheld, lambda e: e.symbol)
     each = {symbol: list(dict.fromkeys(map(_named, of))) for symbol, of in by_symbol.items()}
     few = sum(map(len, each.values())) <= MOST_REASONS

@@ -1,6 +1,6 @@
-"""Which kinds of test there are: every folder of this package, and entry points of the group `pmabench.kinds`.
+"""The kinds of test: every folder of this package, and entry points of the group `pmabench.kinds`.
 
-A package that is installed next to pmabench brings a kind by an entry point whose value is its record `KIND`.
+Another installed package adds a kind by an entry point whose value is its record `KIND`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def all_kinds() -> Mapping[str, Kind]:
 
 
 def find(name: str) -> Kind | None:
-    """The kind of a name; None where it is not known, as in a run of a newer version."""
+    """The kind with a name; None where it is unknown, as in a run of a newer version."""
     return all_kinds().get(name)
 
 
@@ -53,12 +53,12 @@ def with_part(name: str) -> dict[str, Kind]:
 
 
 def with_results(*symbols: str) -> dict[str, Kind]:
-    """The kinds that give all of some coefficients."""
+    """The kinds that give all of these coefficients."""
     return {kind.name: kind for kind in all_kinds().values() if {*symbols} <= {r.symbol for r in kind.results}}
 
 
 def options_for(asked: Mapping[str, object]) -> dict[str, dict[str, object]]:
-    """Of the options that a user gave, kind -> those that its reduction has. UsageError for what a kind refuses."""
+    """Kind -> those of the user's options that its reduction has. UsageError for an option that a kind refuses."""
     found = {}
     for kind in all_kinds().values():
         mine = {name: value for name, value in asked.items() if value and name in kind.options}
@@ -70,12 +70,12 @@ def options_for(asked: Mapping[str, object]) -> dict[str, dict[str, object]]:
 
 
 def importable() -> dict[str, Imported]:
-    """What each kind that files of other programs can be of needs of them, by its name."""
+    """Kind -> what it needs from files of other programs, for kinds that can be imported."""
     return {name: kind.imported for name, kind in all_kinds().items() if kind.imported is not None}
 
 
 def loops() -> tuple[str, ...]:
-    """The kinds whose runs cannot be taken with another calibration."""
+    """The kinds whose runs cannot be recalibrated."""
     return tuple(name for name, kind in all_kinds().items() if kind.loop)
 
 
@@ -85,6 +85,6 @@ def protocols() -> dict[str, Kind]:
 
 
 def title_of(name: str) -> str:
-    """The heading of a kind's name; made of the name where the kind is not known."""
+    """Heading for a kind; made from its name where the kind is unknown."""
     kind = find(name)
     return kind.title if kind else name.replace("-", " ").capitalize() or "Unnamed test"

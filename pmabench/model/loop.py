@@ -16,6 +16,7 @@ from scipy.optimize import brentq
 from pmabench.model.muscle import Muscle
 from pmabench.model.regulator import Regulator
 
+Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
@@ -262,19 +263,22 @@ class Answer:
     overshoot: float
     """Fraction of the final value [1]; infinite for an unstable loop."""
     settling: float
-    """Time [s] after which it stays within `SETTLED` of the final value; infinite where it does not in 16 T_u."""
+    """Time [s] after which it stays within `SETTLED` of the final value; infinite where not in `MOST` T_u."""
 
 
 SETTLED = 0.02
 """Band about the final value, as a fraction of it."""
+LEAST, MOST, STAYS = 16, 256, 8
+"""Ultimate periods that are simulated, more until it stays in the band for so many."""
 
 
 def set_point_step(loop: Loop, controller: Controller) -> Answer:
     """Overshoot and settling time of the displacement after a set-point step.
 
-    Simulated for 16 T_u at T_u/400: controller and lags are one linear system whose input, the error one dead time
-    ago, is a line between two samples; exact for that, whatever the kick of the derivative. The final value is the
-    set-point, without integral action K/(1 + K) of it, K = K_p k_g.
+    The derivative acts on the displacement alone, as in `pmabench.model.pid`. Simulated at T_u/400 for 16 T_u, or until
+    it has settled: controller and lags are one linear system whose input, the error one dead time ago, is a line
+    between two samples; what the derivative of the set-point would add is taken off. The final value is the set-point,
+    without integral action K/(1 + K) of it, K = K_p k_g.
     """
     if not margins(loop, controller).stable:
         return Answer(inf, inf)
@@ -282,10 +286,34 @@ def set_point_step(loop: Loop, controller: Controller) -> Answer:
     h = period / 400
     waiting = max(1, round(loop.dead_time / h)) if loop.dead_time > 0 else 0
     h = loop.dead_time / waiting if waiting else h
+    A, early, late, read, kick = _discrete(loop, controller, h)
+    gain = controller.K_p * loop.gain
+    final = 1.0 if controller.T_i < inf else gain / (1 + gain)
+    count, most, stays = (int(periods * period / h) for periods in (LEAST, MOST, STAYS))
+    state, derived, errors, left = np.zeros(len(A)), np.zeros(len(A)), [1.0] * (waiting + 1), waiting + 1
+    while len(errors) <= min(most, max(count, left + stays)):
+        before = errors[-1 - waiting]
+        derived = A @ derived + early
+        wanted = 1.0 + kick @ derived
+        state = A @ state + (early - late) * before
+        if waiting:
+            state += late * errors[-waiting]
+        else:  # the error at the end of the line depends on itself
+            state += late * (wanted - read @ state) / (1.0 + read @ late)
+        errors.append(float(wanted - read @ state))
+        if abs(1.0 - errors[-1] - final) > SETTLED * final:
+            left = len(errors)
+    return Answer(max(0.0, (1.0 - min(errors)) / final - 1.0), left * h if left + stays <= most else inf)
+
+
+def _discrete(loop: Loop, controller: Controller, h: float) -> tuple[Array, Array, Array, Array, Array]:
+    """State matrix of controller and lags over `h` [s], its two inputs for the begin and the end of a line, and what
+    reads the displacement behind all of the controller and behind its derivative alone; a step is `early` each time.
+    """
     integral, slow = controller.T_i / h, controller.T_d / controller.filter / h  # all times in samples
     by_i = np.array([integral, 0.0]) if integral < inf else np.ones(1)
-    num = np.polymul(by_i, [controller.T_d / h, 0.0])
-    num = np.polyadd(num, np.polymul([slow, 1.0], np.polyadd(by_i, [float(integral < inf)])))
+    derivative = np.polymul(by_i, [controller.T_d / h, 0.0])
+    num = np.polyadd(derivative, np.polymul([slow, 1.0], np.polyadd(by_i, [float(integral < inf)])))
     den = np.polymul(by_i, [slow, 1.0])
     for lag in loop.lags:
         den = np.polymul(den, [lag / h, 1.0])
@@ -297,21 +325,6 @@ def set_point_step(loop: Loop, controller: Controller) -> Answer:
     block[np.arange(1, order), np.arange(order - 1)] = 1.0
     block[order, order + 1] = 1.0
     exact = expm(block)
-    A, early, late = exact[:order, :order], exact[:order, order], exact[:order, order + 1]
-    gain = controller.K_p * loop.gain
-    read = gain * np.pad(np.trim_zeros(num, "f"), (order, 0))[-order:]
-    final = 1.0 if controller.T_i < inf else gain / (1 + gain)
-    count = int(16 * period / h)
-    state, errors = np.zeros(order), np.ones(count + 1)
-    for k in range(waiting, count):
-        before = errors[k - waiting]
-        state = A @ state + (early - late) * before
-        if waiting:
-            state += late * errors[k + 1 - waiting]
-        else:  # the error at the end of the line depends on itself
-            state += late * (1.0 - read @ state) / (1.0 + read @ late)
-        errors[k + 1] = 1.0 - read @ state
-    x = 1.0 - errors
-    outside = np.flatnonzero(np.abs(x - final) > SETTLED * final)
-    left = int(outside[-1]) + 1
-    return Answer(max(0.0, float(x.max()) / final - 1.0), left * h if left <= count else inf)
+    scale = controller.K_p * loop.gain
+    read, kick = (scale * np.pad(np.trim_zeros(one, "f"), (order, 0))[-order:] for one in (num, derivative))
+    return exact[:order, :order], exact[:order, order], exact[:order, order + 1], read, kick

@@ -1,6 +1,6 @@
-"""A chart as data, and as static SVG with names at its curves; a page's script may draw the same data with zoom.
+"""A chart as data, and as static SVG with labelled curves; a page's script may draw the same data with zoom.
 
-Knows no page and no result. Lengths of the drawing are points of print (1/72 in); the page sets text in its own font,
+Contains no page or result. Lengths of the drawing are points of print (1/72 in); the page sets text in its own font,
 so only the length of a text is estimated here. No element has a `style`: attributes only.
 """
 
@@ -20,14 +20,14 @@ from pmabench.plotting.svg import marked, shortened
 TICK, LABEL, NAME = 7.4, 7.8, 8.0
 """Sizes of text at ticks, axis titles and curves [pt]."""
 WIDE, BOLD = 0.55, 0.62
-"""Mean width of a letter, and of one of the bold names, as a share of its size."""
+"""Mean width of a letter, and of a bold one, as a fraction of the font size."""
 RADIUS = 2.3
 GAP = 12.0
-"""Between charts in a row [pt]."""
+"""Gap between charts in a row [pt]."""
 MOST_POINTS = 2000
-"""Points of a line that the page holds."""
+"""Most points of a line in the data of the page."""
 STATIC = 700
-"""Points of a line that are drawn in the static picture."""
+"""Most points of a line in the static SVG."""
 
 
 @dataclass(frozen=True)
@@ -35,28 +35,28 @@ class Series:
     """A line, or dots with their intervals."""
 
     label: str
-    """Name at its last point, or left of its first; empty for none."""
+    """Name at its last point, or left of its first; empty: none."""
     x: Array
     y: Array
     color: str
     dots: bool = False
     half: Array | None = None
-    """Half widths of the intervals: bars of dots, the band of a line; NaN: none."""
+    """Half widths of the intervals: error bars of dots, band of a line; NaN: none."""
     width: float = 1.3
     dashed: bool = False
     hollow: bool = False
     method: str = ""
-    """What switches it on; empty: always shown. The static picture has only what is always shown."""
+    """Method whose switch shows it; empty: always shown. The static SVG has only what is always shown."""
     cross: bool = False
-    """Dots as crosses: values of somebody else."""
+    """Draw dots as crosses: values from the literature."""
     name_color: str = ""
-    """Of the label, where the series' own colour is too pale for text."""
+    """Colour of the label, if that of the series is too pale for text."""
     said: str = ""
-    """What values are called in the line below the chart, where that is not the label."""
+    """Name in the line of values below the chart, if it differs from the label."""
     named_first: bool = False
-    """Whether the name is left of the first point: for lines that begin farther apart than they end."""
+    """Whether the name is left of the first point: for lines that are farther apart at their beginning."""
     hidden: bool = False
-    """Whether it is left out of the line of values."""
+    """Whether it is left out of the line of values below the chart."""
 
 
 @dataclass(frozen=True)
@@ -70,23 +70,23 @@ class Chart:
     height: float
     alt: str
     tested: Array | None = None
-    """Corners of the tested zone, shape (n, 2): all else is grey."""
+    """Corners of the tested zone, shape (n, 2); the rest is grey."""
     words: str = ""
     """A remark in the upper right corner."""
     zero: bool = False
     """Whether the y axis begins at 0."""
     y_ticks: int = 5
     together: str = ""
-    """Charts of one name have linked cursors."""
+    """Charts with the same name have linked cursors."""
     stamp: str = ""
     x_named: bool = True
-    """Whether ticks and title of the x axis are written: not above another chart with the same."""
+    """Whether ticks and title of the x axis are written: not above another chart with the same axis."""
     sides: tuple[float, float] | None = None
-    """Room left and right of the axes; None: as its own texts need."""
+    """Room left and right of the axes; None: as needed by the chart's own texts."""
 
     @property
     def shown(self) -> list[Series]:
-        """What the static picture shows."""
+        """Series of the static SVG."""
         return [s for s in self.series if not s.method]
 
 
@@ -101,7 +101,7 @@ def ticks(low: float, high: float, most: int) -> list[float]:
 
 
 def tick_text(value: float, step: float) -> str:
-    """A tick with the decimals of its step, a true minus, thin spaces in thousands from 10 000."""
+    """Text of a tick with the decimals of its step, a true minus, thin spaces in thousands from 10 000."""
     decimals = max(0, -floor(log10(step) + 1e-9)) if step > 0 else 0
     if step > 0 and abs(round(step, decimals) - step) > 1e-9 * step:
         decimals += 1
@@ -112,7 +112,7 @@ def tick_text(value: float, step: float) -> str:
 
 
 def limits(chart: Chart) -> tuple[float, float, float, float]:
-    """Least and largest x and y of the axes, with a little room; of what is always shown."""
+    """Ends of the axes (x0, x1, y0, y1), with some room, for the series that are always shown."""
     series = chart.shown or list(chart.series)
     xs = np.concatenate([s.x for s in series] or [np.zeros(1)])
     ends = [s.y + way * (np.nan_to_num(s.half) if s.half is not None else 0.0) for s in series for way in (-1, 1)]
@@ -131,7 +131,7 @@ def limits(chart: Chart) -> tuple[float, float, float, float]:
 
 
 class _Frame:
-    """Where things are in the drawing."""
+    """Coordinates of the drawing."""
 
     def __init__(self, chart: Chart) -> None:
         self.chart = chart
@@ -154,14 +154,14 @@ class _Frame:
         return [tick_text(value, step) for value in values]
 
     def at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Points of the drawing."""
+        """Data to coordinates of the drawing."""
         across = self.left + (np.asarray(x) - self.x0) / (self.x1 - self.x0) * (self.right - self.left)
         down = self.bottom - (np.asarray(y) - self.y0) / (self.y1 - self.y0) * (self.bottom - self.top)
         return across, down
 
 
 def with_common_sides(charts: Sequence[Chart]) -> tuple[Chart, ...]:
-    """Charts one below the other, their axes as wide as those of the narrowest."""
+    """Charts one below the other, with axes aligned to the narrowest."""
     frames = [_Frame(chart) for chart in charts]
     left, right = max(f.left - f.gutter for f in frames), max(f.chart.width - f.right for f in frames)
     return tuple(replace(chart, sides=(left, right)) for chart in charts)
@@ -192,7 +192,7 @@ def _whole(width: float, height: float, alt: str, stamp: str, inner: str) -> str
 
 
 def _drawn(chart: Chart) -> str:
-    """All elements of a chart."""
+    """All SVG elements of a chart."""
     frame = _Frame(chart)
     body = [*_ground(frame), *_axes(frame)]
     body += [band for series in chart.shown for band in _band(frame, series)]
@@ -207,7 +207,7 @@ def _drawn(chart: Chart) -> str:
 
 
 def _ground(frame: _Frame) -> list[str]:
-    """Grey where nothing was tested, white where it was."""
+    """Grey background where nothing was tested."""
     if frame.chart.tested is None or len(frame.chart.tested) < 3:
         return []
     wide, high = frame.right - frame.left, frame.bottom - frame.top
@@ -221,7 +221,7 @@ def _ground(frame: _Frame) -> list[str]:
 
 
 def _axes(frame: _Frame) -> list[str]:
-    """Horizontal grid, axis lines, ticks, titles: the unit is in the title, that of y above its axis."""
+    """Horizontal grid, axis lines, ticks, titles with units; the title of y is above its axis."""
     chart, out = frame.chart, []
     for value, text in zip(frame.y_ticks, frame.texts(frame.y_ticks), strict=True):
         y = float(frame.at(np.zeros(1), np.array([value]))[1][0])
@@ -241,7 +241,7 @@ def _axes(frame: _Frame) -> list[str]:
 
 
 def _band(frame: _Frame, series: Series) -> list[str]:
-    """The interval of a line."""
+    """The interval of a line, as a band."""
     if series.dots or series.half is None or not np.isfinite(series.half).any():
         return []
     known = np.isfinite(series.half) & np.isfinite(series.y)
@@ -266,7 +266,7 @@ def _line(frame: _Frame, series: Series) -> list[str]:
 
 
 def _dots(frame: _Frame, series: Series) -> list[str]:
-    """Dots with their bars, or crosses."""
+    """Dots with error bars, or crosses."""
     out = []
     across, down = frame.at(series.x, series.y)
     halves = np.full(len(series.x), np.nan) if series.half is None else series.half
@@ -287,7 +287,7 @@ def _dots(frame: _Frame, series: Series) -> list[str]:
 
 
 def _names(frame: _Frame) -> list[str]:
-    """Names at the last points, or left of the first, moved apart where they would lie over each other."""
+    """Names at the last points, or left of the first, moved apart where they would overlap."""
     found = []
     for first in (False, True):
         named: list[tuple[float, float, Series]] = []
@@ -306,7 +306,7 @@ def _names(frame: _Frame) -> list[str]:
 
 
 def _apart(named: Sequence[tuple[float, float, Series]], frame: _Frame) -> list[float]:
-    """Heights of names: those over each other are a line apart, as near to their curves as that and the axes let."""
+    """Heights of names: at least a line apart, otherwise as near to their curves as possible."""
     places = [down for down, _, _ in named]
     for _ in range(80):
         for n in range(len(places) - 1):

@@ -1,6 +1,6 @@
 """Figures of driven and free oscillations: loops, values over frequency, growth over gain; draws through `plots`.
 
-And of isometric tests: forces over pressure at set contractions, with the lines through them.
+Also of isometric tests: force over pressure at fixed contractions, with fitted lines.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ TOGETHER: dict[str, tuple[str, str, str]] = {
     "isobaric": ("displacement", "force", "pressure"),
     "pressure-loop": ("pressure", "displacement", "frequency"),
 }
-"""Kinds of traces that are loops: what is across, what is up, and which mark differs between them."""
+"""Kinds of traces that are loops -> x column, y column, and the mark that differs between them."""
 MOST_TOGETHER = 5
 
 
@@ -78,7 +78,7 @@ def _title(first: str, second: str, where: str) -> str:
 
 
 def _loop_name(trace: Trace, mark: str) -> str:
-    """The frequency, pressure or other mark in which a loop differs from the others, with its unit."""
+    """The frequency, pressure or other mark that distinguishes a loop from the others, with its unit."""
     if mark not in trace.marks:
         return head(trace)
     unit = shown(mark)
@@ -86,7 +86,7 @@ def _loop_name(trace: Trace, mark: str) -> str:
 
 
 def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """Loops at each frequency, a figure for each operating point."""
+    """Loops at each frequency, one figure for each operating point."""
     groups: dict[str, list[Trace]] = {}
     for trace in traces:
         first, second = TOGETHER["pressure-loop" if trace.figure == "pressure-loop" else "loop"][:2]
@@ -122,7 +122,7 @@ def _frequency(trace: Trace) -> str:
 
 
 def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """Stiffness, loss per speed and phase over frequency, all operating points together."""
+    """Stiffness, loss per speed and phase over frequency, for all operating points."""
     able = [t for t in traces if has(t, "frequency", "stiffness", "loss", "speed", "phase")]
     able = [t for t in able if np.all(t.columns["frequency"] > 0) and np.all(t.columns["speed"] > 0)][:6]
     if not able:
@@ -173,7 +173,7 @@ def _growth_panel(trace: Trace) -> Panel | None:
 
 
 def growth_alone(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """The growth plot by itself, for the first page."""
+    """The growth plot alone, for the first page."""
     growth = _growth_panel(traces[0])
     if growth is None:
         return []
@@ -201,7 +201,7 @@ def _setpoint(trace: Trace) -> str:
 
 
 def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """Swings near the ultimate gain and their growth over gain, a row for each set-point."""
+    """Oscillations near the ultimate gain and their growth over gain, one row for each set-point."""
     pairs: dict[str, list[Trace | None]] = {}
     for trace in traces:
         place = 0 if trace.figure == "oscillation" else 1

@@ -70,7 +70,7 @@ def overlays(
 ) -> list[Picture]:  # fmt: skip
     """Contraction over time, measured and of a `model` in words, and their difference below.
 
-    At `most` so many panels; `also` ends the caption, `columns` are those in the table, all where none are named.
+    At `most` so many panels; `also` ends the caption, `columns` are those in the table, all if none are named.
     """
     able = [t for t in traces if has(t, "t", "displacement", "model")]
     if not able:

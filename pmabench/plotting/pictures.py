@@ -1,6 +1,6 @@
-"""What every figure of a report is: a drawing with number-free title, caption, alternative text and its numbers.
+"""Parts of every figure of a report: a drawing with number-free title, caption, alternative text and its numbers.
 
-Helpers that figures share: display units of traces, thinning, data tables. Knows no kind of figure.
+Helpers that figures share: display units of traces, thinning, data tables. For any kind of figure.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 TABLE_ROWS = 24
-"""Rows of a panel in the table of numbers below its figure."""
+"""Rows per panel in the table of numbers below its figure."""
 LARGEST = 1e30
-"""Numbers from this size on are no measurements and would break a drawing."""
+"""Numbers from this size cannot be measurements and would break a drawing."""
 NOTHING = 1e-9
-"""Share of the largest number of a column below which another one is 0."""
+"""Fraction of a column's largest number below which another one is written as 0."""
 DRAWN = 700
-"""Points of a line that are drawn."""
+"""Most points of a drawn line."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One figure for a page; drawn when its SVG is first asked for, since a report chooses among many."""
+    """One figure for a page; drawn when its SVG is first requested, since a report uses only some of many."""
 
     title: str
     caption: str
     alt: str
     draw: Callable[[], str]
-    """Gives the SVG."""
+    """Returns the SVG."""
     table: Frame
     wide: bool
     simulated: bool
     charts: tuple[Chart, ...] = ()
-    """What it is made of, where it is made of charts: the page draws them anew, with zoom."""
+    """The charts it consists of, if any: the page draws them again, with zoom."""
     stacked: bool = False
-    """Whether its charts are one below the other and not side by side."""
+    """Whether its charts are one below the other, not side by side."""
 
     @cached_property
     def svg(self) -> str:
@@ -75,7 +75,7 @@ def of_charts(
 def picture(
     draw: Callable[[], Figure], title: str, caption: str, alt: str, table: Frame, *, wide: bool, simulated: bool
 ) -> Picture:
-    """A figure that is drawn within the style of reports, stamped where simulated."""
+    """A figure drawn in the style of reports, with a stamp if simulated."""
 
     def svg() -> str:
         with drawing():
@@ -89,7 +89,7 @@ def picture(
 
 
 def drawable(analysis: Analysis) -> Analysis:
-    """The analysis without what cannot be drawn: numbers that are not finite or beyond `LARGEST`, empty domains."""
+    """The analysis without parts that cannot be drawn: numbers not finite or beyond `LARGEST`, empty domains."""
     return replace(
         analysis,
         estimates=tuple(e for e in analysis.estimates if _sound(e)),
@@ -116,7 +116,7 @@ def _small(*values: float) -> bool:
 
 
 def usable(trace: Trace) -> bool:
-    """Whether a trace can be drawn: columns of numbers of one length, with finite values."""
+    """Whether a trace can be drawn: numeric columns of equal length, with finite values."""
     columns = [np.asarray(trace.columns[name]) for name in trace.columns]
     if not all(values.ndim == 1 and np.issubdtype(values.dtype, np.number) for values in columns):
         return False
@@ -132,7 +132,7 @@ def unit_of(trace: Trace, column: str) -> Shown:
 
 
 def column(trace: Trace, name: str) -> Array:
-    """A column in its display unit; NaN where it is too large to be drawn."""
+    """A column in its display unit; NaN if it is too large to draw."""
     values = np.asarray(trace.columns[name], dtype=np.float64) / unit_of(trace, name).scale
     return np.where(np.abs(values) < LARGEST, values, np.nan)
 
@@ -143,7 +143,7 @@ def label(trace: Trace, name: str) -> str:
 
 
 def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
-    """A panel with columns renamed: `names` from the drawing's name to the trace's; thinned evenly."""
+    """A panel with renamed columns: `names` from the drawing's name to the trace's; evenly thinned."""
     columns = {new: column(trace, old) for new, old in names.items()}
     stride = max(1, -(-len(next(iter(columns.values()))) // DRAWN))
     first, *others = names.values()
@@ -157,7 +157,7 @@ def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
 
 
 def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> Frame:
-    """The numbers of traces, evenly thinned, with the panel's title in front; text."""
+    """The numbers of traces as text, evenly thinned, with the panel's title in the first column."""
     cells: list[dict[str, str]] = []
     for title, trace in traces:
         names = [name for name in (wanted or tuple(trace.columns)) if name in trace.columns]
@@ -170,7 +170,7 @@ def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> 
 
 
 def _texts(values: Array, rows: NDArray[np.intp]) -> list[str]:
-    """Numbers of a column at some rows; what is negligible against its largest is 0."""
+    """Numbers of a column at some rows, as text; 0 if negligible against the largest."""
     known = np.abs(values[np.isfinite(values)])
     least = NOTHING * float(known.max()) if len(known) else 0.0
     return [
@@ -180,33 +180,33 @@ def _texts(values: Array, rows: NDArray[np.intp]) -> list[str]:
 
 
 def spread(items: Sequence[Item], most: int) -> list[Item]:
-    """At most `most` of the items, evenly chosen."""
+    """At most `most` of the items, evenly selected."""
     if len(items) <= most:
         return list(items)
     return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, most).astype(int))]
 
 
 def has(trace: Trace, *names: str) -> bool:
-    """Whether these columns are there, with something finite in each."""
+    """Whether these columns exist, each with a finite value."""
     return all(name in trace.columns and np.isfinite(column(trace, name)).any() for name in names)
 
 
 def head(trace: Trace) -> str:
-    """The title of a panel: that of the trace up to its colon."""
+    """Title of a panel: that of the trace up to its colon."""
     return clean(trace.title.partition(":")[0], 60)
 
 
 def how_many(chosen: Sequence[object], able: Sequence[object]) -> str:
-    """A sentence where not all are shown."""
+    """A sentence if not all are shown; else empty."""
     return f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
 
 
 def bound(draw: Callable[..., Figure], *arguments: object) -> Callable[[], Figure]:
-    """`draw` with its arguments bound, to be called within the style of reports."""
+    """`draw` with its arguments bound, to be called in the style of reports."""
     return lambda: draw(*arguments)
 
 
 def reach(values: Sequence[float]) -> str:
-    """The range of some numbers with two digits: `0.12 to 3.4`."""
+    """Range of some numbers with two digits: `0.12 to 3.4`."""
     low, high = (f"{value:.2g}" if value < 99 else f"{value:.0f}" for value in (min(values), max(values)))
     return low if low == high else f"{low} to {high}"

@@ -1,4 +1,4 @@
-"""Drawings: one function per kind of figure, from plain columns to a matplotlib figure; knows no page and no wording.
+"""Drawings: one function per kind of figure, from plain columns to a matplotlib figure; no page and no wording.
 
 All are called inside `svg.drawing()`. Numbers come in display units, with their labels.
 """
@@ -22,19 +22,19 @@ Array = NDArray[np.float64]
 HALF, FULL = 3.5, 7.2
 """Widths of figures [in]."""
 INK, QUIET, FAINT = "#16202a", "#52606d", "#a3b1be"
-"""Of text, of what is said quietly, and of what was measured, under the line of its model."""
+"""Colours of text, of secondary text, and of measured data under a model's line."""
 GRID, UNTESTED = "#e8edf2", "#eef1f5"
 BLUE, BROWN, GREEN, FAULT = "#0b5394", "#8a4b00", "#0a6c51", "#b3261e"
 DARK, TEAL, BRIGHT = "#271102", "#28a0bd", "#0b35da"
 PALETTE = (BLUE, BROWN, GREEN, DARK, TEAL, BRIGHT)
-"""Colours of series: any two are 30 Lab units apart, for red-green blindness too, and 3 : 1 from paper."""
+"""Colours of series: any two are 30 Lab units apart, also for red-green blindness, with contrast 3 : 1 to paper."""
 MARKERS = ("o", "s", "^", "D", "v", "P")
 CROSSES = ("x", "+", "1", "2", "3", "4")
-"""Marks of published values."""
+"""Markers of published values."""
 WARN = BROWN
-"""Of the word SIMULATED."""
+"""Colour of the word SIMULATED."""
 OPEN: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.6}
-"""Look of marks of other methods than the primary one."""
+"""Style of markers of methods other than the primary one."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +48,18 @@ class Points:
     above: Array
     primary: bool
     group: int
-    """Colour."""
+    """Index of the colour."""
     mark: int
-    """Marker."""
+    """Index of the marker."""
     curve: tuple[Array, Array, Array] | None = None
     """x, y and half width of the band (NaN: none)."""
     published: bool = False
-    """Whether these are another's values."""
+    """Whether these are published values."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel of a figure of several: a title, named columns."""
+    """One panel of a figure: title and named columns."""
 
     title: str
     columns: dict[str, Array]
@@ -76,7 +76,7 @@ def blank(width: float, height: float) -> Figure:
 
 
 def grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
-    """A grid inside margins given in inches: left, right, bottom, top, and gaps `across` and `down`."""
+    """A grid inside margins in inches: left, right, bottom, top, and gaps `across` and `down`."""
     width, height = figure.get_size_inches()
     left, right = options.pop("left", 0.52), options.pop("right", 0.1)
     bottom, top = options.pop("bottom", 0.38), options.pop("top", 0.28)
@@ -96,7 +96,7 @@ def one_axes(width: float, height: float, **margins: Any) -> tuple[Figure, Axes]
 def above_each_other(
     figure: Figure, cell: Any, ratios: tuple[float, float], gap: float, shared: bool = False
 ) -> tuple[Axes, Axes]:
-    """Two pairs of axes in a cell over the same x, which is written below the lower; `shared`: also its ticks."""
+    """Two pairs of axes in a cell with the same x axis, labelled at the lower one; `shared`: also its ticks."""
     inner = cell.subgridspec(2, 1, height_ratios=ratios, hspace=gap)
     upper = figure.add_subplot(inner[0])
     upper.tick_params(labelbottom=False)
@@ -104,7 +104,7 @@ def above_each_other(
 
 
 def fit_labels(figure: Figure) -> None:
-    """Move the left ends of axes to the right where their labels would be cut by the edge or by neighbouring axes."""
+    """Move the left ends of axes to the right if their labels would be cut off or overlap neighbouring axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas: Any = FigureCanvasAgg(figure)
@@ -134,7 +134,7 @@ def stamp(figure: Figure, text: str) -> None:
 def legend_above(
     figure: Figure, columns: int, named: tuple[Any, Any] | None = None, at: Sequence[float] = (0.5, 0.06), **look: Any
 ) -> None:
-    """The labels of the first axes (or `named`: handles, labels) in rows above them, `at` [in] from the upper left."""
+    """Labels of the first axes (or `named`: handles, labels) in rows above them, `at` [in] from the upper left."""
     width, height = figure.get_size_inches()
     handles, labels = named or figure.axes[0].get_legend_handles_labels()
     place = (at[0] / width, 1 - at[1] / height)
@@ -144,7 +144,7 @@ def legend_above(
 def multiples(
     figure: Figure, cells: Any, panels: Sequence[Panel], columns: int, labels: dict[str, str], ticks: int
 ) -> Iterator[tuple[Axes, Panel]]:
-    """Axes for each panel, all to one scale, which get title and labels when they are drawn."""
+    """Axes with a common scale for each panel; title and labels are set after the caller has drawn."""
     first: Axes | None = None
     for i, panel in enumerate(panels):
         axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
@@ -206,7 +206,7 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str) -> Figure
 
 
 def _apart(points: Sequence[Points]) -> list[Array]:
-    """Differences of each series from the curve of the first, where series are too close to be distinguished."""
+    """Deviations of each series from the curve of the first; empty unless the series nearly coincide."""
     points = [p for p in points if not p.published]
     if len(points) < 2 or points[0].curve is None or len({p.group for p in points}) < 2:
         return []
@@ -220,7 +220,7 @@ def _apart(points: Sequence[Points]) -> list[Array]:
 
 
 def _frame(axes: Axes, points: Sequence[Points]) -> None:
-    """Limits of y from all values and the bars of the primary method: wide bars of others do not squeeze the plot."""
+    """Limits of y from all values and the bars of the primary method; wide bars of others would squash the plot."""
     ends: list[float] = []
     reach = float(np.ptp(np.concatenate([p.y for p in points]))) if points else 0.0
     none = not any(p.primary for p in points)
@@ -237,7 +237,7 @@ def _frame(axes: Axes, points: Sequence[Points]) -> None:
 
 
 def published(axes: Axes, panel: Panel, marks: dict[str, int]) -> None:
-    """Published points of a panel as crosses, named in the first panel that has them; `marks` counts the labels."""
+    """Published points of a panel as crosses, named in the first panel that has them; `marks` numbers the labels."""
     new = []
     for name, x, y in panel.published:
         first, mark = name not in marks, CROSSES[marks.setdefault(name, len(marks)) % len(CROSSES)]
@@ -248,7 +248,7 @@ def published(axes: Axes, panel: Panel, marks: dict[str, int]) -> None:
 
 
 def few_ticks(axes: Axes, x: int = 6, y: int = 6) -> None:
-    """At most so many intervals between ticks, at round numbers."""
+    """Limit the number of tick intervals, at round numbers."""
     from matplotlib.ticker import MaxNLocator
 
     axes.xaxis.set_major_locator(MaxNLocator(x, steps=[1, 2, 2.5, 5, 10]))
@@ -298,7 +298,7 @@ def _closed(values: Array) -> Array:
 
 
 def against_frequency(panels: Sequence[Panel], labels: dict[str, str], names: Sequence[str]) -> Figure:
-    """Named columns over frequency on a logarithmic axis, a panel for each; lines of the fit where `<name> fit` is."""
+    """Named columns over frequency on a logarithmic axis, one panel each; fitted lines from columns `<name> fit`."""
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
     columns = 4 if max(len(panel.title) for panel in panels) < 16 else 3
@@ -328,7 +328,7 @@ def against_frequency(panels: Sequence[Panel], labels: dict[str, str], names: Se
 
 
 def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
-    """Samples of y over x, coloured by test, with the line through them; columns x, measured, fit, group."""
+    """Samples of y over x, coloured by test, with the fitted line; columns x, measured, fit, group."""
     alone = len(panels) == 1
     columns = 1 if alone else min(3, len(panels))
     rows = ceil(len(panels) / columns)

@@ -1,6 +1,6 @@
-"""A matplotlib figure as an SVG element for HTML: same bytes for the same figure, nothing referenced, text as text.
+"""A matplotlib figure as an SVG element for HTML: same bytes for the same figure, no external references, text as text.
 
-Knows the markup of symbols (`F_ce`), not what a figure shows.
+Converts the markup of symbols (`F_ce`); independent of the content of a figure.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ STYLE = Path(__file__).with_name("report.mplstyle")
 SYMBOL = re.compile(
     r"(?<![\w-])(?P<base>[A-Za-z]|tau|phi|eta|eps|omega|theta|alpha)(?:_(?P<sub>[A-Za-z]{1,4}|\d))?(?![\w'’-])"
 )
-"""A symbol of the field; without a subscript it counts only in front of a unit or an equals sign, or alone."""
+"""A symbol; without a subscript it counts only before a unit or an equals sign, or alone."""
 PLACES = re.compile(r' (?:x|y|x1|x2|y1|y2|width|height|transform)="[^"]*"')
 MARKS = re.compile(r'<use [^>]*style="(?P<style>[^"]*)"/>\s*(?:<use [^>]*style="(?P=style)"/>\s*)+')
-"""Marks of one look, one after another."""
+"""Consecutive markers of the same style."""
 UNITS = {"N", "s", "J", "V", "A", "m"}
-"""Letters that by themselves are a unit and no symbol."""
+"""Letters that are a unit, not a symbol, when they are alone."""
 GREEK = {"tau": "τ", "phi": "φ", "eta": "η", "eps": "ε", "omega": "ω", "theta": "θ", "alpha": "α"}
 
 
 def symbol_parts(text: str) -> list[tuple[str, str]]:
-    """`text` cut into (`text`, ...), (`symbol`, ...) and (`sub`, ...) pieces: `F_ce [N]` -> symbol F, sub ce, text."""
+    """Split into (`text`, ...), (`symbol`, ...) and (`sub`, ...) pieces: `F_ce [N]` -> symbol F, sub ce, text."""
     pieces: list[tuple[str, str]] = []
     end = 0
     for found in SYMBOL.finditer(text):
@@ -58,7 +58,7 @@ _inside: ContextVar[bool] = ContextVar("inside", default=False)
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """The look of figures, whatever matplotlib's settings on this machine are; set once for many where it is nested."""
+    """Context with the style of reports, independent of local matplotlib settings; nested contexts have no effect."""
     if _inside.get():
         yield
         return
@@ -73,9 +73,9 @@ def drawing() -> Iterator[None]:
 
 
 def import_what_draws() -> None:
-    """Import matplotlib without its 3D axes and the help texts of its classes: together a fifth of a report's time.
+    """Import matplotlib without its 3D axes and the help texts of its classes: they take a fifth of a report's time.
 
-    For commands only: in a notebook somebody else may want them.
+    For commands only: in a notebook other code may need them.
     """
     name = "mpl_toolkits.mplot3d"
     if "matplotlib.projections" in sys.modules or name in sys.modules:
@@ -124,7 +124,7 @@ def as_file(svg: str, font: str) -> str:
 
 
 def lean(text: str) -> str:
-    """The same drawing in fewer letters: two decimals, paths by differences, short names, marks of one look grouped."""
+    """The same drawing in fewer characters: two decimals, relative paths, short names, equal markers grouped."""
     found = re.findall(r'<[a-zA-Z][^>]* id="([^"]*)"', text)
     names = {name: f"{n:x}" for n, name in enumerate(dict.fromkeys(found))}
 
@@ -144,7 +144,7 @@ def _marks(run: re.Match[str]) -> str:
 
 
 def shortened(path: str) -> str:
-    """Path data (absolute M, L, Q, C and z) as differences with two decimals; rounding errors do not accumulate."""
+    """Path data (absolute M, L, Q, C and z) in relative form with two decimals; rounding errors do not accumulate."""
     here = start = (0, 0)
     commands: list[tuple[str, list[int]]] = []
     for command, numbers in re.findall(r"([MLQCz])([^A-Za-z]*)", path):
@@ -166,7 +166,7 @@ def shortened(path: str) -> str:
 
 
 def _joined(values: list[int]) -> str:
-    """Hundredths as numbers, apart only where they would run into each other."""
+    """Hundredths as numbers, with spaces only where needed to separate them."""
     texts = [_number(value) for value in values]
     return "".join(text if i == 0 or text[0] == "-" else " " + text for i, text in enumerate(texts))
 
@@ -177,7 +177,7 @@ def _number(hundredths: int) -> str:
 
 
 def marked(text: str) -> str:
-    """Escaped text with symbols in italics and their subscripts lowered, as tspans."""
+    """Escaped text with symbols in italics and subscripts lowered, as tspans."""
     tags = {
         "symbol": ('<tspan font-style="italic">', "</tspan>"),
         "sub": ('<tspan dy="0.22em" font-size="75%">', '</tspan><tspan dy="-0.165em">\u200b</tspan>'),

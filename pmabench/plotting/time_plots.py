@@ -39,11 +39,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NOTE: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "fontsize": 7.5}
-"""Look of a text at a line."""
+"""Style of a text at a line."""
 
 
 def overlay(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
-    """Measured and model over time with a residual strip below, in small multiples; columns t, measured, model."""
+    """Measured and model over time with a strip of residuals below, in small multiples; columns t, measured, model."""
     alone = len(panels) == 1
     columns = 1 if alone else min(3, len(panels))
     rows = ceil(len(panels) / columns)
@@ -100,7 +100,7 @@ def lifts(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 
 
 def oscillations(rows: Sequence[tuple[Panel | None, Panel | None]], labels: dict[str, str]) -> Figure:
-    """Left the swings at the gain nearest to the ultimate one, right growth over gain with its line; a row each."""
+    """Left: oscillation at the gain nearest to the ultimate one; right: growth over gain with its line."""
     figure = blank(FULL, 0.5 + 1.95 * len(rows))
     cells = grid(figure, len(rows), 2, top=0.36, left=0.56, across=0.75, down=0.62, width_ratios=(1.75, 1))
     for i, (swing, growth) in enumerate(rows):
@@ -117,7 +117,7 @@ def oscillations(rows: Sequence[tuple[Panel | None, Panel | None]], labels: dict
 
 
 def growth_axes(axes: Axes, growth: Panel, labels: dict[str, str]) -> None:
-    """Logarithm of the ratio of successive swings over gain; filled points carry the line, its zero is K_u."""
+    """Logarithm of the ratio of successive swings over gain; line through the filled points, its zero is K_u."""
     gain, ratio = growth.columns["gain"], growth.columns["log_ratio"]
     used = growth.columns["used"] > 0.5
     axes.axhline(0, color=QUIET, linewidth=0.8)
@@ -135,7 +135,7 @@ def growth_axes(axes: Axes, growth: Panel, labels: dict[str, str]) -> None:
 
 
 def lines(title: str, x: Array, x_label: str, columns: Sequence[tuple[str, str, Array]]) -> Figure:
-    """Any columns over the first one, a panel for each axis label; `columns` are (label, axis label, values)."""
+    """Columns over the first one, one panel for each axis label; `columns` are (label, axis label, values)."""
     names = list(dict.fromkeys(axis for _, axis, _ in columns))
     figure = blank(FULL, 0.45 + 1.6 * max(1, len(names)))
     cells = grid(figure, max(1, len(names)), 1, left=0.62, down=0.36)
@@ -157,7 +157,7 @@ def lines(title: str, x: Array, x_label: str, columns: Sequence[tuple[str, str, 
 
 
 def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]], labels: dict[str, str]) -> Figure:
-    """A panel for each (title, loops with their names, mean curve); columns x, y."""
+    """One panel for each (title, loops with their names, mean curve); columns x, y."""
     alone = len(panels) == 1
     columns = min(3, len(panels))
     rows = ceil(len(panels) / columns)
@@ -189,7 +189,7 @@ def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]
 
 
 def means(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
-    """Curves y over x above, gap over x below, a colour for each panel; columns x, y, gap."""
+    """Curves y over x above, gap over x below, one colour for each panel; columns x, y, gap."""
     rows = ceil(len(panels) / 4)
     figure = blank(HALF, 3.1 + 0.15 * rows)
     cell = grid(figure, 1, 1, left=0.6, top=0.16 + 0.15 * rows)[0]
@@ -209,7 +209,7 @@ def means(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 
 
 def marks_and_line(panel: Panel, labels: dict[str, str]) -> Figure:
-    """Marks y and the line `model` over x."""
+    """Markers y and the line `model` over x."""
     figure, axes = one_axes(HALF, 2.55, left=0.56)
     x = panel.columns["x"]
     stride = max(1, len(x) // 25)
@@ -224,7 +224,7 @@ def marks_and_line(panel: Panel, labels: dict[str, str]) -> Figure:
 
 
 def sine_pressure(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
-    """Loops over x: y, and the models `set` and `model`; below each the loop of `error`."""
+    """Loops over x of y and of the models `set` and `model`; below each the loop of `error`."""
     alone = len(panels) == 1
     figure = blank(HALF if alone else FULL, 3.6)
     cells = grid(figure, 1, len(panels), top=0.5, left=0.62, across=0.22)
@@ -254,7 +254,7 @@ def sine_pressure(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 
 
 def steps(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
-    """Columns x, y and P over t below each other, a column of axes for each panel; marks as dashed lines on y."""
+    """Columns x, y and P over t below each other, one column of axes for each panel; marks as dashed lines on y."""
     alone = len(panels) == 1
     rows = ["x", "y", *(["P"] if any("P" in panel.columns for panel in panels) else [])]
     figure = blank(HALF if alone else FULL, 1.0 + 1.2 * len(rows))

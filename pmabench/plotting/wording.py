@@ -1,8 +1,8 @@
-"""Words, units, numbers and tables of text in reports: what operating points are called, how many digits people read.
+"""Words, units, numbers and tables of text in reports: names of operating points, number of digits.
 
-A value is rounded to the second significant digit of its interval. Unknown names are shown as they are: a new kind of
+A value is rounded to the second significant digit of its interval. Unknown names are shown unchanged: a new kind of
 test needs no entry here. Holds no results; titles of coefficients are in `pmabench.report.words`. A `Frame`
-is in place of pandas, whose import takes longer than most reductions.
+is used instead of pandas, whose import takes longer than most reductions.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LABELS = {
     "displacement": "x",
 }
 POINTS = {name: (_LABELS.get(name, name), quantity) for name, quantity in POINT_QUANTITIES.items()}
-"""Name of a coordinate of an operating point -> label and quantity; the order is that of columns."""
+"""Coordinate of an operating point -> label and quantity, in the order of columns."""
 
 SPOKEN: dict[str, str] = {
     "setpoint": "set-point",
@@ -45,7 +45,7 @@ SPOKEN: dict[str, str] = {
     "from": "pressure before",
     "tip_mass": "load",
 }
-"""Coordinates whose spoken word differs from their name."""
+"""Coordinates whose word differs from their name."""
 
 COLUMNS: dict[str, str] = {
     "t": "time",
@@ -83,21 +83,21 @@ _FACTORS = {"Pa": ("kPa", 1e3), "m": ("mm", 1e-3)}
 
 @dataclass(frozen=True)
 class Shown:
-    """A unit that people read, and its size in SI."""
+    """A display unit, and its size in SI."""
 
     unit: str
     scale: float
 
     def label(self, text: str) -> str:
-        """`text [unit]`; `text` alone where there is no unit."""
+        """`text [unit]`; `text` alone without a unit."""
         return f"{text} [{self.unit}]" if self.unit else text
 
     def plain_label(self, text: str) -> str:
-        """As `label`, the unit in ASCII, for files."""
+        """As `label`, with the unit in ASCII, for files."""
         return f"{text} [{plain_unit(self.unit)}]" if self.unit else text
 
     def of(self, value: float | None) -> float | None:
-        """An SI value in this unit."""
+        """An SI value in this unit; None stays None."""
         return None if value is None else value / self.scale
 
     def rounded(self, value: float | None, half: float | None = None, digits: int = 4) -> str:
@@ -106,7 +106,7 @@ class Shown:
 
 
 def shown(quantity: str, unit: str = "") -> Shown:
-    """The unit to show for a quantity of `QUANTITIES`; for others their SI unit with kPa and mm in it."""
+    """Display unit of a quantity of `QUANTITIES`; for others the SI unit with kPa and mm."""
     if quantity in QUANTITIES:
         known = QUANTITIES[quantity]
         return Shown(_typeset(known.shown_in), known.scale)
@@ -151,7 +151,7 @@ def point_shown(name: str) -> tuple[str, Shown]:
 
 
 def point_head(name: str) -> str:
-    """The head of a column with a coordinate of operating points: `P [kPa]`."""
+    """Header of a column with a coordinate of operating points: `P [kPa]`."""
     label, unit = point_shown(name)
     return unit.label(label)
 
@@ -162,7 +162,7 @@ def spoken(name: str) -> str:
 
 
 def point_text(at: Mapping[str, float]) -> str:
-    """An operating point in words: `P = 300 kPa, f = 0.5 Hz`; the moving mass is left out where the load is given."""
+    """An operating point in words: `P = 300 kPa, f = 0.5 Hz`; the moving mass is left out if the load is given."""
     parts = []
     for name in in_order(at, POINTS):
         if name == "mass" and "load" in at:
@@ -173,7 +173,7 @@ def point_text(at: Mapping[str, float]) -> str:
 
 
 def brief(text: str, most: int) -> str:
-    """At most so many letters: whole clauses where there are some, else whole words and "…"."""
+    """Text of at most `most` characters: whole clauses if possible, else whole words and "…"."""
     text = clean(text)
     if len(text) <= most:
         return text
@@ -182,17 +182,17 @@ def brief(text: str, most: int) -> str:
 
 
 def listed(words: Sequence[str]) -> str:
-    """Words as a sentence lists them: `a, b and c`."""
+    """A list in words: `a, b and c`."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
 
 
 def number(value: float) -> str:
-    """A setting as people write it, six digits at most."""
+    """A setting with at most six digits."""
     return f"{value:.6g}".replace("-", "−")
 
 
 def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:
-    """`names` once each: those of `known` in its order, then the others as they come."""
+    """`names` once each: those of `known` in its order, then the others in their own."""
     given = list(dict.fromkeys(names))
     return [name for name in known if name in given] + [name for name in given if name not in set(known)]
 
@@ -203,11 +203,11 @@ def symbol_text(symbol: str, coordinate: str = "") -> str:
 
 
 MOST_DIGITS = 7
-"""Significant digits of a value whose interval would ask for more."""
+"""Most significant digits of a value, even if its interval asks for more."""
 PLAIN = (1e-3, 1e6)
-"""Sizes outside these are written with a power of ten."""
+"""Sizes outside this range are written with a power of ten."""
 RESOLVED = 1e-9
-"""Less than this of the unit that people read is rounding of the computer and no measurement."""
+"""Smaller values, in display units, are rounding errors of the computer."""
 UNRESOLVED = "below resolution"
 AT_MOST = "≤ "
 WITHHELD = "withheld"
@@ -215,9 +215,9 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def rounded(value: float | None, half: float | None = None, digits: int = 4) -> str:
-    """`value`, and `± half` where there is an interval: `7.552 ± 0.021`, `(9.73 ± 0.12)×10⁻⁶`, `900 ± 1200`.
+    """`value`, and `± half` if there is an interval: `7.552 ± 0.021`, `(9.73 ± 0.12)×10⁻⁶`, `900 ± 1200`.
 
-    Without an interval `digits` significant digits; "not identifiable" where there is no value.
+    Without an interval `digits` significant digits; "not identifiable" without a value.
     """
     if value is None or not isfinite(value):
         return "not identifiable"
@@ -236,21 +236,21 @@ def rounded(value: float | None, half: float | None = None, digits: int = 4) -> 
 
 
 def printed(text: str) -> str:
-    """A sentence with the signs of print: `±` for `+-`, a minus before a number, products of units by a middle dot."""
+    """A sentence in typography: `±` for `+-`, a true minus before a number, a middle dot in products of units."""
     text = re.sub(r"(?<![\w.,)\]])-(?=\d)", "−", text.replace("+-", "±").replace("+/-", "±"))
     return re.sub(r"(?<=[A-Za-z])\.(?=(?:s|m|K)\b(?:[/) ,;]|$))", "·", text)
 
 
 def cut(value: float, half: float) -> str:
-    """A value whose interval value ± half ends at 0, below which it cannot be: `0.022 (0 to 0.071)`."""
+    """A non-negative value whose interval is cut off at 0: `0.022 (0 to 0.071)`."""
     decimals = min(_decimals(half, 2), _decimals(value, MOST_DIGITS))
     return f"{_fixed(value, decimals)} (0 to {_fixed(value + half, decimals)})"
 
 
 def half_width(half: float | None, least: float = 0.0) -> str:
-    """An interval's half width alone, with two significant digits; empty where it was not assessed.
+    """Half width of an interval alone, with two significant digits; empty if it was not assessed.
 
-    Above 0 and below `least` it says so.
+    If it is above 0 but below `least`, an upper bound such as `< 10⁻⁹`.
     """
     if half is None or not (isfinite(half) and half >= 0):
         return ""
@@ -275,7 +275,7 @@ def _pair(value: float, half: float | None, digits: int) -> str:
 
 
 def _decimals(number: float, digits: int) -> int:
-    """Decimals (negative: left of the point) that show `number` with so many significant digits."""
+    """Decimals (negative: left of the point) that show `number` with `digits` significant digits."""
     return digits - 1 if number == 0 else digits - 1 - Decimal(f"{abs(number):.{digits - 1}e}").adjusted()
 
 
@@ -285,10 +285,10 @@ def _fixed(number: float, decimals: int) -> str:
 
 
 class Frame:
-    """Named columns and rows of cells; a cell that a row lacks is empty text."""
+    """Named columns and rows of cells; a missing cell is an empty text."""
 
     def __init__(self, rows: Iterable[Mapping[str, Any]] = (), columns: Sequence[str] | None = None) -> None:
-        """Rows as column -> cell; columns in the order in which they come, or as given."""
+        """Rows as column -> cell; columns in order of appearance, or as given."""
         given = list(rows)
         self.columns = list(dict.fromkeys(name for row in given for name in row) if columns is None else columns)
         self.rows = [{name: "" if row.get(name) is None else row[name] for name in self.columns} for row in given]
@@ -301,7 +301,7 @@ class Frame:
         return [row[column] for row in self.rows]
 
     def select(self, columns: Sequence[str]) -> Frame:
-        """Some columns, in the order given."""
+        """Only these columns, in the order given."""
         return Frame(self.rows, columns)
 
     def without(self, column: str) -> Frame:
@@ -309,11 +309,11 @@ class Frame:
         return self.select([name for name in self.columns if name != column])
 
     def where(self, keep: Iterable[bool]) -> Frame:
-        """Some rows: whether to keep each of them."""
+        """Only the rows for which `keep` is true."""
         return Frame(compress(self.rows, keep), self.columns)
 
     def filled(self) -> Frame:
-        """The columns in which some cell is not empty."""
+        """Only the columns with a non-empty cell."""
         return self.select([name for name in self.columns if any(cell != "" for cell in self[name])])
 
     def renamed(self, column: str, name: str) -> Frame:

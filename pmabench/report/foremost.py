@@ -191,7 +191,8 @@ def costliest(tests: Sequence[Analysis], failed: Sequence[str]) -> tuple[list[st
     for level in ("fault", "doubt"):
         texts = (f.text for a in tests for f in a.findings if f.level == level)
         found += [printed(t) for t in texts if not any(t.removeprefix("form: ")[:ALIKE] in one for one in failed)]
-    found += [f"{len(a.dropped)} trials not used: {left_out(a.dropped)}" for a in tests if a.dropped]
+    lost = [a.dropped for a in tests if a.dropped]
+    found += [f"{len(one)} trial{'s'[: len(one) > 1]} not used: {left_out(one)}" for one in lost]
     found = list(dict.fromkeys(clean(text) for text in found))
     notes = sum(f.level == "note" for a in tests for f in a.findings)
     return found[:MOST_FINDINGS], len(found[MOST_FINDINGS:]) + notes

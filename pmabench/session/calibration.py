@@ -1,7 +1,7 @@
 """Guided calibration of a channel, or of the regulator, as a run of kind `calibration`; writes no file itself.
 
-Reference points are applied up and down in cycles, each waited for until it is steady, and averaged. The regulator and
-a driven free end go there by themselves; loads and everything else are put on by hands, vented.
+Reference points are applied up and down in cycles; each is waited for until it is steady, then averaged. The regulator
+and a driven free end move there by themselves; loads and all other quantities are applied by the operator, vented.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from pmabench.session.guided import guided_run, load_text, moving_mass, steady
 
 PHASE = "calibration"
 REGULATOR = "pressure_command"
-"""The name under which the regulator is calibrated: its command against the measured pressure."""
+"""Name under which the regulator is calibrated: its command against the measured pressure."""
 CALIBRATED = ("force", "pressure", "displacement", "angle", REGULATOR)
 DRIFT = 5e-4
-"""Most drift while a point is read, of the channel's range."""
+"""Largest drift while a point is read, as a fraction of the channel's range."""
 REACHED = 0.1
-"""An output has reached a point that it is nearer to than by this share of the step to the next one [1]."""
+"""Largest deviation of an output from its point, as a fraction of the step to the next point [1]."""
 TRAVEL = 0.1
-"""Speed of a driven free end between points, of its highest."""
+"""Speed of a driven free end between points, as a fraction of its highest."""
 
 Read = Callable[[str, float, Callable[[], None]], float]
-"""Asks for the reading of the reference [SI]: takes a question, the nominal value, a function that lets time pass."""
+"""Asks for the reference's reading [SI]; arguments: a question, the nominal value, a function that lets time pass."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is calibrated at which points [SI], how often, how well the reference is known (k = 2, SI)."""
+    """What is calibrated, at which points [SI], how many cycles, and the uncertainty of the reference (k = 2, SI)."""
 
     channel: str
     points: tuple[float, ...]
@@ -51,22 +51,22 @@ class Request:
     reference_uncertainty: float
     cycles: int = 2
     seconds: float = 2.0
-    """How long each point is averaged [s]."""
+    """Averaging time at each point [s]."""
     nominal: bool = False
-    """Nobody reads the reference: the nominal value counts; for simulated benches."""
+    """Take the nominal value instead of a reading of the reference; for simulated benches."""
     hold: float = 0.0
-    """Pressure that lifts a load off its support [Pa]; 0: loads pull at the cell without it."""
+    """Pressure that lifts a load off its support [Pa]; 0: loads already pull at the cell without pressure."""
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Result of a calibration; `fit` is None where the run ended early."""
+    """Result of a calibration; `fit` is None if the run ended early."""
 
     outcome: Outcome
     fit: Fit | None
     raw_unit: str
     warnings: tuple[str, ...] = ()
-    """Points that were not reached, each in a sentence."""
+    """A sentence for each point that was not reached."""
 
 
 def calibrate(
@@ -79,9 +79,9 @@ def calibrate(
     operator_name: str = "",
     progress: Callable[[Progress], None] = lambda _progress: None,
 ) -> Calibrated:
-    """Calibrate; raises UsageError where the bench cannot, before anything is opened."""
+    """Calibrate; raises UsageError, before anything is opened, if this bench cannot do it."""
     channel, output = check(mounted, request)
-    # of the regulator the unit of its command, as in its scale
+    # for the regulator the unit of its command, as in its scale
     raw_unit = channel.raw_unit if channel else str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
     quantity = channel.quantity if channel else "pressure"
     points: list[Point] = []
@@ -119,7 +119,7 @@ def calibrate(
 
 
 def not_reached(point: Point, request: Request, quantity: str) -> str:
-    """A sentence where the output did not come to a point; empty where it did."""
+    """A sentence if the output did not reach a point; else empty."""
     allowed = REACHED * step(point.target, request.points) + request.reference_uncertainty
     if abs(point.reference - point.target) <= allowed:
         return ""
@@ -131,10 +131,9 @@ def not_reached(point: Point, request: Request, quantity: str) -> str:
 
 
 def not_followed(found: Fit, points: Sequence[Point], quantity: str, raw_unit: str) -> str:
-    """Why these readings do not follow the reference, and what to do; empty where they do.
+    """Why the readings do not follow the reference, and what to do; empty if they do.
 
-    A value known to half the span or worse says less than the reference did, and readings that move by less than their
-    noise have moved by chance.
+    They do not if the expanded uncertainty exceeds half the span, or if they change by less than their noise.
     """
     raw, value = (np.ptp(np.array(found.points), axis=0)).tolist()
     noise = max(point.noise for point in points)
@@ -149,7 +148,7 @@ def not_followed(found: Fit, points: Sequence[Point], quantity: str, raw_unit: s
 
 
 def order(points: Sequence[float], cycles: int) -> list[tuple[float, str, int]]:
-    """Up and down, the ends once each way: (target, way, cycle)."""
+    """Targets in order, as (target, way, cycle): each cycle up, then down, with the ends in both directions."""
     rising = sorted(points)
     return [
         (target, way, cycle)
@@ -160,9 +159,9 @@ def order(points: Sequence[float], cycles: int) -> list[tuple[float, str, int]]:
 
 
 def check(mounted: Mounted, request: Request) -> tuple[ChannelRecord | None, OutputRecord | None]:
-    """Refuse (UsageError) a calibration that this bench cannot do; else its channel and output.
+    """Channel and output of a calibration; raises UsageError if this bench cannot do it.
 
-    The channel is None for the regulator, the output None where an operator brings the quantity to the points.
+    The channel is None for the regulator, the output None if the operator sets the quantity.
     """
     bench = mounted.bench
     channels = {channel.name: channel for channel in bench.channels}
@@ -202,7 +201,7 @@ def check(mounted: Mounted, request: Request) -> tuple[ChannelRecord | None, Out
 
 
 def not_shown(request: Request) -> list[str]:
-    """What these points and cycles cannot show of the channel, each in a sentence."""
+    """Sentences on what these points and cycles cannot determine."""
     found, count = [], len(set(request.points))
     if count == 2:
         found.append(
@@ -220,7 +219,7 @@ def not_shown(request: Request) -> list[str]:
 
 
 def uncovered(mounted: Mounted, request: Request) -> list[str]:
-    """Trip limits that a calibration with these points would not cover, each in a sentence with what a bench does."""
+    """Sentences on trip limits outside these points, each with the consequence at a bench."""
     low, high = min(request.points), max(request.points)
     trips = [trip for trip in mounted.bench.trips if trip.channel == request.channel and trip.kind == "range"]
     found = []
@@ -245,7 +244,7 @@ def uncovered(mounted: Mounted, request: Request) -> list[str]:
 
 @dataclass
 class _Work:
-    """Goes to points and reads them."""
+    """Goes to the points and reads them."""
 
     executor: Executor
     mounted: Mounted
@@ -263,7 +262,7 @@ class _Work:
 
     @property
     def reference_uncertainty(self) -> float:
-        """Of the reference, k = 2 [SI]: what was said; the measured pressure's for the regulator."""
+        """Expanded uncertainty of the reference [SI]: as given; for the regulator at least that of the pressure."""
         if self.channel is not None:
             return self.request.reference_uncertainty
         known = self._measured.calibration
@@ -271,7 +270,7 @@ class _Work:
         return max(of_channel, self.request.reference_uncertainty)
 
     def point(self, target: float, way: str, cycle: int) -> Point:
-        """Go there, wait until it is steady, average, read the reference."""
+        """Go to a point, wait until it is steady, average, read the reference."""
         nominal = self._go(target)
         most = DRIFT * (self._measured.high - self._measured.low)
         reading = steady(
@@ -291,7 +290,7 @@ class _Work:
         self.executor.acquisition.pass_time(0.1)
 
     def _go(self, target: float) -> float:
-        """Bring the quantity to `target` [SI]; the nominal value then, as far as the output can resolve it."""
+        """Bring the quantity to `target` [SI]; returns the nominal value with the resolution of the output."""
         if self._at == target:
             return self._commanded if self.output is not None else target
         self._at = target
@@ -320,7 +319,7 @@ class _Work:
 
 
 def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:
-    """What the uncertainty is made of, for people."""
+    """Components of the uncertainty: pairs of name and value with unit."""
     shown = QUANTITIES[quantity]
     return [
         ("slope", f"{found.scale.slope:.8g} {QUANTITIES[quantity].unit}/{raw_unit}"),
@@ -335,5 +334,5 @@ def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:
 
 
 def as_json(found: Fit) -> dict[str, Any]:
-    """Plain data [SI]."""
+    """The fit as plain data [SI]."""
     return asdict(found)

@@ -1,4 +1,4 @@
-"""Reference points to a straight line with its uncertainty (GUM, k = 2), and that line to a new calibration file."""
+"""Fits a straight line with its uncertainty (GUM, k = 2) to reference points, and writes it as a calibration file."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from pmabench.bench.interface import Scale
 
 UP, DOWN = "up", "down"
 APART = 0.25
-"""Readings at one nominal value that are further apart than this share of the step to the next one are no one point."""
+"""Readings at one nominal value that differ by more than this fraction of the step to the next are separate points."""
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
 class Point:
-    """One reading: the reference [SI], the mean raw value [device units], on the way `up` or `down`, in which cycle."""
+    """One reading: the reference [SI], the mean raw value [device units], the direction `up` or `down`, the cycle."""
 
     target: float
     reference: float
@@ -40,32 +40,32 @@ class Point:
 
 @dataclass(frozen=True)
 class Fit:
-    """The line through the points and what is known of it; all in SI but `points`: (raw, reference) means."""
+    """Line through the points and its uncertainty; all in SI except `points`: (raw, reference) means."""
 
     scale: Scale
     points: tuple[tuple[float, float], ...]
     residual: float | None
-    """Largest distance of a point from the line; None with two points, which have none whatever the channel does."""
+    """Largest distance of a point from the line; None for two points, through which a line always passes."""
     hysteresis: float
     """Largest difference between up and down at one point."""
     repeatability: float
     """Standard deviation of readings at one point, the same way, between cycles; with one cycle between both ways."""
     drift: float
-    """Of the first point, from the first cycle to the last one; with one cycle from its beginning to its end."""
+    """Change of the first point from the first to the last cycle; with one cycle from its beginning to its end."""
     reference: float
     """Expanded uncertainty of the reference (k = 2)."""
     expanded: float
-    """Expanded uncertainty of a value by this line (k = 2); with two points without what the line is off between."""
+    """Expanded uncertainty of a value from this line (k = 2); for two points without any linearity error."""
 
 
 def fit(points: Sequence[Point], reference: float) -> Fit:
     """The calibration from readings up and down.
 
-    The standard uncertainties are combined by their squares (GUM 5.1.2): reference U/2; largest residual,
-    half the hysteresis and half the drift as half widths of rectangles (/ sqrt 3, GUM 4.3.7); repeatability.
-    One cycle has no repeats but its two ways, so hysteresis counts as scatter there, too: nobody can part them.
-    Readings at one nominal value are one point unless they are `APART`.
-    Raises VerdictFailed where the points make no line.
+    The standard uncertainties are added in quadrature (GUM 5.1.2): reference U/2; largest residual,
+    half the hysteresis and half the drift as half widths of rectangular distributions (/ sqrt 3, GUM 4.3.7);
+    repeatability. In a single cycle the only repeats are up and down, so hysteresis also counts as scatter: the two
+    cannot be separated. Readings at one nominal value are one point unless they are `APART`.
+    Raises VerdictFailed if the points do not define a line.
     """
     target, raw, value = (np.array([getattr(p, name) for p in points]) for name in ("target", "raw", "reference"))
     way, cycle = np.array([p.way for p in points]), np.array([p.cycle for p in points])
@@ -76,14 +76,14 @@ def fit(points: Sequence[Point], reference: float) -> Fit:
     except (ValueError, ZeroDivisionError) as error:
         raise VerdictFailed(f"no calibration: {error}") from error
     residual = max(abs(scale.to_si(one) - reference_value) for one, reference_value in means)
-    # what the line is off at each reading: differences in the reference itself do not count
+    # deviation from the line at each reading: changes of the reference itself do not count
     off = scale.to_si(raw) - value
     ways = [(off[at & (way == UP)], off[at & (way == DOWN)]) for at in places]
     hysteresis = max((abs(float(up.mean() - down.mean())) for up, down in ways if len(up) and len(down)), default=0.0)
     cells = [off[(target == place) & (way == one)] for place, one in dict.fromkeys((p.target, p.way) for p in points)]
     if len(set(cycle)) == 1:
         cells = [off[target == place] for place in np.unique(target)]
-    freedom = len(points) - len(cells)  # pooled over points and ways; nothing where nothing was repeated
+    freedom = len(points) - len(cells)  # pooled over points and directions; 0 without repeats
     repeatability = sqrt(sum(float(np.sum((c - c.mean()) ** 2)) for c in cells) / freedom) if freedom else 0.0
     first = target == target[0]
     ends = [float(off[first & (cycle == number)].mean()) for number in (cycle[0], cycle[first][-1])]
@@ -100,12 +100,12 @@ def fit(points: Sequence[Point], reference: float) -> Fit:
 
 
 def step(target: float, targets: Iterable[float]) -> float:
-    """From a nominal value to the nearest other one [SI]."""
+    """Distance from a nominal value to the nearest other one [SI]; inf for a single one."""
     return min((abs(other - target) for other in targets if other != target), default=inf)
 
 
 def _places(target: Array, value: Array) -> Iterator[Array]:
-    """Which readings make one point of the line: those at one nominal value, where the reference was there."""
+    """Masks of the readings that make one point of the line: one nominal value, and references close together."""
     for place in np.unique(target):
         at = target == place
         together = float(np.ptp(value[at])) <= APART * step(place, target)
@@ -125,9 +125,9 @@ def write_calibration(
     valid_until: date | None = None,
     sensor_lag: float = 0.0,
 ) -> Path:
-    """Write `folder`/ID.yaml, ID = CHANNEL-DATE (with -2, -3 ... where taken); read it back as a bench would.
+    """Write `folder`/ID.yaml, ID = CHANNEL-DATE (with -2, -3 ... if it exists); read it back as a bench would.
 
-    Raises RecordError where it cannot be written.
+    Raises RecordError if it cannot be written.
     """
     text = "".join(f"{line}\n" for line in _lines(channel, quantity, raw_unit, found, reference, run))
     made: Path | None = None
@@ -147,7 +147,7 @@ def write_calibration(
                     os.fsync(stream.fileno())
             except FileExistsError:
                 continue
-            if found.residual is not None:  # else a question is open, which the bench asks
+            if found.residual is not None:  # else it contains ??, which a bench refuses
                 read_calibration(path, quantity)
             return path
     except OSError as error:
@@ -175,7 +175,7 @@ def _lines(channel: str, quantity: str, raw_unit: str, found: Fit, reference: st
     if found.residual is None:
         yield f"expanded_uncertainty: ??  # {known}, and what the data sheet says of linearity: two points show no bend"
     else:
-        # a line whose ends are off by U, each by itself, is off by sqrt(2) U over its span
+        # if both ends of a line are off by U, independently, it is off by sqrt(2) U over its span
         span = max(value for _, value in found.points) - min(value for _, value in found.points)
         yield f"expanded_uncertainty: {known}"
         yield f"gain_uncertainty: {never_less(100 * sqrt(2) * found.expanded / span)} %"
@@ -186,6 +186,6 @@ def _lines(channel: str, quantity: str, raw_unit: str, found: Fit, reference: st
 
 
 def never_less(value: float) -> str:
-    """Three digits, never rounded down."""
+    """Three significant digits, never rounded down."""
     text = f"{value:.3g}"
     return text if float(text) >= value else f"{value * 1.005:.3g}"

@@ -1,8 +1,8 @@
-"""Lines of the self-test's table, those of a bench at rest, and the refusal that names what is wrong.
+"""Lines of the self-test's table, checks of a bench at rest, and the refusal that names the fault; no devices.
 
-And which wire, or which swapped pair, explains the claims that a bench does not keep; no devices. The wire that all
-broken claims share is at fault; one that a kept, exact claim depends on is not, where another is left. A swap is named
-where exchanging two readings keeps every claim, by evidence from both readings.
+Also which wire, or which swapped pair, explains the broken claims. The wire that all broken claims share is at fault,
+unless a good, exact claim depends on it and another wire is left. A swap is reported if exchanging two readings
+makes every claim good, by evidence from both readings.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ OK, FAILED, NOT_MEASURED, NOT_CHECKED = "ok", "failed", "not measured", "not che
 
 @dataclass(frozen=True)
 class Check:
-    """What was looked at, what was found, what is allowed; `hint` says where to look when it failed."""
+    """What was checked, the result and its limit; `hint` states where to look if it failed."""
 
     name: str
     value: str
@@ -63,7 +63,7 @@ def judged(name: str, value: str, limit: str, *, good: bool, hint: str) -> Check
 
 
 def refuse(checks: Sequence[Check]) -> None:
-    """Raise SelfTestFailed where a check has failed, with every hint."""
+    """Raise SelfTestFailed with every hint if a check has failed."""
     failed = [check for check in checks if check.verdict == FAILED]
     if failed:
         reasons = "; ".join(f"{check.name} {check.value}: {check.hint}" for check in failed)
@@ -71,7 +71,7 @@ def refuse(checks: Sequence[Check]) -> None:
 
 
 def at_rest(mounted: Mounted, series: Mapping[str, Series], noise: Mapping[str, float]) -> list[Check]:
-    """The checks of a vented bench that need no reference; `noise` [SI] is the most that each channel may have."""
+    """Checks of a vented bench that need no reference; `noise` [SI] is the limit of each channel."""
     channels = {channel.name: channel for channel in mounted.bench.channels}
     checks = [check for name, one in series.items() for check in _noise(channels[name], one, noise)]
     return [*checks, *_supply(mounted, series)]
@@ -131,7 +131,7 @@ UNDECIDED = {
     STILL: "something does not answer",
     WRONG: "a wire, a range or a calibration is wrong",
 }
-"""First words of a cause where several wires could be at fault."""
+"""First words of a cause if several wires could be at fault."""
 REFERENCES = {
     "scale of force": (
         ("load cell", "force as expected"),
@@ -146,12 +146,12 @@ REFERENCES = {
         "no channel reads the set-point back, so which of them were wrong could not be decided",
     ),
 }
-"""What is looked at -> rows of which one must have been tried, and why else there is no reference."""
+"""Quantity -> rows of which one must have been tested, and the reason why there is no reference."""
 
 
 @dataclass(frozen=True)
 class Cause:
-    """Wires and swapped pairs that would explain all broken claims; several: any of them; none: no single one does."""
+    """Wires and swapped pairs, each of which would explain all broken claims; empty if no single one does."""
 
     wires: tuple[str, ...]
     swaps: tuple[tuple[str, str], ...]
@@ -159,7 +159,7 @@ class Cause:
 
 
 def cause_of(wiring: Wiring, stages: Sequence[Stage]) -> Cause | None:
-    """What explains the broken claims of the stages; None where none is broken."""
+    """What explains the broken claims of the stages; None if none is broken."""
     claims = wiring.claims(stages)
     broken = [claim for claim in claims if not claim.good]
     if not broken:
@@ -179,7 +179,7 @@ def cause_of(wiring: Wiring, stages: Sequence[Stage]) -> Cause | None:
 
 
 def _pairs(wiring: Wiring) -> Iterator[tuple[str, str]]:
-    """Channels whose plugs fit each other: their devices give the same unit."""
+    """Pairs of channels whose plugs fit each other: their devices give the same unit."""
     channels = wiring.channels
     for one, other in combinations([name for name in PLUGS if name in channels], 2):
         here, there = channels[one], channels[other]
@@ -188,7 +188,7 @@ def _pairs(wiring: Wiring) -> Iterator[tuple[str, str]]:
 
 
 def _swapped(wiring: Wiring, stages: Sequence[Stage], broken: Sequence[Claim], pair: tuple[str, str]) -> bool | None:
-    """Whether all claims hold with two readings exchanged: True; False if the evidence is weak; None if they do not."""
+    """Whether exchanging two readings makes all claims good: True; False with weak evidence only; None if not."""
     concerned = [name for name in pair if any(name in claim.wires for claim in broken)]
     crossed = wiring.claims(stages, pair)
     if not concerned or not all(claim.good for claim in crossed):
@@ -201,7 +201,7 @@ def _swapped(wiring: Wiring, stages: Sequence[Stage], broken: Sequence[Claim], p
 
 
 def words(wiring: Wiring, cause: Cause) -> str:
-    """What to look at."""
+    """What to look at, as a sentence."""
     plugs = [f"the plugs of {one} and {other}" for one, other in cause.swaps]
     swaps = [f"{text}, swapped ({wiring.input(*pair)})" for text, pair in zip(plugs, cause.swaps, strict=True)]
     named = [_named(wiring, wire) for wire in cause.wires]
@@ -222,7 +222,7 @@ def words(wiring: Wiring, cause: Cause) -> str:
 
 
 def _named(wiring: Wiring, wire: str) -> str:
-    """A channel, an output, a valve or something else, with its wire."""
+    """A channel, an output, a valve or another cause, with its terminal."""
     if wire in WORDS:
         return WORDS[wire]
     if wiring.dump is not None and wire == wiring.dump.name:
@@ -234,7 +234,7 @@ def _named(wiring: Wiring, wire: str) -> str:
 
 
 def table(wiring: Wiring, stages: Sequence[Stage]) -> list[Check]:
-    """One line for each row of claims: its broken claim, else the last one; the first broken line names the cause."""
+    """One line per row of claims: its first broken claim, else the last one; the first broken line names the cause."""
     rows: dict[str, Claim] = {}
     for claim in wiring.claims(stages):
         if claim.row not in rows or rows[claim.row].good:
@@ -253,7 +253,7 @@ def table(wiring: Wiring, stages: Sequence[Stage]) -> list[Check]:
 
 
 def unchecked(wiring: Wiring, stages: Sequence[Stage]) -> Iterator[Check]:
-    """What the self-test of a bench that keeps all claims had no independent reference for."""
+    """What a self-test with good claims only could not check, for lack of an independent reference."""
     tried = [claim.row for claim in wiring.claims(stages)]
     for name, (rows, why) in REFERENCES.items():
         if name.split()[-1] in wiring.channels and not any(row.startswith(rows) for row in tried):

@@ -1,7 +1,7 @@
-"""What guided runs share: a plan without steps, loads by hanger and plates, looking at a bench unarmed, listening.
+"""Shared by guided runs: a plan without steps, requests for loads, reading a bench that is not armed, samples.
 
-Looking opens and samples the devices, commands nothing, and closes them on every way out. Listening gives series, mean,
-noise and drift over a stretch of bench time.
+`looking` opens and samples the devices, commands nothing, and always closes them. `listen` returns series over a
+period of bench time, with mean, noise and drift.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pmabench.protocol.common import FORCE_MASS
 from pmabench.protocol.plan import Ask, Plan
 
 RATE = 200.0
-"""Rate at which a guided run samples [Hz]."""
+"""Sampling rate of a guided run [Hz]."""
 
 
 def guided_run(
@@ -43,7 +43,7 @@ def guided_run(
     settings: Mapping[str, Any] | None = None,
     **more: Any,
 ) -> Outcome:
-    """A run of `procedure`, whose plan has no steps; every channel is recorded. `more` is for `run_plan`."""
+    """Run `procedure` with a plan without steps; every channel is recorded. `more` is passed to `run_plan`."""
     channels = tuple(channel.name for channel in mounted.bench.channels)
     plan = Plan(kind, name, "", mounted.bench.free_end, RATE, channels, (), (), settings or {})
     return run_plan(plan, mounted, operator, procedure=procedure, **more)
@@ -66,18 +66,18 @@ def moving_mass(mounted: Mounted, mass: float) -> float:
 
 
 def put_on(executor: Executor, mounted: Mounted, phase: str, mass: float, also: str = "") -> None:
-    """Have hands put a load of `mass` [kg] on, vented, and do what `also` says."""
+    """Ask the operator to put a load of `mass` [kg] on, vented, and to do what `also` says."""
     load = (mass * mounted.bench.gravity, moving_mass(mounted, mass))
     executor.do(Ask(phase, f"{load_text(mounted, mass)} {also}".strip(), "vented", load))
 
 
 LOOKED_AT = 100.0
-"""Rate at which channels are looked at [Hz]."""
+"""Sampling rate of `looking` [Hz]."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """An open bench: who answered, and its samples."""
+    """An open bench: identities of its devices, and its samples."""
 
     identities: Mapping[str, Identity]
     acquisition: Acquisition
@@ -87,7 +87,7 @@ class Look:
 def looking(bench: CompiledBench, rate: float = LOOKED_AT) -> Iterator[Look]:
     """Open the bench and sample it at `rate` [Hz]. Limits are not watched: nothing is armed that could be vented.
 
-    Raises DeviceError where a device does not answer or the bench is in use, LimitRefused where it is tripped.
+    Raises DeviceError if a device does not answer or the bench is in use, LimitRefused if it is tripped.
     """
     clock: RealClock | VirtualClock = RealClock() if bench.realtime else VirtualClock()
     with ExitStack() as stack:
@@ -106,7 +106,7 @@ def looking(bench: CompiledBench, rate: float = LOOKED_AT) -> Iterator[Look]:
 
 
 OTHER_CLOCK = 0.5
-"""A stream whose samples seem to come this much [s] before or after now has another clock."""
+"""A stream whose samples differ from the present time by more than this [s] has another clock."""
 
 
 @dataclass(frozen=True)
@@ -132,18 +132,18 @@ class Series:
 
 @dataclass(frozen=True)
 class Reading:
-    """A channel at rest [SI]."""
+    """Statistics of a channel at rest [SI]."""
 
     mean: float
     noise: float
-    """Rms about a straight line."""
+    """Rms deviation from a straight line."""
     drift: float
-    """What that line rises over the stretch."""
+    """Change of that line over the duration."""
     count: int
 
 
 def listen(acquisition: Acquisition, seconds: float, until: Stop = lambda _block: None) -> Mapping[str, Series]:
-    """Samples of every channel over the next `seconds` [s]; silent channels are left out."""
+    """Samples of every channel over the next `seconds` [s]; channels without samples are left out."""
     kept: dict[str, list[tuple[Array, Array]]] = {}
 
     def keep(block: Samples) -> int | None:
@@ -161,9 +161,9 @@ def listen(acquisition: Acquisition, seconds: float, until: Stop = lambda _block
 
 
 def steady(acquisition: Acquisition, name: str, most: float, *, seconds: float = 1.0, within: float = 30.0) -> Reading:
-    """The channel over `seconds` [s] in which it drifted by less than `most` [SI].
+    """Reading over the first `seconds` [s] in which the channel drifts by at most `most` [SI], or within its noise.
 
-    Raises VerdictFailed when it has not come to rest `within` [s].
+    Raises VerdictFailed if it has not come to rest within `within` [s].
     """
     deadline = acquisition.clock.now() + within
     while True:

@@ -18,11 +18,11 @@ from pmabench.session.guided import Series, guided_run, listen
 
 PHASE = "jog"
 BLOCK = 0.1
-"""How long is listened between two looks at the keys [s]."""
+"""Interval for reading keys [s]."""
 TRAVEL = 0.05
-"""Speed of the actuator, of its highest."""
+"""Speed of the actuator, as a fraction of its highest."""
 STEPS = {"pressure": (1e3, 2e3, 5e3, 10e3, 20e3, 50e3), "displacement": (0.1e-3, 0.2e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)}
-"""Steps that can be chosen [SI]."""
+"""Available steps [SI]."""
 MOVES = {"+": ("pressure", 1), "-": ("pressure", -1), "]": ("displacement", 1), "[": ("displacement", -1)}
 KEYS = {"+ - pressure": "pressure", "] [ actuator": "displacement", "> < step": "", "0 no pressure": "pressure"}
 """What is shown of a key -> the output that a bench must have for it; with `z tare` and `v vent and end`."""
@@ -37,13 +37,13 @@ def keys_of(bench: CompiledBench) -> str:
 
 
 def highest(bench: CompiledBench, output: OutputRecord) -> float:
-    """Highest value that an output may be sent to by hand [SI]."""
+    """Highest value that an output may be set to by hand [SI]."""
     return min(output.high, bench.setup_pressure) if output.name == "pressure" else output.high
 
 
 @dataclass
 class Jog:
-    """The commanded values of the outputs [SI], and by how much a key moves them."""
+    """Commanded values of the outputs [SI], and the step of a key."""
 
     executor: Executor
     mounted: Mounted
@@ -57,7 +57,7 @@ class Jog:
         self.values = {name: output.safe for name, output in self._outputs.items()}
 
     def press(self, key: str) -> str:
-        """Do what a key says; what was done, in words, empty for a key that means nothing."""
+        """Act on a key; returns what was done, in words, empty for an unused key."""
         name, way = MOVES.get(key, ("", 0))
         if name in self._outputs:
             return self._step(name, way)
@@ -72,12 +72,12 @@ class Jog:
         return ""
 
     def steps(self) -> str:
-        """The step of each output, in words."""
+        """Present step of each output, in words."""
         sizes = ((name, STEPS[name][self.size]) for name in self._outputs if name in STEPS)
         return ", ".join(show(size, self._outputs[name].quantity) for name, size in sizes)
 
     def settings(self) -> str:
-        """What is commanded, in words."""
+        """Commanded values, in words."""
         outputs = ((self._outputs[name], value) for name, value in self.values.items())
         settings = (
             f"{o.name} {show(value, o.quantity, 4)} (up to {show(highest(self.executor.bench, o), o.quantity, 4)})"
@@ -93,7 +93,7 @@ class Jog:
         return sent if value == wanted else f"{sent}: its limit here"
 
     def go(self, name: str, value: float) -> str:
-        """Send an output to `value` [SI], slowly where it has a highest rate; its value then, in words."""
+        """Command an output to `value` [SI], slowly if it has a rate limit; returns its value in words."""
         output = self._outputs[name]
         before = self.values[name]
         if value != before:
@@ -114,9 +114,9 @@ def jog(
     *,
     operator_name: str = "",
 ) -> Outcome:
-    """Move the bench by keys until `v` or `q`. `shown` gets the newest samples and what keys did.
+    """Move the bench by keys until `v` or `q`. `shown` gets the newest samples and the texts of `Jog.press`.
 
-    Neither `keys` nor `shown` may wait. Raises UsageError where the bench has nothing to move.
+    Neither `keys` nor `shown` may block. Raises UsageError if the bench has no output.
     """
     if not mounted.bench.outputs:
         raise UsageError(f'"{mounted.bench.name}" has no output to move; look at it without --jog')
@@ -148,10 +148,10 @@ def hold_at(
     seconds: float | None = None,
     operator_name: str = "",
 ) -> Outcome:
-    """Send one output to `value` [SI] after the operator's consent and hold it for `seconds` [s], or until a signal.
+    """Set one output to `value` [SI] after the operator's consent and hold it for `seconds` [s], or until a signal.
 
-    `shown` gets the newest samples and may not wait in real time. Raises UsageError where there is no such output,
-    LimitRefused where the value is outside what may be set by hand; nothing is opened then.
+    `shown` gets the newest samples and may not block in real time. Raises UsageError if there is no such output, and
+    LimitRefused if the value is outside the limits for setting by hand; nothing is opened then.
     """
     bench = mounted.bench
     outputs = {output.name: output for output in bench.outputs}

@@ -1,4 +1,4 @@
-"""The start check of a bench, before the first pressure of a session: a table of checks; one that fails ends it."""
+"""The start check of a bench, before the first pressure of a session: a table of checks; a failed one ends it."""
 
 from __future__ import annotations
 
@@ -23,14 +23,13 @@ from pmabench.session.stepping import NO_LEAK, PHASE, Stepping, isolation, leaks
 from pmabench.session.wiring import MOVED, Stage, Wiring
 
 VALUES = ("range", "rate", "off-range")
-"""Limits that a wrong value crosses; others are about silence or time."""
+"""Limits that are crossed by a wrong value; the others are about silence or time."""
 
 
 class SelfTesting:
     """Every check of a session's self-test, in two parts: before the proof of the vent path, and after it.
 
-    `report` gets the table as far as it came, also when a check has failed. Raises SelfTestFailed with the wire to
-    look at.
+    `report` gets the table so far, also after a failed check. Raises SelfTestFailed with the wire to look at.
     """
 
     def __init__(self, mounted: Mounted, report: Callable[[Sequence[Check]], None]) -> None:
@@ -48,13 +47,13 @@ class SelfTesting:
 
     @property
     def checks(self) -> list[Check]:
-        """The table as far as it came; what had no reference is in it where all was tried."""
+        """The table so far; checks without a reference are added at the end."""
         claims = self._stepping.table() if self._stepping is not None else []
         each = self._each.checks if self._each is not None else []
         return [*self._before, *claims, *each, *self._others]
 
     def before_proof(self, executor: Executor) -> None:
-        """With whatever load is on: channels at rest, and the first small pressure, on which the proof relies."""
+        """First part, with any load: channels at rest, and the first small pressure, on which the proof relies."""
         with self._ending(executor, last=False):
             if self._each is not None:
                 self._each.first(executor)
@@ -69,7 +68,7 @@ class SelfTesting:
                 stepping.first()
 
     def run(self, executor: Executor) -> None:
-        """Unloaded at rest, then under pressure; then a weight that hangs."""
+        """Second part: at rest without load, then under pressure, then with a hanging weight."""
         with self._ending(executor, last=True):
             if self._each is not None:
                 self._each.run(executor)
@@ -81,7 +80,7 @@ class SelfTesting:
 
     @contextmanager
     def _ending(self, executor: Executor, *, last: bool) -> Iterator[None]:
-        """Report the table, also where a limit has ended it; of a part that is not the last one only if it failed."""
+        """Report the table after the last part, or after any part that failed, also by a limit."""
         try:
             yield
         except BaseException as error:
@@ -94,7 +93,7 @@ class SelfTesting:
             self._record(executor)
 
     def ended(self, outcome: Outcome) -> None:
-        """Report what the channels read where a limit has ended the run before anything was looked at."""
+        """Report what the channels read, if a limit ended the run before the first check."""
         if outcome.exit_code and self._each is None and self._stepping is None and outcome.extremes:
             means = {name: sum(ends) / 2 for name, ends in outcome.extremes.items()}
             limit = outcome.tripped
@@ -128,7 +127,7 @@ class SelfTesting:
         self._others.append(self._leak(executor))
 
     def _leak(self, executor: Executor) -> Check:
-        """Fall of the pressure with the isolation valve shut, where there is one that the safe state shuts."""
+        """Rate of pressure fall with the isolation valve shut, if the safe state shuts that valve."""
         if not isolation(self._mounted):
             return NO_LEAK
         executor.do(Set(PHASE, "pressure", self._test.points[-1]))
@@ -147,7 +146,7 @@ def run_self_test(
     report: Callable[[Sequence[Check]], None],
     progress: Callable[[Progress], None] = lambda _progress: None,
 ) -> Outcome:
-    """The self-test alone, as a run of kind `self-test`; raises UsageError where the bench file declares none."""
+    """Run only the self-test, as a run of kind `self-test`; raises UsageError if the bench file declares none."""
     test = SelfTesting(mounted, report)
 
     def procedure(executor: Executor) -> None:
@@ -162,7 +161,7 @@ def run_self_test(
 
 
 def refuse_backwards(executor: Executor, rest: float) -> None:
-    """Raise SelfTestFailed where the displacement, at `rest` [m] without pressure, has fallen under pressure."""
+    """Raise SelfTestFailed if the displacement has fallen under pressure from `rest` [m], its value without."""
     change = executor.acquisition.latest["displacement"] - rest
     if change < -MOVED:
         channel = next(c for c in executor.bench.channels if c.name == "displacement")
@@ -182,7 +181,7 @@ def _interlocks(mounted: Mounted) -> Check:
 
 
 def _relief(mounted: Mounted) -> Check:
-    """A line for the relief valve: it is not tried here; a bench file with one that opens too late is refused."""
+    """Line for the relief valve: not tested here; a bench file with one that opens too late is refused."""
     opens, never = mounted.bench_file.air.relief_valve, mounted.specimen_file.limits.pressure.never_above
     if opens == "none":
         return Check("relief valve", "", "", NOT_MEASURED, "none on this bench")

@@ -1,7 +1,7 @@
-"""The session: self-test, warm-up and zeros as one run of kind `session`; later runs take its zeros while it counts.
+"""The session: self-test, warm-up and zeros as one run of kind `session`; later runs use its zeros while it is valid.
 
-Zeros are applied to a bench as another offset; the calibration is unchanged. Also: the session that is kept for a
-bench, why it is no longer valid, and how long one takes, before it is held.
+Zeros change the offsets of a bench's channels; the calibration is unchanged. Also: the stored session of a bench, why
+it is no longer valid, and the predicted duration.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ FILE = "session"
 
 
 def kept(bench: str) -> dict[str, Any]:
-    """What is kept of the last session of a bench; empty where there is none."""
+    """Stored data of the last session of a bench; empty without one."""
     return Station(bench).read(FILE)
 
 
 def keep(bench: str, session: Mapping[str, Any]) -> None:
-    """Keep a session."""
+    """Store the session of a bench."""
     station = Station(bench)
     station.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     station.write(FILE, session)
 
 
 def calibrations(mounted: Mounted) -> dict[str, dict[str, Any]]:
-    """Which calibration each channel had, before any zero."""
+    """Calibration of each channel, without any zero."""
     return {
         channel.name: {
             "id": channel.calibration.id,
@@ -60,13 +60,13 @@ def calibrations(mounted: Mounted) -> dict[str, dict[str, Any]]:
 
 
 def specimen(mounted: Mounted) -> str:
-    """Which specimen is mounted, and how long: its zeros belong to it."""
+    """The mounted specimen and its length, as text: zeros are valid for it only."""
     file = mounted.specimen_file
     return f"{file.type} {file.serial}, {file.mounted.length:g} m, {file.mounted.date}"
 
 
 def out_of_date(session: Mapping[str, Any], mounted: Mounted, now: datetime) -> str:
-    """Why a kept session does not count for this bench now, in words; empty where it counts."""
+    """Why a stored session is not valid for this bench now, in words; empty if it is."""
     if not session:
         return "there is none yet"
     try:
@@ -91,7 +91,7 @@ def out_of_date(session: Mapping[str, Any], mounted: Mounted, now: datetime) -> 
 
 
 def _disturbed(bench: str, since: datetime) -> str:
-    """Whether the bench was tripped, ended uncleanly or was reset since then, by its journal."""
+    """A sentence if the bench was tripped or reset after `since`, by its journal; else empty."""
     with suppress(OSError):
         for text in (Station(bench).folder / "journal.jsonl").read_text("utf-8").splitlines():
             with suppress(KeyError, TypeError, ValueError):
@@ -103,17 +103,17 @@ def _disturbed(bench: str, since: datetime) -> str:
 
 
 def utc_now() -> datetime:
-    """The wall clock."""
+    """Wall clock time."""
     return datetime.now(UTC)
 
 
 PHASE = "zeros"
 DRIFT = 0.2
-"""Most drift while a zero is taken, of its limit."""
+"""Largest drift while a zero is taken, as a fraction of its limit."""
 STEADY = 1.0
-"""Over what time a zero is the mean [s]."""
+"""Averaging time of a zero [s]."""
 STEADY_WITHIN = 30.0
-"""How long a channel may take to come to rest [s]."""
+"""Longest time for a channel to come to rest [s]."""
 
 
 @dataclass(frozen=True)
@@ -131,10 +131,10 @@ class ZeroRefused(VerdictFailed):
 
 
 def take_zeros(executor: Executor, mounted: Mounted) -> dict[str, ZeroTaken]:
-    """The zeros that the bench's session asks for, in the order of their rules.
+    """Take the zeros that the bench's session asks for.
 
-    The pressure is zeroed vented, with the valves open; the force unloaded, as the operator says; displacement and
-    angle at their stated references. Raises ZeroRefused, or VerdictFailed where a channel does not come to rest.
+    First pressures, vented with the valves open; then the force, unloaded by the operator; then displacement and
+    angle at their stated references. Raises ZeroRefused, or VerdictFailed if a channel does not come to rest.
     """
     wanted = mounted.session.zeros if mounted.session is not None else {}
     taken: dict[str, ZeroTaken] = {}
@@ -159,7 +159,7 @@ def take_zeros(executor: Executor, mounted: Mounted) -> dict[str, ZeroTaken]:
 
 
 def _vent(executor: Executor) -> None:
-    """Every output at its safe value, the pressure gone."""
+    """Set every output to its safe value, and wait until the pressures are gone."""
     for output in executor.bench.outputs:
         executor.do(Set(PHASE, output.name, output.safe))
     for channel in executor.bench.channels:
@@ -183,7 +183,7 @@ def _take(executor: Executor, name: str, zero: Zero, condition: str) -> ZeroTake
 
 
 def with_zeros(mounted: Mounted, zeros: Mapping[str, float], about: Mapping[str, Any] | None) -> Mounted:
-    """The bench with zeros [SI] taken off the offsets of its channels; `about` is what manifests say of the session."""
+    """The bench with zeros [SI] subtracted from its channels' offsets; `about` describes the session in manifests."""
 
     def zeroed(channel: ChannelRecord) -> ChannelRecord:
         zero = zeros.get(channel.name)
@@ -202,7 +202,7 @@ def as_data(taken: Mapping[str, ZeroTaken]) -> dict[str, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Length:
-    """Shortest and longest duration [s], without the operator's time; how often hands are needed at most; its parts."""
+    """Shortest and longest duration [s], without the operator's time; most manual actions; names of the parts."""
 
     shortest: float
     longest: float
@@ -211,7 +211,7 @@ class Length:
 
 
 def session_length(mounted: Mounted) -> Length | None:
-    """What the session of a bench takes; None where its file declares none."""
+    """Predicted duration of the session of a bench; None if its file declares none."""
     declared = mounted.session
     if declared is None:
         return None
@@ -234,7 +234,7 @@ def session_length(mounted: Mounted) -> Length | None:
             loaded = test.load is not None
             hands += 2 + loaded
             shortest += REST * (1 + loaded) - HANDS_OUT
-            perhaps = HANDS_OUT + REST + 2 * test.settle  # the hanger alone, where the load did not leave its support
+            perhaps = HANDS_OUT + REST + 2 * test.settle  # with the hanger alone, if the load did not leave its support
     if declared.warm_up is not None:
         parts.append("warm-up")
         shortest += declared.warm_up.duration
@@ -251,7 +251,7 @@ SCHEMA = "pmabench.session/1"
 
 
 class SessionFailed(PmaError):
-    """The session did not come to its end: nothing runs on this bench before it has."""
+    """The session was not completed; the bench may not run before it is."""
 
     def __init__(self, outcome: Outcome) -> None:
         self.outcome = outcome
@@ -276,10 +276,11 @@ def ensure(
     progress: Callable[[Progress], None] = lambda _progress: None,
     begun: Callable[[Path], None] = lambda _folder: None,
 ) -> Mounted:
-    """The bench with the zeros of its session, which is done first where none counts (or `anew`).
+    """The bench with the zeros of its session, which is held first if none is valid (or `anew`).
 
-    A bench whose file declares no session is given back as it is. `skip_warm_up` is why the warm-up is left out; the
-    record says so. `say` gets a line on what is done and why, `report` the self-test's table. Raises SessionFailed.
+    A bench whose file declares no session is returned unchanged. `skip_warm_up` is the reason for leaving the warm-up
+    out, kept in the record. `say` gets a line on what is done and why, `report` the self-test's table. Raises
+    SessionFailed.
     """
     if mounted.session is None:
         return mounted
@@ -309,7 +310,7 @@ def _hold(
     report: Callable[[Sequence[Check]], None],
     run: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Execute the run of the session with what `run` gives to `guided_run`; its results, to be kept for later runs."""
+    """Run the session, with the arguments `run` for `guided_run`; returns the results to be stored for later runs."""
     declared = mounted.session
     assert declared is not None  # noqa: S101  (looked at before)
     skipped = {"warm-up": skip_warm_up} if skip_warm_up and declared.warm_up is not None else {}
@@ -356,7 +357,7 @@ def _hold(
 
 
 def _warm_up(executor: Executor, warm_up: WarmUp) -> None:
-    """Cycles between no pressure and the warm-up's."""
+    """Cycle between zero and the warm-up's pressure."""
     clock = executor.clock
     end = clock.now() + warm_up.duration
     executor.recorder.event("warm-up", clock.now(), duration=warm_up.duration, pressure=warm_up.pressure)

@@ -1,4 +1,4 @@
-"""The self-test of a bench with several muscles, muscle by muscle: zero, own regulator, leak, and which way it pulls.
+"""The self-test of a bench with several muscles, one by one: zero, own regulator, leak, and direction of pull.
 
 Exchanged hoses are dangerous on a joint: a controller would push it the wrong way. So the first pressure is small and
 goes to one muscle after the other, and nothing higher follows before each output has moved its own channel only.
@@ -22,18 +22,18 @@ from pmabench.session.wiring import SIGNIFICANT, Wiring
 
 PHASE = "self-test"
 LAST = 0.2
-"""Share of a hold whose mean counts."""
+"""Last fraction of a hold over which the mean is taken."""
 TOGETHER = 0.75
-"""Share of the highest pressure that all muscles have while one of them gets all of it."""
+"""Pressure of all muscles while one of them gets the highest, as a fraction of the highest."""
 SAME = "explained by the same"
 WAYS = {"1": 1.0, "2": -1.0}
-"""Muscle of a joint -> the sign of the angle and of the torque to which it pulls."""
+"""Muscle of a joint -> sign of the angle and torque in whose direction it pulls."""
 Rises = Mapping[str, Mapping[str, float]]
-"""Muscle whose output alone was commanded -> muscle -> what its channel rose by [Pa]."""
+"""Muscle whose output alone was commanded -> muscle -> rise of its channel [Pa]."""
 
 
 def alone(rises: Rises, asked: float, within: float, wired: Wiring) -> Iterator[Check]:
-    """A line for each muscle that got `asked` [Pa] by itself: its own channel follows `within` [Pa], no other moves."""
+    """A line for each muscle that got `asked` [Pa] alone: its own channel follows `within` [Pa], no other moves."""
     moved = {muscle: [other for other, rise in seen.items() if abs(rise) > within] for muscle, seen in rises.items()}
     explained: set[str] = set()
     for muscle, seen in rises.items():
@@ -51,7 +51,7 @@ def alone(rises: Rises, asked: float, within: float, wired: Wiring) -> Iterator[
 
 
 def _why(muscle: str, others: Sequence[str], moved: Mapping[str, Sequence[str]], wired: Wiring, own: float) -> str:
-    """What explains that a muscle's channel does not follow its output, or that others do."""
+    """Explanation if a muscle's channel does not follow its output, or if others do."""
     out, channel = f"output pressure_{muscle} ({wired.output(f'pressure_{muscle}')})", wired.input(f"pressure_{muscle}")
     if others and muscle not in moved[muscle]:
         other = others[0]
@@ -74,7 +74,7 @@ def _why(muscle: str, others: Sequence[str], moved: Mapping[str, Sequence[str]],
 
 
 def pulls(changes: Mapping[str, float], noise: float, channel: str, quantity: str) -> Iterator[Check]:
-    """A line for each muscle of a joint: which way angle or torque (`channel`) went when it got more pressure [SI]."""
+    """A line for each muscle of a joint: in which direction more pressure changed angle or torque (`channel`) [SI]."""
     wrong = [muscle for muscle, change in changes.items() if change * WAYS[muscle] < -SIGNIFICANT * noise]
     for muscle, change in changes.items():
         row, way = f"muscle {muscle} pulls", "up" if WAYS[muscle] > 0 else "down"
@@ -88,7 +88,7 @@ def pulls(changes: Mapping[str, float], noise: float, channel: str, quantity: st
 
 
 def _backwards(muscle: str, wrong: Sequence[str], channel: str) -> str:
-    """What explains that a muscle pulls the wrong way; `wrong` are all that do."""
+    """Explanation for a muscle that pulls the wrong way; `wrong` are all such muscles."""
     if list(wrong) == [muscle]:
         return f"muscle {muscle} pulls the wrong way: look on which side of the joint it is mounted"
     if muscle not in wrong[:1]:
@@ -100,7 +100,7 @@ def _backwards(muscle: str, wrong: Sequence[str], channel: str) -> str:
 
 
 class EachMuscle:
-    """Takes every muscle through small pressures, alone and together; `checks` is the table so far."""
+    """Applies small pressures to every muscle, alone and together; `checks` is the table so far."""
 
     def __init__(self, mounted: Mounted, test: SelfTest) -> None:
         self._mounted, self._test = mounted, test
@@ -109,7 +109,7 @@ class EachMuscle:
         self._names = {muscles[output.name]: output.name for output in mounted.bench.outputs if output.name in muscles}
         self.checks: list[Check] = []
         self.leaks: dict[str, dict[str, float]] = {}
-        """Muscle -> set `pressure` [Pa], and what it `falls` by [Pa/s] with its `half_width`."""
+        """Muscle -> set `pressure` [Pa], rate `falls` [Pa/s] and the `half_width` of its 95 % interval."""
         self._rest: dict[str, float] = {}
         self._noise: dict[str, float] = {}
 
@@ -134,7 +134,7 @@ class EachMuscle:
         refuse(self.checks)
 
     def run(self, executor: Executor) -> None:
-        """All together up in steps; then which way each pulls; then the leak of each."""
+        """All muscles together in rising steps; then the direction of pull; then the leak of each."""
         if not self._rest:
             self.first(executor)
         off: dict[str, tuple[float, float]] = dict.fromkeys(self._names, (0.0, 0.0))
@@ -154,9 +154,9 @@ class EachMuscle:
         refuse(self.checks)
 
     def _go(self, executor: Executor, pressures: Mapping[str, float], most: float = inf) -> dict[str, float]:
-        """Command pressures [Pa]; what every channel has risen by since the rest, at the end of the hold [SI].
+        """Command pressures [Pa]; returns the rise of every channel from rest at the end of the hold [SI].
 
-        The hold ends where a pressure rises by more than `most` [Pa], and then that is what it has risen by.
+        The hold ends early if a pressure rises by more than `most` [Pa]; that rise is then returned.
         """
         limits = {name: self._rest[name] + most for name in self._names.values()}
 
@@ -173,7 +173,7 @@ class EachMuscle:
         return {name: value - self._rest[name] for name, value in ends.items()}
 
     def _within(self) -> float:
-        """How far a pressure may be from what was commanded [Pa]."""
+        """Allowed deviation of a pressure from its command [Pa]."""
         channels = [c for c in self._mounted.bench.channels if c.name in self._names.values()]
         unknown = max(c.calibration.offset_uncertainty for c in channels)
         return self._test.linearity * self._test.points[-1] + unknown
@@ -203,7 +203,7 @@ class EachMuscle:
         )
 
     def _pulls(self, executor: Executor) -> Iterator[Check]:
-        """One muscle after the other gets more than the other one: angle, or torque where a drive holds the joint."""
+        """Give one muscle after the other more pressure; check the angle, or the torque if a drive holds the joint."""
         driven = any(output.name == "angle" for output in self._mounted.bench.outputs)
         channel = "torque" if driven else "angle"
         if channel not in self._rest:
@@ -218,7 +218,7 @@ class EachMuscle:
         yield from pulls(changes, self._noise[channel], channel, channel)
 
     def _leak(self, executor: Executor) -> Iterator[Check]:
-        """Fall of each pressure with the isolation valve shut, where there is one that the safe state shuts."""
+        """Rate of fall of each pressure with the isolation valve shut, if the safe state shuts that valve."""
         if not isolation(self._mounted):
             yield NO_LEAK
             return
@@ -236,7 +236,7 @@ class EachMuscle:
 
 
 def longest(mounted: Mounted, test: SelfTest) -> float:
-    """How long this self-test takes [s]."""
+    """Longest duration of this self-test [s]."""
     muscles, shut = len(mounted.bench_file.muscles), bool(isolation(mounted))
     holds = 2 * muscles + len(test.points) + 1
     holds += 2 * muscles + 1 if mounted.bench.free_end == "joint" else 0

@@ -1,7 +1,7 @@
-"""The first pressures of a session, in small steps: who follows, which way, how well; then one whole step.
+"""The first pressures of a session, in small steps: which channels follow, which way, how well; then a full step.
 
-Each pressure is held, and the next one follows only when every claim on what came back is kept. The whole
-step is described in the words of ISO 10094, with the delay between two channels.
+Each pressure is held, and the next one follows only when the pressure and its read-back are right. The full step is
+described in the terms of ISO 10094, with the delay between two channels.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from pmabench.session.wiring import (
 )  # fmt: skip
 
 BAND = 0.05
-"""Share of a step that counts as having begun, and inside which it counts as settled."""
+"""Fraction of a step at which it counts as begun, and within which it counts as settled."""
 MOST_DELAY = 0.2
-"""Longest delay between two channels that is looked for [s]."""
+"""Longest delay between two channels that can be found [s]."""
 
 
 @dataclass(frozen=True)
 class StepResponse:
-    """Times [s] from the command on; None where it never came so far. Overshoot in SI, not below 0."""
+    """Times [s] from the command; None if not reached. Overshoot and final value in SI, overshoot not below 0."""
 
     dead_time: float | None
-    """Until 5 % of the step."""
+    """Time to 5 % of the step."""
     rise: float | None
-    """From 10 to 90 %."""
+    """Time from 10 to 90 %."""
     settling: float | None
-    """Until it stays within 5 % of the step about its end value."""
+    """Time until it stays within 5 % of the step around its end value."""
     overshoot: float
     final: float
 
@@ -75,7 +75,7 @@ def step_response(series: Series, commanded_at: float, before: float, noise: flo
 
 
 def smoothed(y: Array, width: int) -> Array:
-    """Running mean of an odd `width`, the ends repeated; shape as `y`."""
+    """Running mean of odd `width`, with repeated ends; shape as `y`."""
     if len(y) < width:
         return y
     padded = np.pad(y, width // 2, mode="edge")
@@ -83,7 +83,7 @@ def smoothed(y: Array, width: int) -> Array:
 
 
 def first_crossing(t: Array, y: Array, level: float) -> float | None:
-    """When y first passes `level` upwards for good over three samples, on a straight line between two samples."""
+    """Time of the first upward crossing of `level` that lasts three samples, interpolated; None without one."""
     above = y >= level
     held = above[:-2] & above[1:-1] & above[2:] if len(y) > 2 else above
     found = np.flatnonzero(held)
@@ -96,10 +96,10 @@ def first_crossing(t: Array, y: Array, level: float) -> float | None:
 
 
 def delay(pressure: tuple[Series, Series], other: tuple[Series, Series]) -> float | None:
-    """By how much `other` comes later than the pressure [s]: both over one step up and one down.
+    """Delay of `other` after the pressure [s], from one step up and one down each.
 
-    Where `other` follows the pressure by any rising curve, it passes half its way at the same pressure up and down.
-    That holds for one delay, which is looked for within `MOST_DELAY`. None where there is none.
+    If `other` is any rising function of the pressure, it crosses half of its range at the same pressure in both
+    directions. This holds for one delay only, searched within `MOST_DELAY`. None if there is no such delay.
     """
     up, down = other
     low, high = up.y[: max(3, len(up.y) // 50)].mean(), up.mean(0.2 * (up.t[-1] - up.t[0]))
@@ -122,24 +122,24 @@ def delay(pressure: tuple[Series, Series], other: tuple[Series, Series]) -> floa
 
 PHASE = "self-test"
 REST = 1.0
-"""How long channels at rest are listened to [s]."""
+"""Duration of a measurement at rest [s]."""
 VALVE = 1.0
-"""How long a valve is looked at [s]."""
+"""Duration of the test of a valve [s]."""
 READ_BACK = 0.1
-"""After which the set-point is read back [s]."""
+"""Delay before the set-point is read back [s]."""
 WAY, SPEED = 1.5e-3, 5e-3
-"""How far [m] and how fast [m/s] a drive is moved without pressure."""
+"""Distance [m] and speed [m/s] of the drive's test motion without pressure."""
 
 
 LEAK = 10.0
-"""How long pressures are watched with the isolation valve shut [s]."""
+"""Duration of the leak test with the isolation valve shut [s]."""
 NORMAL = 1.96
 """Half width of 95 % of a normal distribution, in standard deviations."""
 NO_LEAK = Check("leak", "", "", NOT_MEASURED, "cannot be measured on this bench: no isolation valve that is switched")
 
 
 def isolation(mounted: Mounted) -> str:
-    """The isolation valve, where there is one that is switched and that the safe state shuts; else empty."""
+    """Name of the isolation valve, if it is switched and the safe state shuts it; else empty."""
     name = mounted.bench_file.air.isolation_valve
     return next((valve.name for valve in mounted.bench.valves if valve.name == name and valve.safe == "closed"), "")
 
@@ -147,11 +147,10 @@ def isolation(mounted: Mounted) -> str:
 def leaks(
     executor: Executor, mounted: Mounted, test: SelfTest, rows: Mapping[str, tuple[str, str]]
 ) -> Iterator[tuple[Check, dict[str, float]]]:
-    """Fall of each pressure with the isolation valve shut; all are at the highest point of the test, and end at 0.
+    """Fall of each pressure with the isolation valve shut; from the highest point of the test, at the end set to 0.
 
-    `rows`: channel -> name of its check, where to look when it has failed. With each check come its numbers for the
-    record: set `pressure` [Pa], `falls` [Pa/s] with the `half_width` that white noise leaves to the slope of a straight
-    line.
+    `rows`: channel -> name of its check, and where to look if it fails. Yields each check with its numbers for the
+    record: set `pressure` [Pa], rate `falls` [Pa/s], and its 95 % `half_width` for a straight line in white noise.
     """
     executor.guard.valves(closed=False, only=isolation(mounted))
     executor.do(Hold(PHASE, 1.0))
@@ -175,7 +174,7 @@ def leaks(
 
 
 class Stepping:
-    """Takes pressure and drive through small steps, and keeps what every channel read: `stages`."""
+    """Applies small steps of pressure and drive, and keeps what every channel read in `stages`."""
 
     def __init__(self, executor: Executor, mounted: Mounted, test: SelfTest) -> None:
         self._executor, self._mounted, self._test = executor, mounted, test
@@ -189,11 +188,11 @@ class Stepping:
         self.stages.append(replace(self._now, means=means, settled=False, tripped=tripped))
 
     def table(self) -> list[Check]:
-        """Every claim so far, and what explains the broken ones."""
+        """All checks so far, with an explanation for the failed ones."""
         return table(self.wiring, self.stages)
 
     def rest(self, load: float | None) -> Mapping[str, Series]:
-        """What the vented bench reads with a load [N] on; None: with whatever is on."""
+        """Read the vented bench with a load [N] on; None: with an unknown load."""
         series = listen(self._executor.acquisition, REST)
         self._now = Stage({}, 0.0, load)
         self._keep(series)
@@ -228,7 +227,7 @@ class Stepping:
     # -- before the vent path is proven ---------------------------------------------------------------------------
 
     def first(self) -> None:
-        """The first small pressure, whatever load is on, and what the dump valve does to it."""
+        """Apply the first small pressure, with any load, and test the effect of the dump valve."""
         pressure, rest = self._test.points[0], self.stages[-1].means[PRESSURE]
         most = rest + 2 * pressure + self.wiring.follows_within()
 
@@ -249,7 +248,7 @@ class Stepping:
         self._go(0.0)
 
     def _open_dump(self, pressure: float) -> None:
-        """The dump valve opened with the set-point as it is; not where that would count as a burst."""
+        """Open the dump valve with an unchanged set-point; not if a burst limit would trip."""
         dump = self.wiring.dump
         bursts = [trip.high or 0.0 for trip in self._mounted.bench.trips if trip.kind == "burst"]
         if dump is None or min(bursts, default=np.inf) <= pressure:
@@ -259,10 +258,10 @@ class Stepping:
         self._keep(listen(self._executor.acquisition, VALVE))
         self._executor.guard.valves(closed=True, only=dump.name)
 
-    # -- after it ----------------------------------------------------------------------------------------------------
+    # -- after the vent path is proven --------------------------------------------------------------------------------
 
     def drive(self) -> None:
-        """A small way of the drive without pressure, and back."""
+        """Move the drive a little without pressure, and back."""
         output = self.wiring.outputs.get("displacement")
         if output is None or not output.low <= 0.0 <= output.high:
             return
@@ -276,7 +275,7 @@ class Stepping:
         refuse(self.table())
 
     def run(self, checks: list[Check]) -> None:
-        """Pressure up in steps, and down; then one whole step. Adds to `checks` what is no claim."""
+        """Raise the pressure in steps, lower it, then make one full step. Appends checks that are no claims."""
         begin, points = len(self.stages) - 1, self._test.points
         for pressure in points:
             self._go(pressure)
@@ -287,13 +286,16 @@ class Stepping:
         checks += self._response()
 
     def _refuse_lost(self) -> None:
-        """Stop where the pressure is wrong; other faults are judged at the highest step, where they show best."""
+        """Stop if the pressure is wrong; other faults are judged at the highest step, where they show best."""
         broken = [claim for claim in self.wiring.claims(self.stages) if not claim.good]
         if any(name in claim.wires for claim in broken for name in (PRESSURE, SET)):
             refuse(self.table())
 
     def hanging(self) -> Check | None:
-        """Lift the smallest load at the highest pressure, if the one before stayed down: a weight for the cell."""
+        """Lift the smallest load at the highest pressure, if the load before stayed down, to check the load cell.
+
+        None if there is nothing to do or it was lifted; else a check that is not done.
+        """
         weights, acquisition = self._mounted.bench_file.weights, self._executor.acquisition
         tried = {claim.row: claim.good for claim in self.wiring.claims(self.stages)}
         if weights is None or not weights.hanger or FORCE not in acquisition.latest or tried.get("load cell"):
@@ -310,7 +312,7 @@ class Stepping:
         return Check("load cell", "", "", NOT_CHECKED, f"no independent reference: {why}")
 
     def _linearity(self, stages: list[Stage]) -> Check:
-        """Largest distance of the measured pressure from what was commanded, and from a straight line."""
+        """Largest deviation of the measured pressure from its command, and from a straight line."""
         commanded = np.array([stage.pressure for stage in stages])
         measured = np.array([stage.means[PRESSURE] for stage in stages])
         measured = measured - measured[0]
@@ -332,7 +334,7 @@ class Stepping:
         )
 
     def _response(self) -> Iterator[Check]:
-        """One whole step up and down."""
+        """One full step up and down."""
         top = self._test.points[-1]
         noise = self.wiring.noise[PRESSURE]
         before = self.stages[-1].means[PRESSURE]

@@ -1,7 +1,7 @@
-"""What readings of a right bench must satisfy: the table of claims behind the self-test; pure, no devices.
+"""What the readings of a correct bench satisfy: the table of claims behind the self-test; pure, no devices.
 
-A claim relates a reading to a reference that does not come from it (zero gauge pressure when vented, a weight, what was
-commanded, another channel, the specimen file) and names the wires that it depends on. `cause` decides from them.
+A claim relates a reading to a reference that does not come from it (zero gauge pressure when vented, a weight, a
+command, another channel, the specimen file) and names the wires that it depends on. `checks.cause_of` uses them.
 """
 
 from __future__ import annotations
@@ -15,64 +15,64 @@ from pmabench.bench.files.specimen import ExpectedFile
 from pmabench.protocol.driven import believed
 
 SHARE = 0.02
-"""Largest reading at rest that is accepted where the bench file has no limit for the zero, of the range."""
+"""Largest accepted reading at rest, as a fraction of the range, if the bench file has no limit for the zero."""
 PRELOAD = 0.04
-"""Largest force without pressure that is accepted where the load cannot be taken off, of the range."""
+"""Largest accepted force without pressure, as a fraction of the range, if the load cannot be taken off."""
 RESTS = (-4e-3, 8e-3)
-"""Where an unpressurised free end may be [m]: friction keeps a muscle up to 5 mm short; the rest is for the zero."""
+"""Range of an unpressurised free end [m]: friction holds a muscle up to 5 mm short; the rest allows for the zero."""
 MOVED = 0.5e-3
 """Displacement that counts as a motion [m]."""
 LIFTED = 2 * MOVED
-"""Displacement from which on a load counts as hanging [m]."""
+"""Displacement from which a load counts as hanging [m]."""
 FRICTION = 5.0
-"""Force of guides and pulley that a load at rest may add [N]."""
+"""Friction of guides and pulley that may add to a load at rest [N]."""
 SIGNIFICANT = 5.0
-"""A change counts when it is so many times the rms noise."""
+"""Multiple of the rms noise from which a change counts."""
 ROUGH = 1.4
-"""Factor within which a muscle does what its specimen file expects."""
+"""Factor by which a muscle may differ from its specimen file."""
 DRIVE = (0.05, 0.3e-3)
-"""Where a drive may be off: of the way, and in any case [m]."""
+"""Allowed deviation of a drive: fraction of the travel, plus a constant [m]."""
 CONTRACTS = 0.3
-"""More than any muscle contracts, of its length."""
+"""Contraction that no muscle reaches, as a fraction of its length."""
 LEADS = 0.02
-"""How much earlier than the command's read-back the pressure may pass its half way [s]."""
+"""Largest time by which the pressure may pass its half-way point before the command's read-back does [s]."""
 PRESSURE, FORCE, DISPLACEMENT = "pressure", "force", "displacement"
 SET, PLACE = "pressure_command", "displacement_command"
 OUT, MOVE = "set pressure", "set displacement"
 AIR, HOSE, PLATES, EXPECTED = "air", "hose", "plates", "expected"
-"""Things besides wires that a claim may depend on."""
+"""Causes other than wires that a claim may depend on."""
 FLIPPED, WRONG, SCALE, STILL = "sign", "wire", "scale", "still"
-"""What a broken claim looks like."""
+"""Kinds of broken claims."""
 FOLLOWS, LEAD = "pressure follows its command", "pressure after its command"
-"""Names of rows that other modules look for."""
+"""Names of rows that other modules refer to."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What every channel read [SI, by the bench file] at the end of a hold, and what is known of that moment."""
+    """Reading of every channel [SI, by the bench file] at the end of a hold, with its conditions."""
 
     means: Mapping[str, float]
     pressure: float = 0.0
-    """Commanded [Pa]."""
+    """Commanded pressure [Pa]."""
     load: float | None = None
     """Weight on the free end [N]; None: not known."""
     place: float | None = None
-    """Where the drive was sent [m]; None: nowhere yet."""
+    """Commanded position of the drive [m]; None: not moved yet."""
     halves: Mapping[str, float] = field(default_factory=dict)
-    """When a channel passed half of its way to this stage [s, bench time]."""
+    """When a channel passed half of its change to this stage [s, bench time]."""
     settled: bool = True
-    """False: the hold was ended before its time."""
+    """False: the hold ended early."""
     tripped: str = ""
-    """The channel whose limit ended it."""
+    """The channel whose limit ended it; else empty."""
     drift: float = 0.0
-    """What the pressure changed by in the last fifth of the hold [Pa]."""
+    """Change of the pressure in the last fifth of the hold [Pa]."""
     opened: str = ""
-    """The valve that was opened under this pressure."""
+    """The valve that was opened under this pressure; else empty."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A relation that holds on a right bench: the row of the table it belongs to, and what it depends on."""
+    """A relation that holds on a correct bench: its row of the table, and the wires and causes that it depends on."""
 
     row: str
     wires: tuple[str, ...]
@@ -83,7 +83,7 @@ class Claim:
     exact: bool = False
     """Whether it compares two numbers that no wrong wire makes equal by chance."""
     stage: int = -1
-    """Number of the stage that it is of."""
+    """Index of its stage."""
 
 
 class Wiring:
@@ -100,7 +100,7 @@ class Wiring:
         self.driven = bench.free_end == "actuator"
 
     def input(self, *names: str) -> str:
-        """The inputs of channels as device.input."""
+        """Inputs of channels as device.input."""
         return " and ".join(f"{self.channels[name].device}.{self.channels[name].input}" for name in names)
 
     def output(self, name: str) -> str:
@@ -108,7 +108,7 @@ class Wiring:
         return f"{self.outputs[name].device}.{self.outputs[name].output}"
 
     def zero_limit(self, name: str) -> float:
-        """How far from zero a vented, unloaded channel may read [SI]."""
+        """Largest accepted reading of a vented, unloaded channel [SI]."""
         session, channel = self.mounted.session, self.channels[name]
         zero = session.zeros.get(name) if session is not None else None
         if zero is not None:
@@ -116,7 +116,7 @@ class Wiring:
         return (PRELOAD if name == FORCE and self.driven else SHARE) * (channel.high - channel.low)
 
     def follows_within(self) -> float:
-        """How far the pressure may be from what was commanded [Pa]."""
+        """Allowed deviation of the pressure from its command [Pa]."""
         unknown = [
             self.channels[name].calibration.offset_uncertainty for name in (PRESSURE, SET) if name in self.channels
         ]
@@ -125,7 +125,7 @@ class Wiring:
     # -- the table ------------------------------------------------------------------------------------------------
 
     def claims(self, stages: Sequence[Stage], swap: tuple[str, str] | None = None) -> list[Claim]:
-        """Every claim of stages in the order of time; with `swap`, of what two channels would read exchanged."""
+        """All claims for stages in order of time; with `swap`, for two channels with exchanged plugs."""
         if swap is not None:
             stages = [self._exchanged(stage, *swap) for stage in stages]
         if not stages:
@@ -158,7 +158,7 @@ class Wiring:
         return replace(stage, means=means, halves=halves, drift=drift, tripped=tripped)
 
     def _rest(self, stage: Stage) -> Iterator[Claim]:
-        """Vented: gauge pressure and set-point are zero, an unloaded cell too, the free end is where muscles rest."""
+        """Vented: gauge pressure, set-point and an unloaded cell are zero, and the free end is where muscles rest."""
         means = stage.means
         if PRESSURE in means:
             yield self._near("pressure at rest", PRESSURE, means[PRESSURE], self.zero_limit(PRESSURE), "vented")
@@ -183,7 +183,7 @@ class Wiring:
             yield replace(claim, wires=(DISPLACEMENT, PLACE))
 
     def _tripped(self, stage: Stage) -> Claim:
-        """No limit is crossed at the small pressures of a self-test, nor before them."""
+        """A broken claim: no limit is crossed at the small pressures of a self-test, nor before them."""
         name = stage.tripped
         value = show(stage.means[name], self.channels[name].quantity, 4)
         wires = (name, OUT) if name == PRESSURE else (name,)
@@ -206,7 +206,7 @@ class Wiring:
             yield from self._as_expected(stage, rises, place)
 
     def _followed(self, stage: Stage, rises: Mapping[str, float]) -> Iterator[Claim]:
-        """Commanded, read back, measured: three that agree two by two."""
+        """Commanded, read-back and measured pressure agree in pairs."""
         asked, most = stage.pressure, self.follows_within()
         row = FOLLOWS
         limit = f"rises by {show(asked, 'pressure', 4)} within {show(most, 'pressure', 3)}"
@@ -246,7 +246,7 @@ class Wiring:
             yield Claim(LEAD, (PRESSURE, SET), lead <= LEADS, value, "after it", WRONG)
 
     def _opened(self, stage: Stage, before: Stage, rest: Stage) -> Iterator[Claim]:
-        """An open dump valve takes the pressure away; where none came before, it does not bring it."""
+        """An open dump valve lowers the pressure; if none was measured before, it must not rise."""
         if PRESSURE not in before.means:
             return
         came = abs(before.means[PRESSURE] - rest.means[PRESSURE]) > 0.3 * stage.pressure
@@ -260,7 +260,7 @@ class Wiring:
             yield Claim(row, (stage.opened,), False, value, limit, FLIPPED)
 
     def _signs(self, stage: Stage, rises: Mapping[str, float]) -> Iterator[Claim]:
-        """Force and contraction do not fall under pressure; at the highest one of them rises."""
+        """Force and contraction do not fall under pressure; at the highest pressure one of them rises."""
         at = show(stage.pressure, "pressure", 4)
         moved = {}
         for name, what in ((FORCE, "force"), (DISPLACEMENT, "contraction")):
@@ -280,12 +280,12 @@ class Wiring:
             yield Claim("longest contraction", (DISPLACEMENT,), False, f"rises by {value}", f"at most {most}")
 
     def change(self, name: str, rise: float) -> float:
-        """A change [SI], 0 where it is lost in the noise."""
+        """A change [SI], set to 0 below noise and uncertainty."""
         unknown = self.channels[name].calibration.offset_uncertainty if name == FORCE else MOVED
         return rise if abs(rise) > max(unknown, SIGNIFICANT * self.noise.get(name, 0.0)) else 0.0
 
     def _weighed(self, stage: Stage, rises: Mapping[str, float]) -> Iterator[Claim]:
-        """A load that hangs pulls with its weight; one on its support with at most that."""
+        """A hanging load pulls with its weight; one on its support with at most that."""
         load, known, rise = stage.load or 0.0, self.channels[FORCE].calibration, rises[FORCE]
         limit = self.mounted.bench.load_tolerance * load + known.offset_uncertainty + known.gain_uncertainty * load
         value = f"{show(rise, 'force', 4)} for {show(load, 'force', 4)}"
@@ -299,9 +299,9 @@ class Wiring:
             yield Claim("force of a load on its support", (held, FORCE), rise <= most, value, at_most)
 
     def _as_expected(self, stage: Stage, rises: Mapping[str, float], rest: float) -> Iterator[Claim]:
-        """What the specimen file expects, within a rough factor: of contraction under a load, of a blocked force.
+        """Agreement with the specimen file within a rough factor: contraction under a load, blocked force.
 
-        `rest` [m] is the reading nearest to zero without pressure: a support or a zero, which the muscle leaves behind.
+        `rest` [m] is the reading nearest to zero without pressure: a support or a zero, which the muscle may leave.
         """
         expected = self.mounted.specimen_file.expected
         if expected is None or not _covers(expected, stage.pressure):
@@ -324,7 +324,7 @@ class Wiring:
             yield Claim("force as expected", (*plates, FORCE, EXPECTED), near, value, f"{limit}, by the specimen file")
 
     def _drive(self, stages: Sequence[Stage]) -> Iterator[Claim]:
-        """Where the drive was sent, where it reports to be, where the transducer is: three that agree two by two."""
+        """Commanded, reported and measured position of the drive agree in pairs."""
         if not stages:
             return
         first, last = min(stages, key=lambda s: s.place or 0.0), max(stages, key=lambda s: s.place or 0.0)
@@ -351,6 +351,6 @@ class Wiring:
 
 
 def _covers(expected: ExpectedFile, pressure: float) -> bool:
-    """Whether a pressure [Pa] is among those of which something is expected."""
+    """Whether a pressure [Pa] is within the range of the expected points."""
     points = [point.pressure for point in expected.points]
     return min(points) * (1 - 1e-9) <= pressure <= max(points) * (1 + 1e-9)

@@ -299,6 +299,7 @@ def test_a_calibration_that_has_expired_is_lacking_from_the_day_after(tmp_path):
         ("  - {name: e-stop, input: {device: daq, input: e_stop}, safe: high}\n", "", "no interlock"),
         ("proof: {pressure: 50 kPa, below: 20 kPa, within: 2 s}\n", "", "no proof"),
         (", catch_height: 50 mm", "", "no catch height"),
+        ("below: 20 kPa, within: 5 s}", "below: 20 kPa, within: 2.9 s}", "2.9 s to confirm pressure"),
         ("energised: closed", "energised: open", "no normally-open dump valve"),
         ("supply: 690 kPa", "supply: 640 kPa", "a supply of 640 kPa"),
         ("range: [-5 mm, 90 mm], calibration: MOCK-X", "range: [-5 mm, 90 mm], unit: mm", "no calibration of displac"),

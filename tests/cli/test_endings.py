@@ -2,12 +2,17 @@
 
 import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from pmabench.cli.main import main
+from pmabench.cli.outcome import _end
+from pmabench.engine.run import Outcome
+from pmabench.guard.safe import UNANSWERED, Vent
+from tests.guard.rig import BENCH
 
 OF = ("--specimen", "mas-20-250-paper0")
 SHORT = (
@@ -66,6 +71,14 @@ def test_a_dry_run_that_trips_says_so():
     assert "next    change the protocol" in out
     end = call("run", "contraction-relaxation", *tripping, *OF, *SHORT[:4], "--yes", code=5)
     assert next_of(end) == ["continue"]
+
+
+@pytest.mark.parametrize(("left", "says"), [((), ""), ((UNANSWERED,), "; a command may still come: shut the supply")])
+def test_a_vent_after_which_a_command_may_come_is_no_plain_vented(left, says):
+    """A set-point that was held up for 5.5 s filled the muscle to 400 kPa after "vented"."""
+    over = Outcome("error", "no answer", 4, Vent("confirmed", left), None, 9.0, 10, (), {})
+    words = " ".join(_end(over, replace(BENCH, realtime=False), "step", 1)).split()
+    assert " ".join(words) == f"ERROR step: 0 of 1 trial, 9 s; vented{says} no answer"
 
 
 def test_a_campaign_names_its_runs_and_processes_them():

@@ -8,7 +8,7 @@ from math import inf
 import pytest
 
 from pmabench.base.clock import RealClock, VirtualClock
-from pmabench.base.errors import DeviceError, LimitRefused
+from pmabench.base.errors import DeviceError, LimitRefused, NotSent
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, Scale, TripRecord, ValveRecord
 from pmabench.guard import course
 from pmabench.guard.guard import Guard, State
@@ -632,6 +632,19 @@ def test_a_device_that_carries_out_nothing_is_left_to_its_watchdog_and_asked_aga
     assert "dac: its line is closed, so that its watchdog takes over" in vent.actions
 
 
+@pytest.mark.parametrize(("second", "refuses"), [(NotSent("dac", "exception 4"), True), ("no answer", False)])
+def test_a_command_that_is_refused_in_an_answer_closes_the_line_and_one_without_an_answer_does_not(second, refuses):
+    """A regulator put to LOCAL was told 92 times, and each answer fed its watchdog: 300 kPa until all were gone."""
+    guard, rig = armed(bench(safe_state=(*SAFE[:3], SafeAction("confirm", "pressure", 20e3, 5.0))))
+    rig.wrong |= {"write": NotSent("dac", "exception 4"), "rescue": second}
+    guard.begin_safe()
+    advance(guard, 0.05, {"pressure": 3e5})
+    assert bool(rig.values("close")) == refuses
+    for leaking in (2.9e5, 2.8e5, 2.7e5):  # that is no effect
+        advance(guard, 0.1, {"pressure": leaking})
+    assert rig.values("close")
+
+
 def test_a_device_that_cannot_be_opened_again_is_tried_again():
     guard, rig = armed()
     guard.set("pressure", 300e3)
@@ -731,3 +744,12 @@ def test_a_command_that_failed_latches_even_where_the_pressure_has_gone():
     vent = until_over(guard, 0.01, LOW)
     assert vent.result == "commanded"
     assert guard.state is State.TRIPPED
+
+
+def test_a_value_from_before_the_line_was_closed_is_said_with_its_age():
+    guard, _ = armed(bench(safe_state=(*SAFE[:3], SafeAction("confirm", "pressure", 20e3, 5.0))))
+    guard.begin_safe()
+    for _ in range(9):
+        advance(guard, 0.1, HIGH)
+    vent = until_over(guard, 0.1, {})
+    assert "confirm pressure: 300 kPa 4.3 s ago, not below 20 kPa within 5 s" in vent.actions

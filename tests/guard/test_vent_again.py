@@ -516,6 +516,27 @@ def test_a_ramp_or_a_hold_ends_where_the_pressure_does_not_follow(first, pressur
     assert took == pytest.approx(ends, abs=0.2)
 
 
+@pytest.mark.parametrize(("stuck", "reads", "ends"), [(1, 300e3, 0.3 + NO_EFFECT), (2, 380e3, NO_EFFECT)])
+def test_a_muscle_that_does_not_follow_ends_its_own_ramp_and_leaves_the_other_one_its_own(stuck, reads, ends):
+    """The other one was let go in a step, and the joint thrown by 30 degrees."""
+    names = ("pressure_1", "pressure_2")
+    ramps = [SafeAction("ramp", name, 0.0, 5.0, 100e3) for name in names]
+    guard, rig = armed(replace(PAIR, safe_state=(*ramps, *PAIR.safe_state[3:], *PAIR.safe_state[2:])))
+    for name in names:
+        guard.set(name, 300e3)
+    rig.reported.clear()
+    guard.begin_safe()
+    mine, other = f"pressure_{stuck}", f"pressure_{3 - stuck}"
+
+    def measure(_t):
+        return {**{name: 150.0 * rig.at[name](guard.clock.now()) for name in names}, mine: reads}
+
+    assert until(guard, lambda: ("write", mine, 0.0) in rig.reported, measure) == pytest.approx(ends, abs=0.15)
+    assert until(guard, lambda: rig.values("close"), measure) < 1.0, "it is left to its watchdog"
+    assert ("write", other, 0.0) not in rig.reported
+    assert other in [name for _, name, _ in rig.values("follow")]
+
+
 def test_one_reading_of_nothing_makes_no_step_of_a_ramp():
     guard, rig = armed(RAMPED)
     guard.set("pressure", 300e3)
@@ -597,6 +618,21 @@ def test_what_comes_after_a_ramp_of_a_drive_that_was_stopped_takes_its_time():
 
     until(guard, lambda: Rig.made["other"].values("halt"), measure)
     assert until(guard, lambda: rig.values("write"), measure) == pytest.approx(2.0, abs=0.15)
+
+
+def test_a_drive_that_leaves_its_place_is_stopped_and_ends_no_hold():
+    ramp = SafeAction("ramp", "displacement", 0.0, 4.0, 10e-3)
+    guard, rig = of_both(ramp, replace(HOLD, within=2.0), SAFE[1], LOOK)
+    guard.set("displacement", 3e-3)
+    guard.set("pressure", 300e3)
+    rig.reported.clear()
+    guard.begin_safe()
+
+    def measure(t):
+        return {"pressure": 300e3, "displacement": max(3e-3 - 10e-3 * t, 0.0) + 20e-3 * max(t - 0.6, 0.0)}
+
+    assert until(guard, lambda: Rig.made["other"].values("halt"), measure) < 1.2
+    assert until(guard, lambda: rig.values("write"), lambda _t: measure(0.6)) > 1.0
 
 
 @pytest.mark.parametrize("moves", [lambda t: 3e-3 + 20e-3 * t, lambda t: 6e-3 * max(t - 0.3, 0.0)])

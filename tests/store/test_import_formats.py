@@ -307,3 +307,32 @@ def test_an_lvm_file_that_is_cut_in_mid_row_is_read_to_its_last_whole_row():
     answer = read("lvm", content[: content.rindex(b"\t", 0, content.rindex(b"\t")) - 3])
     assert all(np.array_equal(answer.columns[name], expected[name][:-1]) for name in expected)
     assert any("the last row is cut off" in text and "left out" in text for text in answer.head["doubts"])
+
+
+@pytest.mark.parametrize(("later", "together"), [(3.0, True), (300.0, False)])
+def test_channels_that_begin_apart_have_no_clock_in_common(tmp_path, later, together):
+    """Force that began 300 ms after the pressure was put on one clock with it; a part of a sample is none of it."""
+    from nptdms import ChannelObject, TdmsWriter
+
+    data, begin = made.truth(), np.datetime64("2026-01-05T10:00:00")
+    with TdmsWriter(tmp_path / "a.tdms") as writer:
+        timing = {"wf_increment": 0.01, "wf_start_offset": 0.25}
+        starts = {"P": begin, "F": begin + np.timedelta64(int(1e3 * later), "us")}
+        writer.write_segment(
+            [ChannelObject("g", k, data[k], {**timing, "wf_start_time": at}) for k, at in starts.items()]
+        )
+    content = (tmp_path / "a.tdms").read_bytes()
+    columns = read("tdms", content).columns
+    assert ("g/@time" in columns) == together
+    if together:
+        assert columns["g/@time"][:2] == pytest.approx([0.25, 0.26])
+    else:
+        assert 'channels of "g" begin up to 0.3 s apart' in refused("tdms", content, ["g/@time", "g/P"])
+    for columns_are in ("No", "One", "Multi"):
+        text = made.lvm(columns_are)
+        end = text.index("\r\n", text.index("\r\nTime\t", text.index("Channels\t")) + 7)
+        other = f"{text[: end - 6]}{250_000 + int(1e3 * later)}{text[end:]}".encode()
+        if together:
+            assert read("lvm", other).columns
+        else:
+            assert "begin up to 0.3 s apart (Time, X0)" in refused("lvm", other)

@@ -233,3 +233,22 @@ def test_the_rows_of_one_oscilloscope_need_no_second_clock(tmp_path):
 )
 def test_units_as_people_write_them(text, unit):
     assert spelled(text) == unit
+
+
+def test_a_line_of_units_is_read_in_every_file(tmp_path):
+    """The second file of a call in psi was imported in the kPa of the first: 0.145 of each pressure."""
+    units = "Time,Pressure,Force\ns,{},N\n"
+    first, second = tmp_path / "a_8mm.csv", tmp_path / "b_8mm.csv"
+    first.write_text(units.format("kPa") + rows(plain))
+    second.write_text(units.format("psi") + rows(lambda t, p, f: plain(t, p / 6.894757, f)))
+    text = map_text(guess_files([first, second]), {})
+    (tmp_path / "map.yaml").write_text(text)
+    rules = read_map(tmp_path / "map.yaml", unresolved=True)
+    assert len(prepare_all(first, rules)) == 1
+    with pytest.raises(InvalidFile, match='unit of "Pressure" is psi, the map says kPa'):
+        prepare_all(second, rules)
+    first.write_text(units.format("bar") + rows(plain))  # a wrong label: the way out that the refusal names
+    right = 'unit: "bar"\n    line: {slope: 1 kPa/bar, offset: 0 kPa}'
+    (tmp_path / "map.yaml").write_text(text.replace("unit: kPa", right))
+    (test,) = prepare_all(first, read_map(tmp_path / "map.yaml", unresolved=True))
+    assert test.checked[0].si == pytest.approx(1e3 * P, abs=1.0)

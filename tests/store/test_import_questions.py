@@ -14,6 +14,7 @@ from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import Proposal, choose, unit_in, words
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.map_file import questions_of
+from pmabench.store.importers.prepare import prepare
 from tests.importing import guess_files, read_map
 
 T = np.arange(0, 20, 0.01)
@@ -137,6 +138,17 @@ def test_a_unit_of_time_that_no_test_has_is_asked_for(tmp_path):
     assert asked(file(tmp_path / "held_7mm_Test1.csv", {"time (s)": 100 * T, "P [kPa]": P, "F [N]": F})) == {}
 
 
+def test_minutes_without_a_unit_are_asked_for(tmp_path):
+    """20 s at 100 samples a second, in minutes, were taken for 0.33 s at 6000; such a rate nobody sets."""
+    for rate in (50.0, 100.0, 200.0):
+        t = np.arange(len(T)) / rate
+        path = file(tmp_path / "held_8mm_Test1.csv", {"time": t / 60.0, "P [kPa]": P, "F [N]": F}, 9)
+        question = asked(path)["columns.time.unit"]
+        assert question.used == "s"
+        assert f"min: {rate:g} samples a second" in question.question
+        assert asked(file(path, {"time": t, "P [kPa]": P, "F [N]": F})) == {}
+
+
 def test_sentinels_make_no_ramps(tmp_path):
     wrong = P.copy()
     wrong[::50] = -999.25
@@ -156,6 +168,39 @@ def test_an_absolute_pressure_that_does_not_say_so_is_asked_for(tmp_path):
     found = asked(path)
     assert list(found) == ["columns.P [kPa].line.offset"]
     assert found["columns.P [kPa].line.offset"].used == "-101.325 kPa"
+
+
+@pytest.mark.parametrize(
+    ("names", "point"),
+    [
+        (("iso_8p5kg", "iso_12p5kg"), {"mass": (8.5, 12.5)}),  # both were 5 kg
+        (("load_80N_t1", "load_120N_t1"), {"load": (80.0, 120.0)}),  # nothing was read: repeats of one test
+        (("step_8000g", "step_12000g"), {"mass": (8.0, 12.0)}),
+        (("iso_-8mm", "iso_-4mm"), {"contraction": (-8e-3, -4e-3)}),  # the sign was lost
+        (("iso_stretch8mm", "iso_stretch4mm"), {"contraction": (8e-3, 4e-3)}),
+        (("len242mm", "len250mm"), {"contraction": (0.242, 0.25)}),
+        (("iso_7p5mm", "iso_0p5mm"), {"contraction": (7.5e-3, 0.5e-3)}),
+    ],
+)
+def test_numbers_in_names_that_may_be_others_are_asked_for(tmp_path, names, point):
+    files = [file(tmp_path / f"{name}.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F}) for name in names]
+    ((key, values),) = point.items()
+    text = map_text(guess_files(files), {})
+    assert f"name_tells.units.{key}" in {each.what for each in questions_of(Document("map.yaml", text))}
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    answers = [("trials.point.contraction", "1 mm")] if key != "contraction" else []
+    rules = read_map(tmp_path / "map.yaml", answers, unresolved=True)
+    assert [prepare(path, rules).named.point[key] for path in files] == pytest.approx(values)
+
+
+@pytest.mark.parametrize(
+    "names", [("iso_8mm_500N", "iso_4mm_500N"), ("gap3mm_8mm_2g", "gap3mm_4mm_2g"), ("x8mm", "x4mm")]
+)
+def test_usual_names_are_not(tmp_path, names):
+    files = [file(tmp_path / f"{name}.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F}) for name in names]
+    guess = guess_files(files)
+    assert not [each for each in questions_of(Document("map.yaml", map_text(guess, {}))) if "name" in each.what]
+    assert set(guess.form_units) == {"contraction"}
 
 
 def test_the_contraction_that_no_name_shows_is_asked_for(tmp_path):
@@ -383,3 +428,46 @@ def test_a_workbook_is_refused_with_the_way_on(tmp_path, begin):
     assert "Excel workbook, or another archive: save the sheet as CSV" in call(
         "import", "--guess", tmp_path / "old.xlsx", code=3
     )
+
+
+def findings(path):
+    """Kinds and levels of what an import of one file by its guessed map finds."""
+    (path.parent / "map.yaml").write_text(map_text(guess_files([path]), {}), encoding="utf-8")
+    prepared = prepare(path, read_map(path.parent / "map.yaml", unresolved=True))
+    return {each.kind: each for each in prepared.findings}, prepared
+
+
+@pytest.mark.parametrize(("swap", "period", "late", "expected"), [
+    (False, 0.0, 15, False), (True, 0.0, 15, True), (False, 0.2, 15, False),
+])  # fmt: skip
+def test_a_pressure_before_its_command_is_doubted(tmp_path, swap, period, late, expected):
+    """Command and measured pressure that were exchanged were imported without a word; a fast sine shows no order."""
+    t = 0.01 * np.arange(4000)
+    command = 100.0 * np.floor(t / 4) if not period else 200 + 100 * np.sin(2 * np.pi * t / period)
+    reached, rng = np.full(len(t), command[0]), np.random.default_rng(2)
+    for i in range(1, len(t)):
+        reached[i] = reached[i - 1] + (command[max(0, i - late)] - reached[i - 1]) / 12.0
+    reached += rng.normal(0, 0.2, len(t))
+    x = 0.02 * np.concatenate([np.zeros(10), reached[:-10]])
+    one, two = ("P_act [kPa]", "P_set [kPa]")[:: -1 if swap else 1]
+    path = file(tmp_path / "a.csv", {"t [s]": t, one: reached, two: command, "x [mm]": x})
+    found, _ = findings(path)
+    assert ("led" in found) == expected
+    assert not expected or "exchanged" in found["led"].text
+
+
+@pytest.mark.parametrize("every", [3, 20])
+def test_a_channel_with_blanks_is_one_of_numbers(tmp_path, every):
+    """A force that was written in every third row or less was "words, not numbers", and dropped without a question."""
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F})
+    head, *lines = path.read_text().splitlines()
+    blank = [line if k % every == 0 else f"{line.rpartition(',')[0]}," for k, line in enumerate(lines)]
+    path.write_text("\n".join([head, *blank]) + "\n")
+    found, prepared = findings(path)
+    force = next(channel.si for channel in prepared.checked if channel.rule.role == "force")
+    assert force[::every] == pytest.approx(F[::every], abs=1e-3)
+    assert found["missing"].level == "doubt"
+    path.write_text(
+        "\n".join([f"{head},note", *(f"{line},{'valve on' if k == 9 else ''}" for k, line in enumerate(lines))])
+    )
+    assert [column.reasons[0] for column in guess_files([path]).columns][-1] == "holds words, not numbers"

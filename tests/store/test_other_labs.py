@@ -118,7 +118,9 @@ def test_steps_without_a_command_have_no_time_from_it(tmp_path):
         write(tmp_path / f"{mass:.0f}kg.csv", "t (s),p (kPa),x (mm),F (N)", t, P + rng.normal(0, 0.4, n),
               x + rng.normal(0, 0.003, n), F + rng.normal(0, 0.3, n))  # fmt: skip
     smallest = next(
-        word for word in called("import", *sorted(tmp_path.glob("*.csv")), "--guess").split("\n") if "by: step" in word
+        word
+        for word in called("import", *sorted(tmp_path.glob("*.csv")), "--guess", "-v").split("\n")
+        if "by: step" in word
     )
     found, _ = processed(
         tmp_path, ("kind: recorded-step", "kind: contraction-relaxation"), (smallest.strip(), "trials: {by: file}")
@@ -213,7 +215,7 @@ def test_names_with_blanks_or_that_begin_with_a_number_are_read(tmp_path):
     for x in (0.0, 12.0):
         t, P, F = held(rng, x)
         write(tmp_path / f"{x + 3:.0f} kg iso {x:.0f} mm.csv", "t (s),F (N),P (kPa)", t, F, P)
-    text = called("import", *sorted(tmp_path.glob("*.csv")), "--guess")
+    text = called("import", *sorted(tmp_path.glob("*.csv")), "--guess", "-v")
     assert '"{mass} kg iso {contraction} mm"' in text
     assert "at which contraction" not in text
 

@@ -1,14 +1,13 @@
 """Alicat PC and PCD pressure controllers, over ASCII or Modbus RTU on a serial line.
 
-Here: what the bench file says, what a reading says, the device interface; `ascii_link`, `modbus_link`: the two
-protocols behind the same few methods; `emulator`, `emulated_controller`: the device for `pmabench emulate`.
+Here: options in the bench file, readings, the device interface; `ascii_link`, `modbus_link`: the two protocols with the
+same methods; `emulator`, `emulated_controller`: the device for `pmabench emulate`.
 
 Sources: Alicat, manual of standard flow and pressure devices, 02/2023 (Modbus registers, special commands, status bits;
-ASCII commands); Apex/Alicat PC manual, page 22 (set-points, data frame). The list of columns is read as devices with
-firmware 6v21 to 10v20 are known to send it.
-
-It has no watchdog: a controller that hears nothing keeps its last set-point. One thread polls and steps ramps and
-sines; calls and polls take turns on the one line.
+ASCII commands); Apex/Alicat PC manual, page 22 (set-points, data frame). The list of columns is parsed in the format
+that firmware 6v21 to 10v20 is known to send.
+It has no watchdog: without communication a controller keeps its last set-point. One thread polls and sends the steps of
+ramps and sines; calls and polls take turns on the line.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ ASCII, MODBUS = "ascii", "modbus"
 PCD, MCD = "PCD", "MCD"
 KEYS = ("protocol", "unit_id", "baud", "unit", "valves", "rate", "timeout", "slowest", "emulate")
 BAUDS = (19200, 38400, 57600, 115200)
-"""Slower lines cannot list the columns within the time that opening may take."""
+"""Supported baud rates; slower lines cannot list the columns within the time limit of opening."""
 INPUTS = ("pressure", "set_point")
 OUTPUT = "pressure"
 UNITS = {
@@ -49,17 +48,17 @@ UNITS = {
     "psi": (10, 6894.757293168),
     "atm": (22, 101325.0),
 }
-"""Unit of the bench file -> the number by which the device calls it, and pascal."""
+"""Unit in the bench file -> code of the device, and size [Pa]."""
 OFF_UNIT = 0.02
-"""How far the slope of a calibration may be from its unit [1]; other units differ by far more."""
+"""Largest relative deviation of a calibration's slope from its unit [1]; other units differ by far more."""
 OVER, HELD, FAILED, EXHAUST, LIMIT, ABORTED = "POV", "HLD", "ADC", "EXH", "OPL", "aborted"
 BITS = {6: OVER, 8: HELD, 9: FAILED, 10: EXHAUST, 11: LIMIT, 13: ABORTED}
-"""Bits of the Modbus status flags that a pressure controller has."""
+"""Bits of the Modbus status flags that concern a pressure controller."""
 HARMLESS = frozenset({"LCK", "MOV", "OVR", "TMF", "TOV", "VOV"})
-"""A locked display, and what is about flow and temperature."""
+"""Status codes without effect here: a locked display, and those on flow and temperature."""
 CODES = frozenset({*HARMLESS, OVER, HELD, FAILED, EXHAUST, LIMIT})
 NO_VALUE = frozenset({FAILED, ABORTED})
-"""With these the number is no measurement."""
+"""Status codes with which the number is not a measurement."""
 MEANING = {
     FAILED: "its pressure sensor cannot be read (ADC)",
     ABORTED: "its measurement was aborted",
@@ -75,26 +74,26 @@ class Options:
 
     protocol: str = ASCII
     letter: str = "A"
-    """The unit ID over ASCII."""
+    """Unit ID over ASCII."""
     number: int = 1
-    """The unit ID over Modbus."""
+    """Unit ID over Modbus."""
     baud: int = 19200
     unit: str = "kPa"
-    """The unit of every number that goes over the line."""
+    """Unit of every number on the line."""
     valves: int = 2
-    """2: it fills and vents by itself (PCD); 1: it only fills, and a bleed vents (PC)."""
+    """2: it fills and vents by itself (PCD); 1: it only fills, and vents through a bleed (PC)."""
     rate: float = 50.0
-    """Highest rate at which it is polled."""
+    """Highest polling rate."""
     timeout: float = 0.06
     """Longest wait for an answer."""
     slowest: float = 0.5
-    """How long after a question the device may still answer it."""
+    """How long after a request the device may still answer it."""
     emulate: str = PCD
-    """What `pmabench emulate` serves over ASCII: a pressure controller, or a mass flow controller."""
+    """Device that `pmabench emulate` serves over ASCII: a pressure controller, or a mass flow controller."""
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
-    """The options of a device, and whether its channels and its output are what an Alicat has."""
+    """Options of a device; also checks that its channels and output exist on an Alicat."""
     place, base = ("options",), Options()
     given = reader.keys(device.options, place, KEYS, ("protocol",))
     if not device.address.startswith("/"):
@@ -124,7 +123,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
 
 
 def _unit(device: DeviceRecord, given: object, protocol: str, reader: Reader) -> str:
-    """The one unit of the line: that of every channel, of the output's slope, and of the option where it is."""
+    """Unit of the line: that of every channel, of the output's slope, and of the option `unit` if given."""
     place = ("options", "unit")
     units = [channel.raw_unit for channel in device.channels]
     unit = str(given) if given is not None else units[0] if units else ""
@@ -155,7 +154,7 @@ def _unit(device: DeviceRecord, given: object, protocol: str, reader: Reader) ->
 
 @dataclass(frozen=True)
 class Reading:
-    """One answer: pressure and set-point in the device's unit, its status, and when it was asked and answered.
+    """One answer: pressure and set-point in the device's unit, status, and times of request and answer.
 
     `asked` and `answered` are bench time [s].
     """
@@ -168,7 +167,7 @@ class Reading:
 
 
 def trouble(status: frozenset[str], *, exhausting: bool) -> str:
-    """What in a status is wrong; empty where nothing is. `exhausting`: this program has opened the exhaust."""
+    """What is wrong according to a status; empty if nothing is. `exhausting`: this program has opened the exhaust."""
     for code in (FAILED, ABORTED, LIMIT, HELD, EXHAUST):
         if code in status and not (code in {EXHAUST, HELD} and exhausting):
             return MEANING[code]
@@ -177,19 +176,19 @@ def trouble(status: frozenset[str], *, exhausting: bool) -> str:
 
 
 def from_bits(flags: int) -> frozenset[str]:
-    """The codes of Modbus status flags; bits about flow and temperature are left out."""
+    """Status codes of Modbus status flags; bits on flow and temperature are left out."""
     return frozenset(code for bit, code in BITS.items() if flags >> bit & 1)
 
 
 CALL = 0.18
-"""Longest time that a call takes [s]; the guard gives up at 0.2 s."""
+"""Time limit of a call [s]; the guard gives up at 0.2 s."""
 OPEN = 1.9
 LARGEST = 1e6
-"""No set-point that is sent is so large, in whatever unit."""
+"""Larger set-points are not sent, in any unit."""
 
 
 class AlicatController(Controlled):
-    """A pressure controller: measures `pressure` and `set_point`, takes the output `pressure`.
+    """A pressure controller with the inputs `pressure` and `set_point` and the output `pressure`.
 
     A set-point at or below the output's safe value vents: over Modbus with the exhaust of a dual-valve controller.
     """
@@ -204,12 +203,12 @@ class AlicatController(Controlled):
         self._link: Link | None = None
         self._compared = False
         self._reading: Reading | None = None
-        """Reading in the answer to a step, in this turn of the thread."""
+        """Reading in the answer to a step, in this turn of the thread; else None."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect, learn what the device says of itself, and refuse another unit or source of set-points."""
+        """Connect and identify; refuse another unit or source of set-points than the bench's."""
         until = monotonic() + OPEN
         identity = self._connect(until)
         with self._closed_on_error():
@@ -217,7 +216,7 @@ class AlicatController(Controlled):
         return identity
 
     def open_to_vent(self) -> Identity:
-        """Connect and learn what the device says of itself: 0 is 0 in every unit, and samples wait for the bench's."""
+        """Connect and identify only: 0 is 0 in every unit, and the units are compared before sampling."""
         return self._connect(monotonic() + OPEN)
 
     def _connect(self, until: float) -> Identity:
@@ -241,7 +240,7 @@ class AlicatController(Controlled):
         return super().start(rate)
 
     def close(self) -> None:
-        """End polling and let go of the port; the device keeps its set-point."""
+        """Stop polling and close the port; the device keeps its set-point."""
         self._following.clear()
         self._streaming = False
         link, self._link, self._compared = self._link, None, False
@@ -255,7 +254,7 @@ class AlicatController(Controlled):
         return min(self._options.rate, self._opened().fastest)
 
     def _tick(self) -> None:
-        """One turn of the thread: the next step of a segment, whose answer may be a reading, or a poll."""
+        """One turn of the thread: the next step of a segment, whose answer may contain a reading, or a poll."""
         if (link := self._link) is None:
             return
         self._reading = None
@@ -272,7 +271,7 @@ class AlicatController(Controlled):
             if self._streaming and not reading.status & NO_VALUE:
                 self._take(reading)
         elif failure is None:
-            return  # nothing was learned
+            return  # nothing new
         self._cycle.note(failure)
 
     def _take(self, reading: Reading) -> None:
@@ -282,28 +281,28 @@ class AlicatController(Controlled):
     # -- commands -------------------------------------------------------------------------------------------------
 
     def write(self, output: str, value: float) -> None:
-        """Command a set-point once; what the device then holds decides. At or below the safe value it vents."""
+        """Command a set-point once; succeeds if the device then holds it. Vents at or below the safe value."""
         record = self._output(output)
         self._following.pop(output, None)
         self._send(record, value, vents=self._vents(record, value))
 
     def read_back(self, output: str) -> float:
-        """The set-point that the device holds."""
+        """Set-point that the device holds."""
         self._output(output)
         return self._opened().held(monotonic() + CALL)
 
     def held(self) -> Mapping[str, float | str]:
-        """Unit and source of its set-point, as it says itself over ASCII from firmware 10v05 on; before, the unit.
+        """Unit and source of its set-point, reported over ASCII from firmware 10v05; before, the unit only.
 
-        It has no watchdog and reports no uptime: a restart shows in its set-point, which `read_back` asks for.
+        It has no watchdog and reports no uptime: a restart shows in its set-point, which is read by `read_back`.
         """
         return self._opened().reported(monotonic() + CALL)
 
     def _refuse_value(self, output: str, value: float) -> None:
-        """Any number can be sent; the device and the guard have their limits."""
+        """Accept every value; the device and the guard have their limits."""
 
     def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
-        """The set-point of this moment; the last one vents where it is low enough."""
+        """Send the set-point of this step; the last one vents if it is low enough."""
         record = self._outputs[output]
         self._reading = self._send(record, value, vents=last and self._vents(record, value), still=still, step=True)
 
@@ -319,7 +318,7 @@ class AlicatController(Controlled):
         return send(value, deadline, record.resolution / 2, still)
 
     def _vents(self, record: OutputRecord, value: float) -> bool:
-        """Whether a set-point is that of the safe state, or beyond it."""
+        """Whether a set-point is at or below that of the safe state."""
         return value <= float(record.scale.to_raw(record.safe)) + 1e-9
 
     def _opened(self) -> Link:

@@ -1,7 +1,7 @@
-"""An Alicat controller over its ASCII protocol: one question, one answer, and no late answer taken for a new one.
+"""An Alicat controller over its ASCII protocol: one request, one answer, and no late answer taken for a new one.
 
-Its data line is read by the list of columns that the device sends. Under the heads of that list the columns are of
-fixed width; `*` marks what is in a line only at times::
+Its data line is parsed with the list of columns that the device sends. The columns of that list have fixed widths, of
+its header; `*` marks an entry that is only sometimes in a line::
 
     A D00 ID_ NAME______________________ TYPE_______ WIDTH NOTES___________________
     A D01 700 Unit ID                    string          1
@@ -9,10 +9,10 @@ fixed width; `*` marks what is in a line only at times::
     A D03 038 Gauge Press Setpt          s decimal     7/2 010 02 PSIG
     A D04 702 *Status                    string          3 HLD
 
-Answers carry no number. After an answer that did not come in time the next line may be that late answer: no line is
-used until the device was asked for its firmware, whose answer looks like no other. Answers come in the order of the
-questions, so what follows that one is new. Set-points do not wait for this; what the device holds is asked afterwards.
-Hold-closed (HC) is never sent: it traps the pressure.
+Answers are not numbered. After an answer that did not arrive in time the next line may be that late answer: no line is
+used until the device has answered a request for its firmware, which looks like no other answer. Answers come in the
+order of requests, so lines after that one are new. Set-points do not wait for this; what the device holds is read
+afterwards. Hold-closed (HC) is never sent: it traps the pressure.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ MOST_ROWS = 60
 UNIT_ID, ERROR, STATUS = 700, 701, 702
 ABSOLUTE_SET_POINT = 34
 MEASURED_BY = {38: 6, 39: 7}
-"""Statistic of the set-point -> that of the pressure that it controls: gauge, and differential to the open air."""
+"""Statistic of the set-point -> that of the controlled pressure: gauge, and differential to the atmosphere."""
 PUSH = 0.1
-"""Longest time to hand a command to the port [s]."""
+"""Time limit for passing a command to the port [s]."""
 PIECE = 0.005
 """Longest single wait for bytes [s]."""
 QUIET = 0.15
-"""A list of lines is at its end when nothing comes for so long [s]."""
+"""A list of lines ends when nothing arrives for this time [s]."""
 FIRST = 0.4
-"""How long an answer may take while the port is opened [s]."""
+"""Longest wait for an answer while the port is opened [s]."""
 LISTED_EVERY, LONGEST_LIST = 2.0, 0.1
-"""Columns are listed again so often [s], where that takes no longer than so long [s]: nothing is sampled meanwhile."""
+"""Interval for listing the columns again, if that takes at most `LONGEST_LIST` [s], as nothing is sampled meanwhile."""
 MOST_LINES = 100
 SOURCES = {"A": "its analogue input", "U": "its knob", "S": "the serial line"}
 FIRMWARE = re.compile(rb"\S\s+(?:GP|\d+v\d+).*")
@@ -60,7 +60,7 @@ _LABELS = {4: "Model Number", 5: "Serial Number", 9: "Software Revision"}
 
 @dataclass(frozen=True)
 class Column:
-    """One column of every line."""
+    """One column of every data line."""
 
     statistic: int
     name: str
@@ -73,14 +73,14 @@ class Column:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a data line is to be read."""
+    """Format of a data line."""
 
     unit_id: str
     columns: tuple[Column, ...]
     codes: frozenset[str]
     """Status codes that a line may end with."""
     pressure: int
-    """Which column is the controlled pressure; counts from 0."""
+    """Index of the column of the controlled pressure, from 0; `set_point`: that of the set-point."""
     set_point: int
 
     @property
@@ -107,7 +107,7 @@ class Layout:
 
 
 def read_layout(lines: Sequence[bytes], unit_id: str) -> Layout:
-    """The layout that a list of columns describes; raises `Wrong` where it is none that can be driven."""
+    """Layout from a list of columns; raises `Wrong` if such a device cannot be used."""
     texts = [sp.text_of(line).rstrip() for line in lines]
     head = HEAD.fullmatch(texts[0]) if texts else None
     if head is None:
@@ -142,7 +142,7 @@ def _column(statistic: int, name: str, kind: str, width: str, notes: Sequence[st
 
 
 def _chosen(columns: Sequence[Column], codes: frozenset[str], unit_id: str) -> Layout:
-    """The columns of set-point and controlled pressure."""
+    """Layout with the columns of set-point and controlled pressure."""
     statistics = [column.statistic for column in columns]
     if not statistics or statistics[0] != UNIT_ID:
         raise sp.Wrong("its data line does not begin with its unit ID")
@@ -161,7 +161,7 @@ def _chosen(columns: Sequence[Column], codes: frozenset[str], unit_id: str) -> L
 
 
 def _fits(column: Column, word: str) -> bool:
-    """Whether a number has as many characters and decimals as its column says: one that lost a character has not."""
+    """Whether a number has exactly the characters and decimals of its column: a lost character is noticed."""
     point = len(word) - word.find(".") - 1 if "." in word else 0
     return NUMBER.fullmatch(word) is not None and len(word) == column.width and point == column.decimals
 
@@ -170,7 +170,7 @@ class AsciiLink:
     """The line to one controller, used by any thread."""
 
     exhausting = False
-    """Exhaust is no documented ASCII command: it vents by its set-point."""
+    """There is no documented ASCII command for the exhaust: it vents by its set-point."""
 
     def __init__(self, device: str, address: str, options: Options, clock: Clock) -> None:
         self._device, self._address, self._options, self._clock = device, address, options, clock
@@ -180,18 +180,18 @@ class AsciiLink:
         self._splitter = sp.Splitter(b"\r", whole=True)
         self._lines: list[bytes] = []
         self._clean = True
-        """Whether no older answer can still come."""
+        """Whether no older answer can still arrive."""
         self._late_until = 0.0
-        """Till then the answer to what clears the line may come late [s, monotonic]."""
+        """Until then the answer to the request that clears the line may arrive late [s, monotonic]."""
         self._asked_since = False
-        """Whether anything was asked since."""
+        """Whether anything was requested since."""
         self._reports_source = self._reports_unit = False
         self._rows, self._list_takes = 0, math.inf
-        """Rows of its list of columns, and how long that takes on the line [s]."""
+        """Rows of its list of columns, and how long listing takes [s]."""
         self._unit, self._unit_at = "", -math.inf
-        """In which unit it takes set-points, and when it said so last [s, monotonic]."""
+        """Unit of its set-points, and when it was last read [s, monotonic]."""
         self._vented = True
-        """Whether it was sent nothing but the set-point that vents."""
+        """Whether only the venting set-point has been sent so far."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -207,27 +207,27 @@ class AsciiLink:
         return who("Alicat", about.get(4) or "controller", about.get(5, ""), about.get(9, ""), clock=COMPUTER)
 
     def close(self) -> None:
-        """Let go of the port; harmless when repeated."""
+        """Close the port; may be called again."""
         port, self._port = self._port, None
         if port is not None:
             port.close()
 
     def compare(self, deadline: float) -> None:
-        """Refuse another unit or set-point source than the bench's."""
+        """Refuse a unit or set-point source other than the bench's."""
         with self._turn(deadline):
             self._refuse_other_unit(self._shape)
             self._refuse_other_source(deadline)
 
     @property
     def fastest(self) -> float:
-        """Polls a second that the line can carry [Hz]."""
+        """Polling rate that the line allows [Hz]."""
         layout = self._layout
         return 0.8 * self._options.baud / 10 / (10 + (layout.length if layout else sp.LONGEST_LINE))
 
-    # -- what a controller does -----------------------------------------------------------------------------------
+    # -- commands -------------------------------------------------------------------------------------------------
 
     def poll(self, deadline: float) -> Reading | None:
-        """One reading; None where the line had to be cleared of older answers first."""
+        """One reading; None if the line had to be cleared of older answers first."""
         with self._turn(deadline):
             if not self._clean:
                 self._clear(deadline)
@@ -235,7 +235,7 @@ class AsciiLink:
             return self._reading("", deadline)
 
     def command(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
-        """Send a set-point once; what the device then holds decides. Nothing is sent if `still()` is false."""
+        """Send a set-point once; success depends on the value then held. Nothing is sent if `still()` is false."""
         text = self._written(value)
         if self._vented and self._reports_unit and still():
             self._refuse_changed_unit(deadline)
@@ -253,10 +253,10 @@ class AsciiLink:
         return reading
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
-        """Send the set-point that vents, then end any hold of the valves; both, even if the first one fails.
+        """Send the venting set-point, then end any hold of the valves; both, even if the first one fails.
 
-        Where the device holds another one, it is made to take it from the serial line first: somebody may have chosen
-        its analogue input or its knob at the panel.
+        If the device then holds another set-point, its source is set to the serial line, and the command repeated: the
+        source may have been changed to the analogue input or the knob at the panel.
         """
         text, lost = self._written(value), None
         with self._turn(deadline):
@@ -283,12 +283,12 @@ class AsciiLink:
         return reading
 
     def held(self, deadline: float) -> float:
-        """The set-point that the device holds."""
+        """Set-point that the device holds."""
         with self._turn(deadline, clean=True):
             return self._reading("", deadline).set_point
 
     def reported(self, deadline: float) -> dict[str, float | str]:
-        """Unit and source of its set-point, as far as the firmware says them."""
+        """Unit and source of its set-point, as far as the firmware reports them."""
         found: dict[str, float | str] = {}
         if unit := self._unit_now(deadline):
             found["unit of the set-point"] = unit
@@ -301,9 +301,9 @@ class AsciiLink:
         return found
 
     def _unit_now(self, deadline: float) -> str:
-        """In which unit it takes set-points: another one may be chosen at its panel at any time, and 0 is 0 in all.
+        """Unit of its set-points; it may be changed at the panel at any time, and 0 is 0 in all units.
 
-        Older firmware can only list its columns, which takes long: every 2 s, or never on a slow line; "" then.
+        Older firmware can only list its columns, which takes long: every 2 s, or never on a slow line; then "".
         """
         if not self._reports_unit and (self._list_takes > LONGEST_LIST or monotonic() - self._unit_at < LISTED_EVERY):
             return self._unit
@@ -319,20 +319,20 @@ class AsciiLink:
         return unit
 
     def _refuse_changed_unit(self, deadline: float) -> None:
-        """Before pressure is commanded after it was vented: raise DeviceError where a number means another pressure."""
+        """Raise DeviceError if the unit has changed; before pressure is commanded after venting."""
         unit = self._unit_now(deadline)
         if int(unit.split()[0]) not in self._codes():
             raise DeviceError(self._device, f"takes set-points in {unit} now, not in {self._options.unit}", OUTPUT)
 
     def _unit_word(self, deadline: float, patience: float = 0.0) -> str | None:
-        """Number and name of the unit of the set-point, from firmware 10v05 on; None where it does not know that."""
+        """Code and name of the set-point's unit, from firmware 10v05; None from older firmware."""
         statistic = self._shape.columns[self._shape.set_point].statistic
         words = self._ask(f"DCU {statistic}", deadline, patience).decode("ascii", "replace").split()
         known = len(words) == 3 and words[0].upper() == self._options.letter and words[1].isdecimal()
         return " ".join(words[1:]) if known else None
 
     def _codes(self) -> set[int]:
-        """The numbers by which a device calls the bench's unit."""
+        """Codes of a device for the bench's unit."""
         pascal = UNITS[self._options.unit][1]
         return {known for known, size in UNITS.values() if size == pascal}
 
@@ -357,7 +357,7 @@ class AsciiLink:
         self._clean, self._late_until, self._rows = True, 0.0, 0
 
     def _about(self, deadline: float) -> dict[int, str]:
-        """Its answers to who it is, by their numbers."""
+        """Its identification texts, by number."""
         if not (lines := self._listed("??M*", deadline, last=b" M09 ")):
             message = (
                 f"nobody answers at {self._address}: is it switched on, at {self._options.baud} baud, with the unit ID "
@@ -375,7 +375,7 @@ class AsciiLink:
         return found
 
     def _read_layout(self, deadline: float) -> Layout:
-        """Have it list its columns, as fast as the line is."""
+        """Have it list its columns."""
         rows = self._rows
         asked = monotonic()
         try:
@@ -395,7 +395,7 @@ class AsciiLink:
                 raise DeviceError(self._device, f"{given} and {wanted}")
 
     def _refuse_other_source(self, deadline: float) -> None:
-        """Firmware before 10v05 does not say it; there each set-point is proven by its answer."""
+        """Refuse another set-point source; not reported before firmware 10v05, where answers confirm set-points."""
         words = self._ask("LSS", deadline, FIRST).decode("ascii", "replace").upper().split()
         self._reports_source = len(words) == 2 and words[1] in SOURCES
         if self._reports_source and words[1] != "S":
@@ -403,7 +403,7 @@ class AsciiLink:
             message = f"takes its set-point from {source} and would ignore this program: set the source to serial"
             raise DeviceError(self._device, message, OUTPUT)
 
-    # -- one question ---------------------------------------------------------------------------------------------
+    # -- one request ----------------------------------------------------------------------------------------------
 
     @property
     def _shape(self) -> Layout:
@@ -411,7 +411,7 @@ class AsciiLink:
 
     @contextmanager
     def _turn(self, deadline: float, *, clean: bool = False) -> Iterator[None]:
-        """The line for oneself, `clean` of older answers; its failures become sentences."""
+        """Exclusive use of the line, `clean` of older answers; its errors are raised as DeviceError."""
         with turn(self._lock, deadline, self._device):
             try:
                 if clean and not self._clean:
@@ -421,7 +421,7 @@ class AsciiLink:
                 raise DeviceError(self._device, f"lost {self._address}: {reason(error)}") from None
 
     def _reading(self, command: str, deadline: float, patience: float = 0.0) -> Reading:
-        """Ask what is answered by a data line."""
+        """Send a command that is answered by a data line; returns the reading."""
         asked = self._clock.now()
         line = self._ask(command, deadline, patience)
         try:
@@ -433,7 +433,7 @@ class AsciiLink:
         return Reading(pressure, set_point, status, asked, self._clock.now())
 
     def _ask(self, command: str, deadline: float, patience: float = 0.0) -> bytes:
-        """Send one question and return the one line that answers it; `Unanswered` where that is not certain."""
+        """Send one request and return its one-line answer; `Unanswered` if that is not certain."""
         patience = patience or self._options.timeout
         stray, limit = self._drain(), min(deadline, monotonic() + patience)
         certain = self._clean and not stray
@@ -452,7 +452,7 @@ class AsciiLink:
         return lines[0]
 
     def _clear(self, deadline: float) -> None:
-        """Ask for the firmware and drop all that comes before its answer."""
+        """Ask for the firmware and drop everything before its answer."""
         now = monotonic()
         limit, pending = min(deadline, now + self._options.timeout), now < self._late_until
         if limit <= now or (pending and self._asked_since):
@@ -471,7 +471,7 @@ class AsciiLink:
         raise Unanswered(self._device, f"no answer from {self._address} within {self._options.timeout:g} s")
 
     def _listed(self, command: str, deadline: float, last: bytes = b"") -> list[bytes]:
-        """All lines that answer one question: up to the `last`, or to a silence."""
+        """All lines that answer one request: up to the line with `last`, or to a pause."""
         self._drain()
         self._send(command)
         found: list[bytes] = []
@@ -488,13 +488,13 @@ class AsciiLink:
         sp.hand_over(self._opened(), f"{self._options.letter}{command}\r".encode("ascii"), PUSH)
 
     def _receive(self) -> bool:
-        """Take what comes within a short time; whether anything came."""
+        """Receive bytes for a short time; returns whether any came."""
         data = sp.received(self._opened())
         self._lines += self._splitter.feed(data.replace(b"\n", b""))
         return bool(data)
 
     def _drain(self) -> bool:
-        """Drop what came unasked or late; whether there was any line."""
+        """Drop late and unexpected bytes; returns whether there was a complete line."""
         port = self._opened()
         if waiting := port.in_waiting:
             self._lines += self._splitter.feed(port.read(waiting).replace(b"\n", b""))

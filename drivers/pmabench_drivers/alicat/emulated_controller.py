@@ -1,10 +1,10 @@
-"""State and behaviour of an emulated Alicat controller, and what it answers to each ASCII command; knows no wire.
+"""State and behaviour of an emulated Alicat controller, and its answers to each ASCII command; uses no connection.
 
 A pressure controller (PCD), or a mass flow controller with two valves whose loop controls gauge pressure until another
 variable is chosen (MCD): it has temperature, flows and a gas in its line. Sources: Alicat, Serial Communications
-Primer, 02/2023 (commands, statistics, firmware from which each is known); answers of controllers with firmware 10v20 to
-`??D*`, `LS`, `LV`, `DCU`, `FPF`, `DV`, `??G*`: recorded from real devices by the project alicatlib (tests/fixtures,
-2026-04-17); registers 21 to 23, 46, 85 and 122, and `$$` before a command: as the package alicat 0.9.0 uses them.
+Primer, 02/2023 (commands, statistics, firmware versions that support them); answers of controllers with firmware 10v20
+to `??D*`, `LS`, `LV`, `DCU`, `FPF`, `DV`, `??G*`: recorded from real devices by the project alicatlib (tests/fixtures,
+2026-04-17); registers 21 to 23, 46, 85 and 122, and `$$` before a command: as used by the package alicat 0.9.0.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 
 FULL_SCALE = 1.0e6
-"""Highest pressure that it measures and regulates [Pa]."""
+"""Highest pressure that it measures and controls [Pa]."""
 FULL_FLOW = 100.0
 """Highest flow [SLPM]."""
 AIR = 101325.0
-"""Of the open air [Pa]."""
+"""Atmospheric pressure [Pa]."""
 ABSOLUTE, GAUGE, VOLUME, MASS = 34, 38, 36, 37
-"""Variables of the loop by their statistics."""
+"""Controlled variables of the loop, as statistics."""
 GASES = (
     *("Air", "Ar", "CH4", "CO", "CO2", "C2H6", "H2", "He", "N2", "N2O", "Ne", "O2", "C3H8", "n-C4H10", "C2H2"),
     *("C2H4", "i-C2H10", "Kr", "Xe", "SF6", "C-25", "C-10", "C-8", "C-2", "C-75", "A-75", "A-25", "A1025"),
     *("Star29", "P-5"),
 )
 PER_SECOND = {3: 1e3, 4: 1.0, 5: 1 / 60, 6: 1 / 3600, 7: 1 / 86400}
-"""Code of the unit of time of a ramp -> how often that unit fits into a second."""
+"""Code of a ramp's time unit -> that unit in 1/s."""
 STATUS_FAULTS = {"held": "HLD", "sensor": "ADC", "limit": "OPL"}
-"""Fault of the control socket -> the status that it puts on."""
+"""Fault of the control socket -> status code that it sets."""
 FILLS = 101325.0 / 60 / 0.1
-"""How fast a flow of 1 SLPM fills 0.1 l, about a muscle with its tube [Pa/s]."""
+"""Pressure rise by a flow of 1 SLPM into 0.1 l, about a muscle with its tube [Pa/s]."""
 
 
 class Controller:
@@ -53,18 +53,18 @@ class Controller:
 
     def _power_on(self) -> None:
         self.set_point = self.requested = 0.0
-        """What the loop controls to now, and what it was sent; different only during its own ramp."""
+        """Present set-point of the loop, and the requested one; they differ only during its own ramp."""
         self.source = "S"
         self.valves = ""
-        """`HLD` or `EXH` where the valves are set by a command."""
+        """`HLD` or `EXH` if the valves are set by a command; else empty."""
         self.variable, self.locked = GAUGE, False
         self.gas_number, self._tared, self._filled, self._at = 0, 0.0, 0.0, monotonic()
         self.ramp, self.ramp_time, self.ramps = 0.0, 4, [True, True, False, False]
         self.registers = {85: 2, 21: 500, 22: 5000, 23: 1000}
-        """Kind of the loop, then P, D and I; they change nothing here."""
+        """Type of the loop, then P, D and I; without effect here."""
 
     def measured(self, fault: str) -> tuple[float, frozenset[str]]:
-        """Pressure and status, with the fault of the moment."""
+        """Pressure and status, with the present fault."""
         pressure = self._plant.quantities()["pressure"] - self._tared
         status = {self.valves} if self.valves else set()
         if fault in STATUS_FAULTS:
@@ -75,7 +75,7 @@ class Controller:
         return (pressure + (AIR if self.variable == ABSOLUTE else 0.0)) / self._pascal, frozenset(status)
 
     def command(self, value: float) -> None:
-        """A set-point; it is ignored where the source is not the serial line, and clipped to the full scale."""
+        """Take a set-point; ignored unless the source is the serial line, and clipped to full scale."""
         with self._lock:
             taken = self.source == "S"
             if self.variable in {MASS, VOLUME}:
@@ -96,7 +96,7 @@ class Controller:
                 self._regulate()
 
     def advance(self) -> None:
-        """Bring it to the present: its own ramp, and a flow that fills the muscle."""
+        """Advance to the present: its own ramp, and a flow that fills the muscle."""
         with self._lock:
             now = monotonic()
             passed, self._at = now - self._at, now
@@ -112,28 +112,28 @@ class Controller:
                 self._plant.command(self._filled)
 
     def mass_flow(self) -> float:
-        """What flows in while a flow is controlled [SLPM]; while a pressure is, the muscle does not move here."""
+        """Inflow while a flow is controlled [SLPM]; 0 while a pressure is, as the muscle does not move here."""
         if self.variable not in {MASS, VOLUME} or self.valves or self._filled >= FULL_SCALE:
             return 0.0
         return self.set_point * (1 + self._filled / AIR) if self.variable == VOLUME else self.set_point
 
     def volume_flow(self) -> float:
-        """The same at the pressure of the moment [LPM]."""
+        """The same at the present pressure [LPM]."""
         return self.mass_flow() / (1 + self._filled / AIR)
 
     @property
     def gas(self) -> str:
-        """The name of the gas for which flows are shown."""
+        """Name of the gas for which flows are shown."""
         return self.mixes.get(self.gas_number) or GASES[self.gas_number % len(GASES)]
 
     def choose_gas(self, number: int) -> bool:
-        """Another gas; whether there is one."""
+        """Choose another gas; returns whether it exists."""
         known = number < len(GASES) or number in self.mixes
         self.gas_number = number if known else self.gas_number
         return known
 
     def choose(self, variable: int) -> bool:
-        """Another variable of the loop, from set-point 0 on; whether it can be."""
+        """Choose another controlled variable, with set-point 0; returns whether that is possible."""
         with self._lock:
             known = {GAUGE, ABSOLUTE, MASS, VOLUME} if self.options.emulate == MCD else {GAUGE}
             if variable in known and variable != self.variable:
@@ -143,24 +143,24 @@ class Controller:
             return variable in known
 
     def tare(self, command: str) -> None:
-        """The pressure of this moment becomes the zero of gauge pressure (`P`); flows have none here."""
+        """Make the present pressure the zero of gauge pressure (`P`); flows have no offset here."""
         if command == "P":
             self._tared = self._plant.quantities()["pressure"]
 
     def restart(self) -> None:
-        """As after power-on: set-point 0, no hold, commands over the line."""
+        """Reset to power-on: set-point 0, no hold, commands over the line."""
         with self._lock:
             self._power_on()
             self._regulate()
 
     def change_set_point(self, value: float) -> None:
-        """Another set-point, entered at its display."""
+        """Another set-point, as if entered at its display."""
         with self._lock:
             self.set_point = self.requested = value
             self._regulate()
 
     def set_valves(self, setting: str) -> None:
-        """`EXH`, `HLD`, `closed` (also a hold), or nothing for what the set-point says."""
+        """Set the valves to `EXH`, `HLD`, `closed` (also a hold), or back to control (empty)."""
         with self._lock:
             self._log.note("valves", self.device.name, setting=setting)
             self.valves = "HLD" if setting == "closed" else setting
@@ -192,7 +192,7 @@ FLOW = {VOLUME: ("7/2", "007 02 LPM"), MASS: ("7/2", "007 02 SLPM")}
 
 
 class Commands:
-    """The answers of one controller with a unit ID."""
+    """Answers of one controller with a unit ID."""
 
     def __init__(self, controller: Controller, letter: str) -> None:
         self._controller, self._letter = controller, letter
@@ -214,7 +214,7 @@ class Commands:
         }
 
     def answer(self, command: str, fault: str) -> Lines:
-        """The lines that answer a command, which is without its unit ID and in capitals."""
+        """Lines that answer a command, given in capitals without its unit ID."""
         controller, command = self._controller, command.removeprefix("$$")
         word, *given = command.split() or [""]
         if word in self._named:
@@ -247,7 +247,7 @@ class Commands:
     # -- the data line ----------------------------------------------------------------------------------------------
 
     def frame(self, fault: str) -> str:
-        """The data line of this moment."""
+        """Present data line."""
         controller = self._controller
         pressure, status = controller.measured(fault)
         codes = sorted(status | ({"LCK"} if controller.locked else set()))
@@ -261,7 +261,7 @@ class Commands:
         return f"{value:+0{WIDTH}.{DECIMALS[self._controller.options.unit]}f}"
 
     def _target(self, value: float) -> str:
-        """A set-point: of a pressure, or of a flow."""
+        """Text of a set-point: of a pressure, or of a flow."""
         return self._pressure(value) if self._controller.variable in {ABSOLUTE, GAUGE} else _flow(value)
 
     def _about(self) -> Lines:
@@ -306,7 +306,7 @@ class Commands:
     def _label(self, absolute: bool) -> str:
         return f"{self._controller.options.unit}{'A' if absolute else 'G'}"
 
-    # -- questions and settings -------------------------------------------------------------------------------------
+    # -- requests and settings --------------------------------------------------------------------------------------
 
     def _source(self, given: list[str], _fault: str) -> Lines:
         if given and given[0] in {"S", "A", "U"}:
@@ -342,7 +342,7 @@ class Commands:
         return known.get(statistic, NO_STATISTIC) if flow else NO_STATISTIC
 
     def _unit(self, given: list[str], _fault: str) -> Lines:
-        """The unit of a statistic; another one cannot be set here, as every number on the line would change."""
+        """Unit of a statistic; it cannot be changed here, as every number on the line would change."""
         given = given or [str(self._controller.variable)]
         if not given[0].isdigit():
             return ["?"]
@@ -378,7 +378,7 @@ class Commands:
         return [" ".join(known.get(number, "--") for number in numbers[1:])]
 
     def _ramp(self, given: list[str], _fault: str) -> Lines:
-        """The steepest ramp of the set-point: by how much, in which time; 0: none."""
+        """Steepest ramp of the set-point: step and time unit; 0: no ramp."""
         controller = self._controller
         if given:
             value = _number(given[0])
@@ -397,7 +397,7 @@ class Commands:
         return self._said(" ".join(str(int(flag)) for flag in self._controller.ramps))
 
     def _register(self, command: str) -> Lines:
-        """`R122`, or `W122=37`: the answer says what it then holds."""
+        """`R122`, or `W122=37`: the answer is the value then held."""
         number, equals, value = command[1:].partition("=")
         registers, controller = self._controller.registers, self._controller
         if not number.isdigit() or (command[0] == "W") != bool(equals) or (equals and not value.isdigit()):
@@ -425,7 +425,7 @@ class Commands:
         return self._said(f"{controller.gas_number} {controller.gas} {controller.gas}")
 
     def _mix(self, given: list[str], _fault: str) -> Lines:
-        """A name, a number (0: the next free one), then pairs of per cent and gas."""
+        """Define a mix: name, number (0: the next free one), then pairs of percentage and gas."""
         controller = self._controller
         numbers = [_number(text) for text in given[1:]]
         if controller.options.emulate != MCD or len(given) < 6 or len(given) % 2 or None in numbers:
@@ -444,7 +444,7 @@ class Commands:
 
 
 def _flow(value: float) -> str:
-    """A flow or a temperature as it is shown."""
+    """Text of a flow or a temperature."""
     return f"{value:+07.2f}"
 
 

@@ -1,7 +1,8 @@
 """An emulated Alicat PCD or MCD on a pseudo-terminal, over ASCII or Modbus RTU, in front of the simulated muscle.
 
-Written apart from the driver: it shares with it the table of units only. It regulates by the simulated regulator and
-keeps its set-point when nobody talks to it, as the real one does. A hold keeps what is commanded until it is cancelled.
+Written independently of the driver: they share only the table of units. It controls with the simulated regulator and
+keeps its set-point without communication, as the real one does. A hold keeps the commanded pressure until it is
+cancelled.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ BITS = {"POV": 6, "HLD": 8, "ADC": 9, "EXH": 10, "OPL": 11}
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: f.CommandLog) -> AsciiDevice | RtuDevice:
-    """The controller that a device of the driver `alicat` talks to."""
+    """Emulated controller for a device of the driver `alicat`."""
     options = options_of(device, read_options)
     controller = Controller(device, options, plant, log)
     if options.protocol == ASCII:
@@ -35,7 +36,7 @@ def serve(device: DeviceRecord, plant: RealPlant, log: f.CommandLog) -> AsciiDev
 
 
 class AsciiDevice(OnTerminal):
-    """The controller on a pseudo-terminal, one answer to one question."""
+    """The controller on a pseudo-terminal, with one answer per request."""
 
     def __init__(self, controller: Controller, letter: str, log: f.CommandLog) -> None:
         self.controller, self._letter, self._commands = controller, letter, Commands(controller, letter)
@@ -46,20 +47,20 @@ class AsciiDevice(OnTerminal):
         self._data = b""
 
     def change_held(self) -> bool:
-        """The analogue input gives its set-point from now on, as chosen at its display; always possible."""
+        """Switch its set-point source to the analogue input, as if at its display; always possible."""
         self.controller.source = "A"
         return True
 
     def by_hand(self, _output: str, value: float) -> None:
-        """A set-point [its own unit] from its keys."""
+        """Enter a set-point [its own unit] at its keys."""
         self.controller.command(value)
 
     def wait(self) -> float:
-        """Often enough for its own ramps."""
+        """Interval that is short enough for its own ramps [s]."""
         return 0.02
 
     def take(self, data: bytes) -> None:
-        """Answer each question."""
+        """Answer each complete request."""
         self.controller.advance()
         *lines, rest = (self._data + data)[-200:].split(b"\r")
         self._data = rest
@@ -67,7 +68,7 @@ class AsciiDevice(OnTerminal):
             self._answer(line.decode("ascii", "replace").strip().upper())
 
     def _answer(self, question: str) -> None:
-        """Carry out and answer with the fault of the moment."""
+        """Carry out a request and answer with the present fault."""
         if question[:1] != self._letter:
             return
         fault = self.next_fault()
@@ -85,15 +86,15 @@ class ModbusCells:
         self._command, self.change_set_point = (0, 0), controller.change_set_point
 
     def look_at_watchdog(self) -> None:
-        """It has none: silence changes nothing."""
+        """No effect: it has no watchdog."""
 
     def restart(self) -> None:
-        """As after power-on; the line stays."""
+        """Reset to power-on; the line stays open."""
         self._command = (0, 0)
         self.controller.restart()
 
     def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
-        """What is read, or nothing; `Refused` where the device says no."""
+        """Registers read, or an empty list for a write; raises `Refused`."""
         if request.values:
             if request.function != 16:
                 raise Refused(1)

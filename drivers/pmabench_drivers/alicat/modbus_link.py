@@ -1,8 +1,8 @@
 """An Alicat controller over Modbus RTU: set-point, status and pressure as registers, exhaust as a special command.
 
-Registers of the manual of 02/2023; there they count from 1, here as on the wire, from 0. Every write is function 16,
-numbers are 32-bit floats with the high word first. Late answers are kept apart by `modbus.adapter.Line`. The valve
-settings "hold closed" and "hold current" are never sent: they trap the pressure.
+Registers from the manual of 02/2023, which counts from 1; here they count from 0, as on the wire. Every write is
+function 16, numbers are 32-bit floats with the high word first. `modbus.adapter.Line` keeps late answers apart. The
+valve settings "hold closed" and "hold current" are never sent: they trap the pressure.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 WRITE = 16
 COMMAND = Register("command", "holding", 999)
-"""Command and its argument; read again: the last command and its result."""
+"""Command and its argument; when read, the last command and its result."""
 SET_POINT = Register(OUTPUT, "holding", 1009, "float32")
 STATUS = Register("status", "holding", 1200, "uint32")
 PRESSURE = Register("pressure", "holding", 1202, "float32")
 EMULATOR = Register("emulator", "input", 0xFE00, "text", length=16)
-"""Only the emulator has this: a controller refuses the address."""
+"""Only the emulator has this register: a controller refuses the address."""
 VALVES = 6
 CANCEL, EXHAUST = 0, 3
 RESULTS = {
@@ -38,7 +38,7 @@ RESULTS = {
     32771: "it has no such feature",
 }
 FLOAT32 = 1e-6
-"""Relative step of the numbers on the line."""
+"""Relative resolution of the numbers on the line."""
 
 
 class ModbusLink:
@@ -52,12 +52,12 @@ class ModbusLink:
         """Whether no valve setting overrides the set-point, as far as is known."""
         self.exhausting = False
         self._table = "holding"
-        """Which function reads: the device knows no difference between holding and input registers."""
+        """Function for reading: the device does not distinguish holding and input registers."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self, deadline: float) -> Identity:
-        """Open the port and read what is read later; who it is cannot be asked over Modbus."""
+        """Open the port and read the registers once; the device cannot be identified over Modbus."""
         from pmabench_drivers.modbus.adapter import Line
 
         options = self._options
@@ -80,20 +80,20 @@ class ModbusLink:
         return Identity("Alicat", model or "controller on Modbus", "", "", simulated=bool(model), clock=COMPUTER)
 
     def close(self) -> None:
-        """Let go of the port; harmless when repeated."""
+        """Close the port; may be called again."""
         line, self._line = self._line, None
         if line is not None:
             line.close()
 
     def compare(self, deadline: float) -> None:
-        """Nothing: there is no register for the unit or for the source of its set-point."""
+        """No effect: there is no register for the unit or for the source of its set-point."""
 
     @property
     def fastest(self) -> float:
-        """Polls a second that the line can carry [Hz]: two questions, 46 characters and the pauses between frames."""
+        """Polling rate that the line allows [Hz]: two requests, 46 characters and the pauses between frames."""
         return 0.8 * self._options.baud / 10 / (46 + 4 * 3.5)
 
-    # -- what a controller does -----------------------------------------------------------------------------------
+    # -- commands -------------------------------------------------------------------------------------------------
 
     def poll(self, deadline: float) -> Reading:
         """One reading."""
@@ -101,7 +101,7 @@ class ModbusLink:
             return self._read(deadline)
 
     def command(self, value: float, deadline: float, tolerance: float, still: Still = always) -> None:
-        """Send a set-point once and read it back; before it, the exhaust is closed. Nothing if `still()` is false."""
+        """Close the exhaust, send a set-point once and read it back. Nothing is sent if `still()` is false."""
         words = encode(SET_POINT, value)
         with self._turn(deadline):
             if not still():
@@ -114,7 +114,7 @@ class ModbusLink:
             self._refuse_other_set_point(value, deadline, tolerance, lost)
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> None:
-        """Send the set-point that vents, then exhaust (with one valve: no hold); both, even if the first one fails."""
+        """Send the venting set-point, then exhaust (with one valve: end the hold); both, even if the first fails."""
         words, setting = encode(SET_POINT, value), EXHAUST if self._options.valves > 1 else CANCEL
         with self._turn(deadline):
             if not still():
@@ -127,18 +127,18 @@ class ModbusLink:
             self._regulating = setting == CANCEL
 
     def held(self, deadline: float) -> float:
-        """The set-point that the device holds."""
+        """Set-point that the device holds."""
         with self._turn(deadline):
             return self._get(SET_POINT, deadline)
 
     def reported(self, deadline: float) -> dict[str, float | str]:
-        """Nothing: there is no register for the source of its set-point or how long it is on."""
+        """Empty: there is no register for the source of its set-point or its uptime."""
         return {}
 
     # -- registers ------------------------------------------------------------------------------------------------
 
     def _turn(self, deadline: float) -> AbstractContextManager[None]:
-        """The line for oneself, from the first to the last question of one action."""
+        """Exclusive use of the line, from the first to the last request of one action."""
         return turn(self._lock, deadline, self._device)
 
     def _read(self, deadline: float) -> Reading:
@@ -153,7 +153,7 @@ class ModbusLink:
         return self._finite(decode(register, self._words_at(register, deadline)), register)
 
     def _words_at(self, register: Register, deadline: float, count: int = 0) -> list[int]:
-        """Read registers; after a lost answer by the other of functions 3 and 4, from which it differs."""
+        """Read registers; after a lost answer with the other of functions 3 and 4, to recognise a late answer."""
         try:
             return self._opened().read(self._table, register.address, count or register.count, deadline, register.name)
         except DeviceError:
@@ -166,7 +166,7 @@ class ModbusLink:
         return value
 
     def _put(self, register: Register, words: list[int], deadline: float) -> DeviceError | None:
-        """Write once; a lost or refused answer is returned, and what the device holds decides."""
+        """Write once; a lost or refused answer is returned, as the value that the device then holds decides."""
         try:
             self._opened().write(WRITE, register.address, words, deadline, register.name)
         except DeviceError as error:
@@ -187,7 +187,7 @@ class ModbusLink:
             raise DeviceError(self._device, f"was commanded {value:g} and holds {held:g}{source}", OUTPUT)
 
     def _refuse_other_result(self, setting: int, deadline: float) -> None:
-        """Read what came of the last command; by function 4, so that no other answer looks like this one."""
+        """Check the result of the last command; read with function 4, so that no other answer looks like this one."""
         command, result = self._opened().read("input", COMMAND.address, 2, deadline, COMMAND.name)
         what = {EXHAUST: "exhaust", CANCEL: "cancel"}[setting]
         if command != VALVES:

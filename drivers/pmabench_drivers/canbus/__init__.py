@@ -1,8 +1,8 @@
 """A CAN bus: CiA 402 drives, CiA 406 transducers and sensors described by a DBC file.
 
-`frames` knows CANopen's frames and the state machine of a drive, `link` the adapters, and puts what comes in together
-to samples; `node`: what all nodes share, and a transducer; `drive`: one drive; `options`: what the bench file says, and
-the DBC file; here is the device interface. `emulated*` are the other side of the wire.
+`frames`: CANopen's frames and the state machine of a drive; `link`: adapters, and assembling samples from received
+frames; `node`: common to all nodes, and a transducer; `drive`: one drive; `options`: the options in the bench file, and
+the DBC file; here: the device interface. `emulated*` are the other end of the bus.
 """
 
 from __future__ import annotations
@@ -20,25 +20,23 @@ from pmabench_drivers.canbus.drive import Drive
 from pmabench_drivers.canbus.link import Link, Rows, Signals, open_adapter
 from pmabench_drivers.canbus.node import Node, Transducer
 from pmabench_drivers.canbus.options import READY, Options, read_options
-from pmabench_drivers.shared.device import Driver, refuse_nonsense, stepped
+from pmabench_drivers.shared.device import HURRY, Driver, refuse_nonsense, stepped
 from pmabench_drivers.shared.link import JOIN, Cycle, Samples, opened
 from pmabench_drivers.shared.options import Reader
 
 CALL = 0.18
-"""Longest time that a call takes [s]."""
+"""Time limit of a call [s]."""
 OPEN = 1.9
 PATIENCE = 0.25
 """So long [s] SYNCs may go unanswered before `collect` says so; what is lost till then is a gap in the samples."""
-CATCH_UP = 1.5
-"""After a stall of the computer a drive is led back to its sine at most so many times as fast as the sine itself."""
 EMULATED_ADAPTER = "SIM0"
-"""Serial number of an emulated adapter: what comes over it is never taken for a real muscle."""
+"""Serial number of an emulated adapter: its data are never taken for those of a real muscle."""
 ROOM = 0.02
-"""A cyclic motion begins at most as far from the drive as it goes in this time at its highest speed [s]."""
+"""Largest distance of a drive from the start of a cyclic motion, as time at its highest speed [s]."""
 
 
 class CanBus(Driver):
-    """Drives, transducers and DBC-described sensors on one bus, which belongs to one program.
+    """Drives, transducers and DBC-described sensors on one bus, which only one program uses.
 
     Inputs are `NODE.position` (drive: count; transducer: um), `NODE.demand` (drive, count), `NODE.velocity`
     (transducer, mm/s) and `MESSAGE.SIGNAL` (in the unit of the DBC file); outputs `NODE.position` of drives (count).
@@ -75,7 +73,7 @@ class CanBus(Driver):
         return 1 / read_options(device, Reader()).sync
 
     def _reading(self, name: str) -> Callable[[], float]:
-        """A function that returns the newest value of an input."""
+        """Function that returns the newest value of an input."""
         node_name, _, what = name.partition(".")
         node = self._nodes.get(node_name)
         return (lambda: self._signals.value(name)) if node is None else (lambda: float(getattr(node, what)))
@@ -83,12 +81,12 @@ class CanBus(Driver):
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Open the adapter, find every node, set up its PDOs and let it send; nothing moves, and no power is on."""
+        """Open the adapter, find every node, set up its PDOs and start it; nothing moves, and no power is on."""
         self.close()
         deadline = monotonic() + OPEN
         self._takers = {identifier: take for node in self._nodes.values() for identifier, take in node.takers().items()}
         device, bitrate = self._device, self._options.bitrate
-        ask = not self._nodes  # sensors that only send say nothing of themselves
+        ask = not self._nodes  # sensors that only send cannot be identified
         adapter = partial(open_adapter, device.address, bitrate, ask=ask)
         self._link = Link(device.name, device.address, adapter, self._clock, self._take)
         with self._closed_on_error():
@@ -103,7 +101,7 @@ class CanBus(Driver):
             return self._identity()
 
     def close(self) -> None:
-        """Send no SYNC any more and let go of the adapter; drives stay in their state."""
+        """Stop SYNC and close the adapter; drives stay in their state."""
         self._following.clear()
         self._every, self._armed = 0, False
         self._cycle.stop(JOIN)
@@ -128,7 +126,7 @@ class CanBus(Driver):
         )
 
     def _refuse_narrow_limits(self, deadline: float) -> None:
-        """A drive whose own limits are inside of the bench's would not go where it is sent."""
+        """Raise DeviceError if a drive's own limits are inside those of the bench: it would not reach its targets."""
         for output in self._outputs.values():
             drive = self._drive(output.output)
             limits = drive.limits(deadline)
@@ -146,10 +144,10 @@ class CanBus(Driver):
             if isinstance(node, Transducer) and what == "velocity" and not node.has_velocity:
                 raise node.error("sends no velocity (60300110h) in its first PDO")
 
-    # -- what comes in --------------------------------------------------------------------------------------------
+    # -- received frames ------------------------------------------------------------------------------------------
 
     def _take(self, frame: f.Frame, when: float) -> None:
-        """One frame, in the link's thread."""
+        """Process one frame, in the link's thread."""
         take = None if frame.extended else self._takers.get(frame.identifier)
         if take is not None and take(frame.data):
             self._rows.arrived(frame.identifier, round(when * 1e9))
@@ -166,7 +164,7 @@ class CanBus(Driver):
     # -- samples --------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:
-        """A sample of everything at each SYNC, or each n-th; the rate that comes out [Hz]."""
+        """Sample all inputs at each SYNC, or each n-th; returns the actual rate [Hz]."""
         self._refuse_rate(rate)
         self._opened()
         syncs = 1 / self._options.sync
@@ -180,23 +178,23 @@ class CanBus(Driver):
         return syncs / self._every
 
     def collect(self) -> Block:
-        """What came since the last call; an error where a node is in trouble, or silent for 0.25 s."""
+        """Samples since the last call; raises DeviceError if a node has an error or leaves SYNCs unanswered."""
         self._refuse_trouble()
         return self._samples.take()
 
     def stop(self) -> None:
-        """Take no samples; a sine under way goes on."""
+        """Stop sampling; a sine in progress continues."""
         self._every = 0
         if not self._following:
             self._cycle.stop()
 
     @property
     def missed(self) -> int:
-        """SYNCs that were not answered, or not sent because the machine was late."""
+        """SYNCs that were not answered, or not sent because the computer was late."""
         return self._rows.lost + self._cycle.missed
 
     def _refuse_trouble(self) -> None:
-        """Raise what is wrong, once something is."""
+        """Raise DeviceError with the first error, if there is one."""
         name = self._device.name
         if (link := self._link) is None or link.gone:
             raise DeviceError(name, link.gone if link else "is not open")
@@ -210,10 +208,10 @@ class CanBus(Driver):
         if self._every and (stale := self._signals.stale()):
             raise DeviceError(name, f"{stale} did not come for {self._options.slowest:g} s; is its sensor on?", stale)
 
-    # -- the thread that sends ------------------------------------------------------------------------------------
+    # -- the sending thread ---------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        """The next targets, then SYNC; neither while an answer to the last one may still come."""
+        """Send the next targets, then SYNC; neither while an answer to the last SYNC may still arrive."""
         try:
             if self._rows.may_sync():
                 self._lead()
@@ -224,21 +222,21 @@ class CanBus(Driver):
             self._cycle.note(error)
 
     def _lead(self) -> None:
-        """Send every moving drive its position for the SYNC after this one; the drive interpolates until then."""
+        """Send every drive on a sine its position for the SYNC after this one; the drive interpolates until then."""
         for name, segment in list(self._following.items()):
             value, over = stepped(segment, self._clock.now() + self._options.sync)
             output, drive = self._outputs[name], self._drive(name)
             if value is None:
                 continue
             own = 2 * math.pi * segment.frequency * abs(segment.amplitude)
-            drive.lead_to(value, min(CATCH_UP * own, output.rate / abs(output.scale.slope)) * self._options.sync)
+            drive.lead_to(value, min(HURRY * own, output.rate / abs(output.scale.slope)) * self._options.sync)
             if over and round(drive.lead) == round(value) and self._following.get(name) is segment:
                 self._following.pop(name, None)
 
     # -- commands -------------------------------------------------------------------------------------------------
 
     def write(self, output: str, value: float) -> None:
-        """Go there at the speed `approach` of the drive; operation is enabled first where it is not."""
+        """Go to a position at the drive's speed `approach`; enables operation first if necessary."""
         record, drive = self._output(output), self._drive(output)
         if not math.isfinite(value):
             raise self._error(f"cannot be commanded to {value}", output)
@@ -248,12 +246,12 @@ class CanBus(Driver):
         drive.go(round(value), round(speed), monotonic() + CALL)
 
     def read_back(self, output: str) -> float:
-        """The target that the drive holds."""
+        """Target that the drive holds."""
         self._output(output)
         return float(self._drive(output).target(monotonic() + CALL))
 
     def follow(self, output: str, segment: Segment) -> None:
-        """A ramp in profile position, by the drive itself; a sine in cyclic synchronous position, target by target."""
+        """Start a ramp in profile position, by the drive itself, or a sine in cyclic synchronous position."""
         record, drive = self._output(output), self._drive(output)
         refuse_nonsense(self._device.name, output, segment)
         deadline = monotonic() + CALL
@@ -269,13 +267,13 @@ class CanBus(Driver):
             self._cycle.start(1 / self._options.sync)
 
     def halt(self, output: str) -> None:
-        """Quick stop, and hold there."""
+        """Quick stop, then hold."""
         self._output(output)
         self._following.pop(output, None)
         self._drive(output).halt(monotonic() + CALL)
 
     def level(self, name: str) -> bool:
-        """`NODE.ready`: whether the drive is without fault; an error where it is silent or sent an emergency."""
+        """`NODE.ready`: whether the drive has no fault; raises DeviceError if it is silent or has sent an emergency."""
         known = [f"{drive}.{READY}" for drive, node in self._nodes.items() if isinstance(node, Drive)]
         self._known("digital input", name, known)
         return self._drive(name).ready(monotonic() + CALL)
@@ -283,7 +281,7 @@ class CanBus(Driver):
     # -- the drives' own watchdog ---------------------------------------------------------------------------------
 
     def arm_watchdog(self, seconds: float) -> float:
-        """Each drive stops by itself without this program's heartbeat; the longest time that one holds [s]."""
+        """Make each drive stop without this program's heartbeat; returns the longest time-out that one holds [s]."""
         deadline = monotonic() + CALL
         if not 0.001 <= seconds <= 65:
             raise self._error(f"a watchdog of {seconds:g} s cannot be set", "watchdog")
@@ -293,25 +291,25 @@ class CanBus(Driver):
             held = max(held, drive.arm(self._options.own_node, seconds, deadline))
             drive.prepare(deadline)
         self._armed = True
-        self._beat()  # a drive waits for the first one before it misses any
+        self._beat()  # a drive only misses heartbeats after a first one
         return held
 
     def feed_watchdog(self) -> None:
-        """Send the program's heartbeat; an error where a node is in trouble."""
+        """Send the program's heartbeat; raises DeviceError if a node has an error."""
         self._beat()
         self._refuse_trouble()
 
     def disarm_watchdog(self) -> None:
-        """Drives wait for no heartbeat any more, and stay where they are."""
+        """Stop the drives' monitoring of the heartbeat; they stay where they are."""
         self._armed = False
         for output in self._outputs:
             self._drive(output).disarm(monotonic() + CALL)
 
     def held(self) -> dict[str, float | str]:
-        """Of each node its state, starts since it was opened, error register and serial number; of drives the watchdog.
+        """State, number of starts, error register and serial number of each node; of drives the watchdog.
 
-        `watchdog`: the shortest time [s] after which a drive stops without this program's heartbeat; 0 where one waits
-        for another node or none, or reports that it missed it.
+        `watchdog`: shortest time [s] until a drive stops without this program's heartbeat; 0 if one monitors another
+        node or none, or reports that it missed the heartbeat.
         """
         deadline = monotonic() + CALL
         found: dict[str, float | str] = {}

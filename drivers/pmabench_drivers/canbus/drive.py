@@ -1,6 +1,6 @@
-"""One CiA 402 drive: it is brought to operation step by step, sent to positions, led along a sine, stopped.
+"""One CiA 402 drive: enabling step by step, motions to positions, cyclic targets along a sine, stop.
 
-Commands go by SDO, so that each is answered; only the targets of a cyclic motion go by PDO, one at each SYNC.
+Commands use SDO, so that each is answered; only the targets of a cyclic motion use PDO, one at each SYNC.
 Positions and speeds are in counts of the drive.
 """
 
@@ -13,16 +13,16 @@ from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.node import Node, Refused, Send
 
 POLL = 0.002
-"""Pause between two looks at the statusword [s]."""
+"""Interval for reading the statusword [s]."""
 STEP = 0.12
-"""A step of the state machine may take so long [s]."""
+"""Time limit for a step of the state machine [s]."""
 FRESH = 0.1
-"""A statusword that a PDO brought counts so long [s]."""
+"""How long a statusword from a PDO is valid [s]."""
 I32 = 2**31
 
 
 class Drive(Node):
-    """A drive of the bus; `position`, `demand` and `status` are the newest of its PDOs."""
+    """A drive of the bus; `position`, `demand` and `status` are the newest values from its PDOs."""
 
     profile = 402
 
@@ -30,21 +30,21 @@ class Drive(Node):
         super().__init__(device, name, number, send)
         self.position = self.demand = self.status = 0
         self.wants_demand = False
-        """Whether a channel shows its demand position."""
+        """Whether a channel records its demand position."""
         self.period = 0.01
         """Time between two SYNCs [s]."""
         self._target_pdo = 0
         self._updated = 0.0
-        """When a PDO brought its statusword [s, monotonic]."""
+        """When a PDO last brought its statusword [s, monotonic]."""
         self._may_reset = True
         self._expected = False
-        """Whether it should be in operation: leaving it then is a failure."""
+        """Whether it should be in operation: leaving it is then a failure."""
         self._cyclic = False
 
     # -- setting up ---------------------------------------------------------------------------------------------------
 
     def set_up(self, deadline: float) -> None:
-        """PDOs; profile position and cyclic synchronous position are needed."""
+        """Set up PDOs; modes profile position and cyclic synchronous position are required."""
         modes = self.objects.read_if_there(f.SUPPORTED, 0, "I", deadline)
         for mode, name in f.MODES.items():
             if modes is not None and not f.supports(modes, mode):
@@ -69,7 +69,7 @@ class Drive(Node):
         self.objects.set(f.PERIOD, 1, "B", units, deadline)
 
     def limits(self, deadline: float) -> tuple[int, int] | None:
-        """Its software position limits [count]; None where it has none."""
+        """Its software position limits [count]; None without any."""
         low = self.objects.read_if_there(f.LIMITS, 1, "i", deadline)
         high = self.objects.read_if_there(f.LIMITS, 2, "i", deadline)
         return None if low is None or high is None or low >= high else (low, high)
@@ -94,14 +94,14 @@ class Drive(Node):
     # -- its state machine --------------------------------------------------------------------------------------------
 
     def state(self, deadline: float) -> f.State:
-        """The state that it says it is in."""
+        """State reported by the drive."""
         self.status = self.objects.read(f.STATUSWORD, 0, "H", deadline)
         if (state := f.state_of(self.status)) is None:
             raise self.error(f"says the statusword {self.status:04X}h, which is no state of CiA 402")
         return state
 
     def ready(self, deadline: float) -> bool:
-        """Whether it is without fault; asked for where no PDO has brought it just now. Raises what is wrong with it."""
+        """Whether it has no fault; asks it unless a PDO was just received. Raises DeviceError with a known error."""
         if trouble := self.trouble():
             raise DeviceError(self.device, trouble, self.name)
         recent = monotonic() - self._updated < FRESH
@@ -109,11 +109,11 @@ class Drive(Node):
         return state not in {f.State.FAULT, f.State.REACTING, f.State.NOT_READY, None}
 
     def prepare(self, deadline: float) -> None:
-        """Bring it as far as switched on, without operation; a fault from before is acknowledged once."""
+        """Advance to switched on, without operation; an earlier fault is acknowledged once."""
         self._advance(f.State.ON, deadline)
 
     def enable(self, deadline: float) -> None:
-        """Bring it to operation where it is; DeviceError says where it stays and why it may."""
+        """Enable operation; DeviceError states where it stays and the possible reason."""
         self._advance(f.State.ENABLED, deadline)
         self._may_reset = False
 
@@ -128,7 +128,7 @@ class Drive(Node):
             if state not in f.NEXT:
                 raise self._stuck(state, goal)
             if state is f.State.STOPPED or f.NEXT[state][1] is f.State.ENABLED:
-                # its target becomes where it is, so that nothing moves when operation is enabled
+                # the present position becomes the target, so that nothing moves when operation is enabled
                 actual = self.objects.read(f.ACTUAL, 0, "i", deadline)
                 self.objects.write(f.TARGET, 0, "i", actual, deadline)
             word, follows = f.NEXT[state]
@@ -138,7 +138,7 @@ class Drive(Node):
                 raise self._stuck(state, goal)
 
     def _reach(self, goals: set[f.State], deadline: float) -> f.State:
-        """Wait for one of the states, a fault, or the end of the time; the state it is in then."""
+        """Wait for one of the states, a fault, or the time limit; returns the state then."""
         until = min(deadline, monotonic() + STEP)
         while True:
             state = self.state(deadline)
@@ -181,7 +181,7 @@ class Drive(Node):
     # -- motion -------------------------------------------------------------------------------------------------------
 
     def go(self, target: int, speed: int, deadline: float) -> None:
-        """Go to `target` at `speed` by itself, in place of where it is going now."""
+        """Go to `target` at `speed` by itself, replacing a motion in progress."""
         self._check(target)
         self._cyclic = False
         self._use(f.PROFILE, deadline)
@@ -201,7 +201,7 @@ class Drive(Node):
         self._expected = True
 
     def begin_cyclic(self, origin: int, room: int, deadline: float) -> None:
-        """Take targets at each SYNC from now on; refused where it is further than `room` from `origin`."""
+        """Accept targets at each SYNC from now on; refused if it is further than `room` from `origin`."""
         self._check(origin)
         actual = self.objects.read(f.ACTUAL, 0, "i", deadline)
         if abs(actual - origin) > room:
@@ -217,14 +217,14 @@ class Drive(Node):
         self._expected = self._cyclic = True
 
     def lead_to(self, target: float, most: float) -> None:
-        """The target of the next SYNC, at most `most` counts from the one before."""
+        """Send the target of the next SYNC, at most `most` counts from the previous one."""
         if not self._cyclic:
             return
         self.lead = min(max(target, self.lead - most), self.lead + most)
         self._send(self._target_pdo, round(self.lead).to_bytes(4, "little", signed=True))
 
     def halt(self, deadline: float) -> None:
-        """Quick stop; it holds where it comes to rest. Without power there is nothing to stop."""
+        """Quick stop, and hold at rest. Without power there is nothing to stop."""
         self._cyclic = self._expected = False
         self._control(f.QUICK_STOP, deadline)
         state = self._reach({f.State.STOPPED, f.State.DISABLED}, deadline)
@@ -232,17 +232,17 @@ class Drive(Node):
             raise self.error(f"was commanded to stop and is still in {state.value}")
 
     def target(self, deadline: float) -> int:
-        """The target that it holds."""
+        """Target that it holds."""
         return self.objects.read(f.TARGET, 0, "i", deadline)
 
     def _check(self, target: int) -> None:
         if not -I32 <= target < I32:
             raise self.error(f"cannot be sent to {target}: positions are 32-bit numbers")
 
-    # -- what it does when nobody feeds it ----------------------------------------------------------------------------
+    # -- monitoring of the heartbeat ----------------------------------------------------------------------------------
 
     def arm(self, producer: int, seconds: float, deadline: float) -> float:
-        """Let it stop by itself where the heartbeat of node `producer` is missing; the time that it holds [s]."""
+        """Make it stop by itself without the heartbeat of node `producer`; returns the time-out that it holds [s]."""
         try:
             self.objects.set(f.QUICK_STOP_OPTION, 0, "h", f.STAY_STOPPED, deadline)
             self.objects.set(f.ABORT_OPTION, 0, "h", f.QUICK_STOP_ON_LOSS, deadline)
@@ -250,18 +250,18 @@ class Drive(Node):
             message = f"{error.message}; without it the drive would not stop and hold when the program is gone"
             raise DeviceError(self.device, message, self.name) from None
         wanted = producer << 16 | min(int(seconds * 1e3 + 1e-6), 0xFFFF)
-        self.objects.set(f.CONSUMER, 1, "I", 0, deadline)  # what an earlier run left there is over
+        self.objects.set(f.CONSUMER, 1, "I", 0, deadline)  # clears the setting of an earlier run
         self.objects.set(f.CONSUMER, 1, "I", wanted, deadline)
         return (wanted & 0xFFFF) * 1e-3
 
     def disarm(self, deadline: float) -> None:
-        """Let the drive monitor no heartbeat any more; it stays in its state."""
+        """Stop monitoring of a heartbeat; it stays in its state."""
         self.objects.set(f.CONSUMER, 1, "I", 0, deadline)
 
     def waits_for(self, producer: int, deadline: float) -> float:
-        """After how long without the heartbeat of node `producer` it stops [s]; 0: never, or it has missed it.
+        """Time until it stops without the heartbeat of node `producer` [s]; 0: never, or the heartbeat was missed.
 
-        That it missed it is in what `held` has just read.
+        Whether it was missed is taken from the error register that `held` has just read.
         """
         held = self.objects.read(f.CONSUMER, 1, "I", deadline)
         missed = self.errors & f.COMMUNICATION_ERROR

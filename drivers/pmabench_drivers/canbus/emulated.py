@@ -29,13 +29,13 @@ from pmabench_drivers.emulator.ports import hang_up, listen
 from pmabench_drivers.shared.options import options_of
 
 TICK = 0.002
-"""The nodes are given a turn so often [s]."""
+"""Interval at which the nodes act [s]."""
 LONGEST = 64
-"""More of an unfinished line is forgotten [bytes]."""
+"""Longest unfinished line that is kept [bytes]."""
 SERIAL = b"NSIM0\r"
 """Serial number of the emulated adapters."""
 GARBAGE = b"t1zz8\x00\xff\r\x07T0000\r"
-"""What is no frame, in the form of some."""
+"""Invalid frames that look similar to valid ones."""
 COMMANDS = (b"C", b"L", b"O", b"S", b"s", b"F", b"X", b"Z", b"V", b"N")
 PREFIX = f"slcan:{TCP}"
 CAN = {
@@ -45,13 +45,13 @@ CAN = {
     "restart": wire_faults.Kind("the nodes start again, as after a dip of their supply"),
     "disabled": wire_faults.Kind("the drive's enable input is off: it does not go on to operation"),
 }
-"""What can happen to the nodes of a bus."""
+"""Faults of the nodes of a bus."""
 CYCLE = 0.01
-"""A message without a cycle time in its DBC file is sent so often [s]."""
+"""Sending interval of a message without a cycle time in its DBC file [s]."""
 
 
 class Hub:
-    """Frames from one adapter reach all others and the nodes in this process, as a kind of hub says."""
+    """Frames from one adapter reach all others and the nodes in this process; subclasses define the nodes."""
 
     def __init__(self, name: str, address: str, faults: wire_faults.Faults, tap: wire_faults.Tap) -> None:
         host, _, port = address.removeprefix(PREFIX).rpartition(":")
@@ -69,11 +69,11 @@ class Hub:
         self._thread = threading.Thread(target=self._serve, name=f"emulated {name}", daemon=True)
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start serving."""
         self._thread.start()
 
     def close(self) -> None:
-        """Hang up."""
+        """Stop serving and close all connections."""
         self._ended.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(1.0)
@@ -81,7 +81,7 @@ class Hub:
         self._rests.clear()
 
     def send(self, frame: Frame) -> None:
-        """A frame of a node in this process, as the fault of the moment lets it through."""
+        """Send a frame of a node in this process, subject to the present fault."""
         fault, line = self.faults.next(), line_of(frame)
         if fault.kind in {"hang-up", "reset"}:
             self.hang_up()
@@ -96,10 +96,10 @@ class Hub:
             self._forget(link)
 
     def _take(self, frame: Frame) -> None:
-        """Called for each frame from an adapter; a kind of hub hands it to its nodes."""
+        """Called for each frame from an adapter; a subclass passes it to its nodes."""
 
     def _turn(self, now: float) -> None:
-        """Called every `TICK` with the time `now` [s, monotonic]; a kind of hub lets its nodes act."""
+        """Called every `TICK` with the time `now` [s, monotonic]; a subclass lets its nodes act."""
 
     # -- adapters -----------------------------------------------------------------------------------------------------
 
@@ -172,7 +172,7 @@ class Hub:
 
 
 def _asked(line: bytes) -> Frame | None:
-    """The identifier that a remote frame asks for; None for anything else."""
+    """The remote frame in a line; None for anything else."""
     if line[:1] != b"r" or not line[1:5].isalnum():
         return None
     try:
@@ -182,17 +182,17 @@ def _asked(line: bytes) -> Frame | None:
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: wire_faults.CommandLog) -> EmulatedBus:
-    """The bus that the driver of `device` talks to."""
+    """Emulated bus for the driver of `device`."""
     return EmulatedBus(device, options_of(device, read_options), plant, log)
 
 
 class EmulatedBus(Hub):
-    """One bus: its faults are those of the adapter's line, and `CAN`."""
+    """One bus, with the faults of an adapter's line and those in `CAN`."""
 
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: wire_faults.CommandLog) -> None:
         self._device, self._plant, self._log = device, plant, log
         self._events: SimpleQueue[str] = SimpleQueue()
-        """What is to happen in the hub's thread."""
+        """Events to be carried out in the hub's thread."""
         faults = wire_faults.Faults(
             wire_faults.LINK, wire_faults.STUCK, wire_faults.EXPIRY, wire_faults.WATCHDOG_OFF, wire_faults.SETPOINT, CAN
         )
@@ -208,22 +208,22 @@ class EmulatedBus(Hub):
         self._booted = False
 
     def expire_watchdog(self) -> bool:
-        """Let the drives miss the program's heartbeat; whether one waited for it."""
+        """Make the drives miss the program's heartbeat; returns whether one was monitoring it."""
         return sum(node.expire_heartbeat() for node in self.nodes.values()) > 0
 
     def restart(self) -> None:
-        """Let every node start again."""
+        """Restart every node."""
         self._events.put("restart")
 
     def switch_off_watchdog(self) -> bool:
-        """Let every drive wait for no heartbeat, as another program may; whether one waited."""
+        """Switch off the heartbeat monitoring of every drive, as another program may; whether one was monitoring."""
         waited = [drive for drive in self._drives() if drive.get(f.CONSUMER, 1)]
         for drive in waited:
             drive.put(f.CONSUMER, 1, bytes(4))
         return bool(waited)
 
     def change_set_point(self, value: float) -> bool:
-        """Let the first drive hold another target [count], as by another program; whether there is a drive."""
+        """Change the target of the first drive [count], as another program may; whether there is a drive."""
         for drive in self._drives()[:1]:
             drive.put(f.TARGET, 0, round(value).to_bytes(4, "little", signed=True))
         return bool(self._drives())
@@ -306,7 +306,7 @@ class EmulatedBus(Hub):
 
 
 class _Sender:
-    """Sends one message of a DBC file, its signals from the plant."""
+    """Sends one message of a DBC file with signals from the plant."""
 
     def __init__(
         self, message: Message, channels: dict[str, ChannelRecord], plant: RealPlant, send: Callable[[Frame], None]
@@ -315,7 +315,7 @@ class _Sender:
         self._due = 0.0
 
     def turn(self, now: float) -> None:
-        """Send it when it is due."""
+        """Send it if it is due."""
         if now < self._due:
             return
         period = self._message.cycle or CYCLE
@@ -328,7 +328,7 @@ class _Sender:
 
 
 def _stroke(output: OutputRecord | None, scale: Scale) -> tuple[int, int]:
-    """Software limits a little outside of what the bench may command [count]; 0, 0 for none."""
+    """Software limits slightly outside the bench's command range [count]; 0, 0 without an output."""
     if output is None:
         return 0, 0
     low, high = sorted(round(float(scale.to_raw(value))) for value in (output.low, output.high))

@@ -22,9 +22,9 @@ STEP = 1000
 SPEED_STEP = 10
 """Step of the velocity: 0.1 mm/s, in units of 0.01 mm/s."""
 STROKE = 300_000
-"""Range that it can measure [steps]."""
+"""Measuring range [steps]."""
 CYCLE = 1
-"""Time between two positions that it sends by itself [ms]."""
+"""Interval between two positions that it sends by itself [ms]."""
 MISSING_MAGNET = 1
 WARNINGS = 0x7000
 PROFILE_VERSION = 0x0302_0001
@@ -34,30 +34,30 @@ UNKNOWN_TIME = 0xFFFF_FFFF
 WORDS = {state: value for _mask, value, state in f.STATES}
 FOLLOWING_ERROR = 0x8611
 VELOCITY, AVERAGED = 0x606C, 0.02
-"""Actual velocity, and over which time it is taken [s]."""
+"""Object of the actual velocity, and its averaging time [s]."""
 SERVO_DRIVE = 402 | 2 << 16
 """Device type: the profile, and the kind of drive."""
 CONNECTION_LOST = 0x8100
 ON_EVENT = 255
-"""Transmission type of a PDO that is sent, or is in force, when its content changes."""
+"""Transmission type of a PDO that is sent, or takes effect, when its content changes."""
 DEFAULT_PDOS = (
     (((f.STATUSWORD, 16),), ((f.CONTROLWORD, 16),)),
     (((f.STATUSWORD, 16), (f.MODE_SHOWN, 8)), ((f.CONTROLWORD, 16), (f.MODE, 8))),
 )
-"""What its first PDOs, transmitted and received, hold from power-on (CiA 402-3): objects and bits."""
+"""Default mapping of its first PDOs, transmitted and received (CiA 402-3): objects and bits."""
 ACCELERATIONS = (0x6083, 0x6084, 0x6085)
-"""Profile acceleration, deceleration, quick stop deceleration: held, and without effect, as its profile has none."""
+"""Profile acceleration, deceleration, quick stop deceleration: stored but without effect, as its profile has none."""
 OPTION_STAYS = 5
-"""From this quick stop option code on a drive stays in quick stop active."""
+"""Smallest quick stop option code with which a drive stays in quick stop active."""
 
 
 def encoder_objects(node: EmulatedNode, position: Callable[[], int]) -> dict[tuple[int, int], Entry]:
-    """The objects of the profile; `position` [steps] is where the magnet is now."""
+    """Objects of the profile; `position` [steps] returns the present position of the magnet."""
     node.preset(f.DEVICE_TYPE, 0, LINEAR_ENCODER)
     timer = node.objects[f.TPDO_PARAMETER, 5]
 
     def cycle(period: int) -> None:
-        """Cyclic timer and event timer of the first PDO are one."""
+        """Cyclic timer and event timer of the first PDO are the same."""
         timer.value = period
 
     objects = {
@@ -89,7 +89,7 @@ def encoder_objects(node: EmulatedNode, position: Callable[[], int]) -> dict[tup
 
 
 class EmulatedDrive(EmulatedNode):
-    """A drive whose counts are those of the bench's output `scale`; `note` gets what it does."""
+    """A drive with the counts of the bench's output `scale`; `note` is called with what it does."""
 
     def __init__(
         self,
@@ -105,13 +105,13 @@ class EmulatedDrive(EmulatedNode):
         self._plant, self._scale, self._note = plant, scale, note
         self.drive_state = State.DISABLED
         self.obeys = True
-        """Whether it goes on from state to state, as one whose enable input is on does."""
+        """Whether it advances from state to state, as with an active enable input."""
         self.preset(f.DEVICE_TYPE, 0, SERVO_DRIVE)
         self._word = 0
         self._acknowledged = self._limited = False
         self._late_since = 0.0
         self._last = 0.0
-        """Where it was sent last [m of contraction]."""
+        """Last commanded position [m of contraction]."""
         self._target_at = 0.0
         """When it will have reached its target [s, monotonic]."""
         self.objects |= {
@@ -147,13 +147,13 @@ class EmulatedDrive(EmulatedNode):
                 self.preset(parameter + place, 1, self.get(parameter + place, 1) & ~f.INVALID)
                 self.preset(parameter + place, 2, ON_EVENT)
 
-    # -- where it is --------------------------------------------------------------------------------------------------
+    # -- position -----------------------------------------------------------------------------------------------------
 
     def _actual(self) -> int:
         return round(float(self._scale.to_raw(self._plant.at(self.now)["displacement"])))
 
     def _velocity(self) -> int:
-        """How fast it goes [count/s], over the last 20 ms."""
+        """Velocity [count/s], averaged over `AVERAGED`."""
         before, after = (self._plant.at(self.now - back)["displacement"] for back in (AVERAGED, 0.0))
         return round(float(self._scale.to_raw(after) - self._scale.to_raw(before)) / AVERAGED)
 
@@ -206,26 +206,26 @@ class EmulatedDrive(EmulatedNode):
         self.emergency(0, f.COMMUNICATION_ERROR | 1 if self._missed else 0)
 
     def fault(self, code: int) -> None:
-        """Stop and say why."""
+        """Stop with a fault, and send the emergency."""
         self.objects[f.ERROR_CODE, 0].value = code
         self._enter(State.FAULT)
         self.emergency(code, 0x21)
 
     def well(self) -> bool:
-        """Whether it is in no fault."""
+        """Whether it has no fault."""
         return self.drive_state is not State.FAULT
 
     def lost_heartbeat(self) -> None:
-        """As object 6007h says."""
+        """React as set in object 6007h."""
         self._note("watchdog", option=self.get(f.ABORT_OPTION))
         self._lost(LOST_HEARTBEAT)
 
     def stopped(self) -> None:
-        """As with a lost connection."""
+        """React as to a lost connection."""
         self._lost(CONNECTION_LOST)
 
     def _lost(self, code: int) -> None:
-        """Do what object 6007h says; `code` where that is a fault."""
+        """React as set in object 6007h; `code` is used if that is a fault."""
         if (option := self.get(f.ABORT_OPTION)) == 1:
             self.fault(code)
         elif option == 2:
@@ -252,7 +252,7 @@ class EmulatedDrive(EmulatedNode):
         self._acknowledged = False
 
     def _inside(self, target: int) -> float:
-        """The target within its software limits, as a place [m of contraction]."""
+        """The target within its software limits, as a position [m of contraction]."""
         low, high = self.get(f.LIMITS, 1), self.get(f.LIMITS, 2)
         held = min(max(target, low), high) if low < high else target
         self._limited = held != target
@@ -285,7 +285,7 @@ class EmulatedDrive(EmulatedNode):
         self._note("move", raw=self.get(f.TARGET), si=place)
 
     def turn(self, now: float) -> None:
-        """Look at the following error, too."""
+        """Act as every node, and monitor the following error."""
         super().turn(now)
         window = self.get(f.WINDOW)
         if window == 0xFFFFFFFF or self.drive_state is not State.ENABLED:
@@ -300,7 +300,7 @@ class EmulatedDrive(EmulatedNode):
             self.fault(FOLLOWING_ERROR)
 
     def reset(self, *, everything: bool = True) -> None:
-        """Start over, without power, at rest where it is."""
+        """Restart without power, at rest at the present position."""
         if self.drive_state is not State.DISABLED:
             self._enter(State.DISABLED)
         self._word, self._limited, self._late_since = 0, False, 0.0
@@ -310,7 +310,7 @@ class EmulatedDrive(EmulatedNode):
 
 
 def _follows(state: State, word: int, *, stays: bool) -> State:
-    """The state that follows on a controlword (CiA 402-2, transitions 2 to 12 and 16)."""
+    """Next state for a controlword (CiA 402-2, transitions 2 to 12 and 16)."""
     if not word & 0x02:
         return State.DISABLED
     if not word & 0x04:

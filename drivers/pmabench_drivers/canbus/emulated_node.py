@@ -1,6 +1,6 @@
-"""An emulated CANopen node: object dictionary behind SDO, PDOs, NMT, heartbeats, emergencies; knows no profile.
+"""An emulated CANopen node: object dictionary behind SDO, PDOs, NMT, heartbeats, emergencies; without a profile.
 
-Codes with which it refuses a transfer: CiA 301.
+SDO abort codes: CiA 301.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ LOST_HEARTBEAT = 0x8130
 ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE = 0x1003, 0x1005, 0x1006, 0x1009
 GUARD_TIME, LIFE_FACTOR, EMCY_ID = 0x100C, 0x100D, 0x1014
 BOOTING = 0.05
-"""From a reset until it says that it has started [s]."""
+"""Time from a reset to the boot-up message [s]."""
 KEPT = 4
-"""So many errors of the past are kept."""
+"""Number of past errors that are kept."""
 COMMUNICATION = range(0x1000, 0x2000)
-"""Objects that a reset of the communication brings back to their power-on values; a reset of the node, all."""
+"""Objects that a communication reset sets to their power-on values; a node reset sets all."""
 SEGMENT = 7
 PDOS = 2
 
 
 class Abort(Exception):
-    """The node refuses a transfer, with this code."""
+    """The node refuses a transfer with this abort code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"{code:08X}")
@@ -42,22 +42,22 @@ class Abort(Exception):
 
 @dataclass
 class Entry:
-    """One object: its `kind` is that of `struct`, or `s` for text."""
+    """One object: `kind` is a format of `struct`, or `s` for text."""
 
     kind: str
     value: int | bytes = 0
     writable: bool = False
     read: Callable[[], int] | None = None
-    """Where its value comes from at each look, if it is no stored one."""
+    """Function for its present value, if it is not stored."""
     written: Callable[[int], None] | None = None
-    """Called with a new value before it is stored; raises Abort."""
+    """Called with a new value before it is stored; may raise Abort."""
 
     def __post_init__(self) -> None:
         self.power_on = self.value
-        """Its value after a start."""
+        """Its value after a restart."""
 
     def bytes(self) -> bytes:
-        """The value as it goes over the wire."""
+        """Value as sent over the wire."""
         value = self.read() if self.read is not None else self.value
         return value if isinstance(value, bytes) else struct.pack(f"<{self.kind}", value)
 
@@ -67,13 +67,13 @@ class _Consumer:
     node: int = 0
     time: float = 0.0
     heard: float = 0.0
-    """Last heartbeat [s, monotonic]; 0: none yet, and so none is missed."""
+    """Last heartbeat [s, monotonic]; 0: none yet, so none can be missed."""
     expired: bool = False
-    """The wait is to be over at the next turn, whatever comes before it."""
+    """Treat the heartbeat as missed at the next turn in any case."""
 
 
 class EmulatedNode:
-    """One node. A kind of node adds objects, and says what happens on SYNC, on stop and when a heartbeat is lost."""
+    """One node. Subclasses add objects, and define what happens on SYNC, on stop and when a heartbeat is lost."""
 
     def __init__(self, number: int, profile: int, model: str, send: Callable[[Frame], None]) -> None:
         self.number, self.state = number, f.PREOP
@@ -81,17 +81,17 @@ class EmulatedNode:
         self._consumer, self._missed = _Consumer(), False
         self._beat_due, self.now = 0.0, monotonic()
         self._boots = 0.0
-        """When it will have started [s, monotonic]."""
+        """When it will have restarted [s, monotonic]."""
         self._segments: bytes | None = None
-        """What is left to send of a long object; None: nothing was asked for."""
+        """Rest of a long object to be sent; None: no upload in progress."""
         self._toggle = 0
         self._waiting: dict[int, bytes] = {}
         self._event_due = [0.0] * PDOS
         self._event_sent: list[bytes | None] = [None] * PDOS
         self._errors: list[int] = []
-        """Those of the past, the newest first."""
+        """Past errors, the newest first."""
         self._guarded, self._guard_toggle = 0.0, 0
-        """When it was asked for its state last [s, monotonic]; 0: never, and so nothing is missed."""
+        """When its state was last requested [s, monotonic]; 0: never, so nothing can be missed."""
         self.objects: dict[tuple[int, int], Entry] = {
             (f.DEVICE_TYPE, 0): Entry("I", profile),
             (f.ERROR_REGISTER, 0): Entry("B", 0),
@@ -130,12 +130,12 @@ class EmulatedNode:
             self.objects[at, sub] = Entry("I", 0, writable=True, written=lambda _value: self._may_map(parameter))
 
     def boot(self) -> None:
-        """Start: pre-operational, and say so."""
+        """Enter pre-operational and send the boot-up message."""
         self.state, self._beat_due = f.PREOP, 0.0
         self._send(Frame(f.HEARTBEAT + self.number, bytes([f.BOOT])))
 
     def reset(self, *, everything: bool = True) -> None:
-        """Start again, with power-on values of all objects, or of those of the communication only."""
+        """Restart, with power-on values of all objects, or only of the communication objects."""
         for (index, _sub), entry in self.objects.items():
             if everything or index in COMMUNICATION:
                 entry.value = entry.power_on
@@ -145,41 +145,41 @@ class EmulatedNode:
         self.state, self._boots = f.BOOT, self.now + BOOTING
 
     def preset(self, index: int, sub: int, value: int) -> None:
-        """Let an object have this value when it starts."""
+        """Set the present and power-on value of an object."""
         self.objects[index, sub].value = self.objects[index, sub].power_on = value
 
     def expire_heartbeat(self) -> bool:
-        """Let the wait for a heartbeat be over; whether there was one."""
+        """Treat the monitored heartbeat as missed; returns whether one was monitored."""
         consumer = self._consumer
         consumer.expired = bool(consumer.time and consumer.heard)
         return consumer.expired
 
-    # -- what a kind of node does -------------------------------------------------------------------------------------
+    # -- for subclasses -----------------------------------------------------------------------------------------------
 
     def synchronised(self) -> None:
         """Called at each SYNC, after the PDOs received before it were applied."""
 
     def lost_heartbeat(self) -> None:
-        """The heartbeat that it waits for is missing."""
+        """Called when the monitored heartbeat is missing."""
 
     def stopped(self) -> None:
-        """It was brought to the state stopped."""
+        """Called when the node enters the state stopped."""
 
     def well(self) -> bool:
-        """Whether it has no error but that of the communication."""
+        """Whether it has no error other than that of the communication."""
         return True
 
     # -- values -------------------------------------------------------------------------------------------------------
 
     def get(self, index: int, sub: int = 0) -> int:
-        """The value of a number."""
+        """Value of a numeric object."""
         entry = self.objects[index, sub]
         value = entry.read() if entry.read is not None else entry.value
         assert isinstance(value, int)  # noqa: S101  (texts are read as bytes only)
         return value
 
     def put(self, index: int, sub: int, data: bytes) -> None:
-        """Write an object as it came over the wire; raises Abort."""
+        """Write an object with bytes from the wire; raises Abort."""
         if (entry := self.objects.get((index, sub))) is None:
             raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
         if not entry.writable:
@@ -192,7 +192,7 @@ class EmulatedNode:
         entry.value = value
 
     def emergency(self, code: int, register: int = 1) -> None:
-        """Send an emergency, which a stopped node does not; code 0 says that it is over."""
+        """Send an emergency, unless the node is stopped; code 0 ends the error."""
         self.objects[f.ERROR_REGISTER, 0].value = register
         if code:
             self._errors = [code, *self._errors[: KEPT - 1]]
@@ -217,7 +217,7 @@ class EmulatedNode:
     # -- frames -------------------------------------------------------------------------------------------------------
 
     def take(self, frame: Frame, now: float) -> None:
-        """A frame of the bus; all nodes have it at the same moment, `now` [s, monotonic]."""
+        """Process a frame; all nodes receive it at the same time `now` [s, monotonic]."""
         self.now = now
         if frame.extended or self.state == f.BOOT:
             return
@@ -263,7 +263,7 @@ class EmulatedNode:
             self._on_event(index)
 
     def _answer_guard(self) -> None:
-        """Node guarding: its state, with a bit that alternates."""
+        """Node guarding: send its state with the toggle bit."""
         self._guarded = self.now
         self._send(Frame(f.HEARTBEAT + self.number, bytes([self.state | self._guard_toggle])))
         self._guard_toggle ^= 0x80
@@ -281,7 +281,7 @@ class EmulatedNode:
     # -- SDO ----------------------------------------------------------------------------------------------------------
 
     def _answer(self, data: bytes) -> bytes:
-        """What is answered; nothing to the word that a transfer is given up."""
+        """Answer to an SDO request; empty for an abort by the client."""
         command, index, sub = struct.unpack_from("<BHB", data)
         kind = command >> 5
         try:
@@ -290,7 +290,7 @@ class EmulatedNode:
                 return b""
             if kind == 1:
                 size = 4 - (command >> 2 & 3) if command & 1 else self._size(index, sub)
-                if not command & 2:  # no object here is longer than 4 bytes and writable
+                if not command & 2:  # no writable object here is longer than 4 bytes
                     self.put(index, sub, bytes(max(5, int.from_bytes(data[4:], "little") & 0xFF)))
                 self.put(index, sub, data[4 : 4 + size])
                 return struct.pack("<BHB4x", 0x60, index, sub)
@@ -366,7 +366,7 @@ class EmulatedNode:
                 self._transmit(index)
 
     def _on_event(self, index: int) -> None:
-        """An asynchronous TPDO: at each turn of its event timer, or where it has none, when its content changed."""
+        """Asynchronous TPDO: sent by its event timer, or without one when its content has changed."""
         parameter = f.TPDO_PARAMETER + index
         if self.state != f.OPERATIONAL:
             self._event_sent[index] = None
@@ -418,7 +418,7 @@ class EmulatedNode:
         self._forgive()
 
     def _forgive(self) -> None:
-        """The heartbeat has come again, or is not waited for any more."""
+        """The heartbeat is received again, or no longer monitored."""
         if self._missed:
             self._missed = False
             if self.well():

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 NMT, SYNC, EMCY, SDO_ANSWER, SDO_QUESTION, HEARTBEAT = 0x000, 0x080, 0x080, 0x580, 0x600, 0x700
-"""Identifiers; that of the node is added to the last four."""
+"""Identifiers; the node's number is added to the last four."""
 TPDO, RPDO = (0x180, 0x280), (0x200, 0x300)
-"""Usual identifiers of the first PDOs of a node."""
+"""Default identifiers of the first PDOs of a node."""
 START, STOP, PREOPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 BOOT, STOPPED, OPERATIONAL, PREOP = 0x00, 0x04, 0x05, 0x7F
 """States of a node in its heartbeat."""
@@ -25,7 +25,7 @@ COMMUNICATION_ERROR = 1 << 4
 """Bit of the error register."""
 RPDO_PARAMETER, RPDO_MAPPING, TPDO_PARAMETER, TPDO_MAPPING = 0x1400, 0x1600, 0x1800, 0x1A00
 INVALID, NO_REMOTE = 1 << 31, 1 << 30
-"""Bits of a PDO's identifier: it is not used; it is not sent on request."""
+"""Bits of a PDO's identifier: not used; not sent on request."""
 
 ABORTS = {
     0x05030000: "toggle bit not alternated",
@@ -71,7 +71,7 @@ EMERGENCIES = (
     (0x9000, 0xF000, "an external error"),
     (0xF000, 0xF000, "a code of its maker"),
 )
-"""Error code, mask, what it is about (CiA 301, CiA 402)."""
+"""Error code, mask, meaning (CiA 301, CiA 402)."""
 CONTROLWORD, STATUSWORD, MODE, MODE_SHOWN = 0x6040, 0x6041, 0x6060, 0x6061
 TARGET, ACTUAL, DEMAND = 0x607A, 0x6064, 0x6062
 PROFILE_VELOCITY, LIMITS, SUPPORTED = 0x6081, 0x607D, 0x6502
@@ -82,18 +82,18 @@ PROFILE, CYCLIC = 1, 8
 """Modes of operation: profile position, cyclic synchronous position."""
 MODES = {PROFILE: "profile position", CYCLIC: "cyclic synchronous position"}
 QUICK_STOP_ON_LOSS = 3
-"""Abort connection option code: quick stop where the heartbeat is lost."""
+"""Abort connection option code: quick stop after a lost heartbeat."""
 STAY_STOPPED = 6
 """Quick stop option code: slow down on the quick stop ramp and stay in quick stop active, with torque."""
 SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP, FAULT_RESET = 0x06, 0x07, 0x0F, 0x02, 0x80
 NEW_SET_POINT, AT_ONCE = 0x10, 0x20
-"""Bits of the controlword in profile position: a new target is valid; it replaces the one under way."""
+"""Bits of the controlword in profile position: a new target is valid; it replaces the present one."""
 TARGET_REACHED, INTERNAL_LIMIT, ACKNOWLEDGE = 1 << 10, 1 << 11, 1 << 12
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One data frame, or one that asks for it (`remote`)."""
+    """A data frame, or a request for one (`remote`)."""
 
     identifier: int
     data: bytes = b""
@@ -103,7 +103,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a node says to a question about one object: data, an abort code, or that segments follow."""
+    """Answer of a node on one object: data, an abort code, or that segments follow."""
 
     data: bytes = b""
     abort: int = 0
@@ -111,36 +111,36 @@ class Answer:
 
 
 class NoAnswer(ValueError):
-    """The frame is no answer to the question."""
+    """The frame is no answer to the request."""
 
 
 def emergency_text(code: int) -> str:
-    """What an emergency error code is about."""
+    """Meaning of an emergency error code."""
     return next((text for value, mask, text in EMERGENCIES if code & mask == value), "an error")
 
 
 def download(index: int, sub: int, data: bytes) -> bytes:
-    """Write 1 to 4 bytes into an object at once."""
+    """Frame that writes 1 to 4 bytes into an object."""
     return struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub) + data.ljust(4, b"\0")
 
 
 def upload(index: int, sub: int) -> bytes:
-    """Read an object."""
+    """Frame that reads an object."""
     return struct.pack("<BHB4x", 0x40, index, sub)
 
 
 def next_segment(toggle: int) -> bytes:
-    """Ask for the next segment of a long object; `toggle` alternates from 0."""
+    """Frame that requests the next segment of a long object; `toggle` alternates from 0."""
     return bytes([0x60 | toggle << 4]) + bytes(7)
 
 
 def abort(index: int, sub: int, code: int) -> bytes:
-    """End a transfer."""
+    """Frame that aborts a transfer."""
     return struct.pack("<BHBI", 0x80, index, sub, code)
 
 
 def read_answer(data: bytes, index: int, sub: int, *, written: bool) -> Answer:
-    """The answer to `download` (`written`) or `upload`; raises NoAnswer for a frame that is none."""
+    """The answer to `download` (`written`) or `upload`; raises NoAnswer for any other frame."""
     if len(data) != 8:
         raise NoAnswer(f"{len(data)} bytes where 8 are expected")
     command, at, at_sub = struct.unpack_from("<BHB", data)
@@ -159,7 +159,7 @@ def read_answer(data: bytes, index: int, sub: int, *, written: bool) -> Answer:
 
 
 def read_segment(data: bytes, toggle: int) -> tuple[bytes, bool, int]:
-    """Bytes of a segment, whether it is the last one, and an abort code or 0."""
+    """Bytes of a segment, whether it is the last one, and an abort code or 0; raises NoAnswer."""
     if len(data) != 8:
         raise NoAnswer(f"{len(data)} bytes where 8 are expected")
     if (command := data[0]) == 0x80:
@@ -170,12 +170,12 @@ def read_segment(data: bytes, toggle: int) -> tuple[bytes, bool, int]:
 
 
 def mapping(index: int, sub: int, bits: int) -> int:
-    """An entry of a PDO mapping."""
+    """Entry of a PDO mapping."""
     return index << 16 | sub << 8 | bits
 
 
 class State(Enum):
-    """States of the power drive system, as people call them."""
+    """States of the power drive system, by their common names."""
 
     NOT_READY = "not ready to switch on"
     DISABLED = "switch on disabled"
@@ -204,21 +204,21 @@ NEXT = {
     State.ON: (ENABLE, State.ENABLED),
     State.STOPPED: (ENABLE, State.ENABLED),
 }
-"""State -> the controlword that leads on towards operation, and the state that follows."""
+"""State -> controlword for the next step towards operation, and the state that follows."""
 
 
 def state_of(status: int) -> State | None:
-    """The state in a statusword; None for a word that CiA 402 does not know."""
+    """State in a statusword; None for a word that CiA 402 does not define."""
     return next((state for mask, value, state in STATES if status & mask == value), None)
 
 
 def supports(modes: int, mode: int) -> bool:
-    """Whether the bits of object 6502h have a mode."""
+    """Whether the bits of object 6502h include a mode."""
     return bool(modes >> (mode - 1) & 1)
 
 
 def why_not(state: State, status: int) -> str:
-    """Why a drive may stay where it is, for people at the rig."""
+    """Possible reason why a drive stays in a state, for people at the rig."""
     if state is State.NOT_READY:
         return "it is still starting"
     if state is State.DISABLED:

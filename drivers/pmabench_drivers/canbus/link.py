@@ -1,8 +1,8 @@
-"""CAN adapters: frames out, a thread that hands out what comes in; and what comes in, put together to samples.
+"""CAN adapters: sending frames, a thread that distributes received ones, and assembling samples from them.
 
-Loads python-can or pyserial when an adapter is opened. Adapters of the slcan kind (LAWICEL) send frames as lines of
-text, over a serial port or TCP. python-can has such an adapter too; it reads single bytes, and does not come back from
-a byte that is no ASCII.
+Loads python-can or pyserial when an adapter is opened. Adapters of the slcan kind (LAWICEL) transfer frames as lines of
+text, over a serial port or TCP. python-can supports them too, but it reads single bytes, and does not recover from a
+byte that is not ASCII.
 """
 
 from __future__ import annotations
@@ -30,38 +30,38 @@ if TYPE_CHECKING:
 
 BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 RATES = {rate: f"S{number}" for number, rate in enumerate(BIT_RATES)}
-"""Bit rate -> the adapter's command for it."""
+"""Bit rate -> command of the adapter."""
 TCP = "socket://"
 CONNECT = 1.0
 """Longest time to reach an adapter behind TCP [s]."""
 PUSH = 0.1
-"""Longest time to hand bytes over [s]."""
+"""Time limit for sending bytes [s]."""
 RESTART = 0.3
-"""A serial adapter is given so long after it was opened [s]."""
+"""Delay after a serial adapter was opened, as it may restart [s]."""
 ASKED = 0.2
-"""How long an adapter is given to answer with its serial number [s]."""
+"""Longest wait for an adapter's serial number [s]."""
 LONGEST = 64
-"""More of an unfinished line is forgotten [bytes]."""
+"""Longest unfinished line that is kept [bytes]."""
 NUMBERED = ("kvaser", "ixxat")
-"""Interfaces whose channels have numbers."""
+"""Interfaces with numbered channels."""
 INTERFACES = ("socketcan", "slcan", "pcan", *NUMBERED)
-"""`slcan`, and python-can's names of what it is asked for."""
+"""`slcan`, and python-can's names of interfaces."""
 WAIT = 0.05
 """Longest single wait for a frame [s]."""
 Take = Callable[[Frame, float], None]
-"""Takes a frame and when it came [s, bench time]."""
+"""Called with a frame and its arrival time [s, bench time]."""
 PATIENCE = 2
-"""So many periods an answer is waited for; no SYNC is sent in that time, so that it cannot belong to a later one."""
+"""Periods for which an answer is waited for; no SYNC is sent meanwhile, so that it cannot belong to a later one."""
 
 
 def line_of(frame: Frame) -> bytes:
-    """A data frame as a line."""
+    """A data frame as a line of text."""
     head = f"T{frame.identifier:08X}" if frame.extended else f"t{frame.identifier:03X}"
     return f"{head}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
 
 
 def read_line(line: bytes) -> Frame | None:
-    """The data frame of a line without its end; None for anything else."""
+    """The data frame in a line without its end; None for anything else."""
     width = {b"t": 3, b"T": 8}.get(line[:1])
     try:
         text = line.decode("ascii")
@@ -73,16 +73,16 @@ def read_line(line: bytes) -> Frame | None:
         return None
     if length > 8 or len(data) != length or identifier >= (1 << 29 if width == 8 else 1 << 11):
         return None
-    if len(text) - 2 - width - 2 * length not in {0, 4}:  # an adapter may add a time of 4 digits
+    if len(text) - 2 - width - 2 * length not in {0, 4}:  # an adapter may append a timestamp of 4 digits
         return None
     return Frame(identifier, data, width == 8)
 
 
 class Slcan:
-    """An open adapter. Raises OSError."""
+    """An open slcan adapter. Its methods raise OSError."""
 
     def __init__(self, channel: str, bitrate: int, *, ask: bool = False) -> None:
-        self._end: Any  # a socket or a serial port, which are written and read alike
+        self._end: Any  # a socket or a serial port, with the same methods for reading and writing
         if channel.startswith(TCP):
             host, _, port = channel.removeprefix(TCP).rpartition(":")
             self._end = socket.create_connection((host, int(port)), CONNECT)
@@ -95,7 +95,7 @@ class Slcan:
             time.sleep(RESTART)
         self._rest, self._frames = b"", deque[Frame]()
         self.serial = ""
-        """Serial number, where it was to `ask` for it and the adapter has one."""
+        """Serial number, if it was requested by `ask` and the adapter has one."""
         self._write(f"\rC\r{RATES[bitrate]}\rO\r".encode())
         if ask:
             self._write(b"N\r")
@@ -104,7 +104,7 @@ class Slcan:
                 self._receive(0.02)
 
     def send(self, frame: Frame) -> None:
-        """One frame out."""
+        """Send one frame."""
         self._write(line_of(frame))
 
     def receive(self, wait: float) -> Frame | None:
@@ -114,7 +114,7 @@ class Slcan:
         return self._frames.popleft() if self._frames else None
 
     def close(self) -> None:
-        """Close the channel and hang up."""
+        """Close the channel and the connection."""
         with contextlib.suppress(OSError):
             self._write(b"C\r")
         self._end.close()
@@ -140,7 +140,7 @@ class Slcan:
 
 
 class PythonCan:
-    """An adapter that python-can knows."""
+    """An adapter supported by python-can."""
 
     def __init__(self, interface: str, channel: str | int, bitrate: int) -> None:
         import can
@@ -151,7 +151,7 @@ class PythonCan:
             self._bus: Any = can.Bus(interface=interface, channel=channel, bitrate=bitrate)
 
     def send(self, frame: Frame) -> None:
-        """One frame out."""
+        """Send one frame."""
         message = self._can.Message(
             arbitration_id=frame.identifier, data=frame.data, is_extended_id=frame.extended, check=True
         )
@@ -167,13 +167,13 @@ class PythonCan:
         return Frame(message.arbitration_id, bytes(message.data), bool(message.is_extended_id))
 
     def close(self) -> None:
-        """Let go of it."""
-        with contextlib.suppress(Exception):  # whatever a maker's library says at the end
+        """Close it."""
+        with contextlib.suppress(Exception):  # a maker's library may raise anything on closing
             self._bus.shutdown()
 
     @contextlib.contextmanager
     def _as_os_error(self) -> Any:
-        """Errors of python-can and of makers' libraries as OSError."""
+        """Raise errors of python-can and of makers' libraries as OSError."""
         try:
             yield
         except OSError:
@@ -183,11 +183,11 @@ class PythonCan:
 
 
 Adapter = Slcan | PythonCan
-"""What a link needs: `serial`, `send`, `receive` and `close`, which raise OSError."""
+"""Interface of an adapter: `serial`, `send`, `receive` and `close`, which raise OSError."""
 
 
 def open_adapter(address: str, bitrate: int, *, ask: bool) -> Adapter:
-    """The adapter at INTERFACE:CHANNEL; `ask`: find out its serial number, where it has one."""
+    """Open the adapter at INTERFACE:CHANNEL; `ask`: read its serial number, if it has one."""
     interface, _, channel = address.partition(":")
     if interface == "slcan":
         return Slcan(channel, bitrate, ask=ask)
@@ -195,7 +195,7 @@ def open_adapter(address: str, bitrate: int, *, ask: bool) -> Adapter:
 
 
 class Link(Listening):
-    """An open adapter; `take` is called in the reading thread, with a frame and when it came. Raises DeviceError."""
+    """An open adapter; the reading thread calls `take` with a frame and its arrival time. Raises DeviceError."""
 
     def __init__(
         self,
@@ -212,11 +212,11 @@ class Link(Listening):
         except OSError as error:
             raise DeviceError(device, f"cannot open {address}: {reason(error)}") from None
         self.serial = self._adapter.serial
-        """Serial number of the adapter, where it is known."""
+        """Serial number of the adapter; empty if unknown."""
         self.listen(take)
 
     def send(self, identifier: int, data: bytes = b"") -> None:
-        """Hand a frame to the adapter, once."""
+        """Send a frame once."""
         if self.gone:
             raise DeviceError(self._device, self.gone)
         try:
@@ -226,7 +226,7 @@ class Link(Listening):
             raise DeviceError(self._device, f"cannot send to {self._address}: {reason(error)}") from None
 
     def close(self) -> None:
-        """Let go of the adapter; harmless when repeated."""
+        """Close the adapter; may be called again."""
         self.hush()
         self._adapter.close()
 
@@ -235,10 +235,10 @@ class Link(Listening):
 
 
 class Rows:
-    """Waits after each SYNC for all PDOs in `wanted`, and then calls `done(time, host)` [ns].
+    """Waits after each SYNC for all PDOs in `wanted`, then calls `done(time, host)` [ns].
 
-    All nodes sample at the SYNC: after it was sent and before the first answer (`host`); `time` is the middle.
-    Where the first answer took longer than `slowest` [ns], when they sampled is not known well enough: a gap.
+    All nodes sample at the SYNC: between sending it and the first answer (`host`); `time` is the middle.
+    If the first answer took longer than `slowest` [ns], the sampling time is not known well enough: a gap.
     """
 
     def __init__(self, wanted: Collection[int], done: Callable[[int, int], None], slowest: int) -> None:
@@ -247,12 +247,12 @@ class Rows:
         self._open: set[int] = set()
         self._sent = self._first = self._waited = 0
         self.lost = 0
-        """SYNCs that were not answered wholly; each is a gap."""
+        """SYNCs without all answers; each is a gap."""
         self.in_a_row = 0
-        """How many of them follow each other."""
+        """Number of consecutive ones."""
 
     def may_sync(self) -> bool:
-        """Whether the last SYNC was answered, or has been waited for long enough."""
+        """Whether the last SYNC was answered, or waited for long enough."""
         with self._lock:
             if not self._open:
                 return True
@@ -265,19 +265,19 @@ class Rows:
             return True
 
     def missing(self) -> frozenset[int]:
-        """What has not answered to the last SYNC yet."""
+        """PDOs that are still missing after the last SYNC."""
         with self._lock:
             return frozenset(self._open)
 
     def begin(self, time: int) -> None:
-        """A SYNC is about to be sent, at `time` [ns, bench time]."""
+        """Record that a SYNC is about to be sent, at `time` [ns, bench time]."""
         with self._lock:
             self._open, self._sent, self._first, self._waited = set(self._wanted), time, 0, 0
         if not self._wanted:
             self._done(time, time)
 
     def arrived(self, identifier: int, host: int) -> None:
-        """A PDO of `wanted` has come at `host` [ns, bench time]; one that answers to no SYNC is passed over."""
+        """Record the arrival of a PDO at `host` [ns, bench time]; one that answers no SYNC is ignored."""
         with self._lock:
             if identifier not in self._open:
                 return
@@ -293,7 +293,7 @@ class Rows:
 
 
 class Signals:
-    """The newest values of the channels' `inputs` from received frames, and when they came."""
+    """Newest values of the channels' `inputs` from received frames, and their arrival times."""
 
     def __init__(self, options: Options, inputs: Sequence[str]) -> None:
         self._slowest = options.slowest
@@ -311,7 +311,7 @@ class Signals:
                 self._by_frame.setdefault(key, []).append((name, message, signal))
 
     def begin(self) -> None:
-        """Sampling begins: from now on signals must come."""
+        """Note that sampling begins: signals must arrive from now on."""
         self._begun = monotonic()
 
     def take(self, frame: Frame) -> None:
@@ -323,16 +323,16 @@ class Signals:
                     self._values[name], self._came[name] = value, monotonic()
 
     def value(self, name: str) -> float:
-        """The newest value, in the unit of the DBC file."""
+        """Newest value, in the unit of the DBC file."""
         return self._values[name]
 
     def fresh(self) -> bool:
-        """Whether no signal is older than it may be."""
+        """Whether no signal is too old."""
         now = monotonic()
         return all(now - self._came.get(name, -1e9) <= self._slowest for name in self._names)
 
     def stale(self) -> str:
-        """A signal that is older than it may be; empty where there is none."""
+        """Name of a signal that is too old; empty if there is none."""
         now = monotonic()
         waited = (name for name in self._names if now - max(self._came.get(name, 0.0), self._begun) > self._slowest)
         return next(waited, "")

@@ -1,9 +1,9 @@
-"""CANopen nodes: questions to their object dictionary, PDOs, heartbeat and emergencies; and one kind, the transducer.
+"""CANopen nodes: access to their object dictionary, PDOs, heartbeat and emergencies; and one kind, the transducer.
 
-Questions go one at a time, each bounded; no write is repeated. A CiA 406 linear transducer, as the Temposonics E-Series
-has it, sends position, velocity and status in one PDO. Steps come from the device: position in units of 0.001 um,
-velocity in units of 0.01 mm/s (objects 6005h:1 and :2; where there is no 6005h, position by 6501h). Source: E-Series
-CANopen manual; CiA 406.
+Requests are sent one at a time, each with a time limit; no write is repeated. A CiA 406 linear transducer such as the
+Temposonics E-Series sends position, velocity and status in one PDO. Resolutions are read from the device: position in
+units of 0.001 um, velocity in units of 0.01 mm/s (objects 6005h:1 and :2; without 6005h, position by 6501h). Source:
+E-Series CANopen manual; CiA 406.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.shared.link import Unanswered, turn
 
 ANSWER = 0.15
-"""How long a node is given for an answer [s]."""
+"""Longest wait for a node's answer [s]."""
 LONGEST = 256
-"""No object that is read here is longer [bytes]."""
+"""Longest object that is read here [bytes]."""
 
 T = TypeVar("T")
 BEAT = 0.1
-"""Every node sends its heartbeat so often [s]."""
+"""Heartbeat interval of every node [s]."""
 SILENT = 5 * BEAT
-"""A node that was not heard for so long is lost [s]."""
+"""A node without a heartbeat for this time is lost [s]."""
 EVERY_SYNC = 1
-"""Transmission type of a PDO that answers to each SYNC."""
+"""Transmission type of a PDO that is sent at each SYNC."""
 STARTS = 0.5
-"""How long a node is given to become operational [s]."""
+"""Time limit for a node to become operational [s]."""
 Send = Callable[[int, bytes], None]
 POSITIONS = (f.mapping(0x6020, 1, 32), f.mapping(0x6004, 0, 32))
-"""How the position is mapped: of one of several magnets, or of the only one."""
+"""Possible mappings of the position: of one of several magnets, or of the only one."""
 VELOCITY, STATUS = f.mapping(0x6030, 1, 16), f.mapping(0x6400, 1, 8)
 STEPS, MEASURING_STEP, ALARMS = 0x6005, 0x6501, 0x6503
 NO_MAGNET = 1
 
 
 class Refused(DeviceError):
-    """The node ended the transfer with an abort code."""
+    """The node has aborted the transfer."""
 
     def __init__(self, device: str, message: str, channel: str, code: int) -> None:
         super().__init__(device, message, channel)
@@ -53,7 +53,7 @@ class Refused(DeviceError):
 
 
 class Objects:
-    """The objects of one node. `kind` is that of `struct`: `B`, `b`, `H`, `h`, `I`, `i`."""
+    """Objects of one node. `kind` is a format of `struct`: `B`, `b`, `H`, `h`, `I`, `i`."""
 
     def __init__(self, device: str, name: str, node: int, send: Callable[[int, bytes], None]) -> None:
         self._device, self._name, self._node, self._send = device, name, node, send
@@ -62,11 +62,11 @@ class Objects:
         self._owed = False
 
     def take(self, data: bytes) -> None:
-        """An SDO answer of this node has come."""
+        """Take an SDO answer of this node."""
         self._answers.put(data)
 
     def read(self, index: int, sub: int, kind: str, deadline: float) -> int:
-        """A number."""
+        """Read a number."""
         data = self.read_bytes(index, sub, deadline)
         if len(data) != struct.calcsize(f"<{kind}"):
             raise self._error(index, sub, f"has {len(data)} bytes where {struct.calcsize(f'<{kind}')} are expected")
@@ -74,7 +74,7 @@ class Objects:
         return int(value)
 
     def read_if_there(self, index: int, sub: int, kind: str, deadline: float) -> int | None:
-        """A number, or None where the node has no such object."""
+        """Read a number; None if the node has no such object."""
         try:
             return self.read(index, sub, kind, deadline)
         except Refused as error:
@@ -92,7 +92,7 @@ class Objects:
             self._ask(index, sub, f.download(index, sub, data), deadline, written=True)
 
     def set(self, index: int, sub: int, kind: str, value: int, deadline: float) -> None:
-        """Write a number, unless the node holds it already, and read it back."""
+        """Write a number, unless the node already holds it, and read it back."""
         if self.read(index, sub, kind, deadline) == value:
             return
         self.write(index, sub, kind, value, deadline)
@@ -100,7 +100,7 @@ class Objects:
             raise self._error(index, sub, f"holds {held} after {value} was written")
 
     def read_bytes(self, index: int, sub: int, deadline: float) -> bytes:
-        """All bytes of an object."""
+        """Read all bytes of an object."""
         with self._turn(deadline):
             answer = self._ask(index, sub, f.upload(index, sub), deadline, written=False)
             if not answer.segmented:
@@ -114,7 +114,7 @@ class Objects:
                 data, toggle = data + piece, toggle ^ 1
             return data
 
-    # -- one question at a time ---------------------------------------------------------------------------------------
+    # -- one request at a time ----------------------------------------------------------------------------------------
 
     def _turn(self, deadline: float) -> AbstractContextManager[None]:
         busy = f"{self._name} is still busy with what was asked before"
@@ -131,7 +131,7 @@ class Objects:
         return answer
 
     def _flush(self, deadline: float) -> None:
-        """Ask for something else first, so that a late answer cannot belong to the next question."""
+        """Read another object first, so that a late answer cannot belong to the next request."""
         self._drain()
         self._put(f.upload(f.DEVICE_TYPE, 0))
         self._wait(lambda raw: f.read_answer(raw, f.DEVICE_TYPE, 0, written=False), f.DEVICE_TYPE, 0, deadline)
@@ -168,10 +168,10 @@ class Objects:
 
 
 class Node(ABC):
-    """One node of the bus. `mapped` are its TPDOs in use: identifier -> what takes the data."""
+    """One node of the bus. `mapped` are its TPDOs in use: identifier -> function that takes the data."""
 
     profile = 0
-    """Number of its device profile, as object 1000h holds it."""
+    """Number of its device profile, as in object 1000h."""
 
     def __init__(self, device: str, name: str, number: int, send: Send) -> None:
         self.device, self.name, self.number = device, name, number
@@ -181,16 +181,16 @@ class Node(ABC):
         self._send = send
         self._heard, self._state = 0.0, -1
         self.relied: dict[str, tuple[int, int]] = {}
-        """Objects that give its numbers their meaning: what they are, index and sub-index."""
+        """Objects that determine the meaning of its numbers: name -> index and sub-index."""
         self.errors = 0
-        """The error register (1001h) when `held` read it last."""
+        """Error register (1001h) as last read by `held`."""
         self._starts = 0
-        """How often it said that it has started."""
+        """Number of boot-up messages."""
         self._watched = False
         self._trouble = ""
 
     def open(self, deadline: float) -> None:
-        """Find out who it is, set up its PDOs and let it start; nothing moves."""
+        """Identify it, set up its PDOs and start it; nothing moves."""
         self._trouble, self._watched = "", False
         found = self.objects.read(f.DEVICE_TYPE, 0, "I", deadline) & 0xFFFF
         if found != self.profile:
@@ -211,7 +211,7 @@ class Node(ABC):
         self._watched = True
 
     def takers(self) -> dict[int, Callable[[bytes], bool | None]]:
-        """What takes its answers, heartbeats and emergencies, by their identifiers."""
+        """Identifier -> function that takes its answers, heartbeats and emergencies."""
         return {
             f.SDO_ANSWER + self.number: self.objects.take,
             f.HEARTBEAT + self.number: self.take_heartbeat,
@@ -220,20 +220,20 @@ class Node(ABC):
 
     @abstractmethod
     def set_up(self, deadline: float) -> None:
-        """Whatever the kind of node needs, PDOs first of all."""
+        """Set up PDOs and other objects of this kind of node."""
 
     def error(self, message: str) -> DeviceError:
         """An error of this node."""
         return DeviceError(self.device, f"{self.name}: {message}", self.name)
 
     def trouble(self) -> str:
-        """What is wrong with the node, if anything is; what was wrong once stays until it is opened again."""
+        """Error of the node, else empty; it stays until the node is opened again."""
         if not self._trouble and self._watched and monotonic() - self._heard > SILENT:
             self._trouble = f"{self.name}: no heartbeat for {SILENT:g} s; is its supply or its cable off?"
         return self._trouble
 
     def held(self, deadline: float) -> dict[str, float | str]:
-        """What it reports now of itself; state and starts as its last message had them, at most 0.5 s ago."""
+        """What it reports now of itself; state and starts from its last message, at most 0.5 s old."""
         if monotonic() - self._heard > SILENT:
             raise self.error(f"no heartbeat for {SILENT:g} s; is its supply or its cable off?")
         serial = self.objects.read_if_there(f.IDENTITY, 4, "I", deadline)
@@ -248,7 +248,7 @@ class Node(ABC):
         }
 
     def take_heartbeat(self, data: bytes) -> None:
-        """A heartbeat, or the word that it has started, has come."""
+        """Take a heartbeat or a boot-up message."""
         if len(data) != 1:
             return
         self._heard, self._state = monotonic(), data[0] & 0x7F
@@ -258,7 +258,7 @@ class Node(ABC):
             self._trouble = f"{self.name}: is {state} all of a sudden; it has started again, or was commanded to stop"
 
     def take_emergency(self, data: bytes) -> None:
-        """An emergency has come; code 0 says that an error is over, which ends no run's doubt."""
+        """Take an emergency; code 0 ends an error in the node, but not in this run."""
         if len(data) < 2 or self._trouble:
             return
         if code := int.from_bytes(data[:2], "little"):
@@ -267,19 +267,19 @@ class Node(ABC):
     # -- process data -------------------------------------------------------------------------------------------------
 
     def transmit(self, number: int, entries: Sequence[int], take: Callable[[bytes], bool], deadline: float) -> None:
-        """Let TPDO `number` (from 0) send `entries` at each SYNC, or what is mapped where there are none."""
+        """Have TPDO `number` (from 0) send `entries` at each SYNC; the present mapping if `entries` is empty."""
         identifier = f.TPDO[number] + self.number
         self._pdo(f.TPDO_PARAMETER + number, f.TPDO_MAPPING + number, identifier, entries, deadline)
         self.mapped[identifier] = take
 
     def receive(self, number: int, entries: Sequence[int], deadline: float) -> int:
-        """Let RPDO `number` (from 0) take the `entries`, valid from the next SYNC on; its identifier."""
+        """Have RPDO `number` (from 0) take `entries`, effective at the next SYNC; returns its identifier."""
         identifier = f.RPDO[number] + self.number
         self._pdo(f.RPDO_PARAMETER + number, f.RPDO_MAPPING + number, identifier, entries, deadline)
         return identifier
 
     def _pdo(self, parameter: int, mapping: int, identifier: int, entries: Sequence[int], deadline: float) -> None:
-        """Off, type, mapping, on, as CiA 301 has it; nothing is written where the node holds it already."""
+        """Disable, set type and mapping, enable, as in CiA 301; nothing is written if the node already holds it."""
         held = self.objects.read(parameter, 1, "I", deadline)
         used = identifier | (held & f.NO_REMOTE)
         same = held == used and self.objects.read(parameter, 2, "B", deadline) == EVERY_SYNC
@@ -311,7 +311,7 @@ class Node(ABC):
 
 
 class Transducer(Node):
-    """A transducer of the bus; `position` [um] and `velocity` [mm/s] are the newest."""
+    """A transducer of the bus; `position` [um] and `velocity` [mm/s] are its newest values."""
 
     profile = 406
 
@@ -322,7 +322,7 @@ class Transducer(Node):
         self._step = self._speed_step = 0.0
 
     def set_up(self, deadline: float) -> None:
-        """Read its steps, and let it answer to each SYNC."""
+        """Read its resolutions, and have it answer to each SYNC."""
         alarms = self.objects.read_if_there(ALARMS, 0, "H", deadline)
         if alarms is not None and alarms & NO_MAGNET:
             raise self.error("says that its magnet is missing")

@@ -1,7 +1,7 @@
-"""What a bench file says about a CAN bus, read strictly; messages and signals of a DBC file. Standard library only.
+"""Options of a CAN bus, read strictly; messages and signals of a DBC file. Standard library only.
 
-Read are messages (`BO_`), signals (`SG_`), value types (`SIG_VALTYPE_`) and cycle times (`GenMsgCycleTime`). Signals
-that are multiplexed are left out, and so not known here.
+Messages (`BO_`), signals (`SG_`), value types (`SIG_VALTYPE_`) and cycle times (`GenMsgCycleTime`) are read.
+Multiplexed signals are left out, so they are unknown here.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pmabench_drivers.canbus.link import INTERFACES, NUMBERED, RATES
 from pmabench_drivers.shared.options import Place, Reader
 
 MOST = 2_000_000
-"""Longest text that is read [characters]."""
+"""Longest text accepted [characters]."""
 EXTENDED = 1 << 31
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _MESSAGE = re.compile(r"^BO_ (\d+) (\w+) *: *(\d+) ")
@@ -30,22 +30,22 @@ PROFILES = (402, 406)
 OWN_NODE = 127
 """Node number under which the program itself sends its heartbeat."""
 DRIVE, TRANSDUCER = ("position", "demand"), ("position", "velocity")
-"""Inputs of a drive and of a transducer, after its name and a point."""
+"""Inputs of a drive and of a transducer, after its name and a dot."""
 READY = "ready"
-"""Digital input of a drive: high while it is without fault."""
+"""Digital input of a drive: high while it has no fault."""
 
 
 class NoDatabase(ValueError):
-    """The text cannot be used; says why."""
+    """The text cannot be used; states why."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """One signal: where its bits are, and the value that they mean."""
+    """One signal: position of its bits, and conversion to a value."""
 
     name: str
     start: int
-    """Number of its least significant bit, or with `big` of its most significant one, as the file counts them."""
+    """Number of its least significant bit, or with `big` of its most significant one, as counted in the file."""
     length: int
     big: bool = False
     """Motorola byte order."""
@@ -65,7 +65,7 @@ class Signal:
         return tuple(8 * (place // 8) + 7 - place % 8 for place in range(first + self.length - 1, first - 1, -1))
 
     def value(self, data: bytes) -> float:
-        """The physical value; IndexError where the frame is too short."""
+        """Physical value; IndexError if the frame is too short."""
         whole = int.from_bytes(data, "little")
         if max(self.bits) >= 8 * len(data):
             raise IndexError(f"{len(data)} bytes are too few for {self.name}")
@@ -79,7 +79,7 @@ class Signal:
         return raw * self.factor + self.offset
 
     def put(self, data: bytes, value: float) -> bytes:
-        """The frame with this value in it, as near as the bits can say it."""
+        """The frame with this value in it, rounded to the signal's resolution."""
         number = (value - self.offset) / self.factor
         if self.kind != "int":
             raw = int.from_bytes(struct.pack("<f" if self.kind == "float" else "<d", number), "little")
@@ -96,19 +96,19 @@ class Signal:
 
 @dataclass(frozen=True)
 class Message:
-    """One message and its signals that are not multiplexed."""
+    """One message and its signals, without multiplexed ones."""
 
     name: str
     identifier: int
     length: int
     extended: bool = False
     cycle: float = 0.0
-    """How often it is sent [s]; 0: not said."""
+    """Sending interval [s]; 0: not stated."""
     signals: Mapping[str, Signal] = field(default_factory=dict)
 
 
 def read_dbc(text: str) -> dict[str, Message]:
-    """The messages of a DBC file by their names; raises NoDatabase."""
+    """Messages of a DBC file by name; raises NoDatabase."""
     if len(text) > MOST:
         raise NoDatabase(f"has {len(text)} characters, and at most {MOST} are read")
     messages: dict[int, Message] = {}
@@ -119,7 +119,7 @@ def read_dbc(text: str) -> dict[str, Message]:
                 raise NoDatabase(f"line {number}: the message {current} is there twice")
             extended, length = bool(current & EXTENDED), _whole(found[3], number)
             if length > 8 or (current & ~EXTENDED) >= 1 << (29 if extended else 11):
-                current = -1  # CAN FD, or a place for signals of no message
+                current = -1  # CAN FD, or the placeholder for signals without a message
                 continue
             messages[current] = Message(found[2], current & ~EXTENDED, length, extended)
         elif line.lstrip().startswith("SG_ ") and current in messages:
@@ -177,31 +177,31 @@ class NodeOptions:
     profile: int
     number: int
     approach: float = 0.0
-    """Speed at which a drive goes to a plain set-point [m/s]."""
+    """Speed of a drive to a plain set-point [m/s]."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Everything about one bus."""
+    """Options of one bus."""
 
     bitrate: int = 500_000
     sync: float = 0.01
     """Time between two SYNCs [s]."""
     own_node: int = OWN_NODE
     slowest: float = 0.1
-    """A signal may be so old [s]."""
+    """Largest age of a signal [s]."""
     nodes: Mapping[str, NodeOptions] = field(default_factory=dict)
     messages: Mapping[str, Message] = field(default_factory=dict)
 
     def signal(self, name: str) -> tuple[Message, Signal] | None:
-        """The signal `message.signal`."""
+        """Message and signal `MESSAGE.SIGNAL`; None if unknown."""
         message_name, _, signal_name = name.partition(".")
         message = self.messages.get(message_name)
         signal = message.signals.get(signal_name) if message is not None else None
         return None if message is None or signal is None else (message, signal)
 
     def inputs(self) -> list[str]:
-        """Every input that a channel may use."""
+        """Names of all inputs that a channel may use."""
         known = [
             f"{name}.{what}"
             for name, node in self.nodes.items()
@@ -211,7 +211,7 @@ class Options:
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
-    """The options of a device and the names that its channels, outputs and interlocks use."""
+    """Options of a device; also checks the names that its channels, outputs and interlocks use."""
     here: Place = ("options",)
     given = reader.keys(device.options, here, ("bitrate", "sync", "own_node", "slowest", "nodes", "dbc"))
     _address(device.address, reader)

@@ -3,9 +3,9 @@
 Here: options, scans as bytes, the device interface; `emulator`: a device on a pseudo-terminal.
 
 Source: Data Acquisition Instrument Command Protocol, DATAQ Instruments, 2019. A scan has one word of two bytes for each
-entry of the scan list, low byte first, and no mark. So the digital inputs are the last entry of each scan: their low
-byte holds D1 and D0 complemented, their high byte D6 to D0, and as long as nothing is switched the word never changes;
-where it does, bytes were lost.
+entry of the scan list, low byte first, and no synchronisation mark. So the digital inputs are the last entry of each
+scan: their low byte holds D1 and D0 complemented, their high byte D6 to D0, and this word is constant while nothing
+is switched; a change means that bytes were lost.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ INPUTS = tuple(f"a{number}" for number in range(8))
 DIGITAL = 8
 """Entry of the scan list for the digital inputs."""
 DIVIDEND = 60_000_000
-"""By which `srate` divides [Hz]."""
+"""Frequency that is divided by `srate` [Hz]."""
 SLOWEST = 65535
 """Largest `srate`."""
 FASTEST = 6000
-"""Smallest `srate` that is used here: 10 kHz for each input."""
+"""Smallest `srate` used here: 10 kHz for each input."""
 MOST_DEC = 512
 OVERRUN = b"stop 01"
-"""What the device sends last when its buffer has run over."""
+"""Last bytes sent when the device's buffer has overrun."""
 LATENCY = 0.02
-"""A USB packet is filled within this, where the smallest one allows [s]."""
+"""Largest time to fill a USB packet, if the smallest packet allows it [s]."""
 FILTERS = {"last": 0, "average": 1}
 
 
 @dataclass(frozen=True)
 class Model:
-    """What one kind of device can do."""
+    """Properties of one kind of device."""
 
     name: str
     ranges: tuple[str, ...]
     """Ranges (+-) in the order of their codes in the scan list."""
     shift: int = 0
-    """Bits at the low end that are no data."""
+    """Number of low bits without data."""
     decimates: bool = True
 
 
@@ -63,7 +63,7 @@ MODELS = {
 
 
 def divisors(model: Model, rate: float, dividend: int) -> tuple[int, int]:
-    """`srate` and `dec` for the rate nearest to the one that is asked for [Hz]; without `dec` never under 915.5 Hz."""
+    """`srate` and `dec` for the possible rate nearest to `rate` [Hz]; without `dec` at least 915.5 Hz."""
     wanted = dividend / rate
 
     def off(dec: int) -> tuple[float, int]:
@@ -78,17 +78,17 @@ def _srate(wanted: float, dec: int) -> int:
 
 
 def packet(bytes_per_second: float) -> int:
-    """The largest `ps` whose packet, 16 << ps bytes, fills within LATENCY; 0 where none does."""
+    """The largest `ps` whose packet of 16 << ps bytes fills within `LATENCY`; 0 if none does."""
     return max((n for n in range(8) if 16 << n <= LATENCY * bytes_per_second), default=0)
 
 
 def volts(model: Model, span: float, raw: int) -> float:
-    """An analogue word [counts with sign] as volts, at a range of +-`span` [V]."""
+    """Analogue word [signed counts] in volts, for a range of +-`span` [V]."""
     return span * (raw >> model.shift) / (32768 >> model.shift)
 
 
 def counts(model: Model, span: float, value: float) -> int:
-    """Volts as the device sends them."""
+    """Volts as an analogue word of the device."""
     full = 32768 >> model.shift
     return min(max(round(value / span * full), -full), full - 1) << model.shift
 
@@ -100,13 +100,13 @@ def plausible(word: int) -> bool:
 
 
 class Lost(Exception):
-    """Bytes are missing or too many: what follows cannot be separated."""
+    """Bytes are missing or surplus: the following scans cannot be separated."""
 
 
 class Scans:
-    """Cuts a stream into scans of `inputs` words and the digital inputs; raises Lost at the first scan that is broken.
+    """Splits a stream into scans of `inputs` words and the digital inputs; raises Lost at the first broken scan.
 
-    What stood whole before is in `whole` also then.
+    The complete scans before it are in `whole` in that case, too.
     """
 
     def __init__(self, inputs: int) -> None:
@@ -116,7 +116,7 @@ class Scans:
         self.whole: list[tuple[int, ...]] = []
 
     def feed(self, data: bytes) -> list[tuple[int, ...]]:
-        """The analogue words of the scans that end in `data`."""
+        """Analogue words of the scans that are completed by `data`."""
         self.whole = []
         self._rest += data
         size, at = self._words.size, 0
@@ -157,19 +157,19 @@ class Options:
 
     model: Model = MODELS["DI-2108"]
     ranges: Mapping[str, int] = field(default_factory=dict)
-    """Code of each input's range, where it is not the widest."""
+    """Code of each input's range, if it is not the widest."""
     baud: int = 115200
-    """Of no meaning on USB."""
+    """Without effect on USB."""
     filter: int = 0
-    """What becomes of the points between two samples: 0 the last one counts, 1 they are averaged."""
+    """Treatment of conversions between two samples: 0: only the last one is used, 1: they are averaged."""
 
     def span(self, source: str) -> float:
-        """Range of an input, to both sides [V]."""
+        """Range of an input, in both directions [V]."""
         return float(self.model.ranges[self.ranges.get(source, 0)].removesuffix(" V"))
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
-    """The options of a device, and the inputs that its channels use."""
+    """Options of a device; also checks the inputs that its channels use."""
     place = ("options",)
     given = reader.keys(device.options, place, ("model", "ranges", "filter"), ("model",))
     reader.port(device, "/dev/ttyACM0")
@@ -194,7 +194,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
 
 
 def scan_inputs(device: DeviceRecord) -> list[str]:
-    """The inputs that are scanned, each once, in the order of the scan list."""
+    """Scanned inputs, each once, in the order of the scan list."""
     used = {channel.input for channel in device.channels}
     return [source for source in INPUTS if source in used]
 
@@ -204,13 +204,13 @@ STOP = b"stop\r"
 ANSWER = 0.1
 """Longest wait for the echo of a command [s]."""
 LOSSES, WITHIN = 3, 5.0
-"""More losses than this within so many seconds are an error."""
+"""More losses than `LOSSES` within this time [s] are an error."""
 SLIP = 0.1
-"""More than this the scans of a whole second may not be later than they were: scans are missing [s]."""
+"""Delay of the scans of a whole second above which scans must be missing [s]."""
 
 
 class Dataq(SerialStream):
-    """A DATAQ device: its inputs are `a0` to `a7` [V], all taken at the device's own rate."""
+    """A DATAQ device: its inputs are `a0` to `a7` [V], all sampled at the device's own rate."""
 
     emulator = "pmabench_drivers.dataq.emulator"
     read_options = staticmethod(read_options)
@@ -227,7 +227,7 @@ class Dataq(SerialStream):
         super()._forget()
         self._losses: list[float] = []
         self.lost = 0
-        """How often the stream broke and was begun again; each is a gap in the times."""
+        """How often the stream broke and was restarted; each is a gap in the times."""
         self._newest = -1.0
         self._begin_scans()
 
@@ -239,7 +239,7 @@ class Dataq(SerialStream):
         self._pace = Pace(SLIP)
 
     def _greet(self) -> Identity:
-        """Stop what is under way, see that it is the right device, and give it the scan list."""
+        """Stop any scan in progress, check the model, and write the scan list."""
         self._quiet()
         identity = self._identity()
         self._ask("encode 0")
@@ -254,7 +254,7 @@ class Dataq(SerialStream):
         return identity
 
     def start(self, rate: float) -> float:
-        """Scan at the rate nearest to `rate` [Hz] that the device can divide; returns it."""
+        """Scan at the possible rate nearest to `rate` [Hz]; returns it."""
         port = self._ready(rate)
         srate, dec = divisors(self._options.model, rate, self._dividend)
         self._rate = self._dividend / (srate * dec)
@@ -278,7 +278,7 @@ class Dataq(SerialStream):
     # -- the stream -------------------------------------------------------------------------------------------------
 
     def _take(self, data: bytes, now: float) -> None:
-        """Bytes that came at `now` [s, bench time]."""
+        """Process bytes that arrived at `now` [s, bench time]."""
         if self._failure:
             return
         if self._echo is not None:
@@ -296,7 +296,7 @@ class Dataq(SerialStream):
 
     def _keep(self, whole: list[tuple[int, ...]], now: float) -> None:
         if self._number == 0:
-            # what came before this piece is older by as many periods; behind a loss time stays ahead of what was
+            # the scans before the last of this piece are older by one period each; after a loss, times still increase
             self._origin = max(now - (len(whole) - 1) / self._rate, self._newest + 2 / self._rate)
         self._heard = monotonic()
         model, spans = self._options.model, self._spans
@@ -307,14 +307,14 @@ class Dataq(SerialStream):
             self._samples.append(
                 round(self._newest * 1e9), [values[column] for column in self._columns], round(now * 1e9)
             )
-        # scans have no numbers: that some never came shows in that all that follow seem to come late
+        # scans are not numbered: missing ones make all that follow appear to be late
         if (behind := self._pace.behind(self._newest, now)) > 0:
             self._failure = f"is {behind:.2f} s behind its clock: scans are lost, or it is slower than it says"
         elif behind < 0:
             self._failure = f"sends more scans than {self._rate:g} a second"
 
     def _begin_again(self) -> None:
-        """Stop after lost bytes, since nothing shows where a scan begins; start again after the echo of the stop."""
+        """Stop after lost bytes, since the start of a scan cannot be found; start again after the echo of the stop."""
         now = monotonic()
         self.lost += 1
         self._losses = [moment for moment in self._losses if now - moment < WITHIN] + [now]
@@ -330,10 +330,10 @@ class Dataq(SerialStream):
             self._begin_scans()
             self._opened().send(b"start 0\r")
 
-    # -- questions --------------------------------------------------------------------------------------------------
+    # -- requests ---------------------------------------------------------------------------------------------------
 
     def _quiet(self) -> None:
-        """Stop a scan that may be under way: its bytes come before the echo."""
+        """Stop a scan that may be in progress: its bytes arrive before the echo."""
         port = self._opened()
         for _ in range(2):
             port.drain()

@@ -15,12 +15,12 @@ from pmabench_drivers.shared.options import options_of
 
 GARBAGE = b"\x00\x7f\x15"
 LEVELS = 0x7F00
-"""The digital inputs with nothing wired: all high."""
+"""The digital inputs without wires: all high."""
 SET = {"encode": (0, 0), "ps": (0, 7), "srate": (375, 65535), "dec": (1, 512), "deca": (1, 40000)}
 
 
 class Daq(Streaming):
-    """One device; an input that no channel names reads 0 V."""
+    """One device; an input without a channel reads 0 V."""
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
         self._options, self._plant, self._name = options_of(device, read_options), plant, device.name
@@ -31,9 +31,9 @@ class Daq(Streaming):
         self._packet = b""
 
     def command(self, line: str) -> None:
-        """As a device answers: the echo of the line, and what belongs behind it."""
+        """Answer a command: the echo of the line, followed by the result."""
         if self.streaming and line != "stop":
-            return  # nothing else is heard while it scans
+            return  # it accepts no other command while it scans
         fault = self.next_fault() if not self.streaming else Fault()
         if fault.kind == "silence":
             return
@@ -59,7 +59,7 @@ class Daq(Streaming):
         return ""
 
     def send_what_is_due(self) -> None:
-        """All scans up to now, in whole packets."""
+        """Send all scans up to now, in whole packets."""
         now = monotonic()
         period = self._set["srate"] * self._set["dec"] * self._set["deca"] / DIVIDEND
         while self.streaming and self.due <= now:
@@ -91,4 +91,4 @@ class Daq(Streaming):
 
 
 serve = Daq
-"""The device that the driver `dataq` talks to."""
+"""Emulated device for the driver `dataq`."""

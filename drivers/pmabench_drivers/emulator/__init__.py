@@ -1,11 +1,11 @@
 """The plant of the mock behind real wires: Modbus TCP on 127.0.0.1, Modbus RTU and serial text on pseudo-terminals.
 
-`plant`: the muscle in real time, and what is wired to a device; `truth`: what is really wired, and what is wrong with
-it; `modbus_server`: Modbus devices; `ports`: where emulated devices listen; `faults`: what goes wrong, and what
-happened, written down. Each emulated device is next to its driver. Here: the devices of a bench, each on its own wire,
-served from one plant; and a socket for loads, faults and the log.
+`plant`: the muscle in real time, and the wiring of a device; `truth`: the actual wiring, and its errors;
+`modbus_server`: Modbus devices; `ports`: addresses of emulated devices; `faults`: faults, and the log. Each emulated
+device is next to its driver. Here: the devices of a bench, each on its own wire, served from one plant; and a control
+socket for loads, faults and the log.
 
-The socket on 127.0.0.1 takes one JSON object a line:
+The socket on 127.0.0.1 takes one JSON object per line:
 `{"load": {"force": 58.86, "mass": 6}}`, `{"device": "regulator", "fault": "delay", "value": 0.3, "count": 5}`,
 `{"plant": "burst"}` (a fault of the mock; `"over": true` ends it), `{"log": "set"}`. Each is answered by one line,
 `{"ok": true, ...}` or `{"ok": false, "why": "..."}`.
@@ -36,11 +36,11 @@ NOTHING_TO_SERVE = (
     "(`pmabench list benches` shows benches of real devices)"
 )
 PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
-"""What can go wrong with the plant."""
+"""Possible faults of the plant."""
 
 
 class Control:
-    """Listens, and hands each object to `act`."""
+    """Listens for requests, and calls `act` with each object."""
 
     def __init__(self, act: Callable[[Mapping[str, Any]], dict[str, Any]], port: int = 0) -> None:
         self._act = act
@@ -49,7 +49,7 @@ class Control:
         threading.Thread(target=self._accept, name="control", daemon=True).start()
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         hang_up(self._listener)
 
     def _accept(self) -> None:
@@ -71,11 +71,11 @@ class Control:
 
 
 def server_of(driver: str) -> str:
-    """The module that the driver's class names as its `emulator`; empty: it has none.
+    """The module in the `emulator` attribute of the driver's class; empty without one.
 
-    Its `serve(device, plant, log)` makes the device that the driver talks to. That writes what it exchanges to
-    `log.tap(device.name)`, names its faults as `Faults(LINK, ...)` and listens by `ports.listen`. For each event of
-    `faults.EVENTS` among its faults it has that method.
+    Its `serve(device, plant, log)` makes the device that the driver talks to. That device writes what it exchanges to
+    `log.tap(device.name)`, declares its faults as `Faults(LINK, ...)` and listens by `ports.listen`. For each event of
+    `faults.EVENTS` among its faults it has the method named there.
     """
     module, _, name = driver.partition(":")
     try:
@@ -85,12 +85,11 @@ def server_of(driver: str) -> str:
 
 
 class Emulator:
-    """The devices whose drivers have an emulator, at the addresses that the bench gives them.
+    """The devices whose drivers have an emulator, at their addresses in the bench.
 
-    `truth` says what is really wired to them and by which scales, as `pmabench.bench.truth.read_truth` gives it: only
-    addresses are then taken from the bench. Without it everything is derived from the bench, and no scale is `proven`.
-    `wrong` lists what differs from either, as "scale:force=0.5" or "swap:pressure=force", values in SI
-    (`pmabench_drivers.emulator.truth`).
+    `truth` is the actual wiring and scales, from `pmabench.bench.truth.read_truth`; the bench then only gives the
+    addresses. Without it everything is derived from the bench, and no scale is `proven`. `wrong` lists deviations from
+    either, as "scale:force=0.5" or "swap:pressure=force", values in SI (`pmabench_drivers.emulator.truth`).
     """
 
     def __init__(
@@ -122,7 +121,7 @@ class Emulator:
         self.plant = RealPlant(plant, preset, dump_valve=valve, driven=driven, seed=seed)
         self.log = CommandLog(log)
         self.devices: dict[str, Any] = {}
-        """Each emulated device: its `address` and `faults`, `start`, `close`, and what can happen to it."""
+        """Each emulated device, with `address`, `faults`, `start`, `close`, and methods for its events."""
         try:
             for device, error in zip(served, errors, strict=True):
                 self.devices[device.name] = self._serve(device, error)
@@ -137,7 +136,7 @@ class Emulator:
         self.plant.keep_up()
 
     def close(self) -> None:
-        """End everything; what was linked is unlinked."""
+        """Stop everything; removes symbolic links."""
         self.plant.close()
         for device in self.devices.values():
             device.close()
@@ -146,7 +145,7 @@ class Emulator:
         self.log.close()
 
     def lines(self) -> Sequence[str]:
-        """What is served where, a line each."""
+        """One line for each served device, with its address."""
         return [f"{name}: {device.address}" for name, device in self.devices.items()]
 
     def _serve(self, device: DeviceRecord, errors: Errors) -> Any:
@@ -156,20 +155,20 @@ class Emulator:
         return served
 
     def kind(self, device: str, fault: str) -> Kind:
-        """What a fault of a device is; ValueError where there is no such device or it has no such fault."""
+        """Description of a fault of a device; ValueError if there is no such device or fault."""
         if device not in self.devices:
             raise ValueError(f'no device "{device}"{did_you_mean(device, self.devices)}')
         return Kind("ends what went wrong") if fault == "clear" else self.devices[device].faults.known(fault)
 
     def _happen(self, name: str, event: str, value: float) -> None:
-        """Let an event happen to a device; ValueError where it cannot happen now."""
+        """Cause an event in a device; ValueError if it is not possible now."""
         takes = bool(self.kind(name, event).takes)
         if getattr(self.devices[name], EVENTS[event])(*([value] if takes else [])) is False:
             missing = "has no set-point" if event == "setpoint" else "has no armed watchdog"
             raise ValueError(f'"{event}" cannot happen now: {name} {missing}')
 
     def act(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        """Carry out one request of the control socket, in SI; ValueError for what cannot be done."""
+        """Carry out one request of the control socket, in SI; ValueError if that is not possible."""
         if "load" in wanted:
             force, mass = float(wanted["load"]["force"]), float(wanted["load"]["mass"])
             self.plant.load(force, mass)

@@ -1,9 +1,9 @@
-"""What can go wrong with an emulated device or its link, called up while it runs; and what happened, written down.
+"""Faults of an emulated device or its link, set while it runs; and the log of what happened.
 
-One vocabulary of faults for all: `KINDS`. A device says which of them it has; `Outgoing` makes what a link does to
-whole answers. The log has JSON lines with monotonic time: every exchange, and what was commanded. Its kinds: `received`
+All faults are defined in `KINDS`. A device declares those that it has; `Outgoing` applies the faults of a link to
+complete answers. The log has JSON lines with monotonic time: every exchange, and every command. Its kinds: `received`
 and `sent` (bytes as hex, seen from the emulated device), `connect`, `disconnect`, `lost`; `set`, `switch`, `watchdog`
-and others that devices name; `load`, `plant`, `fault` for what was done to them. Knows no protocol.
+and others of the devices; `load`, `plant`, `fault` for requests to the control socket. Independent of the protocol.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from typing import Any
 from pmabench.base.errors import did_you_mean
 
 Tap = Callable[[str, bytes], None]
-"""Takes the word `received` or `sent`, and the bytes."""
+"""Called with the word `received` or `sent`, and the bytes."""
 EVENTS = {
     "watchdog": "expire_watchdog",
     "watchdog-off": "switch_off_watchdog",
     "restart": "restart",
     "setpoint": "change_set_point",
 }
-"""What happens once, and the method of an emulated device that does it: it takes the value where there is one, and
-returns False where the device is not in a state in which it can happen."""
+"""Single events, and the method of an emulated device that causes them: it takes the value if there is one, and
+returns False if the event is not possible in the present state.
+"""
 GARBAGE = b"\x00\xff\x13"
 
 
 class CommandLog:
-    """Keeps every entry but exchanges in memory, and everything in a file where one is named.
+    """Keeps all entries except exchanges in memory, and all entries in a file if one is given.
 
-    `problem` says why the file ends early, where it does.
+    `problem`: why the file is incomplete; else empty.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -46,14 +47,14 @@ class CommandLog:
         self.problem = ""
 
     def note(self, kind: str, device: str, **data: Any) -> None:
-        """One entry: monotonic time `t` [s], kind, device, and whatever else."""
+        """Add an entry: monotonic time `t` [s], kind, device, and `data`."""
         entry = {"t": monotonic(), "kind": kind, "device": device, **data}
         with self._lock:
             self.entries.append(entry)
             self._write(entry)
 
     def tap(self, device: str, **more: Any) -> Tap:
-        """A function that writes the exchanges of a device to the log."""
+        """Function that writes the exchanges of a device to the log."""
 
         def note(kind: str, data: bytes) -> None:
             if self._file is not None and data:
@@ -72,7 +73,7 @@ class CommandLog:
             self._file = None
 
     def of(self, kind: str, device: str = "") -> list[dict[str, Any]]:
-        """The entries of a kind (and of a device) so far, exchanges left out."""
+        """Entries of a kind (and of a device) so far, without exchanges."""
         with self._lock:
             return [e for e in self.entries if e["kind"] == kind and device in {"", e["device"]}]
 
@@ -86,7 +87,7 @@ class CommandLog:
 
 @dataclass(frozen=True)
 class Kind:
-    """What a fault does, and what its value is: a `time` [s], a `ratio`, a whole `number`, a `level`, or nothing."""
+    """Effect of a fault, and its value: a `time` [s], a `ratio`, a whole `number`, a `level`, or nothing."""
 
     means: str
     takes: str = ""
@@ -106,7 +107,7 @@ LINK = {
     "hang-up": Kind("the connection is closed at the next request"),
     "reset": Kind("the connection is reset at the next request; a board starts again"),
 }
-"""What can happen on every wire. A device that sends by itself has samples for answers."""
+"""Faults of every wire. For a device that sends by itself, samples are its answers."""
 STUCK = {"stuck": Kind("measured values stay as they were when it began")}
 SKEW = {"skew": Kind("the device's clock runs so much too fast (below 0: too slow)", "ratio", 1e-3)}
 EXPIRY = {"watchdog": Kind("the armed watchdog expires now, once")}
@@ -137,7 +138,7 @@ class Fault:
 
 
 class Faults:
-    """The fault of one device, used by its threads; `kinds` are those that it has."""
+    """The present fault of one device, used by its threads; `kinds` are its possible ones."""
 
     def __init__(self, *kinds: dict[str, Kind]) -> None:
         self.kinds = {name: kind for group in kinds or (KINDS,) for name, kind in group.items()}
@@ -146,13 +147,13 @@ class Faults:
         self._chance = random.Random(1)
 
     def known(self, kind: str) -> Kind:
-        """What a kind means here; ValueError for one that the device does not have."""
+        """Description of a kind; ValueError if the device does not have it."""
         if kind not in self.kinds:
             raise ValueError(f'no fault "{kind}"{did_you_mean(kind, [*self.kinds, "clear"])}')
         return self.kinds[kind]
 
     def set(self, kind: str, value: float | None = None, count: int = -1) -> None:
-        """Let it happen from the next request on; ValueError for a kind that is not known. `clear` ends it."""
+        """Set the fault for the next requests; ValueError for an unknown kind. `clear` ends it."""
         fault = Fault()
         if kind != "clear":
             usual = self.known(kind).usual
@@ -177,14 +178,14 @@ class Faults:
 
 
 class Outgoing:
-    """The sending end of one connection: turns each answer into what the fault lets through."""
+    """The sending end of one connection: applies a fault to each answer."""
 
     def __init__(self, garbage: bytes = GARBAGE) -> None:
         self._garbage = garbage
         self._before = self._kept = b""
 
     def of(self, data: bytes, fault: Fault) -> bytes:
-        """What leaves in place of `data`, which may be nothing; waits where the answer is delayed."""
+        """Bytes sent instead of `data`, possibly none; waits if the answer is delayed."""
         before, self._before = self._before, data
         kept, self._kept = self._kept, b""
         if fault.kind in {"silence", "lost"}:
@@ -198,7 +199,7 @@ class Outgoing:
 
 
 def damaged(data: bytes, fault: Fault, garbage: bytes = GARBAGE) -> bytes:
-    """One answer as a bad wire delivers it."""
+    """One answer as delivered by a faulty wire."""
     if fault.kind == "truncated":
         return data[: max(0, len(data) - int(fault.value))]
     if fault.kind == "corrupted" and data:
@@ -210,13 +211,13 @@ def damaged(data: bytes, fault: Fault, garbage: bytes = GARBAGE) -> bytes:
 
 
 class DeviceClock:
-    """The clock of a device that times its samples itself, and that the fault `skew` lets run fast or slow."""
+    """The clock of a device that timestamps its samples; the fault `skew` makes it run fast or slow."""
 
     def __init__(self, faults: Faults) -> None:
         self._faults, self._at, self._shown = faults, monotonic(), 0.0
 
     def now(self) -> float:
-        """Its time since it was made [s]."""
+        """Time since it was created [s]."""
         fault, at = self._faults.peek(), monotonic()
         self._shown += (at - self._at) * (1.0 + (fault.value if fault.kind == "skew" else 0.0))
         self._at = at

@@ -1,6 +1,6 @@
-"""Emulated Modbus devices: requests and answers as bytes, and the connections, or the pseudo-terminal, that carry them.
+"""Emulated Modbus devices: requests and answers as bytes, and the connections or pseudo-terminal that carry them.
 
-Written apart from the driver's library, so that each is a check of the other; knows no registers. Layouts: Modbus
+Written independently of the driver's library, so that each is a check of the other; uses no registers. Layouts: Modbus
 Application Protocol 1.1b3, section 6; MBAP header: Modbus Messaging on TCP/IP 1.0b, section 3.1.3; CRC-16: Modbus over
 Serial Line 1.02, section 6.2.2.
 """
@@ -25,16 +25,16 @@ from pmabench_drivers.emulator.ports import Terminal, accepted, bracketed, hang_
 READS = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
 WRITES = {5: "coil", 6: "holding", 15: "coil", 16: "holding"}
 FUNCTION, ADDRESS, VALUE = 1, 2, 3
-"""Exception codes: no such function, no such address, a value or count that cannot be."""
+"""Exception codes: illegal function, illegal address, illegal value or count."""
 WATCH = 0.005
-"""How often the watchdog is looked at [s]."""
+"""Interval for checking the watchdog [s]."""
 KINDS = (f.LINK, f.STUCK, f.MODBUS)
 IDENTIFY = b"\x2b\x0e"
 
 
 @dataclass(frozen=True)
 class Request:
-    """A question: `values` is empty where it reads. `count` is the number of registers or bits."""
+    """A request: `values` is empty if it reads. `count` is the number of registers or bits."""
 
     function: int
     address: int
@@ -43,7 +43,7 @@ class Request:
 
     @property
     def table(self) -> str:
-        """The table that it is about."""
+        """The table that it reads or writes."""
         return READS.get(self.function) or WRITES[self.function]
 
 
@@ -56,7 +56,7 @@ class Refused(Exception):
 
 
 def parse(pdu: bytes) -> Request:
-    """A request without its header; `Refused` where the specification says so."""
+    """A request without its header; raises `Refused` as in the specification."""
     function = pdu[0]
     try:
         if function in READS:
@@ -84,7 +84,7 @@ def parse(pdu: bytes) -> Request:
 
 
 def answer(request: Request, values: Sequence[int]) -> bytes:
-    """The answer to a request: what was read, or the echo of what was written."""
+    """Answer to a request: the values read, or the echo of a write."""
     head = bytes([request.function])
     if request.function in {3, 4}:
         return head + bytes([2 * len(values)]) + struct.pack(f">{len(values)}H", *values)
@@ -96,7 +96,7 @@ def answer(request: Request, values: Sequence[int]) -> bytes:
 
 
 def read_cells(cells: Mapping[int, int], request: Request) -> list[int]:
-    """The registers that are asked for; `Refused` where one is not there."""
+    """The requested registers; `Refused` if one does not exist."""
     wanted = range(request.address, request.address + request.count)
     if any(address not in cells for address in wanted):
         raise Refused(ADDRESS)
@@ -108,7 +108,7 @@ def refusal(function: int, code: int) -> bytes:
     return bytes([function | 0x80, code])
 
 
-# -- frames around them ---------------------------------------------------------------------------------------------
+# -- frames ---------------------------------------------------------------------------------------------------------
 
 
 def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
@@ -117,9 +117,9 @@ def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
 
 
 def split_mbap(data: bytes) -> tuple[int, int, bytes, bytes] | None:
-    """Transaction, unit and PDU of the first whole frame in `data`, and the rest; None while it is not whole.
+    """Transaction, unit and PDU of the first complete frame in `data`, and the rest; None while it is incomplete.
 
-    ValueError where this is no Modbus TCP.
+    ValueError if it is no Modbus TCP.
     """
     if len(data) < 8:
         return None
@@ -132,7 +132,7 @@ def split_mbap(data: bytes) -> tuple[int, int, bytes, bytes] | None:
 
 
 def crc16(data: bytes) -> bytes:
-    """The check of a serial frame, low byte first."""
+    """CRC of a serial frame, low byte first."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte
@@ -148,9 +148,9 @@ def rtu(unit: int, pdu: bytes) -> bytes:
 
 
 def split_rtu(data: bytes) -> tuple[int, bytes, bytes] | None:
-    """Unit and PDU of the first whole request in `data`, and the rest; None while it is not whole.
+    """Unit and PDU of the first complete request in `data`, and the rest; None while it is incomplete.
 
-    Bytes in front that begin no request with a right check are dropped.
+    Bytes before it that do not begin a request with a correct CRC are dropped.
     """
     for start in range(max(0, len(data) - 7)):
         part = data[start:]
@@ -161,26 +161,26 @@ def split_rtu(data: bytes) -> tuple[int, bytes, bytes] | None:
 
 
 def events(registers: object) -> Iterator[dict[str, Kind]]:
-    """The events that can happen to what is behind a wire."""
+    """The events that are possible with these registers."""
     for kinds in (f.EXPIRY, f.WATCHDOG_OFF, f.RESTART, f.SETPOINT):
         if all(hasattr(registers, f.EVENTS[name]) for name in kinds):
             yield kinds
 
 
 class Answering(Protocol):
-    """What is behind a wire: the registers of one device."""
+    """Interface of what is behind a wire: the registers of one device."""
 
     device: DeviceRecord
 
     def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
-        """What is read, or nothing; `Refused` where the device says no."""
+        """Registers read, or an empty list for a write; raises `Refused`."""
 
     def look_at_watchdog(self) -> None:
-        """Vent by itself where its watchdog has run out."""
+        """Vent by itself if its watchdog has expired."""
 
 
 class _Device:
-    """What both kinds of wire share: a request goes in, an answer comes out, or none, or the connection ends."""
+    """Common to both kinds of wire: a request is answered or not, or the connection ends."""
 
     def __init__(self, registers: Answering, unit_id: int, log: CommandLog) -> None:
         self.registers, self.log, self.unit_id = registers, log, unit_id
@@ -190,22 +190,22 @@ class _Device:
         self._threads = [threading.Thread(target=self._watch, name="emulated watchdog", daemon=True)]
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start serving."""
         for thread in self._threads:
             thread.start()
 
     def close(self) -> None:
-        """End."""
+        """Stop serving."""
         self._ended.set()
 
     def __getattr__(self, event: str) -> Any:
-        """What happens to it from outside (`faults.EVENTS`) happens to its registers."""
+        """Events from outside (`faults.EVENTS`) are those of the registers."""
         if event not in f.EVENTS.values():
             raise AttributeError(event)
         return getattr(self.registers, event)
 
     def answer(self, pdu: bytes, connection: int) -> tuple[bytes, Fault] | None:
-        """Carry out a request: its answer without a frame, and the fault that meets it; None for no answer."""
+        """Carry out a request: answer without a frame, and the fault that applies; None without an answer."""
         fault = self.faults.next()
         if fault.kind in {"hang-up", "reset"}:
             raise ConnectionAbortedError(fault.kind)
@@ -217,12 +217,12 @@ class _Device:
             return refusal(pdu[0], refused.code), fault
 
     def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
-        """Carry out a request and give its answer without a frame; `Refused` where the device says no."""
+        """Carry out a request; returns the answer without a frame, or raises `Refused`."""
         request = parse(pdu)
         return answer(request, self.values(request, connection, fault))
 
     def values(self, request: Request, connection: int, fault: Fault) -> list[int]:
-        """What is read, with the fault of the moment."""
+        """Values read, with the present fault."""
         if fault.kind == "exception":
             raise Refused(int(fault.value))
         values = self.registers.carry_out(request, connection, ignore=fault.kind == "ignore")
@@ -234,7 +234,7 @@ class _Device:
 
 
 class TcpDevice(_Device):
-    """Modbus TCP at the host of the device's address; port 0 takes a free one. `address` says which."""
+    """Modbus TCP at the host of the device's address; port 0 takes a free one, see `address`."""
 
     def __init__(self, registers: Answering, unit_id: int, log: CommandLog, port: int) -> None:
         super().__init__(registers, unit_id, log)
@@ -245,7 +245,7 @@ class TcpDevice(_Device):
         self._threads.append(threading.Thread(target=self._accept, name="emulated Modbus", daemon=True))
 
     def close(self) -> None:
-        """Close every connection."""
+        """Stop serving and close every connection."""
         super().close()
         hang_up(self._listener, *self._open)
 
@@ -273,7 +273,7 @@ class TcpDevice(_Device):
         except ConnectionAbortedError as error:
             if str(error) == "reset":
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        except (OSError, ValueError) as error:  # the other end is gone, or speaks no Modbus
+        except (OSError, ValueError) as error:  # the other end has gone, or sends no Modbus
             self.log.note("lost", self.registers.device.name, connection=number, why=str(error))
         finally:
             self._open.discard(connection)
@@ -282,7 +282,7 @@ class TcpDevice(_Device):
 
 
 class RtuDevice(_Device):
-    """Modbus RTU on a pseudo-terminal that is reached by the link `path`; answers in the order of the questions."""
+    """Modbus RTU on a pseudo-terminal with the symbolic link `path`; answers in the order of requests."""
 
     def __init__(self, registers: Answering, unit_id: int, log: CommandLog, path: str) -> None:
         super().__init__(registers, unit_id, log)
@@ -291,7 +291,7 @@ class RtuDevice(_Device):
         self._threads.append(threading.Thread(target=self._serve, name="emulated Modbus RTU", daemon=True))
 
     def close(self) -> None:
-        """Hang up."""
+        """Stop serving and close the terminal."""
         super().close()
         self._terminal.close()
 
@@ -316,10 +316,10 @@ class RtuDevice(_Device):
 
 
 class NamedRegisters(ABC):
-    """Holding registers of a device with a time-out, which any communication begins anew, and with names."""
+    """Named holding registers of a device with a time-out, which any communication restarts."""
 
     timeout: int
-    """[ms]; 0: never."""
+    """Time-out [ms]; 0: never."""
 
     def __init__(self, device: DeviceRecord, product: str, model: str) -> None:
         self.device = device
@@ -328,12 +328,12 @@ class NamedRegisters(ABC):
         self._lock, self._heard = threading.Lock(), monotonic()
 
     def hear(self) -> None:
-        """Any communication."""
+        """Note any communication, which restarts the time-out."""
         with self._lock:
             self._heard = monotonic()
 
     def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
-        """What is read, or nothing; `Refused` where the device says no."""
+        """Registers read, or an empty list for a write; raises `Refused`."""
         self.hear()
         if request.table != "holding":
             raise Refused(FUNCTION)
@@ -345,25 +345,25 @@ class NamedRegisters(ABC):
 
     @abstractmethod
     def _cells(self) -> Mapping[int, int]:
-        """Everything that can be read now."""
+        """All registers that can be read now."""
 
     @abstractmethod
     def _write(self, request: Request, connection: int, *, ignore: bool) -> None:
-        """Carry out what is written; `Refused` where the device says no."""
+        """Carry out a write; raises `Refused`."""
 
     @abstractmethod
     def look_at_watchdog(self) -> None:
-        """Act by itself where its time-out has ended."""
+        """Act by itself if its time-out has expired."""
 
     def switch_off_watchdog(self) -> bool:
-        """Another program takes the time-out away; whether there was one."""
+        """Set the time-out to never, as another program may; returns whether there was one."""
         with self._lock:
             before, self.timeout = self.timeout, 0
             return before > 0
 
 
 class NamedDevice(TcpDevice):
-    """Also gives its names, objects 0 to 5, which counts as communication, too."""
+    """Also reports its names, objects 0 to 5, which counts as communication, too."""
 
     registers: NamedRegisters
 
@@ -371,7 +371,7 @@ class NamedDevice(TcpDevice):
         super().__init__(registers, 1, log, int(registers.device.address.rpartition(":")[2]))
 
     def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
-        """Also the answer to function 43/14."""
+        """As in the base class, and the answer to function 43/14."""
         if pdu[:2] != IDENTIFY:
             return super().reply(pdu, connection, fault)
         self.registers.hear()

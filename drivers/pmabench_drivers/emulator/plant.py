@@ -1,6 +1,6 @@
-"""The plant of the mock in real time, for several wires at once, and what is wired to the terminals of one device.
+"""The plant of the mock in real time, for several wires at once, and the wiring of one device's terminals.
 
-Knows no protocol.
+Independent of the protocol.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
 from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
 
 RATE = 1000.0
-"""The plant is sampled so often; whoever looks gets the latest sample, or that of a moment [Hz]."""
+"""Sampling rate of the plant; a reader gets the latest sample, or that of a given time [Hz]."""
 KEPT = 2.0
-"""How long samples are kept for devices that choose the moments of their samples [s]."""
+"""How long samples are kept, for devices that choose their sampling times [s]."""
 TURN = 0.5
-"""How often it is brought to the present while nobody looks [s]."""
+"""Interval for updating the plant without readers [s]."""
 CHANNELS = {
     "pressure": ("pressure", "pressure"),
     "displacement": ("displacement", "length"),
@@ -32,38 +32,38 @@ CHANNELS = {
     "supply": ("supply", "pressure"),
     "pressure_command": ("pressure_set", "pressure"),
 }
-"""Channel of a bench -> the mock's input and the quantity."""
+"""Channel of a bench -> input of the mock, and quantity."""
 DRIVEN = {"displacement_command": ("displacement_set", "length")}
-"""Further channels where an actuator drives the free end."""
+"""Additional channels if an actuator drives the free end."""
 BENT = {"angle": (ANGLE, "angle")}
-"""Further channels of an arm."""
+"""Additional channels of an arm."""
 
 
 class _Mock(MockBench):
-    """The mock; after a long rest it takes only the last samples."""
+    """The mock; after a long time without readers it computes only the last samples."""
 
     def rest(self) -> None:
-        """Advance the plant to the oldest sample that is kept, in case nobody has asked for long."""
+        """Advance the plant to the oldest sample to be kept, in case nobody has read for long."""
         if self._opened is not None:
             self._opened.skip(self._now() - KEPT)
 
     def simulation(self) -> Simulation | JointSimulation | PlatformSimulation:
-        """The simulation, brought to the present."""
+        """The simulation, advanced to the present."""
         self.rest()
         return super().simulation()
 
     def collect(self) -> b.Block:
-        """The samples up to the present."""
+        """Samples up to the present."""
         self.rest()
         return super().collect()
 
 
 class RealPlant:
-    """Muscle, regulator, load and, where `dump_valve`, a valve that empties the muscle unless it is energised.
+    """Muscle, regulator, load and, with `dump_valve`, a valve that empties the muscle unless it is energised.
 
-    `plant` is a preset's name, or what a plant file says, as a compiled bench has it (`pmabench.bench.plant`).
-    `driven`: an actuator holds the free end, and there are no loads. Nobody has to look at it: it comes to the present
-    when somebody does, and only the last `KEPT` seconds are then sampled.
+    `plant` is a preset's name, or the contents of a plant file as in a compiled bench (`pmabench.bench.plant`).
+    `driven`: an actuator holds the free end, and there are no loads. It is advanced to the present when it is read,
+    and only the last `KEPT` seconds are then sampled.
     """
 
     def __init__(
@@ -104,16 +104,16 @@ class RealPlant:
         self._samples: deque[tuple[float, ...]] = deque([(0.0,) * len(inputs)], maxlen=round(KEPT * RATE))
         self._names = tuple(inputs)
         self.proven = True
-        """Whether the scales of the device that looks at it are known apart from the bench under test."""
+        """Whether the scales of the device that reads it are known independently of the bench under test."""
         self.faults = Faults()
-        """Those of the device that looks at it."""
+        """Faults of the device that reads it."""
 
     def keep_up(self) -> None:
-        """Bring it to the present every now and then, also while nobody looks, until `close`."""
+        """Advance it regularly, also without readers, until `close`."""
         threading.Thread(target=self._keep_up, name="emulated plant", daemon=True).start()
 
     def close(self) -> None:
-        """Keep up no more."""
+        """Stop updating."""
         self._ended.set()
 
     def _keep_up(self) -> None:
@@ -122,23 +122,23 @@ class RealPlant:
                 self._mock.rest()
 
     def seen(self, errors: Errors | None = None, *, proven: bool = True) -> RealPlant:
-        """The same plant as another device sees it; `proven`: its scales do not come from the bench under test."""
+        """The same plant as seen by another device; `proven`: its scales do not come from the bench under test."""
         return _Seen(self, errors or Errors(), proven=proven)
 
     def model(self, name: str) -> str:
-        """How an emulated device in front of it calls itself over its wire."""
+        """Name that an emulated device in front of it reports over its wire."""
         return f"{b.EMULATED if self.proven else b.UNPROVEN}{name}"
 
     def quantities(self) -> dict[str, float]:
-        """What each channel of a bench measures now [SI], noise included."""
+        """Present measured value of each channel of a bench [SI], with noise."""
         with self._lock:
             self._collect()
             return dict(zip(self._names, self._samples[-1], strict=True))
 
     def at(self, moment: float) -> dict[str, float]:
-        """What each channel measured at a moment of the last `KEPT` seconds [s, monotonic]: the sample before it.
+        """Measured value of each channel at a time within the last `KEPT` seconds [s, monotonic]: the sample before it.
 
-        For devices with their own clock: they lose nothing when this machine looks late.
+        For devices with their own clock: they lose nothing when this computer is late.
         """
         with self._lock:
             time_ns = round((moment - self._clock.start) * 1e9)
@@ -154,12 +154,12 @@ class RealPlant:
         self._samples.extend(tuple(float(value) for value in row) for row in zip(*columns, strict=True))
 
     def command(self, pressure: float) -> None:
-        """The regulator's set-point [Pa]."""
+        """Set the regulator's set-point [Pa]."""
         with self._lock:
             self._mock.write("pressure", min(max(pressure, 0.0), 1e6))
 
     def switch(self, *, on: bool) -> None:
-        """Energise the dump valve, or not."""
+        """Energise the dump valve or not."""
         with self._lock:
             self._mock.switch(DUMP_VALVE, on=on)
 
@@ -169,9 +169,9 @@ class RealPlant:
             return self._mock.simulation().dump_open
 
     def drive(self, position: float, speed: float = 0.0, origin: float | None = None) -> None:
-        """Where the actuator is sent [m of contraction]: at once, or at `speed` [m/s] from `origin`.
+        """Send the actuator to a position [m of contraction]: at once, or at `speed` [m/s] from `origin`.
 
-        The origin is where it was sent before, unless it is given.
+        By default the origin is its last commanded position.
         """
         with self._lock:
             origin, self._sent = self._sent if origin is None else origin, position
@@ -182,14 +182,14 @@ class RealPlant:
                 self._mock.write("displacement", position)
 
     def stop_drive(self) -> float:
-        """Stop the actuator where it is; the place [m of contraction]."""
+        """Stop the actuator at its present position, which is returned [m of contraction]."""
         with self._lock:
             self._mock.halt("displacement")
             self._sent = self._mock.read_back("displacement")
             return self._sent
 
     def load(self, force: float, mass: float) -> None:
-        """What hangs on the free end from now on [N], [kg]."""
+        """Set the load on the free end [N], [kg]."""
         with self._lock:
             self._mock.place(b.Load(force, mass))
 
@@ -199,14 +199,14 @@ class RealPlant:
             return self._mock.level(E_STOP)
 
     def fail(self, fault: str, *, over: bool = False) -> None:
-        """A fault of the mock, as `burst_at` or `e_stop_at`, from now on, or over again."""
+        """Start a fault of the mock, such as `burst_at` or `e_stop_at`, or end it (`over`)."""
         with self._lock:
             simulation = self._mock.simulation()
             simulation.fail(fault, None if over else simulation.time)
 
 
 class _Seen(RealPlant):
-    """What one device sees of a plant and does to it: under its fault `stuck`, no change; with its errors of wiring."""
+    """The plant as seen by one device: constant with its fault `stuck`, and with its wiring errors."""
 
     def __init__(self, plant: RealPlant, errors: Errors, *, proven: bool) -> None:
         self.__dict__.update(plant.__dict__)
@@ -214,25 +214,25 @@ class _Seen(RealPlant):
         self.proven = proven
 
     def quantities(self) -> dict[str, float]:
-        """As the plant says, unless the device is stuck."""
+        """As from the plant, unless the device is stuck."""
         return self._shown(self._plant.quantities())
 
     def at(self, moment: float) -> dict[str, float]:
-        """As the plant says, unless the device is stuck."""
+        """As from the plant, unless the device is stuck."""
         return self._shown(self._plant.at(moment))
 
     def command(self, pressure: float) -> None:
-        """The regulator's set-point [Pa]."""
+        """Set the regulator's set-point [Pa]."""
         self._plant.command(self._done("pressure", pressure))
 
     def drive(self, position: float, speed: float = 0.0, origin: float | None = None) -> None:
-        """Where the actuator is sent [m of contraction]: at once, or at `speed` [m/s] from `origin`."""
+        """Send the actuator to a position [m of contraction]: at once, or at `speed` [m/s] from `origin`."""
         slope = abs(self._errors.done["displacement"].slope) if "displacement" in self._errors.done else 1.0
         begin = None if origin is None else self._done("displacement", origin)
         self._plant.drive(self._done("displacement", position), speed * slope, begin)
 
     def stop_drive(self) -> float:
-        """Stop the actuator where it is; the place [m of contraction]."""
+        """Stop the actuator at its present position, which is returned [m of contraction]."""
         place, error = self._plant.stop_drive(), self._errors.done.get("displacement")
         return place if error is None else float(error.to_raw(place))
 
@@ -262,34 +262,34 @@ class Wiring:
         self.locks = {lock.input: lock for lock in device.interlocks}
 
     def raw(self, terminal: str, quantities: Mapping[str, float], *, calibrated: bool = False) -> float:
-        """What a terminal gives at the quantities of the plant [raw]; 0 where nothing is wired."""
+        """Reading of a terminal for quantities of the plant [raw]; 0 without a wire."""
         if (channel := self.channels.get(terminal)) is None:
             return 0.0
         scale = channel.calibrated if calibrated else channel.scale
         return float(scale.to_raw(quantities.get(channel.name, 0.0)))
 
     def level(self, terminal: str) -> bool:
-        """Whether the contact at a terminal holds it high; low where nothing is wired."""
+        """Whether the contact at a terminal makes it high; low without a wire."""
         if (lock := self.locks.get(terminal)) is None:
             return False
         closed = self._plant.e_stop_high() if "stop" in lock.name else True
         return closed == (lock.safe == "high")
 
     def set(self, terminal: str, raw: float, *, reached: float | None = None, **more: Any) -> None:
-        """A command came: it is noted, and done, to what the terminal has `reached` where that is not `raw`."""
+        """Log and carry out a command; the plant gets the value `reached` if that differs from `raw`."""
         if (output := self.outputs.get(terminal)) is not None:
             self._log.note("set", self._name, output=output.name, raw=raw, si=float(output.scale.to_si(raw)), **more)
             if not more.get("held"):
                 self.give(terminal, raw if reached is None else reached)
 
     def give(self, terminal: str, raw: float) -> None:
-        """Set what a terminal puts out from now on [raw], without an entry in the log."""
+        """Set the value at a terminal from now on [raw], without an entry in the log."""
         output = self.outputs.get(terminal)
         if output is not None and output.quantity == "pressure":
             self._plant.command(float(output.scale.to_si(raw)))
 
     def switch(self, terminal: str, *, on: bool, **more: Any) -> None:
-        """A command for a valve came: it is noted, and done."""
+        """Log and carry out a command for a valve."""
         if (valve := self.valves.get(terminal)) is not None:
             self._log.note("switch", self._name, valve=valve.name, on=on, **more)
             if not more.get("held"):

@@ -1,4 +1,4 @@
-"""Where emulated devices listen: TCP ports of this machine, and pseudo-terminals, each served by a thread (POSIX)."""
+"""Listening ports of emulated devices: TCP ports of this machine and pseudo-terminals, a thread each (POSIX)."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from pmabench_drivers.emulator.faults import GARBAGE, LINK, SKEW, STUCK, Command
 IDLE = 0.05
 """Longest wait for bytes [s]."""
 TICK = 0.004
-"""What falls due within this is sent together [s]."""
+"""Data due within this time are sent together [s]."""
 LONGEST_COMMAND = 200
-"""More of an unfinished line is forgotten [bytes]."""
+"""Longest unfinished line that is kept [bytes]."""
 
 
 def host_of(address: str) -> str:
-    """The host of `HOST:PORT` or `HOST`; empty where that is no IP address, as in a path."""
+    """Host of `HOST:PORT` or `HOST`; empty if it is no IP address, as in a path."""
     host = address if address.count(":") != 1 and "]:" not in address else address.rpartition(":")[0]
     try:
         return str(ip_address("127.0.0.1" if host == "localhost" else host.strip("[]")))
@@ -36,12 +36,12 @@ def host_of(address: str) -> str:
 
 
 def bracketed(host: str) -> str:
-    """A host as it is written in front of a port."""
+    """A host as written before a port."""
     return f"[{host}]" if ":" in host else host
 
 
 def listen(device: str, host: str, port: int) -> socket.socket:
-    """A listening TCP socket; UsageError where there can be none."""
+    """A listening TCP socket; UsageError if that is not possible."""
     try:
         return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
@@ -49,7 +49,7 @@ def listen(device: str, host: str, port: int) -> socket.socket:
 
 
 def accepted(listener: socket.socket) -> Iterator[socket.socket]:
-    """Each connection that is made, until nobody listens any more."""
+    """Each new connection, until the listener is closed."""
     with contextlib.suppress(OSError):
         while True:
             connection, _peer = listener.accept()
@@ -58,7 +58,7 @@ def accepted(listener: socket.socket) -> Iterator[socket.socket]:
 
 
 def hang_up(*ends: socket.socket | None) -> None:
-    """Shut down and close sockets, also while another thread waits for them; harmless when repeated."""
+    """Shut down and close sockets, also while another thread waits for them; may be called again."""
     for end in filter(None, ends):
         with contextlib.suppress(OSError):
             end.shutdown(socket.SHUT_RDWR)
@@ -66,7 +66,7 @@ def hang_up(*ends: socket.socket | None) -> None:
 
 
 def refuse_others(device: str, address: str) -> None:
-    """UsageError where `address` names a host that is not this machine alone."""
+    """Raise UsageError if `address` names a host other than this machine."""
     host = host_of(address)
     if host and not ip_address(host).is_loopback:
         raise UsageError(
@@ -76,7 +76,7 @@ def refuse_others(device: str, address: str) -> None:
 
 
 class Terminal:
-    """A pseudo-terminal whose far end is reached by the symbolic link `path`; `tap` gets what goes through it."""
+    """A pseudo-terminal with the symbolic link `path`; `tap` is called with its data."""
 
     def __init__(self, path: str, tap: Tap) -> None:
         self._link, self._tap = Path(path), tap
@@ -93,7 +93,7 @@ class Terminal:
             raise UsageError(f"cannot make the link {path}: {error.strerror}") from None
 
     def read(self, wait: float) -> bytes | None:
-        """What came within `wait` [s]; None when it is closed."""
+        """Bytes received within `wait` [s]; None once it is closed."""
         try:
             if not select.select([self._near], [], [], wait)[0]:
                 return b""
@@ -104,12 +104,12 @@ class Terminal:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send, as long as anybody takes it: what finds no room is lost, as on a wire without a listener."""
+        """Send as far as possible: what does not fit into the buffer is lost, as on a wire without a receiver."""
         if self._near >= 0 and select.select([], [self._near], [], 0)[1]:
             self._tap("sent", data[: os.write(self._near, data)])
 
     def close(self) -> None:
-        """Hang up, and take the link away; harmless when repeated."""
+        """Close it and remove the link; may be called again."""
         with contextlib.suppress(OSError):
             if self._link.is_symlink():
                 self._link.unlink()
@@ -124,7 +124,7 @@ class Terminal:
 
 
 class OnTerminal(ABC):
-    """One device at the end of a pseudo-terminal. A kind of device says what bytes do."""
+    """A device at the end of a pseudo-terminal. Subclasses define the reaction to bytes."""
 
     def __init__(self, device: DeviceRecord, log: CommandLog, faults: Faults, garbage: bytes = GARBAGE) -> None:
         self.address, self.faults = device.address, faults
@@ -133,31 +133,31 @@ class OnTerminal(ABC):
         self._thread = threading.Thread(target=self._serve, name=f"emulated {device.name}", daemon=True)
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start serving."""
         self._thread.start()
 
     def close(self) -> None:
-        """Hang up."""
+        """Stop serving and close the terminal."""
         self._ended.set()
         self.terminal.close()
 
     @abstractmethod
     def take(self, data: bytes) -> None:
-        """Bytes that came, or none within `wait`; raises ConnectionAbortedError to hang up."""
+        """Process bytes, or none after `wait`; raises ConnectionAbortedError to close the terminal."""
 
     def wait(self) -> float:
-        """How long bytes are waited for [s]."""
+        """Longest wait for bytes [s]."""
         return IDLE
 
     def next_fault(self) -> Fault:
-        """The fault of the moment; one that drops the line hangs up."""
+        """The present fault; raises ConnectionAbortedError if it closes the line."""
         fault = self.faults.next()
         if fault.kind in {"hang-up", "reset"}:
             raise ConnectionAbortedError
         return fault
 
     def outgoing(self, data: bytes, fault: Fault) -> bytes:
-        """One answer or measurement as the line delivers it."""
+        """One answer or measurement as delivered by the line."""
         return self._outgoing.of(data, fault)
 
     def _serve(self) -> None:
@@ -174,7 +174,7 @@ class OnTerminal(ABC):
 
 
 class Streaming(OnTerminal):
-    """One device on a pseudo-terminal. A kind of device says what a `command` does and what is `due`."""
+    """A device on a pseudo-terminal that sends by itself. Subclasses define `command` and `send_what_is_due`."""
 
     def __init__(self, device: DeviceRecord, log: CommandLog, *kinds: dict[str, Kind], garbage: bytes) -> None:
         super().__init__(device, log, Faults(LINK, STUCK, SKEW, *kinds), garbage)
@@ -185,23 +185,23 @@ class Streaming(OnTerminal):
 
     @abstractmethod
     def command(self, line: str) -> None:
-        """A line that came; raises ConnectionAbortedError to hang up."""
+        """Process a received line; raises ConnectionAbortedError to close the terminal."""
 
     @abstractmethod
     def send_what_is_due(self) -> None:
-        """While `streaming`: every measurement that is due; raises ConnectionAbortedError to hang up."""
+        """Send every measurement that is due while `streaming`; raises ConnectionAbortedError to close the terminal."""
 
     def seconds(self, shown: float) -> float:
-        """How long this machine's clock says that so much time of the device's own clock lasts [s]."""
+        """Duration by this machine's clock of a time by the device's own clock [s]."""
         fault = self.faults.peek()
         return shown / (1.0 + fault.value) if fault.kind == "skew" else shown
 
     def wait(self) -> float:
-        """Until a measurement falls due."""
+        """Time until the next measurement is due [s]."""
         return min(max(TICK, self.due - monotonic()), IDLE) if self.streaming else IDLE
 
     def take(self, data: bytes) -> None:
-        """Obey each whole line, and send what is due."""
+        """Carry out each complete line, and send what is due."""
         *lines, rest = (self._asked + data).replace(b"\r", b"\n").split(b"\n")
         self._asked = rest[-LONGEST_COMMAND:]
         for line in lines:

@@ -1,12 +1,12 @@
-"""What is really wired to each emulated device, and by which scales; not the bench file under test, where it can be.
+"""Actual wiring and scales of each emulated device; independent of the bench file under test, if possible.
 
-A truth file (`pmabench.bench.truth`) says it from data sheets, so that a wrong slope, sign or calibration in the bench
-file shows. Without one it is derived from the bench's own records: then no scale is proven.
+A truth file (`pmabench.bench.truth`) states them from data sheets, so that a wrong slope, sign or calibration in the
+bench file shows. Without one they are derived from the bench's own records: then no scale is proven.
 
-For a self-test the rig may differ in one thing from what is said of it: a slope, a sign, swapped plugs. Written
+For testing a self-test, the rig may differ from its description in a slope, a sign or swapped plugs. Written
 `KIND:NAME=VALUE`, for instance `scale:force=0.5`, `sign:displacement`, `swap:pressure=force`. A name is a measured
-quantity, `output.pressure` for what is commanded, a valve, an emergency stop, or `DEVICE.TERMINAL`. Values are SI.
-Without a name or value the usual one is taken.
+quantity, `output.pressure` for a commanded one, a valve, an emergency stop, or `DEVICE.TERMINAL`. Values are SI.
+Without a name or value the usual one is used.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import DeviceRecord, Plug, Scale, Truth, Wired
 
 PLACES = ("server", "stream_port")
-"""Options that say where to listen; they come from the bench file, as the address does."""
+"""Options with addresses for listening; they come from the bench file, as the address does."""
 KINDS = {
     "scale": "the reading (or what is done) is so many times the right one; 2",
     "range": "the sensor has so many times its range, which begins where it did; 2",
@@ -28,14 +28,14 @@ KINDS = {
     "swap": "two plugs are exchanged, or one is in another terminal",
 }
 OFFSETS = {"length": 0.012, "pressure": 60e3, "force": 120.0, "angle": 0.2}
-"""Usual offset [SI]: a little more than 10 mm, or 5 % of a usual range."""
+"""Usual offset [SI]: slightly more than 10 mm, or 5 % of a usual range."""
 COMMANDS = ("pressure_command", "displacement_command")
 
 
 def wired(devices: Iterable[DeviceRecord], truth: Truth | None) -> list[Wired]:
-    """The devices of a bench as `truth` describes them; as the bench does if it is None.
+    """The devices of a bench as described by `truth`; without it, by the bench.
 
-    Of the bench's records only names, addresses and the time of the watchdog are used where there is a truth.
+    With a truth, only names, addresses and watchdog times are taken from the bench's records.
     """
     if truth is None:
         return [_derived(device) for device in devices]
@@ -52,7 +52,7 @@ def wired(devices: Iterable[DeviceRecord], truth: Truth | None) -> list[Wired]:
 
 
 def _derived(device: DeviceRecord) -> Wired:
-    """The wiring that the bench's own record says, which proves nothing about it."""
+    """Wiring from the bench's own record, which proves nothing about it."""
     inputs = {
         item.input: Plug(item.scale, unit=item.raw_unit, low=float(item.scale.to_si(0.0))) for item in device.channels
     }
@@ -61,7 +61,7 @@ def _derived(device: DeviceRecord) -> Wired:
 
 
 def moved(item: Wired, *, inputs: Mapping[str, str] | None = None, outputs: Mapping[str, str] | None = None) -> Wired:
-    """The same device with plugs in other terminals: where each of them was -> where it is now."""
+    """The same device with plugs in other terminals: maps from old to new terminals."""
     inputs, outputs = inputs or {}, outputs or {}
     record, plugs, driven = item.record, _plugged(item.inputs, inputs), _plugged(item.outputs, outputs)
     channels = [(c, inputs[c.input]) if c.input in inputs else (c, "") for c in record.channels]
@@ -87,7 +87,7 @@ def _plugged(plugs: Mapping[str, Plug], ways: Mapping[str, str]) -> dict[str, Pl
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one device: scales from the right value to what it shows, and to what it does [SI]."""
+    """Errors of one device: scales from the correct value to the value that it shows, or that it sets [SI]."""
 
     shown: Mapping[str, Scale] = field(default_factory=dict)
     done: Mapping[str, Scale] = field(default_factory=dict)
@@ -95,7 +95,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class _End:
-    """One end of a wire: which device, `input`, `output`, `valve`, `contact` or nothing, and its terminal."""
+    """One end of a wire: index of the device, `input`, `output`, `valve`, `contact` or nothing, and its terminal."""
 
     device: int
     kind: str
@@ -105,7 +105,7 @@ class _End:
 
 
 def apply(rig: Sequence[Wired], wanted: Iterable[str]) -> tuple[list[Wired], list[Errors], list[str]]:
-    """The rig with everything in it that is wanted wrong, the errors of each device, and a sentence for each."""
+    """The rig with all requested errors, the errors of each device, and a sentence for each."""
     found, errors, said = list(rig), [Errors() for _ in rig], []
     for text in wanted:
         kind, _, rest = text.partition(":")
@@ -155,7 +155,7 @@ def _usual(rig: Sequence[Wired]) -> str:
     return "force" if "force" in measured else measured[0]
 
 
-# -- numbers ------------------------------------------------------------------------------------------------------
+# -- scales -------------------------------------------------------------------------------------------------------
 
 
 def _bend(rig: Sequence[Wired], errors: list[Errors], end: _End, kind: str, value: str) -> str:
@@ -166,9 +166,9 @@ def _bend(rig: Sequence[Wired], errors: list[Errors], end: _End, kind: str, valu
     held = errors[end.device]
     errors[end.device] = replace(held, done={**held.done, end.what: _after(held.done.get(end.what), error)})
     back = Scale(1.0 / error.slope, -error.offset / error.slope)
-    for number in range(len(errors)):  # what is commanded is looped back in front of the error
+    for number in range(len(errors)):  # the command is looped back before the error
         _shows(errors, number, f"{end.what}_command", back)
-    if end.what == "displacement":  # a drive measures itself by the same scale that moves it
+    if end.what == "displacement":  # a drive measures itself with the scale by which it moves
         _shows(errors, end.device, "displacement", back)
     return f"output.{end.what}: {said}"
 
@@ -179,7 +179,7 @@ def _shows(errors: list[Errors], number: int, what: str, error: Scale) -> None:
 
 
 def _after(first: Scale | None, then: Scale) -> Scale:
-    """Both errors, one after the other."""
+    """Combination of two errors, the first applied first."""
     return then if first is None else Scale(first.slope * then.slope, first.offset * then.slope + then.offset)
 
 

@@ -1,27 +1,28 @@
 """Festo CMMT-AS and CMMT-ST servo drives over Modbus TCP, telegram 111: a driven free end.
 
-`telegram`: the words of telegram 111 and what they mean, registers, parameters, the pieces of a sine, and what the
-bench file says; `link`: the connection; here: the device interface; `emulated`, `emulated_motion`: what `pmabench
-emulate` serves.
+`telegram`: words of telegram 111, registers, parameters, the pieces of a sine, and options; `link`: the connection;
+here: the device interface; `emulated`, `emulated_motion`: the device for `pmabench emulate`.
 
-One thread exchanges process data from `open` to `close`, as the drive expects it; nothing is written before the first
-command, so that `open` takes control from nobody. The newest command is all that is ever sent: a command of the caller
-replaces the one of the thread.
+One thread exchanges process data from `open` to `close`, as the drive expects it. It writes nothing before the first
+command, so that `open` takes control from no other program. It only ever sends the newest command: a command of the
+caller replaces that of the thread.
 """
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
+from math import inf
 from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import DeviceRecord, Identity, Segment
+from pmabench.base.errors import DeviceError, NotSent
+from pmabench.bench.interface import Block, DeviceRecord, Identity, Segment
 from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cmmt.telegram import POSITION, SET_POINT, CmmtOptions, Path, read_options
 from pmabench_drivers.modbus import CALL, Watched
@@ -37,12 +38,16 @@ ANSWER = 0.1
 """Longest wait for one answer [s]."""
 LOOK = 0.003
 """Pause between two looks whether the drive has done what was commanded [s]."""
+LEAP = 2.0
+"""A place that moves so many times as fast as the actuator can [1] is a zero that was lost."""
+SLOWER = 0.9
+"""A drive that brakes is so much slower in the second half of a call [1]."""
 
 
 class FestoCmmt(Watched):
     """A CMMT that holds the free end: output and channel `position`, channel `set_point`, both in user units.
 
-    A ramp is one positioning task with its velocity; a sine is streamed, a target and a velocity in each cycle.
+    A ramp is one positioning task with its velocity; a sine is streamed: a target and a velocity in each cycle.
     """
 
     emulator = "pmabench_drivers.festo_cmmt.emulated"
@@ -57,21 +62,26 @@ class FestoCmmt(Watched):
         self._line: DriveLink | None = None
         self._turn = threading.Lock()
         """Held for a moment while what is commanded is replaced; never while the drive is waited for."""
-        self._path = Path(clock.now)
+        self._top_speed = max((output.rate / abs(output.scale.slope) for output in device.outputs), default=0.0) or inf
+        """Speed of the actuator [user units/s]."""
+        self._path = Path(clock.now, self._top_speed)
         self._forget()
 
     def _forget(self) -> None:
         self._command: t.Command | None = None
-        """What is sent in each cycle; None: nothing was commanded yet."""
+        """What is sent in each cycle; None before the first command."""
         self._every, self._slot, self._begun = 0, -1, 0.0
         self._release = False
+        self._before: tuple[float, int] | None = None
+        """When it was asked last [s, bench time], and where it was."""
+        self._leapt = ""
         self._per_second = 1.0
-        """Velocity units of the drive for one position unit a second."""
+        """Velocity units of the drive per position unit a second."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect, read who it is, and compare telegram and units with the bench file; takes no control."""
+        """Connect, identify, and compare telegram and units with the bench file; takes no control."""
         from pmabench_drivers.festo_cmmt.link import DriveLink
 
         self.close()
@@ -91,7 +101,7 @@ class FestoCmmt(Watched):
         return identity
 
     def close(self) -> None:
-        """End the cycle; a drive that was disarmed is switched off, any other is left to its own time-out."""
+        """Stop the cycle; a disarmed drive is switched off, any other is left to its own time-out."""
         self._cycle.stop(JOIN)
         line = self._line
         if line is not None and self._release and self._command is not None:
@@ -104,7 +114,7 @@ class FestoCmmt(Watched):
             line.close()
 
     def _compare_units(self, until: float) -> None:
-        """The drive's decimal exponents of position and velocity, in metres, against the bench's scale."""
+        """Compare the drive's decimal exponents of position and velocity, in metres, with the bench's scale."""
         position, velocity = (
             self._opened().parameter(number, "int8", until) for number in (t.POSITION_PREFIX, t.VELOCITY_PREFIX)
         )
@@ -117,23 +127,30 @@ class FestoCmmt(Watched):
     # -- samples --------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:
-        """Take a sample in each cycle, or in each n-th where `rate` [Hz] is lower; returns the rate that is used."""
+        """Sample in each cycle, or in each n-th if `rate` [Hz] is lower; returns the rate used."""
         self._refuse_rate(rate)
         self._opened()
         self._cycle.note(None)
+        self._leapt = ""
         self._samples.take()
         every = max(1, round(self._options.rate / rate))
         self._begun, self._slot, self._every = self._clock.now(), -1, every
         return self._options.rate / every
 
+    def collect(self) -> Block:
+        """What was sampled since the last call; an error once cycles have failed for 0.25 s, or its place has leapt."""
+        if self._leapt:
+            raise self._error(self._leapt, POSITION)
+        return super().collect()
+
     def stop(self) -> None:
-        """Take no more samples; a motion goes on."""
+        """Stop sampling; a motion continues."""
         self._every = 0
 
     def _tick(self) -> None:
-        """One cycle: what is commanded now, then what the drive reports."""
+        """One cycle: send the present command, then read the drive's state."""
         if self._hungry() or self._line is None:
-            return  # whoever feeds it is gone: the cycle must not keep the drive's time-out quiet
+            return  # the program has stopped feeding the watchdog: the cycle must not prevent the drive's time-out
         try:
             self._send_due()
             self._sample()
@@ -143,7 +160,7 @@ class FestoCmmt(Watched):
             self._cycle.note(None)
 
     def _send_due(self) -> None:
-        """The command of this moment: the next piece of a sine, or the same as before."""
+        """Send the present command: the next piece of a sine, or the same as before."""
         with self._turn:
             if (command := self._command) is None:
                 return
@@ -159,13 +176,19 @@ class FestoCmmt(Watched):
             self._path.seen(status.position, (asked + answered) / 2)
         if self._every:
             slot = math.floor((asked - self._begun) * self._options.rate / self._every)
-            if self._every == 1 or slot > self._slot:  # a cycle that fell out delays a sample, and drops none
+            if self._every == 1 or slot > self._slot:  # a missed cycle delays a sample, and loses none
                 self._slot = slot
                 known = {POSITION: float(status.position), SET_POINT: float(round(set_point))}
                 self._keep([known[name] for name in self._inputs], asked, answered)
-        command = self._command
-        if command is not None and command.on and not status.has(t.ENABLED):
+        command, before = self._command, self._before
+        on = command is not None and command.on
+        self._before = (asked, status.position) if on else None
+        if on and not status.has(t.ENABLED):
             raise self._error(self._off(status))
+        took, moved = (answered - before[0], status.position - before[1]) if before is not None else (0.0, 0)
+        if abs(moved) > LEAP * self._top_speed * took:
+            within = f"within {1e3 * took:.0f} ms"
+            self._leapt = f"its place leapt by {moved} counts {within}, faster than it can move: was its zero set anew?"
 
     def _off(self, status: t.Status) -> str:
         """Why the drive is not under power."""
@@ -176,17 +199,17 @@ class FestoCmmt(Watched):
     # -- commands -------------------------------------------------------------------------------------------------
 
     def write(self, output: str, value: float) -> None:
-        """Go to a position [user units] at the bench's `speed`."""
+        """Move to a position [user units] at the bench's `speed`."""
         slope = self._scale(output)
         self._task(self._whole(value, output), self._options.speed / abs(slope), output)
 
     def read_back(self, output: str) -> float:
-        """The target that the drive itself holds [user units]."""
+        """Target that the drive itself holds [user units]."""
         self._scale(output)
         return self._held(monotonic() + CALL)
 
     def follow(self, output: str, segment: Segment) -> None:
-        """A ramp as one task of the drive, a sine streamed in its cycle; from now on if the start has passed."""
+        """Follow a ramp as one task of the drive, or a sine streamed by cycle; at once if its start has passed."""
         self._scale(output)
         refuse_nonsense(self._device.name, output, segment)
         for value in (segment.origin - segment.amplitude, segment.origin + segment.amplitude, segment.target):
@@ -199,24 +222,33 @@ class FestoCmmt(Watched):
             self._path.follow(segment)
 
     def halt(self, output: str) -> None:
-        """Give up the motion: the drive brakes as hard as it may and holds the place; returns once it has stopped."""
+        """Give up the motion: the drive brakes as hard as it may and holds the place; returns once it has stopped.
+
+        One that neither stops nor gets slower does not obey: it is switched off.
+        """
         self._scale(output)
         until = monotonic() + CALL
         with self._turn:
             self._path.end()
             before = self._command
         on = before.on if before is not None else self._look(until).has(t.ENABLED)
-        with suppress(Unanswered):  # the cycle goes on telling it; the drive's word decides
+        with suppress(Unanswered):  # the cycle repeats the command; the drive's status decides
             self._replace(t.Command(on=on, stop=True), until)
+        way: list[tuple[float, int]] = []
         while not (status := self._look(until)).has(t.STOPPED):
+            way.append((monotonic(), status.position))
             if monotonic() > until - LOOK:
-                raise self._error(f"was commanded to stop and still moves (status word 0x{status.word:04x})", output)
+                moves = f"was commanded to stop and still moves (status word 0x{status.word:04x})"
+                if _gets_slower(way):
+                    raise self._error(moves, output)
+                self._replace(t.Command(stop=True), monotonic() + ANSWER / 2)
+                raise NotSent(self._device.name, f"{moves}: it is switched off", output)
             sleep(LOOK)
         with self._turn:
             self._path.rest_at(status.position)
 
     def _task(self, target: int, velocity: float, output: str) -> None:
-        """Send the drive to `target` at `velocity` [user units, 1/s], and see that it takes that."""
+        """Send the drive to `target` at `velocity` [user units, 1/s], and check that it accepts the task."""
         until, lost = monotonic() + CALL, False
         self._switch_on(until)
         with self._turn:
@@ -225,7 +257,7 @@ class FestoCmmt(Watched):
             command = self._command = self._moving(before, target, velocity)
         try:
             self._send(command, until)
-        except Unanswered:  # the cycle goes on sending it; what the drive holds decides
+        except Unanswered:  # the cycle repeats the command; the target that the drive holds decides
             lost = True
         while True:
             status = self._look(until)
@@ -249,9 +281,9 @@ class FestoCmmt(Watched):
     # -- states of the drive --------------------------------------------------------------------------------------
 
     def _switch_on(self, until: float, *, wait: bool = True) -> None:
-        """Bring the drive under power where it is; the reason where it does not let itself be brought.
+        """Bring the drive under power where it is; raises the reason if it refuses.
 
-        Without `wait` a drive that is on its way, but needs longer, is no error yet.
+        Without `wait` it is no error if the drive only needs more time.
         """
         status = self._look(until)
         command = self._command
@@ -284,13 +316,13 @@ class FestoCmmt(Watched):
         return status
 
     def _replace(self, command: t.Command, until: float) -> None:
-        """From now on this is what is commanded."""
+        """Replace the command of the cycle, and send it."""
         with self._turn:
             self._command = command
         self._send(command, until)
 
     def _send(self, command: t.Command, until: float = 0.0) -> None:
-        """Write the process data, unless something newer is commanded by the time the line is free."""
+        """Write the process data, unless a newer command exists by the time the line is free."""
         self._opened().send(command.words(), until or monotonic() + ANSWER, lambda: self._command is command)
 
     def _look(self, until: float) -> t.Status:
@@ -299,7 +331,7 @@ class FestoCmmt(Watched):
     # -- the drive's watchdog -------------------------------------------------------------------------------------
 
     def arm_watchdog(self, seconds: float) -> float:
-        """Set the drive's time-out and read it back, then begin to switch it on; returns what it holds [s]."""
+        """Set the drive's time-out, read it back, and begin to switch it on; returns the time it holds [s]."""
         until = monotonic() + CALL
         held_time = super().arm_watchdog(seconds)
         self._release = False
@@ -307,18 +339,19 @@ class FestoCmmt(Watched):
         return held_time
 
     def disarm_watchdog(self) -> None:
-        """Give the drive back the time-out that it had when it was opened; `close` switches it off then."""
+        """Restore the time-out that the drive had when it was opened; `close` then switches it off."""
         self._release = True
         super().disarm_watchdog()
 
     def held(self) -> dict[str, float | str]:
-        """Its time-out [s], telegram, unit and serial number where it has one, and what forbids a motion."""
+        """Its time-out [s], telegram, unit and serial number (if it has one), and what prevents a motion."""
         until, line = monotonic() + CALL, self._opened()
         status = line.look(until)
         return {
             "watchdog": line.get(t.TIMEOUT, until) * 1e-3,
             "telegram": line.parameter(t.TELEGRAM, "uint16", until),
             "unit of the position": f"1e{line.parameter(t.POSITION_PREFIX, 'int8', until):g} m",
+            "unit of the velocity": f"1e{line.parameter(t.VELOCITY_PREFIX, 'int8', until):g} m/s",
             "serial number": line.text(t.SERIAL, until),
             "fault": float(status.fault),
             "control": "by the network" if status.has(t.CONTROL) else "elsewhere",
@@ -343,3 +376,11 @@ class FestoCmmt(Watched):
 
     def _put(self, register: Register, value: float, deadline: float, *, checked: bool = True) -> None:
         self._opened().put(register, value, deadline, checked=checked)
+
+
+def _gets_slower(way: Sequence[tuple[float, float]]) -> bool:
+    """Whether places [s, any unit] come closer to each other: the second half of the time is slower than the first."""
+    if len(way) < 3:
+        return False
+    paces = [abs(b[1] - a[1]) / (b[0] - a[0]) for a, b in pairwise((way[0], way[len(way) // 2], way[-1]))]
+    return paces[1] < SLOWER * paces[0]

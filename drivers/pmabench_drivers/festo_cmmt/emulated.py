@@ -1,8 +1,8 @@
-"""An emulated CMMT in front of the plant: process data, states, tasks, parameters, time-out, names, faults on demand.
+"""An emulated CMMT on the plant: process data, states, tasks, parameters, time-out, names, faults on demand.
 
-Stricter than a drive may be: it takes only the requests that Festo's own client makes. When its time-out ends while it
-is under power it stops, reports a fault and is off. Registers of Modbus and numbers of parameters: Festo's client
-library festo-edcon 1.0 and its list of parameters, read as a description of the wire; states: PROFIdrive.
+Stricter than a drive may be: it only accepts the requests that Festo's own client makes. If its time-out ends while it
+is under power it stops, reports a fault and switches off. Modbus registers and parameter numbers: Festo's client
+library festo-edcon 1.0 and its list of parameters, read as a description of the protocol; states: PROFIdrive.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from pmabench_drivers.festo_cmmt.telegram import read_options
 from pmabench_drivers.shared.options import options_of
 
 FACTORY = 1000
-"""Time-out until it is set [ms]; 0: none."""
+"""Initial time-out [ms]; 0: none."""
 WARMING = 0.02
-"""From the command to be under power [s]."""
+"""Time from the command until it is under power [s]."""
 PROCESS_OUT, PROCESS_IN, TIMEOUT = 0, 100, 400
 NUMBER, SUBINDEX, ELEMENTS, EXECUTE, LENGTH, DATA = 500, 501, 502, 503, 504, 510
 """Mailbox of parameters."""
 READ, WRITE, FAILED, DONE = 1, 2, 3, 0x10
-"""What is written to `EXECUTE`, and what it holds then."""
+"""Values written to `EXECUTE`, and its values afterwards."""
 LONGEST_DATA = 64
 ON, NO_COAST_STOP, NO_QUICK_STOP, ENABLE = (1 << bit for bit in range(4))
 """Bits of STW1 that all telegrams have."""
@@ -46,9 +46,9 @@ FULL = 0x4000
 BASE_VELOCITY = 0.1
 """Base value of the velocity [m/s]."""
 BEHIND, SO_LONG = 0.003, 0.1
-"""A place that is so far from the profile [m] for so long [s] is a following error."""
+"""A deviation from the profile that is larger [m] for longer [s] is a following error."""
 TIMED_OUT, OUT_OF_STROKE, FOLLOWING = 299, 110, 126
-"""Fault codes; which one a drive has for a time-out of Modbus is the emulator's guess."""
+"""Fault codes; the one for a Modbus time-out is the emulator's guess."""
 POSITION_PREFIX, VELOCITY_PREFIX, BASE_VALUE = 11724, 11725, 12345
 """Parameters: decimal exponents of its units, base value of the velocity."""
 SERIAL_NUMBER = 2076
@@ -58,13 +58,13 @@ MILLI = -3
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> NamedDevice:
-    """The drive that a device of the driver `festo-cmmt` talks to, on this machine."""
+    """Emulated drive for a device of the driver `festo-cmmt`, on this machine."""
     options_of(device, read_options)
     return NamedDevice(EmulatedDrive(device, plant, log), log)
 
 
 class EmulatedDrive(frames.NamedRegisters):
-    """The registers of one drive, and what they do to the plant."""
+    """Registers of one drive, and their effect on the plant."""
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
         super().__init__(device, "CMMT-AS", plant.model("CMMT-AS"))
@@ -79,11 +79,11 @@ class EmulatedDrive(frames.NamedRegisters):
             BASE_VALUE: struct.pack("<f", BASE_VELOCITY),
             SERIAL_NUMBER: b"EMULATED1",
         }
-        """Number -> its bytes, besides what process data says."""
+        """Number -> its bytes, except for parameters in the process data."""
         self.motion = Motion(plant, self._scale, lambda kind, **data: log.note(kind, device.name, **data))
         self.control, self.supplied, self.fault = True, True, 0
         self.timeout = FACTORY
-        """Without communication for so long it stops [ms]; 0: never."""
+        """Time without communication after which it stops [ms]; 0: never."""
         self._out = [0] * p.SIZE
         self._mail = dict.fromkeys((NUMBER, SUBINDEX, ELEMENTS, EXECUTE, LENGTH), 0)
         self._data: list[int] = []
@@ -135,7 +135,7 @@ class EmulatedDrive(frames.NamedRegisters):
         return int.from_bytes(self.parameters[TELEGRAM], "little")
 
     def _carry_parameter(self) -> None:
-        """Read or write the parameter of the mailbox."""
+        """Read or write the parameter named in the mailbox."""
         number, what = self._mail[NUMBER], self._mail[EXECUTE]
         one = self._mail[ELEMENTS] == 1 and self._mail[SUBINDEX] == 0
         if what == WRITE:
@@ -160,7 +160,7 @@ class EmulatedDrive(frames.NamedRegisters):
         }
 
     def _set(self, number: int, data: bytes) -> bool:
-        """Write a parameter; whether the drive takes it: the telegram, without power."""
+        """Write a parameter; returns whether the drive accepts it: only the telegram, and without power."""
         if number != TELEGRAM or len(data) != 2 or int.from_bytes(data, "little") not in p.SENT or self.enabled:
             return False
         self.parameters[number] = data
@@ -176,7 +176,7 @@ class EmulatedDrive(frames.NamedRegisters):
 
     @property
     def homed(self) -> bool:
-        """Whether its positions mean anything."""
+        """Whether its positions have a reference."""
         return self.motion.homed
 
     @homed.setter
@@ -184,7 +184,7 @@ class EmulatedDrive(frames.NamedRegisters):
         self.motion.homed = homed
 
     def _obey(self, words: list[int]) -> None:
-        """New process data: what changed in the control word, and where it is sent."""
+        """Apply new process data: the changes of the control word, and the target."""
         before, self._out = self._out, words
         now, was = p.split(self.telegram, words), p.split(self.telegram, before)
         control, rising = now["STW1"], now["STW1"] & ~was["STW1"]
@@ -212,7 +212,7 @@ class EmulatedDrive(frames.NamedRegisters):
             self._move(now, was, started=bool(before[0] & ON))
 
     def _turn(self, now: Mapping[str, int], was: Mapping[str, int]) -> None:
-        """A velocity is commanded: it goes there at once, and stops where one of three bits is missing."""
+        """Apply a commanded velocity: takes effect at once; stops if one of three bits is missing."""
         [name] = [name for name in now if name in p.FULL_SPEED]
         free = p.REJECT | p.GO_ON | p.TASK
         wanted, before = (w[name] if w["STW1"] & free == free else 0 for w in (now, was))
@@ -224,7 +224,7 @@ class EmulatedDrive(frames.NamedRegisters):
             self._hold()
 
     def _move(self, now: Mapping[str, int], was: Mapping[str, int], *, started: bool) -> None:
-        """Tasks, homing and jogging, as the control word says."""
+        """Tasks, homing and jogging according to the control word."""
         control, rising, falling = now["STW1"], now["STW1"] & ~was["STW1"], was["STW1"] & ~now["STW1"]
         if not control & p.REJECT:
             if self._taken or not started or falling & p.REJECT:
@@ -251,7 +251,7 @@ class EmulatedDrive(frames.NamedRegisters):
             self._task(now, was, rising=bool(rising & p.TASK))
 
     def _task(self, now: Mapping[str, int], was: Mapping[str, int], *, rising: bool) -> None:
-        """Begin a task at the rising edge of its bit, or at each new set-point where the mode says so."""
+        """Begin a task at the rising edge of its bit, or at each new set-point if the mode says so."""
         if self.telegram == 9:
             by_record, mode = not now["SATZANW"] & p.MDI, p.ABSOLUTE if now["MDI_MOD"] & 1 else 0
             number = now["SATZANW"] & p.RECORD
@@ -285,12 +285,12 @@ class EmulatedDrive(frames.NamedRegisters):
             self._log.note("power", self.device.name, on=False, why=why)
 
     def _hold(self) -> None:
-        """Stop, and hold the place."""
+        """Stop, and hold the position."""
         self.motion.stop()
         self._taken = False
 
     def _go(self, place: float, pace: float) -> None:
-        """Move to a target, from where the profile is."""
+        """Move to a target from the profile's present position."""
         if not STROKE[0] <= place <= STROKE[1]:
             self._fail(OUT_OF_STROKE)
             return
@@ -303,7 +303,7 @@ class EmulatedDrive(frames.NamedRegisters):
         self._off(f"fault {code}")
 
     def _status_words(self) -> dict[str, int]:
-        """The words of the input process data, of all telegrams."""
+        """Words of the input process data, of all telegrams."""
         now, motion = monotonic(), self.motion
         if self._powered > now or motion.off(now) <= BEHIND:
             self._behind_since = now
@@ -351,12 +351,12 @@ class EmulatedDrive(frames.NamedRegisters):
     # -- what it does by itself -----------------------------------------------------------------------------------
 
     def expire_watchdog(self) -> bool:
-        """Let the time-out end at the next look; whether there is one that stops it."""
+        """Let the time-out end at the next check; returns whether it has one that stops it."""
         self._expire = self.timeout > 0 and self._powered != float("inf")
         return self._expire
 
     def restart(self) -> None:
-        """As after power-on: without power, with the time-out from the factory, and still homed (absolute encoder)."""
+        """Reset to power-on: without power, with the factory time-out, and still homed (absolute encoder)."""
         with self._lock:
             self._off("restart")
             self._out, self.timeout, self.fault, self._inhibited = [0] * p.SIZE, FACTORY, 0, True
@@ -365,14 +365,14 @@ class EmulatedDrive(frames.NamedRegisters):
             self._log.note("restart", self.device.name)
 
     def change_set_point(self, value: float) -> bool:
-        """Another program sends one target [user units] in the process data; whether the drive takes it."""
+        """Write a target [user units] as another program would; returns whether the drive accepts it."""
         with self._lock:
             target = round(value)
             self._obey([*self._out[:5], target & 0xFFFF, target >> 16 & 0xFFFF, *self._out[7:]])
             return self.enabled
 
     def look_at_watchdog(self) -> None:
-        """Stop where nothing was heard for the time-out."""
+        """Stop if nothing was received for the time-out."""
         with self._lock:
             if self._powered == float("inf"):
                 return

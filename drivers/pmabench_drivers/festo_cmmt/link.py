@@ -1,4 +1,4 @@
-"""The connection of a CMMT: process data, registers, and the mailbox of its parameters. Imported by `open`."""
+"""The connection to a CMMT: process data, registers, and the mailbox of its parameters. Imported by `open`."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from pmabench_drivers.shared.link import Still, Unanswered, always
 ANSWER = 0.1
 """Longest wait for one answer [s]."""
 LOOK = 0.003
-"""Pause between two looks into the mailbox [s]."""
+"""Pause between two reads of the mailbox [s]."""
 
 
 class DriveLink(NamedLine):
-    """One connection, used by any thread; every call ends `until` [s, monotonic]."""
+    """One connection, used by any thread; every call ends by `until` [s, monotonic]."""
 
     def __init__(self, device: str, address: str) -> None:
         super().__init__(device, address, ANSWER)
         self._mailbox = threading.Lock()
 
     def look(self, until: float) -> t.Status:
-        """What the drive reports now."""
+        """Present state of the drive."""
         return t.Status.of(self.read_again(t.PROCESS_IN, t.SIZE, until, "process data"))
 
     def look_once(self, until: float) -> t.Status:
-        """The same in one transaction, whose time is known."""
+        """Present state in a single transaction, whose time is known."""
         return t.Status.of(self.read("holding", t.PROCESS_IN, t.SIZE, until, "process data"))
 
     def send(self, words: Sequence[int], until: float, still: Still = always) -> None:
@@ -43,7 +43,7 @@ class DriveLink(NamedLine):
         return decode(register, self.read_again(register.address, register.count, until, register.name))
 
     def put(self, register: Register, value: float, until: float, *, checked: bool = True) -> None:
-        """Write once; then what the drive holds decides, also where the answer was lost."""
+        """Write once and read back; the value held decides, even if the answer was lost."""
         with suppress(Unanswered):
             self.write(16, register.address, encode(register, value), until, register.name)
         held = self.get(register, until)
@@ -63,13 +63,13 @@ class DriveLink(NamedLine):
         return float((int(value) & 0xFF ^ 0x80) - 0x80) if kind == "int8" else value
 
     def text(self, number: int, until: float) -> str:
-        """A parameter that is a text; empty where the drive has none."""
+        """A text parameter; empty if the drive has none."""
         words, size = self._fetch(number, until)
         data = b"".join(word.to_bytes(2, "little") for word in words)[:size]
         return "".join(chr(byte) for byte in data.split(b"\0")[0] if 32 <= byte < 127).strip()
 
     def _fetch(self, number: int, until: float) -> tuple[list[int], int]:
-        """Registers and bytes of a parameter, through the mailbox; nothing where the drive refuses it."""
+        """Registers and size [bytes] of a parameter, through the mailbox; empty if the drive refuses it."""
         what = f"parameter {number}"
         with self._mailbox:
             for address, word in ((t.NUMBER, number), (t.SUBINDEX, 0), (t.ELEMENTS, 1), (t.EXECUTE, t.READ)):

@@ -1,12 +1,14 @@
-"""PROFIdrive telegram 111 as a CMMT takes and gives it, where the drive is wanted at a time, and its options.
+"""PROFIdrive telegram 111 of a CMMT, the wanted position over time, and the driver's options.
 
-Knows no connection; standard library only. Registers, bits and parameter numbers: Festo's own client library
-festo-edcon 1.0, read as a description of the wire. Words are in registers as they are, those of 32 bits low word first.
+Uses no connection; standard library only. Registers, bits and parameter numbers: Festo's own client library
+festo-edcon 1.0, read as a description of the protocol. Words are unchanged in registers, those of 32 bits low word
+first.
 
 A sine is streamed. In each cycle the drive gets the velocity that brings it to the sine's value at the end of the
 cycle, and a target beyond that in the same direction: so it never brakes for a target on the way, and goes on smoothly
-where a cycle comes late. The target is never outside the sine's own crests. What the drive loses by its acceleration is
-seen in where it is, and made up slowly.
+where a cycle comes late. The target is never outside the sine's own crests, and after a stall it catches up no faster
+than `HURRY` and the actuator allow. What the drive loses by its acceleration is seen in where it is, and made up
+slowly.
 """
 
 from __future__ import annotations
@@ -14,36 +16,37 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, inf
 
 from pmabench.bench.interface import DeviceRecord, Segment
 from pmabench_drivers.modbus.registers import Register, decode, encode
-from pmabench_drivers.shared.device import stepped
+from pmabench_drivers.shared.device import HURRY, stepped
 from pmabench_drivers.shared.options import Reader
 
 PROCESS_OUT, PROCESS_IN = 0, 100
-"""First register of what is sent to the drive, and of what it reports."""
+"""First register of the words sent to the drive, and of those it reports."""
 SIZE, SENT = 28, 11
-"""Registers of each of them, and those that telegram 111 takes of what is sent."""
+"""Registers of each direction, and those of the sent ones that telegram 111 uses."""
 TIMEOUT = Register("watchdog time", "holding", 400, "uint32", low_word_first=True)
 """Milliseconds without communication after which the drive acts by itself."""
 SHORTEST, LONGEST = 0.1, 65.535
-"""What the time-out can be [s]."""
+"""Limits of the time-out [s]."""
 
 NUMBER, SUBINDEX, ELEMENTS, EXECUTE, LENGTH, DATA = 500, 501, 502, 503, 504, 510
 """Mailbox of parameters (PNU)."""
 READ, FAILED, DONE = 1, 3, 0x10
-"""What is written to `EXECUTE`, and what it holds afterwards."""
+"""Value written to `EXECUTE`, and its values afterwards."""
 TELEGRAM, TARGET, POSITION_PREFIX, VELOCITY_PREFIX, SERIAL = 3490, 34, 11724, 11725, 2076
 TELEGRAM_111 = 111
-"""Parameters: the selected telegram (it must be 111), MDI_TARPOS as the drive holds it, decimal exponents of its user
-units, serial number of its control unit (a text)."""
+"""Parameters: the selected telegram (must be 111), MDI_TARPOS as the drive holds it, decimal exponents of its user
+units, serial number of its control unit (a text).
+"""
 LONGEST_TEXT = 50
-"""No parameter that is read here is longer [bytes]."""
+"""Largest size of a parameter that is read here [bytes]."""
 
 ON, NO_COAST_STOP, NO_QUICK_STOP, ENABLE = 1 << 0, 1 << 1, 1 << 2, 1 << 3
 KEEP_TASK, NO_INTERMEDIATE_STOP, TASK, ACKNOWLEDGE, BY_PLC = 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 10
-"""Bits of STW1. Without `KEEP_TASK` the drive brakes as hard as it may, and holds the place."""
+"""Bits of STW1. Without `KEEP_TASK` the drive brakes at its limit and holds its position."""
 ABSOLUTE, CONTINUOUS, MDI = 1 << 8, 1 << 12, 1 << 15
 """Bits of POS_STW1: positions are absolute; set-points are taken over while it moves; set-points come with it."""
 READY, ENABLED, FAULT = 1 << 0, 1 << 2, 1 << 3
@@ -59,28 +62,28 @@ FAULTS = {
     126: "it could not follow: the load is too heavy, or something is in its way",
     294: "it is not controlled over the network",
 }
-"""Codes of the drive that a motion under load is likely to meet; its manual has them all."""
+"""Codes of the drive that are likely for a motion under load; its manual has them all."""
 NOTHING = [0] * SENT
-"""What is sent at last: switched off, no control."""
+"""Last words sent: switched off, no control."""
 CATCH_UP = 0.02
-"""Share of what the drive is off its profile by that is made up in one cycle: slow against delays of the link."""
+"""Fraction of the drive's deviation from its profile that is corrected per cycle: slow against delays of the link."""
 HERE = ("options",)
 POSITION, SET_POINT = "position", "set_point"
-"""What can be recorded: where the drive is, and where it is wanted at that moment. `POSITION` is also the output."""
+"""Recordable values: the drive's position, and its present set-point. `POSITION` is also the output."""
 WHOLE = 2**31
 SIGNED, UNSIGNED = (Register("", "holding", 0, kind, low_word_first=True) for kind in ("int32", "uint32"))
-"""How 32-bit words are written."""
+"""Formats of 32-bit words."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """What is sent to the drive in each cycle: bits, target [user units], velocity [user units] times override."""
+    """Command sent to the drive in each cycle: bits, target [user units], velocity [user units] times override."""
 
     on: bool = False
     task: bool = False
-    """A motion to `target` is under way or done; its rising edge starts one."""
+    """A motion to `target` is in progress or done; its rising edge starts one."""
     stop: bool = False
-    """The motion is given up and the place is held."""
+    """The motion is given up and the place is held; with power off it is braked until it stands."""
     acknowledge: bool = False
     target: int = 0
     velocity: int = 0
@@ -88,7 +91,7 @@ class Command:
 
     def words(self) -> list[int]:
         """The registers from `PROCESS_OUT` on."""
-        control = NO_COAST_STOP | NO_QUICK_STOP | ENABLE | NO_INTERMEDIATE_STOP | BY_PLC
+        control = NO_COAST_STOP | ENABLE | NO_INTERMEDIATE_STOP | BY_PLC | (self.on or not self.stop) * NO_QUICK_STOP
         control |= self.on * ON | self.task * TASK | self.acknowledge * ACKNOWLEDGE | (not self.stop) * KEEP_TASK
         numbers = [*encode(SIGNED, self.target), *encode(UNSIGNED, self.velocity)]
         return [control, ABSOLUTE | CONTINUOUS | MDI, 0, 0, self.override, *numbers, FULL, FULL]
@@ -96,14 +99,14 @@ class Command:
 
 @dataclass(frozen=True)
 class Status:
-    """What the drive reports in each cycle."""
+    """State that the drive reports in each cycle."""
 
     word: int
     """ZSW1."""
     position: int
     """XIST_A [user units]."""
     fault: int
-    """FAULT_CODE; 0 where there is none."""
+    """FAULT_CODE; 0 if there is none."""
 
     @classmethod
     def of(cls, words: Sequence[int]) -> Status:
@@ -115,7 +118,7 @@ class Status:
         return bool(self.word & bit)
 
     def refusal(self) -> str:
-        """Why it cannot be switched on or moved, in words; empty where nothing is known to forbid it."""
+        """Why it cannot be switched on or moved; empty if nothing known prevents it."""
         if self.has(FAULT):
             return (
                 f"reports fault {self.fault}: {FAULTS.get(self.fault, 'its display and its manual say what that is')}"
@@ -128,40 +131,40 @@ class Status:
 
 
 def speed(wanted: float) -> tuple[int, int]:
-    """MDI_VELOCITY and OVERRIDE that together make the `wanted` velocity [velocity units, above 0] to 0.01 %."""
+    """MDI_VELOCITY and OVERRIDE that together give the `wanted` velocity [velocity units, above 0] to 0.01 %."""
     velocity = max(1, ceil(wanted - 1e-9))
     return velocity, min(FULL, max(1, round(FULL * wanted / velocity)))
 
 
 class Path:
-    """Positions in user units of the drive; `clock` gives bench time [s]."""
+    """Positions in user units of the drive; `clock` gives bench time [s], `fastest` is the actuator's speed [1/s]."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
+    def __init__(self, clock: Callable[[], float], fastest: float = inf) -> None:
+        self._clock, self._fastest = clock, fastest
         self._segment: Segment | None = None
         self._since, self._from, self._to, self._velocity = 0.0, 0.0, 0.0, 0.0
         self._off = 0.0
 
     def rest_at(self, position: float) -> None:
-        """It is at rest there."""
+        """Start from rest at a position."""
         self.end()
         self._from = self._to = position
 
     def go(self, target: float, velocity: float) -> None:
-        """It was sent to `target` at `velocity` [1/s] from where it was wanted."""
+        """Start a motion to `target` at `velocity` [1/s] from the present set-point."""
         self.end()
         self._leave(target, velocity)
 
     def follow(self, segment: Segment) -> None:
-        """It is to follow the segment."""
+        """Follow a segment."""
         self._segment, self._off = segment, 0.0
 
     def end(self) -> None:
-        """Forget the segment under way."""
+        """Drop the present segment."""
         self._segment = None
 
     def now(self) -> float:
-        """Where it is wanted at this moment."""
+        """Present set-point."""
         now = self._clock()
         if self._segment is not None:
             value, _ = stepped(self._segment, now)
@@ -170,12 +173,12 @@ class Path:
         return self._profile(now)
 
     def seen(self, position: float, at: float) -> None:
-        """Where it was at a bench time `at` [s], since the last target was sent."""
+        """Take a measured position at a bench time `at` [s]; ignored if older than the last target."""
         if self._segment is not None and at >= self._since:
             self._off += CATCH_UP * (position - self._profile(at) - self._off)
 
     def next(self, cycle: float) -> tuple[float, float] | None:
-        """Target and velocity [1/s] for the next `cycle` [s]; None where nothing new is to be sent."""
+        """Target and velocity [1/s] for the next `cycle` [s]; None if nothing new is to be sent."""
         segment, now = self._segment, self._clock()
         if segment is None or now < segment.start:
             return None
@@ -187,12 +190,13 @@ class Path:
         if value is None:
             return None
         reach = value - self._profile(now) - self._off
-        velocity = abs(reach) / cycle
         target = value
         swing = abs(segment.amplitude)
+        own = 2 * math.pi * segment.frequency * swing
+        velocity = min(abs(reach) / cycle, HURRY * own, self._fastest)
         if over:
             self.end()
-            velocity = max(velocity, 2 * math.pi * segment.frequency * swing)  # whatever it lags by, it arrives
+            velocity = max(velocity, own)  # whatever it lags by, it arrives
         else:
             target = min(max(value + math.copysign(abs(reach), reach), segment.origin - swing), segment.origin + swing)
         self._leave(target, velocity)
@@ -203,7 +207,7 @@ class Path:
         self._since, self._from, self._to, self._velocity = now, self._profile(now), target, velocity
 
     def _profile(self, now: float) -> float:
-        """The drive's own way, without its acceleration."""
+        """The drive's own motion, without its acceleration."""
         way = self._velocity * max(now - self._since, 0.0)
         left = self._to - self._from
         return self._to if way >= abs(left) else self._from + math.copysign(way, left)
@@ -216,12 +220,12 @@ class CmmtOptions:
     rate: float
     """Cycles of process data [Hz]."""
     speed: float
-    """Of motions to a set-point that are no ramps [m/s]."""
+    """Speed of motions to a set-point other than ramps [m/s]."""
     acknowledge_faults: bool
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> CmmtOptions:
-    """The options of a device, and the names that its channels and outputs use."""
+    """Options of a device; also checks the names that its channels and outputs use."""
     given = reader.keys(device.options, HERE, ("rate", "speed", "acknowledge_faults"))
     reader.host(device, "192.168.1.2:502")
     for channel in device.channels:

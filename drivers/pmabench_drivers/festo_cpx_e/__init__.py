@@ -1,12 +1,11 @@
 """Festo CPX-E terminals with the bus module CPX-E-EP (Modbus TCP): 4AI-UI, 4AO-UI, 16DI and 8DO.
 
 `terminal`: modules, addresses and options; here: the device interface, a Modbus device whose map follows from its
-modules; `emulated`: what `pmabench emulate` serves.
+modules; `emulated`: the device for `pmabench emulate`.
 
-What differs from any Modbus device: an output is read back from the module's own inputs; eight digital outputs share a
-register; ranges and data format are compared when it is opened, and read again in turn while it is armed, through the
-terminal's data system table; the terminal has a time-out from the factory on, so it is kept in talk from `open` to
-`close`.
+Differences from other Modbus devices: an output is read back from the module's own inputs; eight digital outputs share
+a register; ranges and data format are compared at `open`, and read again in turn while armed, through the terminal's
+data system table; the terminal has a time-out by default, so communication is kept up from `open` to `close`.
 """
 
 from __future__ import annotations
@@ -29,25 +28,25 @@ if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line, NamedLine
 
 KEEP_ALIVE = 40.0
-"""How often it is asked while no watchdog of ours is armed [Hz]: its own time-out is 100 ms from the factory on."""
+"""Rate of requests while our watchdog is not armed [Hz]: the terminal's own time-out is 100 ms by default."""
 LOOK = 0.06
-"""Longest wait for what an output held before it is written [s]."""
+"""Longest wait for the present value of an output before it is written [s]."""
 ECHO = 0.003
-"""Pause between two looks whether a written value has arrived at the module [s]."""
+"""Pause between two checks whether a written value has reached the module [s]."""
 SHOWN = 0.01
-"""What was written is shown at the module's inputs within so long [s]."""
+"""Time within which a written value appears at the module's inputs [s]."""
 TABLE = 0.5
 """Longest wait for an answer of the data system table [s]."""
 CLEAR = 0.05
-"""Longest wait until the terminal takes back the answer to the question before [s]."""
+"""Longest wait until the terminal clears its previous answer [s]."""
 SETTINGS = 0.02
-"""So long ranges and formats are read in each call of `held` [s]: a command waits for that."""
+"""Time spent on reading ranges and formats in each call of `held` [s]; commands wait for it."""
 
 
 class FestoCpxE(ModbusDevice):
-    """A CPX-E terminal: `options: {modules: [...], ranges: {...}}`; channels are named as `ai3.0`, `do2.7`.
+    """A CPX-E terminal: `options: {modules: [...], ranges: {...}}`; channels have names such as `ai3.0`, `do2.7`.
 
-    Raw values are counts of the data format "sign + 15 bit"; the scaling is the bench's.
+    Raw values are counts of the data format "sign + 15 bit"; the bench file has the scaling.
     """
 
     emulator = "pmabench_drivers.festo_cpx_e.emulated"
@@ -67,18 +66,18 @@ class FestoCpxE(ModbusDevice):
         numbers = {self._range_at(channel)[0] for channel in self._terminal.ranges}
         numbers |= {module.parameter(t.DATA_FORMAT) for module in self._used if module.kind.ranges}
         self._settings: dict[int, int | None] = dict.fromkeys(sorted(numbers))
-        """Function number of each range and data format, that which was read longest ago first -> what it held then."""
+        """Function number of each range and data format, least recently read first -> value then."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect, read who it is, and compare modules, data format and ranges with the bench file."""
+        """Connect, identify, and compare modules, data format and ranges with the bench file."""
         return self._open(self._compare)
 
     def open_to_vent(self) -> Identity:
-        """Connect and compare the modules: a terminal with a fault, or another range, takes commands all the same.
+        """Connect and compare only the modules: a terminal with a fault or another range still takes commands.
 
-        What else `open` compares is compared before samples are taken: they shall confirm no vent that is none.
+        The other comparisons of `open` follow before sampling, so that no wrong sample confirms a vent.
         """
         return self._open(self._compare_modules)
 
@@ -95,14 +94,14 @@ class FestoCpxE(ModbusDevice):
         return identity
 
     def start(self, rate: float) -> float:
-        """Begin to sample at `rate` [Hz]; returns the rate that is used."""
+        """Start sampling at `rate` [Hz]; returns the rate used."""
         if not self._compared:
             self._compare(self._opened(), monotonic() + CALL)
             self._compared = True
         return super().start(rate)
 
     def close(self) -> None:
-        """End polling and let go of the connection; the terminal's own time-out runs from then on."""
+        """Stop polling and close the connection; the terminal's own time-out then runs."""
         self._alive.stop()
         super().close()
 
@@ -115,19 +114,19 @@ class FestoCpxE(ModbusDevice):
         return cast("NamedLine", super()._opened())
 
     def _keep_alive(self) -> None:
-        """One question while no watchdog of ours is armed; once it is, only the program keeps the terminal quiet."""
+        """Send a request while our watchdog is not armed; once it is, only the program prevents the time-out."""
         line = self._line
         if self._armed or line is None:
             return
         try:
             line.read("holding", STATUS, 1, monotonic() + self._map.timeout, "status")
         except DeviceError:
-            return  # the next call that somebody makes reports it
+            return  # reported by the next call
 
     # -- what is there, and how it is set -------------------------------------------------------------------------
 
     def _compare_modules(self, line: Line, until: float) -> None:
-        """Addresses follow from the modules before: with others an output would be somewhere else."""
+        """Compare the number of modules, from which the addresses of the outputs follow."""
         modules = self._terminal.modules
         if (present := self._present(line, until)) != len(modules) + 1:
             message = f"has {present} modules with the bus module, and the bench file names {len(modules) + 1}"
@@ -166,10 +165,10 @@ class FestoCpxE(ModbusDevice):
             raise self._error(f"did not take the range {_range(wanted)}", channel)
 
     def held(self) -> dict[str, float | str]:
-        """Its time-out [s], its modules and which report faults, whether it is forced, who it is, ranges and formats.
+        """Its time-out [s], modules, those with faults, whether anything is forced, identity, ranges and formats.
 
-        Ranges and data formats are read in turn, some in each call: its data system table is slow, and a command waits.
-        It gives no serial number in less than half a second.
+        Ranges and data formats are read in turn, some per call: the data system table is slow, and commands wait.
+        The serial number takes half a second and more to read, and is left out.
         """
         until = monotonic() + CALL
         watchdog, line = self._get(TIMEOUT, until) * 1e-3, self._opened()
@@ -204,7 +203,7 @@ class FestoCpxE(ModbusDevice):
         return found
 
     def _range_at(self, channel: str) -> tuple[int, int]:
-        """Function number of the range of a channel, and by how many bits it is shifted there."""
+        """Function number of a channel's range, and its offset there [bits]."""
         return self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
 
     @staticmethod
@@ -213,12 +212,12 @@ class FestoCpxE(ModbusDevice):
 
     @staticmethod
     def _faulty(line: Line, until: float) -> list[int]:
-        """Places of the modules that report a fault; 0 is the bus module."""
+        """Positions of the modules that report a fault; 0 is the bus module."""
         words = line.read("holding", t.FAULTS, 3, until, "faults")
         return [16 * i + bit for i, word in enumerate(words) for bit in range(16) if word >> bit & 1]
 
     def _setting(self, line: Line, number: int, until: float) -> int:
-        """The value of a function number; it is remembered as the one that was read last."""
+        """The value of a function number, which is stored as the one last read."""
         self._ask_table(line, t.ASK | number, until)
         [value] = line.read("holding", t.VALUE_OUT, 1, until, f"function {number}")
         self._settings.pop(number, None)
@@ -226,7 +225,7 @@ class FestoCpxE(ModbusDevice):
         return value
 
     def _ask_table(self, line: Line, question: int, until: float) -> None:
-        """Ask the data system table and wait for its answer."""
+        """Send a request to the data system table and wait for its answer."""
         what = f"function {question & 0x1FFF}"
 
         def ready() -> bool:
@@ -246,7 +245,7 @@ class FestoCpxE(ModbusDevice):
     # -- samples --------------------------------------------------------------------------------------------------
 
     def _poll(self) -> None:
-        """All inputs of the terminal in one transaction; none are taken from a module that reports a fault."""
+        """Read all inputs of the terminal in one transaction; raises DeviceError if a module in use reports a fault."""
         if not self._streaming or not self._inputs:
             return
         line, deadline = self._opened(), monotonic() + 2 * CALL + self._map.timeout
@@ -263,7 +262,7 @@ class FestoCpxE(ModbusDevice):
     # -- commands -------------------------------------------------------------------------------------------------
 
     def _get(self, register: Register, deadline: float = 0.0) -> float:
-        """What a module says; asked once more where the terminal had ended the connection."""
+        """Value that a module reports; asked again if the terminal had closed the connection."""
         until = deadline or monotonic() + CALL
         source = self._map.inputs.get(register.name, register)
         return decode(source, self._opened().read_again(source.address, source.count, until, source.name))
@@ -279,16 +278,16 @@ class FestoCpxE(ModbusDevice):
         ) if checked else words, wanted
 
     def _arrived(self, register: Register, wanted: float, until: float, _resolution: float) -> float:
-        """What the module shows, once it is what is wanted, or shortly before `until`."""
+        """Value that the module shows, once it is the wanted one, or shortly before `until`."""
         while (held := self._get(register, until)) != wanted and monotonic() <= until - LOOK / 2:
             sleep(ECHO)
         return held
 
     def _with_neighbours(self, register: Register, value: float, words: list[int], until: float) -> list[int]:
-        """The words to write, with the other digital outputs of the module as they are now.
+        """Words to write, with the present state of the module's other digital outputs.
 
-        Where that cannot be read, nothing is switched on; switching off leaves all of the module off, as the terminal
-        itself does without communication. The look also finds out whether the connection still lives.
+        If that cannot be read, nothing is switched on; switching off switches off the whole module, as the terminal
+        itself does without communication. The read also shows whether the connection still works.
         """
         try:
             held = int(self._get(self._whole(register), until))
@@ -299,12 +298,12 @@ class FestoCpxE(ModbusDevice):
         return _with_bit(register, value, held) if register.bit >= 0 else words
 
     def _whole(self, register: Register) -> Register:
-        """What the module says of the whole register that holds an output."""
+        """Register of the module's inputs that shows the whole register of an output."""
         source = self._map.inputs.get(register.name, register)
         return replace(source, name=f"{register.name} and its neighbours", bit=-1) if register.bit >= 0 else source
 
     def _overrule(self, second: Line, register: Register, value: float, deadline: float, watch: float) -> None:
-        """The same; a digital output shares its register, of which another rescue may write a bit meanwhile."""
+        """Write over a second connection; another vent may write the register of a digital output at the same time."""
         words, source, mask, watch = self._words(register, value), self._whole(register), 0xFFFF, watch or SHOWN
         if register.bit >= 0:
             try:
@@ -317,7 +316,7 @@ class FestoCpxE(ModbusDevice):
     # -- the terminal's watchdog ----------------------------------------------------------------------------------
 
     def arm_watchdog(self, seconds: float) -> float:
-        """Set the time-out of the terminal; returns what it holds then [s]."""
+        """Set the time-out of the terminal; returns the time it then holds [s]."""
         if seconds < t.SHORTEST:
             raise self._error(f"waits {t.SHORTEST:g} s at least, not {seconds:g} s", "watchdog")
         self._get(TIMEOUT)

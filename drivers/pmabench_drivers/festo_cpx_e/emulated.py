@@ -1,7 +1,7 @@
-"""An emulated CPX-E: process data in front of the plant, data system table, time-out, names, faults on demand.
+"""An emulated CPX-E: process data on the plant, data system table, time-out, names, faults on demand.
 
-Stricter than a terminal may be: it reads only what is documented to be read and takes process data with function 16,
-the time-out with function 6. When its time-out ends it puts out 0 everywhere and ends every connection.
+Stricter than a terminal may be: only documented registers can be read; process data needs function 16, and the time-out
+function 6. When its time-out ends it sets every output to 0 and closes every connection.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from pmabench_drivers.festo_cpx_e import terminal as t
 from pmabench_drivers.shared.options import options_of
 
 CYCLE = 0.003
-"""What is written shows in the modules' inputs and in the data system table so much later [s]."""
+"""Delay until a written value appears in the modules' inputs and in the data system table [s]."""
 DEFAULTS = {
     "16di": {0: 0x01, 1: 0x51},
     "8do": {0: 0x06, 1: 0x00},
     "4ai-ui": {0: 0x81, 1: 0x01, 6: 0xE0},
     "4ao-ui": {0: 0x86, 1: 0x0A, 6: 0x20},
 }
-"""Parameters of a module and their values from the factory on, as Festo's client library describes each bit."""
+"""Parameters of a module and their factory values, as Festo's client library describes each bit."""
 FACTORY = 100
-"""Time-out from the factory on [ms]."""
+"""Factory time-out [ms]."""
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CpxDevice:
-    """The terminal that a device of the driver `festo-cpx-e` talks to, on this machine."""
+    """Emulated terminal for a device of the driver `festo-cpx-e`, on this machine."""
     return CpxDevice(EmulatedTerminal(device, options_of(device, t.read_options).terminal, plant, log), log)
 
 
 class EmulatedTerminal(frames.NamedRegisters):
-    """The registers of one terminal."""
+    """Registers of one terminal."""
 
     def __init__(self, device: DeviceRecord, terminal: t.Terminal, plant: RealPlant, log: CommandLog) -> None:
         super().__init__(device, "CPX-E-EP", plant.model("CPX-E"))
@@ -45,7 +45,7 @@ class EmulatedTerminal(frames.NamedRegisters):
         self._wiring = Wiring(device, plant, log)
         self._inputs, self._written = terminal.inputs(), terminal.outputs()
         self.statuses: dict[int, int] = {}
-        """Address of a module's status -> what it says; 0 where nothing is given."""
+        """Address of a module's status -> its value; 0 if missing."""
         self.faults = self.status = 0
         """Bits of modules with faults, and the status of the terminal."""
         self.parameters: dict[int, int] = {}
@@ -61,13 +61,13 @@ class EmulatedTerminal(frames.NamedRegisters):
         self._shown = dict.fromkeys(self._words, (0, 0, 0.0))
         self._read = 0
         self.timeout = FACTORY
-        """Without communication for so long the outputs are taken away [ms]; 0: never."""
+        """Time without communication after which the outputs are set to 0 [ms]; 0: never."""
         self._fired = self._expire = False
 
     # -- requests -------------------------------------------------------------------------------------------------
 
     def hear(self) -> None:
-        """Any communication."""
+        """Note any communication."""
         with self._lock:
             self._heard, self._fired = monotonic(), False
 
@@ -128,7 +128,7 @@ class EmulatedTerminal(frames.NamedRegisters):
         return after if monotonic() >= at else before
 
     def _put_out(self, address: int, connection: int) -> None:
-        """What a written register does to the plant."""
+        """Apply a written register to the plant."""
         word = self._words[address]
         for name, register in self._written.items():
             if register.address != address:
@@ -141,17 +141,17 @@ class EmulatedTerminal(frames.NamedRegisters):
     # -- the time-out ---------------------------------------------------------------------------------------------
 
     def look_at_watchdog(self) -> None:
-        """Nothing: the connection looks at the time-out by `fire`, and ends with it."""
+        """Do nothing: the connection checks the time-out by `fire`, and ends with it."""
 
     def expire_watchdog(self) -> bool:
-        """Let the time-out end at the next look; whether there is one."""
+        """Let the time-out end at the next check; returns whether it has one."""
         self._expire = self.timeout > 0
         return self._expire
 
     # -- what happens to it from outside --------------------------------------------------------------------------
 
     def restart(self) -> None:
-        """As after power-on: nothing is put out, and the time-out is the one from the factory."""
+        """Reset to power-on: all outputs 0, and the factory time-out."""
         with self._lock:
             self._drop_outputs()
             self._words = dict.fromkeys(self._words, 0)
@@ -161,7 +161,7 @@ class EmulatedTerminal(frames.NamedRegisters):
             self._log.note("restart", self.device.name)
 
     def change_set_point(self, value: float) -> bool:
-        """Another program writes the first analogue output [count]; whether there is one."""
+        """Write the first analogue output [count], as another program would; returns whether there is one."""
         with self._lock:
             for name in list(self._wiring.outputs)[:1]:
                 address = self._written[name].address
@@ -172,7 +172,7 @@ class EmulatedTerminal(frames.NamedRegisters):
     # -- the end of the time-out ----------------------------------------------------------------------------------
 
     def fire(self) -> bool:
-        """Whether the time-out ends now; then every output is 0."""
+        """Whether the time-out ends now; then sets every output to 0."""
         with self._lock:
             silent = monotonic() - self._heard
             ends = self._expire or silent > self.timeout / 1e3
@@ -189,14 +189,14 @@ class EmulatedTerminal(frames.NamedRegisters):
         return [address for address in self._words if address >= t.FIRST_OUTPUT and self._words[address]]
 
     def _drop_outputs(self) -> None:
-        """Put out 0 everywhere."""
+        """Set every output to 0."""
         for address in self._put_out_now():
             self._put(address, 0)
             self._put_out(address, 0)
 
 
 class CpxDevice(NamedDevice):
-    """A terminal at its address; hangs up when its time-out ends."""
+    """A terminal at its address; closes its connections when its time-out ends."""
 
     registers: EmulatedTerminal
 

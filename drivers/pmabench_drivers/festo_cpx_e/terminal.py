@@ -1,7 +1,7 @@
-"""A CPX-E terminal as its modules in order: addresses, parameter numbers, and the options of the driver, read strictly.
+"""A CPX-E terminal as its modules in order: addresses, parameter numbers, and the driver's options, read strictly.
 
-Knows no connection; standard library only. Addresses, function numbers and range codes: Festo's own client library
-festo-cpx-io 0.11.2, read as a description of the wire; CPX-E-EP manual (the data system table).
+Uses no connection; standard library only. Addresses, function numbers and range codes: Festo's own client library
+festo-cpx-io 0.11.2, read as a description of the protocol; CPX-E-EP manual (the data system table).
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from pmabench_drivers.shared.options import Reader
 HERE = ("options",)
 
 CONTROL, VALUE_IN = 40001, 40002
-"""Data system table: what is asked, and the value to write."""
+"""Data system table: the request, and the value to write."""
 FIRST_OUTPUT = 40003
 PRESENT, FAULTS, STATUS = 45367, 45383, 45391
-"""Bits of the modules that are there (three registers), of those with a fault (three registers), and the terminal's."""
+"""Bits of the modules present (three registers), of those with a fault (three registers), and of the terminal."""
 READY, VALUE_OUT = 45392, 45393
-"""Data system table: bit 15 says that the answer is there, and the value that was read."""
+"""Data system table: bit 15 says that the answer is ready, and the value that was read."""
 FIRST_INPUT = 45395
 TIMEOUT = Register("watchdog time", "holding", 46100)
 """Milliseconds without any communication after which the terminal acts by itself; 0: never."""
 SHORTEST, LONGEST = 0.1, 65.535
-"""What the time-out can be [s]."""
+"""Limits of the time-out [s]."""
 DONE, ASK, WRITE = 1 << 15, 1 << 15, 1 << 13
 FORCED, PROTECTED = 1 << 15, 1 << 11
 """Bits of `STATUS`: outputs or inputs are forced by hand; parameters cannot be written."""
 MOST_MODULES = 25
-"""Their inputs are read in one transaction of at most 125 registers."""
+"""Largest number of modules: their inputs are read in one transaction of at most 125 registers."""
 RANGES = {"0..10 V": 1, "-10..10 V": 2, "-5..5 V": 3, "1..5 V": 4, "0..20 mA": 5, "4..20 mA": 6, "-20..20 mA": 7}
 DATA_FORMAT = 6
 """Parameter whose bit 0 is clear for the format "sign + 15 bit"."""
@@ -40,14 +40,14 @@ DATA_FORMAT = 6
 
 @dataclass(frozen=True)
 class Kind:
-    """A type of module: what its channels are called, how many, and its registers of process data."""
+    """A type of module: prefix and number of its channels, and its registers of process data."""
 
     prefix: str
     channels: int
     outputs: int
     inputs: int
     status: int
-    """Which of its input registers holds its status; 0 there means that all is well."""
+    """Index of the input register with its status; a status of 0 means that all is well."""
     ranges: int = 0
     """Parameter with the ranges of channels 0 and 1; the next one has those of 2 and 3. 0: it has no ranges."""
 
@@ -65,7 +65,7 @@ class Module:
     """One module of the terminal."""
 
     position: int
-    """1 for the first next to the bus module."""
+    """1 for the first one after the bus module."""
     name: str
     kind: Kind
     first_output: int
@@ -81,13 +81,13 @@ class Module:
         return 4828 + 64 * self.position + number
 
     def range_of(self, channel: int) -> tuple[int, int]:
-        """Function number of the range of a channel, and by how many bits it is shifted there."""
+        """Function number of a channel's range, and its offset there [bits]."""
         return self.parameter(self.kind.ranges + channel // 2), 4 * (channel % 2)
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """The modules in their order, and what is where."""
+    """The modules in order, and their addresses."""
 
     modules: tuple[Module, ...] = ()
     ranges: Mapping[str, int] = field(default_factory=dict)
@@ -104,11 +104,11 @@ class Terminal:
         return self.modules[int(name.partition(".")[0][2:]) - 1]
 
     def inputs(self) -> dict[str, Register]:
-        """Every channel by its name; those of output modules are what the module says that it puts out."""
+        """Every channel by name; for output modules, the outputs as the module reports them."""
         return {name: register for module in self.modules for name, register in _registers(module, module.first_input)}
 
     def outputs(self) -> dict[str, Register]:
-        """Every channel that is written."""
+        """Every channel that can be written."""
         writable = [module for module in self.modules if module.kind.outputs]
         return {name: register for module in writable for name, register in _registers(module, module.first_output)}
 
@@ -142,7 +142,7 @@ class CpxOptions(Options):
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> CpxOptions:
-    """The options of a device and the names that its channels, outputs, valves and interlocks use."""
+    """Options of a device; also checks the names that its channels, outputs, valves and interlocks use."""
     given = reader.keys(device.options, HERE, ("modules", "ranges", "set_ranges", "rate"), ("modules",))
     reader.host(device, "192.168.1.1:502")
     names = reader.texts(given, "modules", HERE)
@@ -180,7 +180,7 @@ def _ranges(given: Mapping[str, object], modules: tuple[Module, ...], reader: Re
 
 
 def _used(device: DeviceRecord, terminal: Terminal, reader: Reader) -> None:
-    """What the bench asks of the terminal must be there, and of the right kind."""
+    """Check that everything the bench uses exists on the terminal, and is of the right kind."""
     inputs, used = terminal.inputs(), set()
 
     def named(place: tuple[str | int, ...], name: str, prefixes: tuple[str, ...]) -> bool:
@@ -215,7 +215,7 @@ def _used(device: DeviceRecord, terminal: Terminal, reader: Reader) -> None:
 
 
 def _fits(output: OutputRecord, low: int, reader: Reader, *, watched: bool) -> None:
-    """The range of an output must be that of its module, and 0 its safe value where the terminal vents by itself."""
+    """Check that an output's range fits its module, and that its safe value is 0 if the terminal vents by itself."""
     at = ("outputs", output.name, "output")
     ends = [float(output.scale.to_raw(value)) for value in (output.low, output.high, output.safe)]
     for value in [value for value in ends if not low <= value <= 32767][:1]:

@@ -1,6 +1,6 @@
 """The laser sensor Micro-Epsilon optoNCDT ILD1420: distances with their numbers, over RS422.
 
-Here: options, bytes as values, what was lost, the device interface; `emulator`: a sensor on a pseudo-terminal.
+Here: options, decoding, lost measurements, the device interface; `emulator`: a sensor on a pseudo-terminal.
 
 Instruction manual optoNCDT 1420, measurement value output over RS422: three bytes a value, marked by their two highest
 bits: low byte `00`, middle byte `01`, high byte `10` for the first value of a measurement (the distance) and `11` for
@@ -22,13 +22,13 @@ from pmabench_drivers.shared.options import Reader
 from pmabench_drivers.shared.serial_port import SerialStream
 
 BITS = 60
-"""On the wire for a distance and its counter, start and stop bits counted."""
+"""Bits on the line for a distance and its counter, with start and stop bits."""
 WRAP = 1 << 18
-"""The counter begins again after so many measurements."""
+"""Number of measurements after which the counter restarts at 0."""
 FULL = 65520
 """Largest code that is a distance."""
 SPANS = (10, 25, 50, 100, 200, 500)
-"""Measuring ranges that the sensor is made in [mm]."""
+"""Measuring ranges of the sensors [mm]."""
 SCENE = {
     262076: "sees no peak",
     262077: "sees a peak before its measuring range",
@@ -36,9 +36,9 @@ SCENE = {
     262080: "cannot compute the value",
     262081: "sees a peak that is too large",
 }
-"""Codes about what is in front of the laser: no number, as often as it happens."""
+"""Codes about the target: not a number, however often they occur."""
 SETTING = {262075: "sends more than its baud rate can carry", 262082: "has its laser switched off"}
-"""Codes for something that is set wrong."""
+"""Codes for a wrong setting."""
 BAUDS = (115200, 230400, 256000, 460800, 691200, 921600, 1000000)
 INPUT = "distance"
 
@@ -46,8 +46,8 @@ INPUT = "distance"
 class Decoder:
     """Cuts a stream of bytes into measurements.
 
-    Behind a byte out of place everything is left out up to the end of the second counter: what is up to the first
-    one may be put together from old bytes and disturbed ones.
+    After a byte out of place everything up to the end of the second counter is dropped: the part up to the first may
+    be made of old bytes and disturbed ones.
     """
 
     def __init__(self) -> None:
@@ -55,10 +55,10 @@ class Decoder:
         self._code = -1
         self._skip = 0
         self.invalid = 0
-        """How often a byte was out of its place."""
+        """Number of bytes out of place."""
 
     def feed(self, data: bytes) -> list[tuple[int, int]]:
-        """The measurements that end in `data`: code of the distance and counter, 18 bits each."""
+        """Measurements that end in `data`: code of the distance and counter, 18 bits each."""
         found = []
         for byte in data:
             mark = byte >> 6
@@ -99,32 +99,32 @@ def encode(code: int, counter: int) -> bytes:
 
 
 def distance(code: int, span: int) -> float:
-    """Distance from the begin of the measuring range [mm] at a range of `span` [mm]; no number where it is none."""
+    """Distance from the start of the measuring range of `span` [mm]; NaN if the code is no distance."""
     return math.nan if not 0 <= code <= FULL else 0.01 * (102.0 / FULL * code - 1.0) * span
 
 
 def code_of(value: float, span: int) -> int:
-    """The code that the sensor sends for a distance [mm]; peaks outside have other codes."""
+    """Code that the sensor sends for a distance [mm]; there are other codes for peaks outside the range."""
     code = round((value / (0.01 * span) + 1.0) * FULL / 102.0)
     return 262077 if code < 0 else 262078 if code > FULL else code
 
 
 def misset(code: int) -> str:
-    """What is set wrong where the sensor sends this code; empty where nothing is."""
+    """The wrong setting that this code indicates; empty if none."""
     if code <= FULL or code in SCENE:
         return ""
     return SETTING.get(code) or f"sends {code}, which is no distance: a master value may be set in it"
 
 
 class CounterBroken(Exception):
-    """The counter goes on from elsewhere: which measurement this is, is not known."""
+    """The counter has jumped: the number of this measurement is unknown."""
 
 
 class Numbering:
     """Numbers measurements from 0 on.
 
-    A measurement is believed when its counter follows that of the last one believed, or of the one right before it. So
-    the first one behind a gap is left out: its bytes may belong to two. A disturbed counter makes no false gap.
+    A measurement is accepted if its counter follows that of the last accepted one, or of the one before it. So the
+    first one after a gap is dropped: its bytes may belong to two measurements. A disturbed counter makes no false gap.
     """
 
     def __init__(self, longest: int) -> None:
@@ -133,10 +133,10 @@ class Numbering:
         self._before: int | None = None
         self._number = 0
         self.lost = 0
-        """Measurements that never came, or were left out."""
+        """Measurements that did not arrive, or were dropped."""
 
     def place(self, counter: int) -> int | None:
-        """The number of a measurement; None: it is not believed. Raises CounterBroken."""
+        """The number of a measurement; None if it is not accepted. Raises CounterBroken."""
         follows = [(before + 1) % WRAP for before in (self._last, self._before) if before is not None]
         self._before = counter
         if counter not in follows:
@@ -162,7 +162,7 @@ class Options:
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
-    """The options of a device, and the inputs that its channels use."""
+    """Options of a device; also checks the inputs that its channels use."""
     place, base = ("options",), Options()
     given = reader.keys(device.options, place, ("range", "rate", "baud"), ("range", "rate"))
     reader.port(device, "/dev/ttyUSB0")
@@ -183,13 +183,13 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
 
 
 PROMPT = b"->"
-"""Ends each answer; inside a stream of values the two bytes cannot follow each other."""
+"""End of each answer; the two bytes cannot follow each other in a stream of values."""
 ANSWER = 0.15
 """Longest wait for an answer [s]."""
 LONGEST = 10.0
-"""A jump of the counter over more than this is no loss [s]."""
+"""Largest jump of the counter that counts as a loss [s]."""
 SLIP = 0.3
-"""More than this the measurements of a whole second may not be later than they were: the rate is another [s]."""
+"""Largest increase of the delay of all measurements of a second; beyond it the rate differs [s]."""
 _ERROR = re.compile(rb"E\d{2,3}[^\r\n]*")
 _FIELD = re.compile(r"^[\s>-]*([A-Za-z][A-Za-z -]*?) *: *([^\r\n/]*?) *(?://.*)?$", re.MULTILINE)
 
@@ -199,7 +199,7 @@ class Refused(DeviceError):
 
 
 class Ild1420(SerialStream):
-    """A laser sensor: its one input is `distance` [mm], from the begin of the measuring range."""
+    """A laser sensor: its one input is `distance` [mm], from the start of the measuring range."""
 
     emulator = "pmabench_drivers.ild1420.emulator"
 
@@ -217,7 +217,7 @@ class Ild1420(SerialStream):
 
     @classmethod
     def fastest(cls, device: DeviceRecord) -> float:
-        """The rate at which it measures [Hz]."""
+        """Measuring rate of the sensor [Hz]."""
         return float(cls.read_options(device, Reader()).rate)
 
     def _greet(self) -> Identity:
@@ -233,7 +233,7 @@ class Ild1420(SerialStream):
         return identity
 
     def start(self, rate: float) -> float:
-        """Begin to measure, at the sensor's own rate whatever is asked for [Hz]."""
+        """Start measuring at the sensor's own rate, whatever rate [Hz] is requested."""
         port = self._ready(rate)
         self._forget()
         answer = self._ask("OUTPUT RS422", rest=True)
@@ -248,13 +248,13 @@ class Ild1420(SerialStream):
 
     @property
     def lost(self) -> int:
-        """Measurements that never came, by the counter; each is a gap in the times."""
+        """Measurements that did not arrive, by the counter; each is a gap in the times."""
         return self._numbering.lost
 
     # -- the stream -------------------------------------------------------------------------------------------------
 
     def _take(self, data: bytes, now: float) -> None:
-        """Bytes that came at `now` [s, bench time]."""
+        """Take bytes that arrived at `now` [s, bench time]."""
         if self._failure:
             return
         for code, counter in self._decoder.feed(data):

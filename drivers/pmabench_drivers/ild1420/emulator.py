@@ -1,4 +1,4 @@
-"""An emulated ILD1420 on a pseudo-terminal, looking at the plant, with faults on demand."""
+"""An emulated ILD1420 on a pseudo-terminal, which measures the plant, with faults on demand."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pmabench_drivers.shared.options import options_of
 
 GARBAGE = b"\x8f\xff\x15"
 RATES = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Measuring rates that it takes [kHz]."""
+"""Measuring rates that it accepts [kHz]."""
 
 
 class Sensor(Streaming):
-    """One sensor; `counter` may be set, to look at where it begins again."""
+    """One sensor; `counter` may be set, to test its restart at 0."""
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
         self._options, self._plant, self._wiring = options_of(device, read_options), plant, Wiring(device, plant, log)
@@ -29,7 +29,7 @@ class Sensor(Streaming):
         """Whether its key does nothing."""
 
     def command(self, line: str) -> None:
-        """As a sensor answers; the prompt ends each answer."""
+        """Answer as a sensor does; each answer ends with the prompt."""
         fault = self.next_fault()
         if fault.kind == "silence":
             return
@@ -56,7 +56,7 @@ class Sensor(Streaming):
         return "ok"
 
     def send_what_is_due(self) -> None:
-        """All measurements up to now."""
+        """Send all measurements up to now."""
         now, data = monotonic(), b""
         while self.due <= now:
             quantities = self._plant.at(self.due)
@@ -66,7 +66,7 @@ class Sensor(Streaming):
             self.terminal.write(data)
 
     def _measure(self, quantities: dict[str, float]) -> bytes:
-        """One measurement, with the fault of the moment; the counter counts also what is lost on the wire."""
+        """One measurement, with the present fault; the counter also counts measurements lost on the line."""
         fault = self.next_fault()
         counter, self.counter = self.counter, (self.counter + 1) % WRAP
         raw = self._wiring.raw(INPUT, quantities)
@@ -81,4 +81,4 @@ class Sensor(Streaming):
 
 
 serve = Sensor
-"""The sensor that a device of the driver `ild1420` talks to."""
+"""Emulated sensor for a device of the driver `ild1420`."""

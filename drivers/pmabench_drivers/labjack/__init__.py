@@ -1,12 +1,11 @@
 """LabJack T7, T8 and T4: analogue inputs (a T7 streams them), DACs, digital lines, watchdog, over Ethernet.
 
-`registers`: addresses, words, and what the bench file says; `stream`: packets, volts and their connection; here: the
-device interface. Commands go through the Modbus driver. `emulated`, `emulated_map`: a device on this machine, for
-`pmabench emulate`.
+`registers`: addresses, words, and options; `stream`: packets, volts and their connection; here: the device interface;
+`emulated`, `emulated_map`: the device for `pmabench emulate`.
 
-Commands are those of the Modbus driver with LabJack's own registers; stream, digital lines and watchdog are its own.
-While a stream runs a T7 answers to no reading of its analogue inputs, and all samples come from the stream. A T8 and a
-T4 are asked for each sample; on a T8 reading one input takes all of them at that moment.
+Commands are those of the Modbus driver with LabJack's own registers; stream, digital lines and watchdog are separate.
+During a stream a T7 does not answer reads of its analogue inputs, and all samples come from the stream. A T8 and a T4
+are read for each sample; on a T8 reading one input captures all of them at that moment.
 """
 
 from __future__ import annotations
@@ -39,13 +38,13 @@ BLOCK = 13
 FIRMWARE_STEP = 5e-5
 """Half a step between two versions of the firmware."""
 KEY = 0x504D4142
-"""Feeds the watchdog."""
+"""Value that feeds the watchdog."""
 AGAIN = 0.005
-"""After so long [s] a line that is rescued is written again."""
+"""Interval for writing a line again during a vent over a second connection [s]."""
 
 
 class LabJack(ModbusDevice):
-    """A T7, T8 or T4 on Ethernet, as `options.model` says.
+    """A T7, T8 or T4 on Ethernet, according to `options.model`.
 
     Raw values are volts at the terminals; `DAC0` and `DAC1` take volts.
     """
@@ -64,21 +63,21 @@ class LabJack(ModbusDevice):
 
     @classmethod
     def fastest(cls, device: DeviceRecord) -> float:
-        """Highest rate of its stream over all channels, or at which it is asked [Hz]."""
+        """Highest rate of its stream with all channels, or of reading it [Hz]."""
         options = read_options(device, Reader())
         return r.FASTEST / max(1, len(device.channels)) if options.model.streams else options.rate
 
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect, prove the order of words, read who it is and the constants that make volts of its counts."""
+        """Connect, check the order of words, identify, and read the constants that convert counts to volts."""
         super().open()
         deadline = monotonic() + OPEN
         with self._closed_on_error():
             try:
                 return self._identify_model(deadline)
             except Unanswered:
-                return self._identify_model(deadline)  # asking twice moves nothing
+                return self._identify_model(deadline)  # reading twice moves nothing
 
     def _identify_model(self, deadline: float) -> Identity:
         self._prove_words(deadline)
@@ -98,12 +97,12 @@ class LabJack(ModbusDevice):
         return Identity("LabJack", f"{begins}{name}", str(serial), f"{firmware:.4f}", simulated=bool(begins))
 
     def close(self) -> None:
-        """End stream and stepping and let go of the connections."""
+        """End stream and stepping and close the connections."""
         self._end_stream()
         super().close()
 
     def _prove_words(self, deadline: float) -> None:
-        """A constant register must read as it was written down."""
+        """Check the order of words with a constant register."""
         words = self.get(r.TEST, 2, deadline, "test register")
         if r.from_u32(words) != [r.TEST_VALUE]:
             message = f"its test register gives {words[0]:04x} {words[1]:04x} instead of 0011 2233: no LabJack, or "
@@ -123,7 +122,7 @@ class LabJack(ModbusDevice):
     # -- samples --------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:
-        """Stream all channels together at `rate` [Hz], or ask for them; returns the rate that is really used."""
+        """Stream all channels together at `rate` [Hz], or read them; returns the rate used."""
         name, options, inputs = self._device.name, self._options, list(self._options.inputs.values())
         if not self._model.streams:
             deadline = monotonic() + CALL
@@ -138,7 +137,7 @@ class LabJack(ModbusDevice):
         self._end_stream()
         deadline = monotonic() + CALL
         if r.from_u32(self.get(r.STREAM_ENABLE, 2, deadline, "stream")) != [0]:
-            self.put(r.STREAM_ENABLE, r.u32(0), deadline, "stream")  # one that is left over
+            self.put(r.STREAM_ENABLE, r.u32(0), deadline, "stream")  # left over from before
         for item in inputs:
             self._set_range(item, deadline)
             self.put(r.AIN_NEGATIVE + item.number, [item.negative], deadline, f"AIN{item.number}")
@@ -159,7 +158,7 @@ class LabJack(ModbusDevice):
         self.put(r.AIN_RANGE + 2 * item.number, r.f32(item.span), deadline, f"AIN{item.number}")
 
     def _configure(self, rate: float, scans: int, deadline: float) -> float:
-        """Write scan list and settings, read them back; the rate that the device will use [Hz]."""
+        """Write scan list and settings and read them back; returns the rate that the device will use [Hz]."""
         options, inputs = self._options, list(self._options.inputs.values())
         sizes = r.u32(len(inputs), len(inputs) * scans)
         rest = [*r.f32(1e6 * options.settling), *r.u32(options.resolution, r.STREAM_BUFFER, 0)]
@@ -183,19 +182,19 @@ class LabJack(ModbusDevice):
         return used
 
     def collect(self) -> Block:
-        """Every scan that came since the last call; an error once the stream, or stepping, has failed."""
+        """Every scan since the last call; raises DeviceError once the stream, or stepping, has failed."""
         asked = super().collect()
         if not self._model.streams:
             return asked
         return Block([], {name: [] for name in asked.columns}) if self._stream is None else self._stream.collect()
 
     def stop(self) -> None:
-        """End the stream; a ramp under way goes on."""
+        """End the stream; a ramp in progress continues."""
         self._end_stream()
         super().stop()
 
     def _end_stream(self) -> None:
-        """Stop the device and let go; one that does not answer is stopped at the next start."""
+        """Stop the device and close the connection; if it does not answer, the next start stops it."""
         link, self._stream = self._stream, None
         if link is None:
             return
@@ -205,13 +204,13 @@ class LabJack(ModbusDevice):
 
     @property
     def lost(self) -> int:
-        """Scans of this stream that never came; each is a gap in the samples."""
+        """Scans of this stream that did not arrive; each is a gap in the samples."""
         return 0 if self._stream is None else self._stream.lost
 
     # -- digital lines --------------------------------------------------------------------------------------------
 
     def _get(self, register: Register, deadline: float = 0.0) -> float:
-        """Of a valve's line whether it drives its terminal high: reading its own register would make it an input."""
+        """For a valve's line, whether it drives its terminal high: reading its own register would make it an input."""
         if (line := self._lines.get(register.name)) is None:
             return super()._get(register, deadline)
         until = deadline or monotonic() + CALL
@@ -220,7 +219,7 @@ class LabJack(ModbusDevice):
         return state >> line & direction >> line & 1
 
     def _overrule(self, second: Line, register: Register, value: float, deadline: float, watch: float) -> None:
-        """A valve's line is written again and again: a look at its own register would make it an input."""
+        """Write a valve's line repeatedly: reading its own register would make it an input."""
         if register.name not in self._lines:
             super()._overrule(second, register, value, deadline, watch)
             return
@@ -232,7 +231,7 @@ class LabJack(ModbusDevice):
                 second.write(self._function(register), register.address, words, deadline, register.name)
 
     def _shows(self, register: Register, held: float) -> str:
-        """What a valve's terminal is, or another register holds."""
+        """State of a valve's terminal, or value of another register."""
         valve = register.name in self._lines
         return f"its terminal is {'high' if held else 'low'}" if valve else super()._shows(register, held)
 
@@ -242,14 +241,14 @@ class LabJack(ModbusDevice):
     # the DACs and the valve lines to their safe values. It counts whole seconds. Its settings are kept in flash.
 
     def arm_watchdog(self, seconds: float) -> float:
-        """Set it to whole seconds and to safe values of DACs and valves, and start it; returns what it holds [s]."""
+        """Set whole seconds and the safe values of DACs and valves, and start it; returns the time it holds [s]."""
         if not 1.0 <= seconds < math.inf:
             raise self._error(f"counts whole seconds: a watchdog of {seconds:g} s cannot be set", "watchdog")
         deadline = monotonic() + CALL
         self.put(r.WATCHDOG_ENABLE, r.u32(0), deadline, "watchdog")
         for address, words in watchdog_settings(self._device, math.floor(seconds + 1e-6)):
             if self.get(address, len(words), deadline, "watchdog") == words:
-                continue  # flash wears out, and is slow
+                continue  # already there: flash is slow and wears out
             self.put(address, words, deadline, "watchdog")
             if (held := self.get(address, len(words), deadline, "watchdog")) != words:
                 raise self._error(f"register {address} holds {held} after {words} was written", "watchdog")
@@ -265,14 +264,14 @@ class LabJack(ModbusDevice):
         self.put(r.WATCHDOG_CLEAR, r.u32(KEY), monotonic() + CALL, "watchdog")
 
     def disarm_watchdog(self) -> None:
-        """Off; outputs stay, and the settings in flash do nothing any more."""
+        """Switch it off; outputs stay, and the settings in flash have no effect."""
         deadline = monotonic() + CALL
         self.put(r.WATCHDOG_ENABLE, r.u32(0), deadline, "watchdog")
         if r.from_u32(self.get(r.WATCHDOG_ENABLE, 2, deadline, "watchdog")) != [0]:
             raise self._error("is still on", "watchdog")
 
     def _watchdog_held(self, deadline: float) -> dict[str, float | str]:
-        """What the device reports now: its time [s], 0 where it is off; and what it would do, as one text."""
+        """Its present time [s], 0 if it is off; and its actions, as one text."""
         enabled, advanced, seconds, _delay = r.from_u32(self.get(r.WATCHDOG_ENABLE, 8, deadline, "watchdog"))
         does = [f"61602={advanced:08x}"]
         for address, words in watchdog_settings(self._device, int(seconds))[1:]:
@@ -281,16 +280,16 @@ class LabJack(ModbusDevice):
         return {"watchdog": float(seconds) if enabled == 1 else 0.0, "registers of the watchdog": " ".join(does)}
 
     def held(self) -> Mapping[str, float | str]:
-        """Watchdog with all that it would do, serial number, ranges; newer firmware: cause of the last restart, uptime.
+        """Watchdog with its actions, serial number, ranges; with newer firmware: cause of the last restart, uptime.
 
-        The uptime is the device's clock, which begins at 0 at power-on. A T7-Pro, or a device that sets its clock over
-        the network, shows the time of day there: then it is left out.
+        The uptime is the device's clock, which starts at 0 at power-on. If a device sets its clock over the
+        network, it is the time of day, and left out.
         """
         deadline = monotonic() + CALL
         found = self._watchdog_held(deadline)
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
         found["serial"] = str(serial)
-        if self._model.ranges and self._inputs:  # a stream keeps its own
+        if self._model.ranges and self._inputs:  # a stream has its own
             numbers = [item.number for item in self._options.inputs.values()]
             first, count = min(numbers), max(numbers) - min(numbers) + 1
             spans = r.from_f32(self.get(r.AIN_RANGE + 2 * first, 2 * count, deadline, "ranges"))
@@ -306,21 +305,21 @@ class LabJack(ModbusDevice):
     # -- registers ------------------------------------------------------------------------------------------------
 
     def get(self, address: int, count: int, deadline: float, what: str) -> list[int]:
-        """Registers from an address on; LabJack's own reason where it refuses."""
+        """Read registers from an address on; raises LabJack's own reason if refused."""
         try:
             return self._opened().read("holding", address, count, deadline, what)
         except DeviceError as error:
             raise self._explained(error, deadline, what) from None
 
     def put(self, address: int, words: Sequence[int], deadline: float, what: str) -> None:
-        """Write registers once; LabJack's own reason where it refuses."""
+        """Write registers once; raises LabJack's own reason if refused."""
         try:
             self._opened().write(16, address, words, deadline, what)
         except DeviceError as error:
             raise self._explained(error, deadline, what) from None
 
     def _explained(self, error: DeviceError, deadline: float, what: str) -> DeviceError:
-        """The error with the code that the device keeps for the last one, where it refused."""
+        """The error, for a refusal with the device's code of its last error."""
         if not error.message.startswith("answers with exception"):
             return error
         try:
@@ -332,7 +331,7 @@ class LabJack(ModbusDevice):
 
 
 def watchdog_settings(device: DeviceRecord, seconds: int) -> list[tuple[int, list[int]]]:
-    """First address and words of each group of registers, enable left out: all that makes the device safe by itself."""
+    """First address and words of each group of registers except enable: all that makes the device safe by itself."""
     dacs = {output.output: float(output.scale.to_raw(output.safe)) for output in device.outputs}
     lines = {r.line_of(valve.output) or 0: valve.safe == valve.energised for valve in device.valves}
     mask = sum(1 << line for line in lines)

@@ -1,4 +1,4 @@
-"""An emulated T7, T8 or T4: its registers, DACs, digital lines and watchdog in front of the simulated muscle."""
+"""An emulated T7, T8 or T4: its registers, DACs, digital lines and watchdog on the simulated muscle."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from pmabench_drivers.shared.options import options_of
 FAILED = 4
 """Exception code of all errors that have a code of LabJack's."""
 SLOPES = ((3.1592e-4, -3.1571e-4, 33511.0), (3.1590e-5, -3.1575e-5, 33498.5))
-"""Calibration constants of this device, not the nominal ones: slopes and centre for 10 V and 1 V."""
+"""Calibration constants of this device, different from the nominal ones: slopes and centre for 10 V and 1 V."""
 DAC_END = 0.993
-"""Share of its full voltage that a DAC reaches."""
+"""Fraction of its full voltage that a DAC reaches."""
 BUFFER = 2 * 4096
 FLASHED = (r.WATCHDOG_ENABLE, r.WATCHDOG_ENABLE + 100)
-"""Registers that power-on does not change."""
+"""Registers that keep their value at power-on."""
 POWER_ON = 1
 """Bit 0 of the cause of the last restart."""
 HARDWARE, FIRMWARE = 1.3, 1.0331
 CORE = 40e6
 """Half of the core's frequency [Hz]."""
 REBOOT = 0x4C4A
-"""What the upper word of `REBOOT` must be; the lower one waits in steps of 50 ms."""
+"""Required upper word of the register `REBOOT`; the lower one is a delay in steps of 50 ms."""
 GROUPS = ((0, 8), (8, 8), (16, 4), (20, 3))
 """First line and number of lines of FIO, EIO, CIO and MIO."""
 
@@ -71,14 +71,14 @@ def constants() -> list[float]:
 
 
 def counts(volts: float, gain: int) -> int:
-    """What its converter gives for a voltage."""
+    """Count of its converter for a voltage."""
     positive, negative, center = constants()[4 * gain : 4 * gain + 3]
     raw = center + volts / positive if volts >= 0 else center - volts / negative
     return min(max(round(raw), 0), 65535)
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedT7:
-    """What a device of the driver `labjack` talks to."""
+    """Emulated device for a device of the driver `labjack`."""
     options = options_of(device, read_options)
     stream_port = options.stream_port if options.model.streams else 0
     return EmulatedT7(device, options, plant, log, options.port, stream_port)
@@ -92,7 +92,7 @@ class _Faults(Faults):
         self._stream = stream
 
     def set(self, kind: str, value: float | None = None, count: int = -1) -> None:
-        """Of the stream: once; else as for any link."""
+        """Faults of the stream occur once; others as for any link."""
         if kind in m.FAULTS:
             self._stream.fault(kind, m.FAULTS[kind].usual if value is None else value)
         else:
@@ -116,17 +116,17 @@ class EmulatedT7(TcpDevice):
         self.faults = self.stream.faults = _Faults(self.stream)
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start serving."""
         super().start()
         self.stream.start()
 
     def close(self) -> None:
-        """Hang up."""
+        """Stop serving."""
         super().close()
         self.stream.close()
 
     def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
-        """The answer to a request; of function 76, all reads after one another."""
+        """The answer to a request; for function 76, all reads in order."""
         if pdu[0] != m.FEEDBACK:
             return super().reply(pdu, connection, fault)
         words: list[int] = []
@@ -140,7 +140,7 @@ class EmulatedT7(TcpDevice):
 
 
 class T7:
-    """The registers of a model, kept as words by their addresses."""
+    """Registers of a model, stored as words by address."""
 
     def __init__(
         self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog, stream: m.Streamer
@@ -148,7 +148,7 @@ class T7:
         self.device, self._plant, self._log, self._stream = device, plant, log, stream
         self._model = options.model
         self._inputs = 2 * len(self._model.inputs)
-        """Registers of its analogue inputs."""
+        """Number of registers of its analogue inputs."""
         self._lock = threading.RLock()
         self._wiring = Wiring(device, plant, log)
         self._inputs_by_number = {options.inputs[channel.name].number: channel.input for channel in device.channels}
@@ -161,7 +161,7 @@ class T7:
         self._levels = self._directions = 0
         self._cleared, self._started, self._fired = monotonic(), monotonic(), False
         self.sample: Callable[[int], list[int]] | None = None
-        """Replaces the plant in tests of the stream: the counts of a scan by its number."""
+        """Replaces the plant in tests of the stream: returns the counts of a scan by its number."""
         self._defaults()
 
     def _defaults(self) -> None:
@@ -191,7 +191,7 @@ class T7:
     # -- requests -------------------------------------------------------------------------------------------------
 
     def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
-        """What is read, or nothing; `Refused` where the device says no."""
+        """Registers read, or an empty list for a write; raises `Refused`."""
         with self._lock:
             if not self._u32(r.WATCHDOG_STRICT):
                 self._cleared, self._fired = monotonic(), False
@@ -225,7 +225,7 @@ class T7:
         return [self._words[address + offset] for offset in range(count)]
 
     def _show(self) -> dict[int, Callable[[], list[int]]]:
-        """Registers that are made when they are read: address -> what makes their words."""
+        """Registers that are computed when read: address -> function that returns their words."""
 
         def uptime() -> float:
             return monotonic() - self._started
@@ -253,7 +253,7 @@ class T7:
         return r.u32(found) if m.WORDS[self._values[address].type] == 2 else [found]
 
     def _read_inputs(self) -> None:
-        """Volts of all inputs; a model that captures takes all of them at this moment."""
+        """Store the volts of all inputs; a model that captures takes all of them at this moment."""
         if self._stream.running:
             self._refuse(2605)
         quantities = self._plant.quantities()
@@ -279,7 +279,7 @@ class T7:
             self._take(at, part, connection)
 
     def _refuse_wrong(self, given: dict[int, list[int]]) -> None:
-        """LabJack's own error for what cannot be now, or has a value that cannot be."""
+        """Raise LabJack's own error for an invalid value, or one that is impossible in the present state."""
         for at, part in given.items():
             if self._u32(r.WATCHDOG_ENABLE) and r.WATCHDOG_ENABLE < at < FLASHED[1] and at != r.WATCHDOG_CLEAR:
                 self._refuse(2671)
@@ -294,7 +294,7 @@ class T7:
             self._refuse_wrong_input(at, part)
 
     def _refuse_wrong_input(self, at: int, part: list[int]) -> None:
-        """Of settings of the analogue inputs."""
+        """The same for settings of the analogue inputs."""
         count = len(self._model.inputs)
         if r.AIN_RANGE <= at < r.AIN_RANGE + 2 * count and self._model.ranges:
             [span] = r.from_f32(part)
@@ -309,7 +309,7 @@ class T7:
             self._refuse(2371)
 
     def _take(self, at: int, part: list[int], connection: int) -> None:
-        """Carry out the writing of one value."""
+        """Carry out the write of one value."""
         if r.DIO <= at < r.DIO + len(r.LINES):
             self._set_line(at - r.DIO, high=part[0] != 0, connection=connection)
         elif at == r.WATCHDOG_CLEAR:
@@ -332,7 +332,7 @@ class T7:
     # -- terminals ------------------------------------------------------------------------------------------------
 
     def _set_dac(self, at: int, volts: float, connection: int) -> None:
-        """Give a voltage within its range; what is beyond reads back as the end of it (datasheet, 15.0 DAC)."""
+        """Output a voltage within the DAC's range; beyond it, the limit is read back (datasheet, 15.0 DAC)."""
         volts = min(max(volts, 0.0), DAC_END * self._model.dac_full)
         self._store(at, r.f32(volts))
         step = self._model.dac_step
@@ -345,7 +345,7 @@ class T7:
         self._valve_follows(line, connection)
 
     def _set_bits(self, at: int, part: list[int], connection: int) -> None:
-        """Levels or directions of several lines at once, but for those that are inhibited."""
+        """Set levels or directions of several lines at once, except for inhibited ones."""
         lines = BITS[at]
         if len(part) == 2:
             value, inhibited = r.from_u32(part)[0], self._u32(r.DIO_INHIBIT)
@@ -362,7 +362,7 @@ class T7:
                 self._valve_follows(line, connection)
 
     def _valve_follows(self, line: int, connection: int = 0) -> None:
-        """A relay in front of the valve: energised while the line is an output and high; 0: nobody commanded it."""
+        """Switch a valve's relay, energised while the line is an output and high; `connection` 0: not commanded."""
         name, on = self._valves.get(line, ""), bool(self._levels & self._directions & 1 << line)
         if connection:
             self._wiring.switch(name, on=on, connection=connection)
@@ -370,13 +370,13 @@ class T7:
             self._wiring.drive(name, on=on)
 
     def _read_line(self, line: int) -> int:
-        """Reading a line makes it an input."""
+        """Read a line, which makes it an input."""
         self._directions &= ~(1 << line)
         self._valve_follows(line)
         return int(self._terminal(line))
 
     def _terminal(self, line: int) -> bool:
-        """The level at the terminal; what nothing drives is pulled up."""
+        """Level at the terminal; undriven terminals are pulled up."""
         if self._directions >> line & 1:
             return bool(self._levels >> line & 1)
         return self._wiring.level(self._locks[line]) if line in self._locks else line not in self._valves
@@ -385,14 +385,14 @@ class T7:
         return self._wiring.raw(self._inputs_by_number.get(number, ""), quantities, calibrated=True)
 
     def _gain(self, number: int) -> int:
-        """The gain of an input's range; 0 is that of 10 V too."""
+        """Gain of an input's range; 0 if there is none, as for 10 V."""
         held = self._f32(r.AIN_RANGE + 2 * number)
         return next((gain for gain, span in r.RANGES.values() if abs(held - span) < 0.01 * span), 0)
 
     # -- stream ---------------------------------------------------------------------------------------------------
 
     def _actual_rate(self) -> float:
-        """The rate with an interval of whole 100 ns."""
+        """The rate, with an interval of a whole number of 100 ns."""
         wanted = self._f32(r.STREAM_SCANRATE)
         return 1e7 / max(1, round(1e7 / wanted)) if wanted > 0 else 0.0
 
@@ -434,14 +434,14 @@ class T7:
     # -- the device's watchdog ------------------------------------------------------------------------------------
 
     def switch_off_watchdog(self) -> bool:
-        """Another program switches it off; whether it was on."""
+        """Switch it off, as another program would; returns whether it was on."""
         with self._lock:
             was_on = bool(self._u32(r.WATCHDOG_ENABLE))
             self._store(r.WATCHDOG_ENABLE, r.u32(0))
             return was_on
 
     def restart(self) -> None:
-        """Power off and on: DACs at 0 V, lines as inputs, no stream; what is in flash, the watchdog's settings, stays.
+        """Reset to power-on: DACs at 0 V, lines as inputs, no stream; the watchdog's settings, in flash, are kept.
 
         T-series datasheet, 23.0 Watchdog: settings are defaults at power-on, and the watchdog starts again by itself.
         """
@@ -458,26 +458,26 @@ class T7:
                 self._wiring.give(name, 0.0)
 
     def change_set_point(self, value: float) -> bool:
-        """Another program commands the first DAC of the bench [V]; whether there is one."""
+        """Command the first DAC of the bench [V], as another program would; returns whether there is one."""
         with self._lock:
             for name in list(self._wiring.outputs)[:1]:
                 self._set_dac(r.DAC + 2 * r.DACS.index(name), value, 0)
             return bool(self._wiring.outputs)
 
     def look_at_watchdog(self) -> None:
-        """Set DACs and lines where nobody has cleared it for its time."""
+        """Set DACs and lines if the watchdog was not cleared within its time."""
         if monotonic() - self._cleared > self._u32(r.WATCHDOG_TIMEOUT):
             self.expire_watchdog()
 
     def expire_watchdog(self) -> bool:
-        """Let the watchdog run out now; whether it was armed."""
+        """Let the watchdog run out now; returns whether it was armed."""
         with self._lock:
             silent = monotonic() - self._cleared
             if not self._u32(r.WATCHDOG_ENABLE):
                 return False
             if not self._fired:
                 self._log.note("watchdog", self.device.name, silent=silent)
-            self._fired, self._cleared = True, monotonic()  # it counts again, and does the same after its time
+            self._fired, self._cleared = True, monotonic()  # it counts again, and acts again after its time
             for index, name in enumerate(r.DACS):
                 if self._u32(r.WATCHDOG_DAC_ENABLE[index]):
                     volts = self._f32(r.WATCHDOG_DAC[index])

@@ -1,12 +1,11 @@
-"""Which registers an emulated T7, T8 or T4 has, which of them belong together as one value, function 76, and its
-stream.
+"""Registers of an emulated T7, T8 or T4, which of them form one value, function 76, and the stream.
 
-Source of addresses, types, access and defaults: LabJack's public register table (LabJack/ljm_constants, 2025.12.18). Of
-the test register that table says that it, unlike others, can be read by single words: every other value is read and
-written as a whole. Function 76: LabJack, Protocol Details (Direct Modbus TCP), Modbus Feedback.
+Source of addresses, types, access and defaults: LabJack's public register table (LabJack/ljm_constants, 2025.12.18).
+According to it only the test register can be read by single words; every other value is read and written as a whole.
+Function 76: LabJack, Protocol Details (Direct Modbus TCP), Modbus Feedback.
 
-The stream has scans at absolute times, a buffer of limited size, packets on a separate connection. It is written from
-the packet's description and apart from the driver's reading of it, so that each is a check of the other.
+The stream has scans at absolute times, a buffer of limited size, and packets on a separate connection. It is written
+from the packet's description and separately from the driver's parser, so that each checks the other.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ WORDS = {U16: 1, U32: 2, I32: 2, F32: 2}
 FEEDBACK = 76
 """Function code: several reads and writes in one packet."""
 MOST_BYTES = 1040
-"""Largest packet over Ethernet."""
+"""Largest packet over Ethernet [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +83,11 @@ ROWS: tuple[tuple[int, int, Value], ...] = (
     (r.FLASH_READ, 13, Value(U32, "R")),
     (r.REBOOT, 1, Value(U32, "W")),
 )
-"""First address, how many of them, one after another, and what each is."""
+"""First address, number of consecutive values, and their description."""
 
 
 def values_of(model: r.Model) -> dict[int, Value]:
-    """First address -> value, of one model."""
+    """First address -> value, for one model."""
     count = len(model.inputs)
     inputs = [
         (0, count, Value(F32, "R")),
@@ -112,7 +111,7 @@ class Cut(Exception):
 
 
 def whole(values: dict[int, Value], address: int, count: int, access: str) -> Iterator[tuple[int, Value]]:
-    """The values that the registers from an address on are; `Unknown`, or `Cut` for a part of one."""
+    """The values in the registers from an address on; raises `Unknown`, or `Cut` for a part of a value."""
     if access == "R" and (address, count) in {(r.TEST, 1), (r.TEST + 1, 1)}:
         return
     at, end = address, address + count
@@ -129,7 +128,7 @@ def whole(values: dict[int, Value], address: int, count: int, access: str) -> It
 
 
 def feedback(pdu: bytes) -> list[Request]:
-    """The reads and writes of a request of function 76, in their order; `Refused` where it is none."""
+    """The reads and writes of a request of function 76, in order; raises `Refused` if it is malformed."""
     found: list[Request] = []
     rest = pdu[1:]
     while rest:
@@ -146,7 +145,7 @@ def feedback(pdu: bytes) -> list[Request]:
 
 
 SHORTEST, LONGEST = 0.001, 0.01
-"""Sleep between two looks at what is due [s]."""
+"""Sleep between two checks for due scans [s]."""
 FAULTS = {
     "stream-lost": Kind("so many packets of the stream are lost on the way", "number", 1.0),
     "stream-skip": Kind("the device leaves out so many scans, as with a full buffer", "number", 1.0),
@@ -156,11 +155,11 @@ FAULTS = {
 }
 
 Sample = Callable[[int], list[int]]
-"""The raw counts of scan `number` (from 1), for each channel of the scan list."""
+"""Returns the raw counts of scan `number` (from 1), for each channel of the scan list."""
 
 
 class Streamer:
-    """Listens for one client at a time; `begin` and `end` are what writing STREAM_ENABLE does."""
+    """Listens for one client at a time; writing STREAM_ENABLE calls `begin` and `end`."""
 
     def __init__(self, device: str, host: str, port: int, log: CommandLog) -> None:
         self._listener = listen(device, host, port)
@@ -169,16 +168,16 @@ class Streamer:
         self._client: socket.socket | None = None
         self._running = threading.Event()
         self.moment = 0.0
-        """When the scan was due that is being made [s, monotonic]."""
+        """When the present scan was due [s, monotonic]."""
         self._faults: deque[tuple[str, float]] = deque()
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Take connections."""
+        """Accept connections."""
         threading.Thread(target=self._accept, name="emulated T7 stream", daemon=True).start()
 
     def close(self) -> None:
-        """End."""
+        """Stop scanning and close the connections."""
         self.end()
         hang_up(self._listener, self._client)
 
@@ -192,7 +191,7 @@ class Streamer:
         self._faults.append((kind, value))
 
     def begin(self, rate: float, channels: int, per_packet: int, capacity: int, sample: Sample) -> None:
-        """Scan from now on: `rate` [Hz], samples in a packet, samples in the buffer."""
+        """Start scanning: `rate` [Hz], samples in a packet, samples in the buffer."""
         self.end()
         self._running = threading.Event()
         self._running.set()
@@ -201,7 +200,7 @@ class Streamer:
         self._thread.start()
 
     def end(self) -> None:
-        """Scan no more."""
+        """Stop scanning."""
         self._running.clear()
         thread, self._thread = self._thread, None
         if thread is not None and thread is not threading.current_thread():
@@ -218,7 +217,7 @@ class Streamer:
     ) -> None:
         number, transaction, leave_out, silent_until = 0, 0, 0, 0.0
         clock = DeviceClock(self.faults)
-        buffer: deque[tuple[int, list[int]]] = deque()  # each scan with what was left out before it, -1 for none
+        buffer: deque[tuple[int, list[int]]] = deque()  # each scan with the number skipped before it, -1 for none
         recovering = skipped = lose = status_next = 0
         scans, outgoing = per_packet // channels, b""
         while running.is_set():

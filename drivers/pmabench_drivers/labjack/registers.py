@@ -1,4 +1,4 @@
-"""LabJack T4, T7 and T8: their registers, numbers as words, and the options of a bench file; knows no connection.
+"""LabJack T4, T7 and T8: their registers, numbers as words, and the options of a bench file; uses no connection.
 
 Addresses and types: the maker's public register table (LabJack/ljm_constants, version 2025.12.18). 32-bit values take
 two registers, the high word first. Standard library only.
@@ -21,22 +21,22 @@ EMULATED, UNPROVEN = 0, 1
 """Serial numbers of emulated devices: with a truth file of wiring and scales, and without."""
 LAST_ERR_DETAIL, LAST_MB_ERR, LAST_ERR_FRAME = 55000, 55001, 55002
 RESET_CAUSE, RTC_TIME = 60014, 61500
-"""Why it restarted last, as bits; its clock [s], from power-on or of the day."""
+"""Cause of the last restart, as bits; clock [s], from power-on or of the day."""
 COUNTER_10KHZ, CORE_TIMER, REBOOT = 61502, 61520, 61998
 """The clock's fraction of a second in 0.1 ms; a timer of half the core's frequency; 0x4C4Axxxx: restart."""
 TIME_OF_DAY = 1_000_000_000
-"""A clock beyond this counts from 1970: no device was on for 30 years."""
+"""A clock beyond this counts from 1970: no device has been on for 30 years."""
 
 DAC = 1000
-"""DAC0 [V]; DAC1 two registers on."""
+"""DAC0 [V]; DAC1 is two registers on."""
 DACS = ("DAC0", "DAC1")
 
 DIO = 2000
-"""FIO0, one register a line: writing makes it an output, reading an input."""
+"""FIO0, one register per line: writing makes it an output, reading an input."""
 DIO_STATE, DIO_DIRECTION, DIO_INHIBIT = 2800, 2850, 2900
-"""All lines as bits, as they are now; reading changes nothing."""
+"""Present state of all lines as bits; reading changes nothing."""
 STATES, STATES_OF_TWO, DIRECTIONS = 2500, 2580, 2600
-"""Of FIO, EIO, CIO, MIO each; of FIO with EIO, EIO with CIO, CIO with MIO."""
+"""Of each of FIO, EIO, CIO, MIO; of FIO with EIO, EIO with CIO, CIO with MIO."""
 LINES = {
     **{f"FIO{i}": i for i in range(8)},
     **{f"EIO{i}": 8 + i for i in range(8)},
@@ -52,22 +52,22 @@ AINS = {f"AIN{i}": i for i in range(14)}
 AIN_RANGE, AIN_NEGATIVE, AIN_RESOLUTION, AIN_SETTLING = 40000, 41000, 41500, 42000
 SINGLE_ENDED = 199
 CAPTURE = 650
-"""T8: what AIN0 was when any input was read last [V]; the next one two registers on."""
+"""T8: AIN0 when any input was last read [V]; the next input is two registers on."""
 RANGES = {"10 V": (0, 10.0), "1 V": (1, 1.0), "0.1 V": (2, 0.1), "0.01 V": (3, 0.01)}
-"""T7: range as it is written -> index of its gain, and the range [V]."""
+"""T7: name of the range -> index of its gain, and the range [V]."""
 T8_SPANS = (11, 9.6, 4.8, 2.4, 1.2, 0.6, 0.3, 0.15, 0.075, 0.036, 0.018)
 STREAM_SCANRATE = 4002
 STREAM_CONFIGURATION = ("scan rate", "addresses", "samples a packet", "settling", "resolution", "buffer", "clock")
-"""What is from `STREAM_SCANRATE` on, two registers each; the clock's source is left at 0, the device's own."""
+"""Values from `STREAM_SCANRATE` on, two registers each; the clock source is left at 0, the device's own."""
 STREAM_AUTO_TARGET, TO_ETHERNET = 4016, 1
 """Then the data type, which must be 0, and the number of scans (0: no end)."""
 STREAM_SCANLIST = 4100
 STREAM_ENABLE = 4990
 STREAM_PORT = 702
 STREAM_BUFFER = 32768
-"""Bytes, the most that a T7 has: two for each sample."""
+"""Largest buffer of a T7 [bytes]: two bytes per sample."""
 MOST_SAMPLES = 512
-"""Samples in a packet."""
+"""Largest number of samples in a packet."""
 FASTEST = 100_000.0
 """Samples a second, over all channels, at resolution index 0 or 1 and the range of 10 V."""
 WATCHDOG_ENABLE, WATCHDOG_ADVANCED, WATCHDOG_TIMEOUT = 61600, 61602, 61604
@@ -103,7 +103,7 @@ ERRORS = {
     2673: "the watchdog's DAC0 is set wrong",
     2674: "the watchdog's DAC1 is set wrong",
 }
-"""LabJack's own error code -> what it means."""
+"""LabJack's own error code -> meaning."""
 HERE = ("options",)
 TIMEOUT = 0.15
 """Longest wait for an answer [s]."""
@@ -114,24 +114,24 @@ OF_STREAMS = ("stream_port", "differential", "settling", "resolution_index")
 
 @dataclass(frozen=True)
 class Model:
-    """What differs between the devices."""
+    """Differences between the models."""
 
     product: float
-    """What `PRODUCT_ID` holds."""
+    """Value of `PRODUCT_ID`."""
     dac_full: float
     """Highest voltage of the DACs [V]."""
     dac_bits: int
     inputs: Mapping[str, int]
     ranges: Mapping[str, tuple[int, float]] = field(default_factory=dict)
-    """Ranges of the inputs, the widest first; none where they cannot be set here."""
+    """Ranges of the inputs, the widest first; empty if they cannot be set here."""
     restart_cause_from: float = 0.0
-    """Firmware from which on it reports why it restarted last."""
+    """Lowest firmware version that reports the cause of its last restart."""
     streams: bool = False
-    """Whether it is read by its stream, or asked for each sample."""
+    """Whether it is read by its stream, or for each sample."""
     finest: int = 16
     """Highest resolution index."""
     captures: bool = False
-    """Whether reading one input takes all of them at that moment."""
+    """Whether reading one input captures all of them at that moment."""
 
     @property
     def dac_step(self) -> float:
@@ -149,22 +149,22 @@ MODELS = {
 
 
 def u32(*values: int) -> list[int]:
-    """The words of whole numbers."""
+    """Words of integers."""
     return [word for value in values for word in (value >> 16 & 0xFFFF, value & 0xFFFF)]
 
 
 def f32(*values: float) -> list[int]:
-    """The words of numbers in single precision."""
+    """Words of numbers in single precision."""
     return list(struct.unpack(f">{2 * len(values)}H", struct.pack(f">{len(values)}f", *values)))
 
 
 def from_u32(words: Sequence[int]) -> list[int]:
-    """The whole numbers in pairs of words."""
+    """Integers in pairs of words."""
     return [words[i] << 16 | words[i + 1] for i in range(0, len(words) - 1, 2)]
 
 
 def from_f32(words: Iterable[int]) -> list[float]:
-    """The numbers in pairs of words."""
+    """Single-precision numbers in pairs of words."""
     data = b"".join(word.to_bytes(2, "big") for word in words)
     return list(struct.unpack(f">{len(data) // 4}f", data))
 
@@ -176,7 +176,7 @@ def line_of(name: str) -> int | None:
 
 @dataclass(frozen=True)
 class Input:
-    """One channel of the scan list: analogue input, the one that is taken off it, and its range."""
+    """One channel of the scan list: analogue input, its negative input, and its range."""
 
     number: int
     negative: int = SINGLE_ENDED
@@ -186,13 +186,13 @@ class Input:
 
 @dataclass(frozen=True)
 class Options(modbus.Options):
-    """Everything about one device; its map has outputs, lines and inputs that are asked for: no stream, no watchdog."""
+    """Options of one device; its map has outputs, lines and inputs that are read: no stream, no watchdog."""
 
     host: str = ""
     port: int = 502
     stream_port: int = STREAM_PORT
     inputs: Mapping[str, Input] = field(default_factory=dict)
-    """Channel of the bench -> what is sampled for it, in the order of the scan list."""
+    """Channel of the bench -> its input, in the order of the scan list."""
     settling: float = 0.0
     """Time between two channels [s]; 0: the device's own choice."""
     resolution: int = 0
@@ -201,12 +201,12 @@ class Options(modbus.Options):
 
     @property
     def model(self) -> Model:
-        """Which device it is."""
+        """Properties of the model."""
         return MODELS[self.name]
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
-    """The options of a device and the names that its channels, outputs, valves and interlocks use."""
+    """Options of a device; also checks the names that its channels, outputs, valves and interlocks use."""
     given = reader.keys(device.options, HERE, ("model", "ranges", "rate", *OF_STREAMS))
     name = reader.choice(given, "model", HERE, MODELS, "T7")
     model = MODELS[name]
@@ -249,9 +249,9 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
 
 
 def _map(device: DeviceRecord, model: Model, inputs: Mapping[str, Input], rate: float) -> RegisterMap:
-    """What the Modbus driver does, as its map.
+    """Registers that the Modbus driver handles, as its map.
 
-    Of inputs that are taken together the first is read by its own register, and that before the others.
+    Of captured inputs the first is read by its own register, and before the others.
     """
     asked = [] if model.streams else [item.number for item in inputs.values()]
     taken = {number: CAPTURE if model.captures and number != asked[0] else 0 for number in asked}
@@ -277,7 +277,7 @@ def _line(name: str) -> Register:
 def _used_inputs(
     device: DeviceRecord, reader: Reader, ranges: Mapping[str, str], differential: tuple[str, ...]
 ) -> None:
-    """Every input once, and options only for inputs that are used."""
+    """Check that each input is used once, and that options are given only for inputs in use."""
     used = [channel.input for channel in device.channels]
     for channel in device.channels:
         if used.count(channel.input) > 1:

@@ -1,18 +1,18 @@
-"""The stream of a T7: its packets, the volts of their counts, and the thread that receives them on its own clock.
+"""The stream of a T7: its packets, volts from counts, and the thread that receives them on its own clock.
 
 A packet (all numbers with the high byte first; LabJack, T-series datasheet, low-level streaming): transaction number
-(0 at the start, one more with each packet), protocol 0, length of what follows, unit 1, function 76, type 16, a byte
-without meaning, bytes that wait in the device, status, additional information, then two bytes a sample in the order of
-the scan list. When the device's buffer was full it skips scans, then puts a whole scan of 0xFFFF in their place, with
-the status 2941 and the number of skipped scans.
+(0 at the start, one more with each packet), protocol 0, length of the rest, unit 1, function 76, type 16, an unused
+byte, bytes waiting in the device, status, additional information, then two bytes a sample in the order of the scan
+list. If the device's buffer was full it skips scans, then puts a whole scan of 0xFFFF in their place, with the status
+2941 and the number of skipped scans.
 
-Every scan keeps its number, counted from 1 at the start: what is missing is left out, and never closed up. Where the
-number of what is missing cannot be known, that is an error. The device's clock is the number of the scan over the rate;
-it begins at the bench time of the start, so that a stream that is started again goes on.
+Every scan keeps its number, counted from 1 at the start: a missing scan leaves a gap, which is never closed up. If the
+number of missing scans is unknown, that is an error. The device's clock is the number of the scan over the rate; it
+starts at the bench time of the start, so that a restarted stream continues the time.
 
-Counts become volts by the constants in the device's flash, 41 single-precision numbers: for the high-speed converter
-(which streams) four gains of positive slope, negative slope, centre and offset; the same for the high-resolution
-converter; then DACs, temperature, current sources and bias, which are not used here.
+Counts are converted to volts by the constants in the device's flash, 41 single-precision numbers: for the high-speed
+converter (which streams) four gains of positive slope, negative slope, centre and offset; the same for the
+high-resolution converter; then DACs, temperature, current sources and bias, which are not used here.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from pmabench.bench.interface import Block
 from pmabench_drivers.shared.link import Pace, Samples
 
 FLASH = 0x3C4000
-"""Where the constants begin in the device's flash."""
+"""Address of the constants in the device's flash."""
 COUNT = 41
-"""How many there are."""
+"""Number of constants."""
 NOMINAL_SLOPE, NOMINAL_CENTER = 3.158058e-4, 33523.0
-"""Of the range of 10 V [V], [1]; each next gain has a tenth of the slope."""
+"""For the range of 10 V [V], [1]; each next gain has a tenth of the slope."""
 CODES = 65536
 HEADER = struct.Struct(">HHHBBBBHHH")
 PROTOCOL, UNIT, FUNCTION, TYPE = 0, 1, 76, 16
 AFTER_LENGTH = 10
-"""Bytes of the header behind its length."""
+"""Bytes of the header after its length field."""
 RECOVERING, RECOVERED, OVERLAP, UNCOUNTED, COMPLETE, FULL = 2940, 2941, 2942, 2943, 2944, 2945
 MARKER = 0xFFFF
 ENDS = {
@@ -51,19 +51,19 @@ ENDS = {
     COMPLETE: "the stream ended by itself, as if a number of scans had been asked for",
     FULL: "its buffer was full and the stream ended",
 }
-"""Status that ends a stream -> why."""
+"""Status that ends a stream -> reason."""
 PATIENCE = 0.25
-"""So long [s] after a packet is due `collect` says that none comes."""
+"""Time after a packet is due until `collect` reports that none arrived [s]."""
 AHEAD, DRIFT = 0.5, 1e-3
-"""So far [s], and in proportion to time [1], a scan's time may be ahead of the moment when it arrived."""
+"""Largest lead of a scan's time over its arrival: constant [s], and proportional to time [1]."""
 SLIP = 0.1
-"""More than this the scans of a whole second may not be later than they were [s]."""
+"""Largest increase of the delay of all scans of a second [s]."""
 PIECE = 65536
 
 
 @dataclass(frozen=True)
 class Gain:
-    """Constants of one range: volts a count above and below the centre, and the count at 0 V."""
+    """Constants of one range: volts per count above and below the centre, and the count at 0 V."""
 
     positive: float
     negative: float
@@ -79,7 +79,7 @@ class Gain:
 
 
 def gains(constants: Sequence[float]) -> tuple[Gain, ...]:
-    """The high-speed converter's gains for 10, 1, 0.1 and 0.01 V; ValueError where one cannot be that of a T7."""
+    """The high-speed converter's gains for 10, 1, 0.1 and 0.01 V; raises ValueError if one is impossible for a T7."""
     if len(constants) != COUNT:
         raise ValueError(f"{len(constants)} calibration constants instead of {COUNT}")
     found = []
@@ -99,7 +99,7 @@ def gains(constants: Sequence[float]) -> tuple[Gain, ...]:
 
 
 class StreamBroken(Exception):
-    """What came is no stream, or one whose samples cannot be numbered any more."""
+    """The bytes are no stream, or its samples can no longer be numbered."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Scans:
 
 
 class Packets:
-    """Takes the bytes of a stream, and gives the scans in them with their numbers."""
+    """Parses the bytes of a stream into numbered scans."""
 
     def __init__(self, channels: int, scans: int) -> None:
         self._channels, self._scans = channels, scans
@@ -121,14 +121,14 @@ class Packets:
         self._recovering = False
         self._marker = array("H", [MARKER] * channels)
         self.next = 1
-        """Number of the scan that comes next."""
+        """Number of the next scan."""
         self.lost = 0
-        """Scans in packets that never came."""
+        """Scans in packets that did not arrive."""
         self.skipped = 0
         """Scans that the device left out because its buffer was full."""
 
     def feed(self, data: bytes) -> Iterator[Scans]:
-        """The scans that are whole with `data`; `StreamBroken` after them where the rest cannot be the stream."""
+        """Scans that `data` completes; then raises `StreamBroken` if the rest cannot be the stream."""
         self._data += data
         while len(self._data) >= HEADER.size:
             transaction, protocol, length, unit, function, kind, _, _, status, info = HEADER.unpack_from(self._data)
@@ -149,7 +149,7 @@ class Packets:
             yield from self._placed(raw, status, info)
 
     def _number(self, transaction: int) -> None:
-        """Leave room for packets that never came."""
+        """Leave a gap for packets that did not arrive."""
         missing = (transaction - self._expected) % 65536
         self._expected = (transaction + 1) % 65536
         if missing and self._recovering:
@@ -180,7 +180,7 @@ class Packets:
 
 
 class StreamLink:
-    """Receives one stream from its start to its end."""
+    """Receives one stream from start to end."""
 
     def __init__(self, device: str, names: Sequence[str], address: tuple[str, int], wait: float, clock: Clock) -> None:
         self._device, self._clock = device, clock
@@ -195,9 +195,9 @@ class StreamLink:
             raise DeviceError(device, f"no connection to {where}, where the stream comes from: {why}") from None
 
     def begin(self, rate: float, scans: int, tables: Sequence[array[float]]) -> None:
-        """Receive from now on; the device is started after this.
+        """Start receiving; the device is started after this.
 
-        `rate` as the device says [Hz]; `scans` in a packet; volts of every count for each channel, shape (65536,).
+        `rate` as the device reports it [Hz]; `scans` per packet; `tables`: volts of every count, shape (65536,).
         """
         self._rate, self._scans, self._tables = rate, scans, tables
         self._packets = Packets(len(tables), scans)
@@ -207,19 +207,19 @@ class StreamLink:
         threading.Thread(target=self._receive, name=f"labjack {self._device}", daemon=True).start()
 
     def close(self) -> None:
-        """Receive no more; harmless when repeated."""
+        """Stop receiving; may be called again."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
     @property
     def lost(self) -> int:
-        """Scans that are missing so far: in lost packets, or left out by the device."""
+        """Missing scans so far: in lost packets, or left out by the device."""
         return self._packets.lost + self._packets.skipped
 
     def collect(self) -> Block:
-        """What came since the last call; once all of it is handed out, an error where the stream has failed."""
-        # looked at before the samples: what came before a failure is handed out before it is reported
+        """Samples since the last call; once all are returned, raises DeviceError if the stream has failed."""
+        # read before the samples: those received before a failure are returned before it is raised
         failure, silent = self._failure, self._clock.now() - self._last
         block = self._samples.take()
         if not block.time:

@@ -1,8 +1,8 @@
 """The mock bench: the simulated plant behind the driver interface, in process.
 
-`options`: what a bench file says; `simulation`: one muscle, a joint, a platform, on what `sampled` has for all of them;
-here: the device interface, which knows no physics. `client`, `server`, `served`: the same in a separate process, in
-real time.
+`options`: options of a bench file; `simulation`: one muscle, a joint, a platform, based on `sampled`, which has what
+they share; here: the device interface, without physics. `client`, `server`, `served`: the same in a separate process,
+in real time.
 """
 
 from __future__ import annotations
@@ -25,19 +25,18 @@ if TYPE_CHECKING:
 
 
 class MockBench:
-    """A bench with the simulated plant in it: streams, takes set-points, ramps and sines, and has hands.
+    """A bench with the simulated plant in it: streams, takes set-points, ramps and sines, and places loads.
 
     With the plant `joint` there are two muscles, with `platform` three: see `pmabench_drivers.mock.simulation`.
     With all others:
     Channel inputs: `pressure`, `displacement`, `force`, `supply`, and the set-points as the device holds them before
     the dead time, `pressure_set` and (free end driven) `displacement_set`. Outputs: `pressure` and (free end driven)
-    `displacement`, and `dump_valve` to be switched: it is there when the bench names it as a valve, and open, so that
-    the muscle empties whatever the regulator does, unless it is energised; and `isolation_valve`, there when named,
-    which lets nothing through unless it is energised. Digital input: `e_stop`.
-    Options: `pmabench_drivers.mock.options.Options`. Bench time is the clock's: every call first lets
-    the plant catch up with it, and when the clock was taken back, the plant goes back too. Whoever takes the clock back
-    calls `collect` (which then returns nothing) before time goes on: a jump back and forth between two calls is not
-    seen.
+    `displacement`; the valve `dump_valve`, present if the bench names it, which is open and empties the muscle whatever
+    the regulator does, unless it is energised; and `isolation_valve`, present if named, which is shut unless it is
+    energised. Digital input: `e_stop`.
+    Options: `pmabench_drivers.mock.options.Options`. Bench time is the clock's: every call first advances the plant to
+    it, and if the clock was set back, the plant goes back too. After setting the clock back, call `collect` (which then
+    returns nothing) before time continues: a jump back and forth between two calls is not noticed.
     """
 
     verified = "a simulation"
@@ -50,7 +49,7 @@ class MockBench:
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[tuple[str, ...], str]]:
-        """What is wrong with the options, each with its place; builds no plant."""
+        """Errors of the options, each with its place; builds no plant."""
         return problems(device, device.options)
 
     def _read_options(self) -> Options:
@@ -76,24 +75,24 @@ class MockBench:
         return Identity("pmabench", f"mock {options.plant} {options.preset}", str(options.seed), "1", simulated=True)
 
     def close(self) -> None:
-        """Forget the plant."""
+        """Drop the plant."""
         self._opened = None
         self._closed.set()
 
     def start(self, rate: float) -> float:
-        """Sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
+        """Start sampling: sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
         if not 0 < rate < math.inf:
             raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
         self.simulation().start(rate)
         return rate
 
     def collect(self) -> Block:
-        """All samples due by now that were not collected yet."""
+        """All samples due by now and not yet collected."""
         opened, now = self._linked()
         return opened.collect(now, _moment(self._clock.quiet_until) if isinstance(self._clock, VirtualClock) else now)
 
     def stop(self) -> None:
-        """End sampling."""
+        """Stop sampling."""
         if self._opened is not None:
             self._opened.stop()
 
@@ -103,18 +102,18 @@ class MockBench:
         self._command(output, Segment("constant", self._now(), value), record)
 
     def read_back(self, output: str) -> float:
-        """The set-point held now [device units]."""
+        """Present set-point [device units]."""
         record = output_of(self._device, output)
         return float(record.scale.to_raw(self.simulation().setpoint(output)))
 
     def follow(self, output: str, segment: Segment) -> None:
-        """Follow a ramp or a sine from its start on, or from now on if that has passed."""
+        """Follow a ramp or a sine from its start, or from now if that has passed."""
         record = output_of(self._device, output)
         refuse_nonsense(self._device.name, output, segment)
         self._command(output, segment, record)
 
     def halt(self, output: str) -> None:
-        """Stop where it is and hold: the actuator at its place, the regulator at its set-point."""
+        """Stop and hold: the actuator at its place, the regulator at its set-point."""
         output_of(self._device, output)
         self.simulation().halt(output)
 
@@ -124,7 +123,7 @@ class MockBench:
         self.simulation().switch(output, on=on)
 
     def pulse(self, output: str, seconds: float) -> None:
-        """Open a valve of a platform from now on for `seconds`."""
+        """Open a valve of a platform for `seconds` from now."""
         self._valve(output)
         try:
             self.simulation().pulse(output, seconds)
@@ -143,7 +142,7 @@ class MockBench:
         return self.simulation().e_stop_high()
 
     def place(self, load: Load) -> None:
-        """The free end carries `load` from now on; without effect where an actuator holds it."""
+        """Put `load` on the free end; no effect if an actuator holds it."""
         self.simulation().place(load)
 
     def _command(self, output: str, segment: Segment, record: OutputRecord) -> None:
@@ -161,13 +160,13 @@ class MockBench:
         return _moment(self._clock.now())
 
     def simulation(self) -> AnySimulation:
-        """The simulation, brought to the clock's time: the truth that what the driver says is compared with."""
+        """The simulation, advanced to the clock's time: the true values behind the driver's."""
         opened, now = self._linked()
         opened.catch_up(now)
         return opened
 
     def _linked(self) -> tuple[AnySimulation, float]:
-        """The simulation where its link works, and the clock's time [s]."""
+        """The simulation, if its link works, and the clock's time [s]."""
         if self._opened is None:
             raise DeviceError(self._device.name, "is not open")
         now = self._now()
@@ -175,7 +174,7 @@ class MockBench:
         return self._opened, now
 
     def _check_link(self, now: float) -> None:
-        """Act on simulated faults of the link: hang, or raise DeviceError."""
+        """Apply simulated faults of the link: hang, or raise DeviceError."""
         faults = self._options.faults
         if faults.hang_at is not None and now >= faults.hang_at:
             self._closed.wait()
@@ -185,5 +184,5 @@ class MockBench:
 
 
 def _moment(t: float) -> float:
-    """As `to_nanosecond`, which would import numpy."""
+    """Like `to_nanosecond`, which would import numpy."""
     return round(t * 1e9) / 1e9

@@ -1,11 +1,10 @@
-"""The driver `mock-realtime`: the device interface in front of the plant's own process, and how the two speak.
+"""The driver `mock-realtime`: the device interface to the plant's own process, and their protocol.
 
-A message is one line of JSON, ended by a line feed, and after it as many raw bytes as its key `bytes` says (none
-without it). The client asks `{"n": 7, "by": 1234.5, "do": "write", "output": "pressure", "value": 3276.0}`: `n`
-counts its questions, `by` is the moment on CLOCK_MONOTONIC [s] after which it no longer waits, so that the server must
-not carry it out any more. The server answers `{"n": 7, ...}`, or `{"n": 7, "error": "sentence", "channel": ""}`.
-Answers to older questions are passed over. What can be asked is in `pmabench_drivers.mock.server`. Standard library
-only.
+A message is one line of JSON, ended by a line feed, followed by as many raw bytes as its key `bytes` says (none
+without it). The client sends `{"n": 7, "by": 1234.5, "do": "write", "output": "pressure", "value": 3276.0}`: `n`
+counts its requests, `by` is the moment on CLOCK_MONOTONIC [s] after which it stops waiting, so that the server must
+no longer carry it out. The server answers `{"n": 7, ...}`, or `{"n": 7, "error": "sentence", "channel": ""}`.
+Answers to older requests are ignored. `pmabench_drivers.mock.server` lists the requests. Standard library only.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ LONGEST_BYTES = 1 << 26
 Message = tuple[dict[str, Any], bytes]
 Answer = TypeVar("Answer")
 PATIENCE = 0.18
-"""How long an answer is waited for [s]: a little less than the caller waits for a call."""
+"""Longest wait for an answer [s]: a little less than the caller waits for a call."""
 OPEN_WITHIN = 1.5
-"""The same when it is opened: its process may be one that has just begun."""
+"""The same for `open`: its process may just have started."""
 START_WITHIN = 5.0
-"""How long a new process may take until it answers [s]."""
+"""Longest time until a new process answers [s]."""
 
 
 def encode(message: Mapping[str, Any], payload: bytes = b"") -> bytes:
@@ -46,14 +45,14 @@ def encode(message: Mapping[str, Any], payload: bytes = b"") -> bytes:
 
 
 class Inbox:
-    """Whole messages out of a stream of bytes."""
+    """Cuts a stream of bytes into whole messages."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
         self._head: dict[str, Any] | None = None
 
     def feed(self, piece: bytes) -> Iterator[Message]:
-        """Every message that is complete with `piece`; ValueError for what is none."""
+        """Every message that `piece` completes; raises ValueError for an invalid one."""
         self._bytes += piece
         while True:
             if self._head is None:
@@ -82,7 +81,7 @@ class Inbox:
 
 
 def parse_address(device: str, address: str) -> tuple[str, int]:
-    """`127.0.0.1:PORT` as host and port; only this machine is served."""
+    """Host and port of `127.0.0.1:PORT`; only addresses of this machine are allowed."""
     host, _, port = address.rpartition(":")
     if host not in {"127.0.0.1", "localhost"} or not port.isdigit() or not 0 < int(port) < 65536:
         raise DeviceError(device, f'address "{address}": 127.0.0.1:PORT is expected, with a port from 1 to 65535')
@@ -90,7 +89,7 @@ def parse_address(device: str, address: str) -> tuple[str, int]:
 
 
 class Link:
-    """One connection to the server at `address`; OSError where nobody listens within `timeout` [s]."""
+    """One connection to the server at `address`; raises OSError if none listens there within `timeout` [s]."""
 
     def __init__(self, device: str, address: tuple[str, int], timeout: float) -> None:
         self._device = device
@@ -100,14 +99,14 @@ class Link:
         self._number = 0
 
     def ask(self, do: str, by: float, **fields: Any) -> Message:
-        """The answer to one question, until the moment `by` [s, CLOCK_MONOTONIC].
+        """Send one request and wait for its answer until the moment `by` [s, CLOCK_MONOTONIC].
 
         Raises
         ------
         DeviceError
-            For a question that was refused; the connection can be used on.
+            If the request was refused; the connection can still be used.
         OSError, ValueError
-            Where no answer came in time (TimeoutError) or the other side has gone; the connection must be closed.
+            If no answer came in time (TimeoutError) or the connection was lost; it must be closed.
         """
         self._number += 1
         self._socket.settimeout(max(by - time.monotonic(), 1e-3))
@@ -125,27 +124,27 @@ class Link:
             self._socket.settimeout(left)
 
     def close(self) -> None:
-        """Hang up; harmless when repeated, also from another thread."""
+        """Close the connection; may be called again, also from another thread."""
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
 
 class MockClient:
-    """A bench whose simulated plant lives in real time in a separate process (`pmabench_drivers.mock.server`).
+    """A bench whose simulated plant runs in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
     (`pmabench_drivers.mock.MockBench`), with `pmabench_drivers.mock.options.Service`. The address is
-    `127.0.0.1:PORT`; `open` starts the process where nobody listens there, unless `start` is false. It has a watchdog
-    and a second way to its outputs. Needs a clock in real time. An answer that does not come in time ends the
-    connection, so that it can never be taken for a later one; the next call makes a new one.
+    `127.0.0.1:PORT`; `open` starts the process if none listens there, unless `start` is false. It has a watchdog
+    and a second connection to its outputs. Needs a clock in real time. If an answer is late the connection closes, so
+    that it can never be taken for a later one; the next call makes a new one.
     """
 
     verified = "a simulation"
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[tuple[str, ...], str]]:
-        """What is wrong with the options, each with its place; starts nothing."""
+        """Errors of the options, each with its place; starts nothing."""
         try:
             _service, plant = split_service(device.name, device.options)
         except DeviceError as error:
@@ -171,7 +170,7 @@ class MockClient:
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect to the plant, which is started first where nobody listens; nothing is commanded."""
+        """Connect to the plant, and start it first if none listens; commands nothing."""
         self.close()
         try:
             link, identity = self._connect("client", time.monotonic() + OPEN_WITHIN)
@@ -187,7 +186,7 @@ class MockClient:
         return identity
 
     def close(self) -> None:
-        """Let go of the plant, which stays as it is; harmless when repeated."""
+        """Disconnect from the plant, which stays as it is; may be called again."""
         self._is_open = False
         self._drop()
 
@@ -207,7 +206,7 @@ class MockClient:
         return link, Identity(**answer["identity"])
 
     def _start_process(self) -> None:
-        """Start the server in a new session; it returns when the plant is there or says why it is not."""
+        """Start the server in a new session; returns once the plant is ready, or raises the server's error."""
         import subprocess
 
         server = "pmabench_drivers.mock.server"
@@ -221,7 +220,7 @@ class MockClient:
                 process.kill()
                 raise DeviceError(self._device.name, f"its process did not start in {START_WITHIN:g} s") from error
         message = said.decode(errors="replace").strip()
-        if message and "cannot serve at" not in message:  # somebody else may have started it at the same moment
+        if message and "cannot serve at" not in message:  # another program may have started it at the same moment
             raise DeviceError(self._device.name, message.splitlines()[-1].removeprefix(f"{self._device.name}: "))
 
     # -- questions ------------------------------------------------------------------------------------------------
@@ -244,7 +243,7 @@ class MockClient:
             raise
 
     def _try(self, act: Callable[[], Answer]) -> Answer:
-        """What `act` gives; a link that fails becomes a DeviceError whose cause is what happened."""
+        """The result of `act`; a failure of the link is raised as DeviceError with its cause."""
         try:
             return act()
         except (OSError, ValueError) as error:
@@ -261,11 +260,11 @@ class MockClient:
         return self._ask(do, **fields)[0].get("value")
 
     def control(self, do: str, **fields: Any) -> dict[str, Any]:
-        """Ask the plant's process over a connection of the role `control`, which faults of the link do not affect."""
+        """Send a request over a connection of the role `control`, which faults of the link do not affect."""
         return self._aside("control", do, **fields)
 
     def _aside(self, role: str, do: str, **fields: Any) -> dict[str, Any]:
-        """The answer to one question over a separate connection."""
+        """The answer to one request over a separate connection."""
         by = time.monotonic() + PATIENCE
 
         def act() -> dict[str, Any]:
@@ -280,11 +279,11 @@ class MockClient:
     # -- stream ---------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:
-        """Sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
+        """Start sampling: sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
         return float(self._value("start", rate=rate))
 
     def collect(self) -> Block:
-        """All samples due by now that were not collected yet."""
+        """All samples due by now and not yet collected."""
         answer, payload = self._ask("collect")
         host = round(self._clock.now() * 1e9)
         size = 8 * int(answer["rows"])
@@ -298,7 +297,7 @@ class MockClient:
         return Block(moments, dict(zip(answer["columns"], columns, strict=True)), host)
 
     def stop(self) -> None:
-        """End sampling; harmless when repeated."""
+        """Stop sampling; may be called again."""
         if self._is_open:
             self._ask("stop")
 
@@ -310,22 +309,22 @@ class MockClient:
         self._ask("write", output=output, value=value)
 
     def read_back(self, output: str) -> float:
-        """The set-point held now [device units]."""
+        """Present set-point [device units]."""
         output_of(self._device, output)
         return float(self._value("read_back", output=output))
 
     def follow(self, output: str, segment: Segment) -> None:
-        """Follow a ramp or a sine from its start on, or from now on if that has passed."""
+        """Follow a ramp or a sine from its start, or from now if that has passed."""
         output_of(self._device, output, *(value for value in asdict(segment).values() if not isinstance(value, str)))
         self._ask("follow", output=output, segment=asdict(segment))
 
     def halt(self, output: str) -> None:
-        """Stop where it is and hold: the actuator at its place, the regulator at its set-point."""
+        """Stop and hold: the actuator at its place, the regulator at its set-point."""
         output_of(self._device, output)
         self._ask("halt", output=output)
 
     def place(self, load: Load) -> None:
-        """The free end carries `load` from now on; without effect where an actuator holds it."""
+        """Put `load` on the free end; no effect if an actuator holds it."""
         self._ask("place", force=load.force, mass=load.mass)
 
     def switch(self, output: str, *, on: bool) -> None:
@@ -343,19 +342,19 @@ class MockClient:
     # -- watchdog and second way ----------------------------------------------------------------------------------
 
     def arm_watchdog(self, seconds: float) -> float:
-        """Arm it; the time that the device will wait [s], in steps of 10 ms."""
+        """Arm it; returns the time that the device will wait [s], in steps of 10 ms."""
         return float(self._value("arm", seconds=seconds))
 
     def feed_watchdog(self) -> None:
-        """Any question feeds it, this one does nothing else; DeviceError where it has vented already."""
+        """Feed the watchdog, as any request does; raises DeviceError if it has already vented."""
         self._ask("feed")
 
     def disarm_watchdog(self) -> None:
-        """End it; outputs stay as they are."""
+        """Disarm it; outputs stay as they are."""
         self._ask("disarm")
 
     def held(self) -> Mapping[str, float | str]:
-        """Its watchdog [s], 0 where it is off or has vented, and how long the simulated device is on [s]."""
+        """Its watchdog [s], 0 if it is off or has vented, and the uptime of the simulated device [s]."""
         return {str(name): value for name, value in self._value("held").items()}
 
     def rescue(self, output: str, value: float) -> None:

@@ -1,4 +1,4 @@
-"""The options of the mock bench as a bench file gives them; imports nothing heavy, knows no plant."""
+"""Options of the mock bench in a bench file; imports no large package, uses no plant."""
 
 from __future__ import annotations
 
@@ -12,61 +12,61 @@ from pmabench.bench.interface import DeviceRecord, OutputRecord
 from pmabench.model.overrides import Overrides
 
 ANGLE = "angle"
-"""The channel input of an arm: the angle of its end."""
+"""Channel input of an arm: the angle of its end."""
 TORQUE = "torque"
-"""The channel input of a joint: what its muscles pull it to positive angles with."""
+"""Channel input of a joint: torque of its muscles towards positive angles."""
 PRESSURES = ("pressure_1", "pressure_2")
-"""Of a joint, which has two muscles; as outputs, too."""
+"""Pressures of a joint, which has two muscles; also outputs."""
 OF_THREE = (*PRESSURES, "pressure_3")
-"""Of a platform, which has three."""
+"""Pressures of a platform, which has three muscles."""
 ACCELERATIONS = ("acceleration_x", "acceleration_y", "acceleration_z")
 TURNS = ("turn_x", "turn_y")
-"""Of a gyroscope on the platform."""
+"""Channel inputs of a gyroscope on the platform."""
 SENSORS = ("pressure", "displacement", "force", ANGLE, *OF_THREE, TORQUE, *ACCELERATIONS, *TURNS)
 """Channel inputs that are measured."""
 OF_ONE = ("pressure", "displacement", "force", "supply", "pressure_set", "displacement_set", ANGLE)
 """Channel inputs of one muscle."""
 FLOW = "flow"
-"""The channel input of a mass flow meter: what the regulator lets into a driven muscle whose volume is known."""
+"""Channel input of a mass flow meter: flow from the regulator into a driven muscle whose volume is known."""
 INPUTS = (
     *OF_ONE, *PRESSURES, *(f"{name}_set" for name in PRESSURES), "angle_set", TORQUE, FLOW, "pressure_3",
     *ACCELERATIONS, *TURNS,
 )  # fmt: skip
-"""All channel inputs; the noise of each is by its place here."""
+"""All channel inputs; their order determines the noise of each."""
 ARM = "arm-30"
-"""The plant that is an arm."""
+"""Plant that is an arm."""
 JOINT = "joint"
-"""The plant that is a joint of two muscles."""
+"""Plant that is a joint of two muscles."""
 PLATFORM = "platform"
-"""The plant that is a platform of three muscles."""
+"""Plant that is a platform of three muscles."""
 FREE_LENGTHS = (0.15, 0.40)
-"""Of contractors whose length without load is in paper 2 [m]."""
+"""Lengths of contractors whose length without load is in paper 2 [m]."""
 DUMP_VALVE = "dump_valve"
-"""The output that switches the valve."""
+"""Output for the dump valve."""
 ISOLATION_VALVE = "isolation_valve"
-"""The output that switches a valve between regulator and muscle: shut without power."""
+"""Output for a valve between regulator and muscle: shut without power."""
 VALVES = (DUMP_VALVE, ISOLATION_VALVE)
 """All valves."""
 SUPPLY_VALVE = "supply_valve"
-"""The output that switches the air before the fill valves: shut without power."""
+"""Output for the valve before the fill valves: shut without power."""
 FILLS, EXHAUSTS = (tuple(f"{kind}_{i}" for i in (1, 2, 3)) for kind in ("fill", "exhaust"))
 DUMPS = (DUMP_VALVE, *(f"{DUMP_VALVE}_{i}" for i in (1, 2, 3)))
 VALVES_OF = {JOINT: (*DUMPS[:3], SUPPLY_VALVE, ISOLATION_VALVE), PLATFORM: (*FILLS, *EXHAUSTS, SUPPLY_VALVE, *DUMPS)}
-"""Valves of plants of several muscles."""
+"""Valves of plants with several muscles."""
 OF_MUSCLES = ("diameter", "length", "braid_angle", "atmosphere", "contraction")
 BUILT_OF = {
     JOINT: (*OF_MUSCLES, "pulley"),
     PLATFORM: (*OF_MUSCLES, "supply", "circle", "mass", "height", "stops", "accelerometer"),
 }
-"""What the option `built` may say."""
+"""Allowed keys of the option `built`."""
 MUSCLES_OF = {JOINT: 2, PLATFORM: 3}
 E_STOP = "e_stop"
-"""The digital input: high while the emergency stop is not pressed."""
+"""Digital input: high while the emergency stop is not pressed."""
 TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log", "hoses"}
 REAL = "real"
-"""The plant with bent force, hysteresis and creep."""
+"""Plant with curved force, hysteresis and creep."""
 AIRY = "paper0-air"
-"""The free end whose regulator has to move air."""
+"""Free end whose regulator has to move air."""
 CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
 CHOICES = {
     "free_end": ("weights", "actuator"),
@@ -87,25 +87,26 @@ NOT_FOR = (
     | {REAL: (*FLOWS, "parallel", "F_s", "F_c", "fce_eval")}
     | dict.fromkeys((JOINT, PLATFORM), tuple(item.name for item in fields(Overrides)))
 )
-"""Options that a plant has no use for; of all others what is for one plant only."""
+"""Options without effect on a plant; for all others, the options that belong to one plant only."""
 
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong, and when [s]: bench time, in real time seconds since the plant's process began to serve.
+    """Faults and their start [s]: bench time, or in real time seconds since the plant's process began to serve.
 
-    None for never. In real time each can also be called up while it runs (`pmabench_drivers.mock.server`).
+    None for never. In real time each can also be started during the run (`pmabench_drivers.mock.server`).
     """
 
     burst_at: float | None = None
-    """The muscle bursts: pressure falls to 0 within some 10 ms and stays there; of a platform through a hole that is
-    ten times as wide as its exhaust valve."""
+    """The muscle bursts: pressure falls to 0 within some 10 ms and stays there; on a platform, through a hole that is
+    ten times as wide as its exhaust valve.
+    """
     regulator_stuck_at: float | None = None
-    """The regulator takes set-points and ignores them: it holds the pressure that it has then."""
+    """The regulator accepts set-points and ignores them: it holds its present pressure."""
     supply_lost_at: float | None = None
     """The supply is lost: the channel input `supply` reads 0, and the muscle empties backwards with a lag of 0.5 s."""
     dump_stuck_at: float | None = None
-    """The dump valve does not open any more; it still closes."""
+    """The dump valve no longer opens; it still closes."""
     e_stop_at: float | None = None
     """The emergency stop is pressed: the digital input `e_stop` goes low. Nothing else happens by itself."""
     fill_stuck_open_at: float | None = None
@@ -114,25 +115,27 @@ class Faults:
     exhaust_stuck_open_at: float | None = None
     exhaust_stuck_shut_at: float | None = None
     leak_at: float | None = None
-    """A platform's muscle leaks, half as wide as its exhaust valve; one of a joint loses its air within a minute
-    while its isolation valve is shut."""
+    """A platform's muscle leaks through a hole half as wide as its exhaust valve; one of a joint loses its air within a
+    minute while its isolation valve is shut.
+    """
     accelerometer_frozen_at: float | None = None
-    """The accelerometer of a platform repeats its last values from then on."""
+    """The accelerometer of a platform repeats its last values."""
     accelerometer_level_at: float | None = None
-    """It shows what a level platform would, with its noise."""
+    """The accelerometer shows the values of a level platform, with its noise."""
     pressure_stuck_at: float | None = None
-    """The pressure channel repeats one value from then on."""
+    """The pressure channel repeats one value."""
     nan_at: float | None = None
-    """Every measured channel reads NaN; one that gives counts reads its lowest count."""
+    """Every measured channel reads NaN; a channel in counts reads its lowest count."""
     gap_at: float | None = None
     """The samples of 20 ms are lost."""
     hang_at: float | None = None
-    """Calls do not return until the device is closed. In real time: questions are neither answered nor carried out,
-    but the second way (`rescue`) works."""
+    """Calls do not return until the device is closed. In real time: requests are neither answered nor carried out,
+    but the second connection (`rescue`) works.
+    """
     lost_at: float | None = None
-    """Calls fail as if the link were cut; the second way too."""
+    """Calls fail as if the link were cut; the second connection too."""
     dead_at: float | None = None
-    """Real time only: as `hang_at`, and the second way gets no answer either."""
+    """Real time only: like `hang_at`, and the second connection gets no answer either."""
     mute_at: float | None = None
     """Real time only: commands are carried out, but no answer arrives."""
 
@@ -142,15 +145,15 @@ class SensorError:
     """Error of one channel input: the option `errors: {pressure: {factor: 1.02, offset: 500}}`."""
 
     factor: float = 1.0
-    """What the reading is multiplied by: 1.02 reads 2 % too much, -1 has the wrong sign."""
+    """Factor on the reading: 1.02 reads 2 % too much, -1 has the wrong sign."""
     offset: float = 0.0
-    """What is added to it then [SI unit of the channel]."""
+    """Added after the factor [SI unit of the channel]."""
     reads: str = ""
     """The channel shows that input instead, as if two plugs were swapped. That input needs a channel, too."""
     end: str = ""
     """`low` or `high`: the channel stays at that end of its range: a broken wire, a short."""
     at: float = 0.0
-    """From when on [s], as in `Faults`."""
+    """Start [s], as in `Faults`."""
 
 
 @dataclass(frozen=True)
@@ -158,42 +161,43 @@ class Options:
     """All options; numbers in SI."""
 
     plant: str = "paper0"
-    """`paper0`, `serres2009`, `dmsp-40-305`, `contractor-15` (20, 25, 30, 40), the arm
-    `arm-30`, `real`, or for a driven free end `daerden`; `joint`: two muscles on a pulley, which `free_end: actuator`
-    turns, and any other leaves free; `platform`: three that tilt a platform, behind valves."""
+    """`paper0`, `serres2009`, `dmsp-40-305`, `contractor-15` (20, 25, 30, 40), the arm `arm-30`, `real`, or for a
+    driven free end `daerden`; `joint`: two muscles on a pulley, driven with `free_end: actuator`; `platform`: three
+    muscles that tilt a platform, behind valves.
+    """
     numbers: Mapping[str, Any] | None = None
-    """Where the option `plant` names a plant file: what it says, as a compiled bench has it in place of the name."""
+    """If the option `plant` names a plant file: its content, which a compiled bench has in place of the name."""
     preset: str = "bench"
     """`bench`: lag, friction, noise; `ideal`: dead time only."""
     seed: int = 1
     """Seed of the noise."""
     free_end: str = "weights"
-    """`weights`: hands place loads; `actuator`: the free end is driven."""
+    """`weights`: loads are placed on it; `actuator`: the free end is driven."""
     carriage: float = 2.0
     """Moving mass before a load is placed [kg]."""
     supply: float = 690e3
-    """What the channel input `supply` reads [Pa]."""
+    """Value of the channel input `supply` [Pa]."""
     dump_lag: float = 0.1
     """First-order lag with which the muscle empties through the open dump valve [s]."""
     slow_vent: float = 1.0
     """Factor on the lags of dump valve and venting regulator: a clogged silencer [1]."""
     actuator_low: float = -10e-3
-    """Least contraction that the actuator reaches [m]."""
+    """Smallest contraction that the actuator reaches [m]."""
     actuator_high: float = 90e-3
-    """Greatest contraction that the actuator reaches [m]."""
+    """Largest contraction that the actuator reaches [m]."""
     actuator_speed: float = 0.5
     """Its highest speed [m/s]."""
     actuator_force: float = 1500.0
-    """The force at which it stalls [N]."""
+    """Force at which it stalls [N]."""
     faults: Faults = field(default_factory=Faults)
     faulty: int = 1
-    """Which muscle of several bursts, has the stuck regulator, valve or sensor."""
+    """Number of the muscle that bursts, or has the stuck regulator, valve or sensor."""
     errors: Mapping[str, SensorError] = field(default_factory=dict)
     """Errors of channel inputs, by input."""
     hoses: str = "straight"
     """`crossed`: on a joint each output moves the pressure of the other muscle."""
     built: Mapping[str, float] = field(default_factory=dict)
-    """What a joint or a platform is made of [SI], by the names of a bench file; assumed where it is left out."""
+    """Dimensions of a joint or a platform [SI], by the names of a bench file; assumed if left out."""
     overrides: Overrides = field(default_factory=Overrides)
     """Given among the options by their own names."""
 
@@ -203,15 +207,15 @@ class Service:
     """Options of the plant's own process, for the driver `mock-realtime`; given among the others."""
 
     start: bool = True
-    """Start the process when nobody listens at the device's address."""
+    """Start the process if none listens at the device's address."""
     idle: float = 30.0
-    """It vents and ends after so long without a client [s]."""
+    """Time without a client after which it vents and ends [s]."""
     log: str = ""
-    """File to which it appends what was commanded, as JSON lines; none by default."""
+    """File to which it appends the commands, as JSON lines; none by default."""
     clock_ppm: float = 0.0
-    """How much faster than bench time the device's clock runs [ppm]."""
+    """Excess rate of the device's clock over bench time [ppm]."""
     clock_offset: float = 0.0
-    """What the device's clock shows at bench time 0 [s]."""
+    """Time of the device's clock at bench time 0 [s]."""
 
 
 def read_options(device: str, given: Mapping[str, Any]) -> Options:
@@ -220,7 +224,7 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     Raises
     ------
     DeviceError
-        For an option that is not known, naming the nearest one, or a value that cannot be.
+        For an unknown option, naming the most similar one, or an impossible value.
     """
     own = {*_names(Options)} - {"overrides", "numbers"}
     changes = _names(Overrides)
@@ -285,7 +289,7 @@ def _names(kind: Any) -> list[str]:
 
 
 def inputs_of(free_end: str, plant: str) -> list[str]:
-    """The channel inputs that there are with this free end and this plant."""
+    """Channel inputs available with this free end and this plant."""
     if plant == PLATFORM:
         return [*OF_THREE, *ACCELERATIONS, *TURNS, "supply"]
     if plant == JOINT:
@@ -296,7 +300,7 @@ def inputs_of(free_end: str, plant: str) -> list[str]:
 
 
 def outputs_of(free_end: str, plant: str) -> tuple[str, ...]:
-    """The outputs that there are with this free end and this plant."""
+    """Outputs available with this free end and this plant."""
     if plant == PLATFORM:
         return ()
     pressures, driven = (PRESSURES, ANGLE) if plant == JOINT else (("pressure",), "displacement")
@@ -304,12 +308,12 @@ def outputs_of(free_end: str, plant: str) -> tuple[str, ...]:
 
 
 def pressure_of(options: Options) -> str:
-    """The channel input of the pressure that gets stuck."""
+    """Channel input of the pressure that gets stuck."""
     return f"pressure_{options.faulty}" if options.plant in MUSCLES_OF else "pressure"
 
 
 def problems(device: DeviceRecord, own: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """What is wrong with the plant's options `own` and with the names of inputs and outputs, each with its place."""
+    """Errors of the plant's options `own` and of the names of inputs and outputs, each with its place."""
     free_end, plant = str(own.get("free_end", "weights")), str(own.get("plant", ""))
     try:
         read_options(device.name, own)
@@ -329,7 +333,7 @@ def problems(device: DeviceRecord, own: Mapping[str, Any]) -> Iterator[tuple[tup
 
 
 def output_of(device: DeviceRecord, name: str, *values: float) -> OutputRecord:
-    """The output of this name; DeviceError where there is none, or one of the `values` [device units] is no number."""
+    """The output of this name; raises DeviceError if there is none, or one of `values` [device units] is not finite."""
     outputs = {output.output: output for output in device.outputs}
     if name not in outputs:
         raise DeviceError(device.name, f'no output "{name}"{did_you_mean(name, outputs)}')
@@ -340,7 +344,7 @@ def output_of(device: DeviceRecord, name: str, *values: float) -> OutputRecord:
 
 
 def split_service(device: str, given: Mapping[str, Any]) -> tuple[Service, dict[str, Any]]:
-    """The options of the process, checked, and all others as they are."""
+    """The options of the process, checked, and all others unchanged."""
     names = _names(Service)
     start = given.get("start", True)
     if not isinstance(start, bool):

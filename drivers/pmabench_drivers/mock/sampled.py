@@ -1,6 +1,6 @@
-"""A plant in bench time, sampled and put on channels; goes back in time when asked; knows no clock and no link.
+"""A plant in bench time, sampled on channels; can go back in time; uses no clock and no link.
 
-The channels have noise, counts, and what may be wrong with a sensor.
+The channels have noise, counts, and errors of their sensors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Column = list[float] | NDArray[Any]
 
 
 class Channel:
-    """One channel: its noise, and the way from SI to what the device gives."""
+    """One channel: its noise, and the conversion from SI to device units."""
 
     def __init__(self, record: ChannelRecord, sigma: float, seed: int) -> None:
         self.record = record
@@ -55,7 +55,7 @@ class Channel:
         return min(max(round(raw), self.low), self.high) if self.counts else float(raw)
 
     def wrong(self, raw: NDArray[Any], error: SensorError) -> NDArray[Any]:
-        """What the device gives instead of `raw` when its sensor has that error."""
+        """Device units instead of `raw` if its sensor has that error."""
         if error.end:
             return np.full(raw.shape, self._given(np.array(self.ends[error.end == "high"])), dtype=raw.dtype)
         scale = self.scale
@@ -68,10 +68,10 @@ class Channel:
 
 
 class Damage:
-    """What is done to blocks that the channels gave: wrong readings, lost samples.
+    """Damage to blocks of the channels: wrong readings, lost samples.
 
     `pressure` is the input that gets stuck.
-    `stuck` has the values that stuck channels repeat [device units], by input; a new one whenever one is added.
+    `stuck` has the values that stuck channels repeat [device units], by input; a new dictionary for each addition.
     """
 
     def __init__(self, channels: Sequence[Channel], pressure: str = "pressure") -> None:
@@ -81,7 +81,7 @@ class Damage:
         self._seen, self._none = NO_FAULTS, True
 
     def done(self, block: Block, faults: Faults, errors: Mapping[str, SensorError]) -> Block:
-        """The block as it arrives; `faults` and `errors` are those of this moment."""
+        """The block as it arrives; `faults` and `errors` are the present ones."""
         if faults is not self._seen:
             self._seen, self._none = faults, faults == NO_FAULTS
         if self._none and not errors:
@@ -134,26 +134,26 @@ OF_THE_PLANT = (
     "burst_at", "supply_lost_at", "regulator_stuck_at", "dump_stuck_at", "leak_at", "fill_stuck_open_at",
     "fill_stuck_shut_at", "exhaust_stuck_open_at", "exhaust_stuck_shut_at", "accelerometer_level_at",
 )  # fmt: skip
-"""Faults at which a simulation brings its plant in line."""
+"""Faults for which a simulation updates its plant."""
 BUFFER = 20_000
-"""Blocks of samples kept for whoever collects; older ones are lost, as in any device."""
+"""Number of blocks of samples kept until they are collected; older ones are lost, as in any device."""
 
 
 @dataclass(frozen=True)
 class Air:
-    """What keeps a regulator from its muscle."""
+    """State of the air of one muscle with a regulator."""
 
     open: bool
     """The dump valve empties it."""
     held: float | None = None
     """The pressure that a stuck regulator or a shut isolation valve holds [Pa]."""
     forced: tuple[float, float] | None = None
-    """Where the pressure goes whatever is commanded [Pa], and with which lag [s]."""
+    """Pressure that is approached whatever is commanded [Pa], and its lag [s]."""
 
 
 @dataclass(frozen=True)
 class Valves:
-    """What is energised, by outputs, and what that does to the air of each muscle, where it has a regulator."""
+    """Energised valves, by outputs, and their effect on the air of each muscle that has a regulator."""
 
     energised: frozenset[str] = frozenset()
     each: tuple[Air, ...] = ()
@@ -161,7 +161,7 @@ class Valves:
 
 @dataclass(frozen=True)
 class _Moment:
-    """The plant as it was at a time [s], before it went on from there."""
+    """The plant as it was at a time [s], before it advanced."""
 
     time: float
     plant: dict[str, Any]
@@ -171,17 +171,17 @@ class _Moment:
 
 
 class Sampled(ABC):
-    """What all simulated benches share: time, memory, channels, faults of sensors.
+    """Common part of all simulated benches: time, memory, channels, faults of sensors.
 
-    A bench on top of it has a `_plant`, says what each input is exposed to (`_at`, `_along`), and brings valves and
-    faults of the plant in line (`_settle`). `memory` says how far it can be taken back [s].
+    A bench based on it has a `_plant`, returns the quantity at each input (`_at`, `_along`), and updates valves and
+    faults of the plant (`_settle`). `memory` is how far it can be taken back [s].
     """
 
     AHEAD = 0.0
-    """How far at most it is computed before its time where nothing is going to be commanded [s]."""
+    """Longest computation ahead of its time if nothing will be commanded [s]."""
     _plant: Any
     _valves: Valves
-    """How valves and faults of the plant are."""
+    """State of valves and of faults of the plant."""
 
     def __init__(self, device: DeviceRecord, options: Options, sigma: Mapping[str, float], memory: float) -> None:
         self._name, self._options, self._keep_for = device.name, options, memory
@@ -218,7 +218,7 @@ class Sampled(ABC):
         return float(self._plant.time)
 
     def pulse(self, output: str, seconds: float) -> None:
-        """Open a valve for so long; ValueError where none opens in pulses."""
+        """Open a valve for a time [s]; raises ValueError if none opens in pulses."""
         raise ValueError("no valve of this plant opens in pulses")
 
     def switch(self, output: str, *, on: bool) -> None:
@@ -228,20 +228,20 @@ class Sampled(ABC):
         self._settle()
 
     def is_on(self, output: str) -> bool:
-        """Whether a valve is energised by `switch`; a pulse is over by itself."""
+        """Whether a valve is energised by `switch`; a pulse ends by itself."""
         return output in self._valves.energised
 
     @abstractmethod
     def _settle(self) -> None:
-        """Bring the air in line with valves and faults as they are at this moment."""
+        """Update the air for the present state of valves and faults."""
 
     @abstractmethod
     def _at(self, time: float) -> dict[str, float]:
-        """What each input is exposed to at `time` [s], to which the plant is brought."""
+        """Quantity at each input at `time` [s], to which the plant is advanced."""
 
     @abstractmethod
     def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """The same at rising `times` [s] on the way to `until` [s]."""
+        """The same at increasing `times` [s] on the way to `until` [s]."""
 
     # -- faults ---------------------------------------------------------------------------------------------------
 
@@ -255,7 +255,7 @@ class Sampled(ABC):
         self._settle()
 
     def disturb(self, channel: str, error: SensorError | None) -> None:
-        """Give a channel input an error from now on; None: it is right again."""
+        """Give a channel input an error from now on; None: remove its error."""
         self.errors.pop(channel, None)
         if error is not None:
             self._check_error(error)
@@ -267,19 +267,19 @@ class Sampled(ABC):
     # -- samples --------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> None:
-        """Take sample 0 now."""
+        """Start sampling: take sample 0 now."""
         self._rate, self._start_ns, self._due = rate, round(self._plant.time * 1e9), 0
         self._given = self._start_ns - 1
         self._pending.clear()
 
     def stop(self) -> None:
-        """Take no more samples."""
+        """Stop sampling."""
         self._rate = 0.0
 
     def collect(self, now: float, quiet_until: float) -> Block:
-        """The samples up to `now` [s] that were not collected yet; nothing is commanded before `quiet_until` [s].
+        """Samples up to `now` [s] and not yet collected; nothing is commanded before `quiet_until` [s].
 
-        Many seconds at once cost much less than the same in pieces.
+        Many seconds at once cost much less than the same time in parts.
         """
         now_ns = round(now * 1e9)
         if now_ns < self._given or now > self._plant.time:
@@ -304,9 +304,9 @@ class Sampled(ABC):
     # -- time -----------------------------------------------------------------------------------------------------
 
     def catch_up(self, now: float, quiet_until: float = 0.0) -> None:
-        """Bring plant and samples to bench time `now` [s], or further: nothing is commanded before `quiet_until` [s].
+        """Advance plant and samples to bench time `now` [s], or further: nothing is commanded before `quiet_until` [s].
 
-        Back when the clock was taken back, or where something comes before that time.
+        Goes back if the clock was set back, or for a command before the computed time.
         """
         if now < self._plant.time:
             self._go_back(now)
@@ -317,7 +317,7 @@ class Sampled(ABC):
             self._run(now)
 
     def skip(self, until: float) -> None:
-        """Go on to `until` [s] without samples, and take the next one at its time: a long rest costs little."""
+        """Advance to `until` [s] without samples, and take the next one at its time: a long rest costs little."""
         if until <= self._plant.time:
             return
         rate, self._rate = self._rate, 0.0
@@ -333,7 +333,7 @@ class Sampled(ABC):
             self._memory.popleft()
 
     def _go_back(self, now: float) -> None:
-        """Restore the last moment before `now` and run up to it again; what was collected does not come again."""
+        """Restore the last moment before `now` and run up to it again; collected samples are not returned again."""
         while self._memory and self._memory[-1].time > now:
             self._memory.pop()
         if not self._memory:
@@ -349,7 +349,7 @@ class Sampled(ABC):
         self._given = min(given, round(now * 1e9))
 
     def _run(self, until: float) -> None:
-        """Advance to `until`, stopping where a fault of the plant begins; samples up to there are made and kept."""
+        """Advance to `until`, stopping where a fault of the plant begins; makes and keeps the samples up to there."""
         faults = self.faults
         for at in sorted(
             at
@@ -361,7 +361,7 @@ class Sampled(ABC):
         self._sample(until)
 
     def _sample(self, until: float) -> None:
-        """Advance to `until` and put the samples on the way on the channels; one at `until` sees what is done now."""
+        """Advance to `until`, and put the samples up to then, one at `until` included, on the channels."""
         first, last = self._due, self._due
         until_ns = round(until * 1e9)
         if self._rate:
@@ -395,11 +395,11 @@ class Sampled(ABC):
         self._keep([time_ns], columns)
 
     def quantities(self, time: float | None = None) -> dict[str, float]:
-        """What each input is exposed to [SI], without any sensor; the plant is brought to `time` [s] first."""
+        """Quantity at each input [SI], without any sensor; advances the plant to `time` [s] first."""
         return self._at(self.time if time is None else time)
 
     def _number(self, time_ns: int) -> int:
-        """Number of a sample counted from bench time 0: the noise belongs to the moment."""
+        """Number of a sample counted from bench time 0: the noise depends on the moment."""
         return round(time_ns * self._rate / 1e9)
 
     def _supply(self) -> float:
@@ -412,7 +412,7 @@ class Sampled(ABC):
 
 
 def _parted(block: Block, moment: int) -> tuple[Block, Block | None]:
-    """The samples of a block up to a moment [ns], and those after it; None where there are none."""
+    """The samples of a block up to a moment [ns], and those after it; None if there are none."""
     if block.time[-1] <= moment:
         return block, None
     count = int(np.searchsorted(block.time, moment, side="right"))
@@ -424,7 +424,7 @@ def _parted(block: Block, moment: int) -> tuple[Block, Block | None]:
 
 
 def refuse_unknown(device: str, word: str, names: list[str], known: tuple[str, ...]) -> None:
-    """Raise DeviceError where one of the names is not known."""
+    """Raise DeviceError if one of the names is not known."""
     for name in names:
         if name not in known:
             raise DeviceError(device, f'no {word} "{name}" that can be switched or read{did_you_mean(name, known)}')

@@ -1,4 +1,4 @@
-"""What the plant's own process does when it is asked: questions, device watchdog, log; knows no socket."""
+"""Requests to the plant's own process: their execution, device watchdog, log; uses no socket."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from pmabench_drivers.mock import MockBench
 from pmabench_drivers.mock import options as o
 
 EMPTY = 1e3
-"""Gauge pressure under which the muscle counts as empty [Pa]."""
+"""Gauge pressure below which the muscle counts as empty [Pa]."""
 WATCHDOG = (0.05, 60.0)
-"""What the watchdog can be armed to [s]; in steps of 10 ms."""
+"""Shortest and longest time of the watchdog [s]; in steps of 10 ms."""
 
 
 @dataclass
 class Asker:
-    """A connection: its number, what it is for (`client`, `rescue`, `control`), whose it is, its bench time 0 [s]."""
+    """A connection: its number, role (`client`, `rescue`, `control`), process, and the client's bench time 0 [s]."""
 
     number: int
     role: str = ""
@@ -34,7 +34,7 @@ class Asker:
 
 
 class Log:
-    """The record of what was commanded: one JSON object per line, on its way to the disk when the call returns."""
+    """Log of the commands: one JSON object per line, passed to the system when the call returns."""
 
     def __init__(self, path: str) -> None:
         try:
@@ -43,18 +43,18 @@ class Log:
             raise DeviceError("mock", f"cannot write its log {path}: {error.strerror}") from error
 
     def write(self, do: str, **data: Any) -> None:
-        """A line with the moment `t` [s, CLOCK_MONOTONIC]."""
+        """Write a line with the moment `t` [s, CLOCK_MONOTONIC]."""
         if self._file is not None and not self._file.closed:
             self._file.write(json.dumps({"t": time.monotonic(), "do": do, **data}).encode() + b"\n")
 
     def close(self) -> None:
-        """No more lines; harmless when repeated."""
+        """Close the file; may be called again."""
         if self._file is not None:
             self._file.close()
 
 
 class _Bench(MockBench):
-    """The mock at the moment of the question under way; the faults of its link are the server's."""
+    """The mock at the moment of the present request; the server applies the faults of its link."""
 
     moment = 0.0
 
@@ -71,7 +71,7 @@ class _Bench(MockBench):
 class Served:
     """One plant in real time from the moment `clock.start` on.
 
-    `advance` brings it to the present; what is asked then happens at that moment.
+    `advance` advances it to the present; a request then takes effect at that moment.
     """
 
     def __init__(self, device: DeviceRecord, clock: RealClock) -> None:
@@ -105,7 +105,7 @@ class Served:
         }
         self._started = time.monotonic()
         self._sampler = 0
-        """The process that began to sample last; 0 for none."""
+        """Process that last began to sample; 0 for none."""
         self._heard = 0.0
         self._watchdog = 0.0
         self._fired: float | None = None
@@ -113,7 +113,7 @@ class Served:
     # -- time -----------------------------------------------------------------------------------------------------
 
     def advance(self, now: float) -> None:
-        """Let the plant and the watchdog come to the moment `now` [s, CLOCK_MONOTONIC]."""
+        """Advance the plant and the watchdog to the moment `now` [s, CLOCK_MONOTONIC]."""
         self._bench.moment = max(self._bench.moment, round(now - self.clock.start, 9))
         self._bench.simulation()
         if self._watchdog and now - self._heard > self._watchdog:
@@ -130,27 +130,27 @@ class Served:
 
     @property
     def faults(self) -> o.Faults:
-        """The faults of this moment."""
+        """Present faults."""
         return self._bench.simulation().faults
 
     @property
     def now(self) -> float:
-        """The moment that the plant has come to, on its own time, in which faults are dated [s]."""
+        """The moment that the plant has reached, on its own time, which dates the faults [s]."""
         return self._bench.moment
 
     @property
     def pressure(self) -> float:
-        """What is really in the muscle [Pa]."""
+        """Actual pressure in the muscle [Pa]."""
         return self._bench.simulation().pressure
 
     # -- questions ------------------------------------------------------------------------------------------------
 
     def hear(self, now: float) -> None:
-        """Note that somebody asked something, which feeds the watchdog."""
+        """Note that a request arrived, which feeds the watchdog."""
         self._heard = now
 
     def answer(self, asker: Asker, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
-        """Carry out a question: the head and payload of its answer; raises DeviceError for what is refused."""
+        """Carry out a request; returns head and payload of its answer, and raises DeviceError if it is refused."""
         if (do := str(question.get("do"))) == "collect":
             return self._collect(asker)
         if do not in self._questions:
@@ -260,9 +260,9 @@ class Served:
     # -- for tests ------------------------------------------------------------------------------------------------
 
     def inject(self, question: Mapping[str, Any]) -> None:
-        """`{"fault": "burst", "after": 0.5}`, over again with `"after": null`; `{"errors": {input: {...} or null}}`.
+        """`{"fault": "burst", "after": 0.5}`, ended with `"after": null`; `{"errors": {input: {...} or null}}`.
 
-        What happens once, and at once: `{"fault": "restart"}`, `"watchdog-off"`, `"setpoint"` with a `value`.
+        Events, which happen once and at once: `{"fault": "restart"}`, `"watchdog-off"`, `"setpoint"` with a `value`.
         """
         simulation, name = self._bench.simulation(), self.device.name
         if question.get("fault") in self._events:
@@ -278,7 +278,7 @@ class Served:
             self.log.write("fault", errors={channel: error})
 
     def _restart(self) -> None:
-        """As after power-on: vented, watchdog off, not sampling."""
+        """Reset to power-on: vented, watchdog off, not sampling."""
         self.vent("restart")
         self._bench.stop()
         self._switch_off_watchdog()
@@ -288,11 +288,11 @@ class Served:
         self._watchdog, self._fired = 0.0, None
 
     def _change_set_point(self, value: Any) -> None:
-        """Another program commands the first output [device units]."""
+        """Command the first output [device units], as another program would."""
         self._bench.write(next(iter(self._outputs)), float(value))
 
     def state(self) -> dict[str, Any]:
-        """The state of the plant, in SI, whatever is wrong with its link and sensors."""
+        """The state of the plant, in SI, despite errors of its link and sensors."""
         simulation = self._bench.simulation()
         faults = {item.name: getattr(simulation.faults, item.name) for item in fields(o.Faults)}
         return {

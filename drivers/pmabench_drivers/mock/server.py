@@ -1,29 +1,29 @@
-"""The simulated plant as a separate process, in real time, behind a loopback socket: `mock-realtime`'s other end.
+"""The simulated plant as a separate process, in real time, behind a loopback socket: the server of `mock-realtime`.
 
     python -m pmabench_drivers.mock.server --address 127.0.0.1:47807 < device.json
 
 serves one device (the JSON of a `DeviceRecord` on standard input) to any number of connections on this machine.
 The plant outlives its clients as compressed air does: after `idle` seconds without one the server vents and ends.
 
-Framing: `pmabench_drivers.mock.client`. First question of each connection:
+Framing: `pmabench_drivers.mock.client`. First request of each connection:
 `{"do": "hello", "role": "client", "pid": 12, "zero": 99.5, "device": {...}}` with the client's bench time 0 on
-CLOCK_MONOTONIC [s] and the device as it knows it; answered by the identity, or refused where another device is served.
-Role `rescue` is a client's second way to the outputs. Then, as the driver interface has them, in device units:
+CLOCK_MONOTONIC [s] and its device record; answered by the identity, or refused if another device is served.
+Role `rescue` is a client's second connection to the outputs. Then, as in the driver interface, in device units:
 `write` and `rescue` (`output`, `value`), `read_back`, `halt`, `is_on` (`output`), `follow` (`output`, `segment` on the
 client's bench time), `switch` (`output`, `on`), `level` (`name`), `place` (`force`, `mass`), `start` (`rate`), `stop`,
-`collect`, `arm` (`seconds`), `feed`, `disarm`, `held`. What was asked for is in `value`. `collect` answers
+`collect`, `arm` (`seconds`), `feed`, `disarm`, `held`. The result is in `value`. `collect` answers
 `{"rows": r, "columns": [names]}` and as raw bytes the r times (int64, ns on the device's clock), then each column
 (float64, all little-endian). A pressure set-point beyond 0 to 1000 kPa is taken as the end of that range.
 
-Watchdog: once armed, and no question on any connection for its time, valves are not energised and set-points go to
-their safe values, by itself; from then on only safe commands are taken, until it is armed or disarmed.
+Watchdog: once armed, and without a request on any connection for its time, it de-energises the valves and sets the
+set-points to their safe values; after that only safe commands are accepted, until it is armed or disarmed.
 
-Role `control` is for tests: `inject` (a fault of `pmabench_drivers.mock.options`, errors of sensors, or what happens
-once: `restart`, `watchdog-off`, `setpoint` with its `value` in device units), `state`, `end`.
-It is answered whatever is wrong with the link, and does not feed the watchdog.
+Role `control` is for tests: `inject` (a fault of `pmabench_drivers.mock.options`, errors of sensors, or an event:
+`restart`, `watchdog-off`, `setpoint` with its `value` in device units), `state`, `end`.
+It is answered despite faults of the link, and does not feed the watchdog.
 
 The log (option `log`) has one JSON object per line: `t` [s, CLOCK_MONOTONIC], `do`, the decoded values in SI, the
-`pressure` in the muscle [Pa] then, and `from`, `role`, `pid` of the connection.
+`pressure` in the muscle [Pa] at that moment, and `from`, `role`, `pid` of the connection.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ if TYPE_CHECKING:
     from pmabench_drivers.mock.served import Asker
 
 TICK = 0.004
-"""How often the plant advances when nobody asks [s]: short enough to be stepped, which costs least."""
+"""Interval for advancing the plant without requests [s]: short enough for single steps, which cost least."""
 LAST_WAIT = 10.0
-"""How long the server waits at its end for the muscle to be empty [s]."""
+"""Longest wait at the server's end until the muscle is empty [s]."""
 
 
 class _Connection:
-    """One socket: what came, and what could not be sent yet."""
+    """One socket: received bytes, and bytes that could not be sent yet."""
 
     def __init__(self, link: socket.socket, asker: Asker) -> None:
         self.link, self.asker = link, asker
@@ -64,7 +64,7 @@ class _Connection:
 
 
 class Server:
-    """The loop: accepts, answers, and lets the plant live in between."""
+    """The loop: accepts connections, answers requests, and advances the plant in between."""
 
     def __init__(self, listener: socket.socket, device: DeviceRecord) -> None:
         from pmabench_drivers.mock import served
@@ -83,7 +83,7 @@ class Server:
         self._plant.log.write("serve", pid=os.getpid(), device=device.name)
 
     def serve(self) -> None:
-        """Until the plant is idle or has to end."""
+        """Serve until the plant is idle or has to end."""
         tick = time.monotonic()
         while not self._over():
             ready = self._selector.select(max(0.0, tick - time.monotonic()))
@@ -232,7 +232,7 @@ class Server:
         return {"identity": asdict(self._plant.identity)}
 
     def _serve_device(self, connection: _Connection, given: dict[str, Any]) -> None:
-        """Take the client's device where it is another one, nobody else is here and the muscle is empty."""
+        """Take the client's device if it is a different one, no other client is connected and the muscle is empty."""
         plant = self._plant
         if given == json.loads(json.dumps(asdict(plant.device))):
             return
@@ -251,19 +251,19 @@ class Server:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Serve the device of standard input, or of a file; the exit code."""
+    """Serve the device of standard input, or of a file; returns the exit code."""
     parser = argparse.ArgumentParser(prog="pmabench_drivers.mock.server", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--address", required=True, help="127.0.0.1:PORT")
     parser.add_argument("--record", type=Path, help="file with the device's JSON; standard input by default")
     parser.add_argument("--detach", action="store_true", help="return when the plant is there; it lives on by itself")
     given = parser.parse_args(arguments)
-    real_time(ENGINE)  # a device of steel does not wait for other programs either
+    real_time(ENGINE)  # a real device does not wait for other programs either
     try:
         device = _read(given.record)
         listener = _listen(device, given.address)
         if given.detach:
             if os.fork():
-                os._exit(0)  # the child writes what goes wrong to the same standard error, and closes it when it serves
+                os._exit(0)  # the child reports errors on the same standard error, and closes it once it serves
             os.setsid()
         server = Server(listener, device)
         if given.detach:
@@ -299,7 +299,7 @@ def _listen(device: DeviceRecord, address: str) -> socket.socket:
 
 
 def _let_go() -> None:
-    """Let go of the terminal and pipes of the program that started this one."""
+    """Detach from the terminal and pipes of the program that started this one."""
     empty = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(empty, descriptor)

@@ -1,16 +1,16 @@
-"""Simulated benches in bench time: one muscle, a joint of two, a platform of three, with what fails of them.
+"""Simulated benches in bench time: one muscle, a joint of two, a platform of three, with their faults.
 
-They know no clock and no link.
+They use no clock and no link.
 
 The joint's channel inputs: `pressure_1`, `pressure_2`, their set-points `pressure_1_set` and `pressure_2_set`, `angle`,
 `torque`, `supply`, and with a drive `angle_set`. Outputs: `pressure_1`, `pressure_2`, and with a drive `angle`; the
-valve `dump_valve` empties both muscles, `dump_valve_1` and `dump_valve_2` one each; `supply_valve` lets air to the
-regulators while it is energised, and is there where the bench names it. A drive holds the joint wherever it was
-sent, at any torque; without one it is free.
+valve `dump_valve` empties both muscles, `dump_valve_1` and `dump_valve_2` one each; `supply_valve`, present if the
+bench names it, lets air to the regulators while it is energised. A drive holds the joint at its set-point, at any
+torque; without one it is free.
 
 The platform's channel inputs: `pressure_1` to `pressure_3`, `acceleration_x` to `_z`, `turn_x` and `turn_y` of a
 gyroscope, `supply`. Valves: `fill_1` to `exhaust_3` open in pulses; `supply_valve` lets air to the fill valves while it
-is energised; `dump_valve` is one at each muscle, open while it is not; `dump_valve_1` and so on are those of one
+is energised; `dump_valve` is one valve at each muscle, open unless energised; `dump_valve_1` and so on belong to one
 muscle.
 """
 
@@ -39,21 +39,22 @@ from pmabench_drivers.mock.options import Options
 from pmabench_drivers.mock.sampled import MEMORY, Air, Sampled, Valves, waves_of
 
 LEAST_MASS = 0.01
-"""Moving mass of a free end without anything on it [kg]."""
+"""Moving mass of a free end without load [kg]."""
 SETPOINTS = (0.0, 1e6)
-"""What the pressure regulator can be set to [Pa]; it takes anything beyond as the nearest of these.
+"""Range of the pressure regulator [Pa]; set-points beyond it are limited to it.
 
-For a plant of a file, up to its own highest pressure."""
+For a plant from a file, up to its own highest pressure.
+"""
 BURST_LAG = 0.01
 SUPPLY_LAG = 0.5
 FLOW_NOISE = 1e-7
-"""Of a mass flow meter for 5 l/min (ANR): a thousandth of its range [kg/s]."""
+"""Noise of a mass flow meter for 5 l/min (ANR): a thousandth of its range [kg/s]."""
 
 
 def _press(
     supply: Regulated, time: float, before: tuple[float, float] | None, forced: tuple[float, float] | None
 ) -> None:
-    """Let the pressure go where it is forced [Pa], with its lag [s], or back to the regulator, where that is new."""
+    """Force the pressure to a value [Pa] with a lag [s], or return it to the regulator, if that is new."""
     if forced is None and before is not None:
         supply.release(time)
     elif forced is not None and forced != before:
@@ -61,9 +62,9 @@ def _press(
 
 
 class Simulation(Sampled):
-    """The plant of one mock bench from bench time `start` [s] on; `memory` says how far it can be taken back [s].
+    """The plant of one mock bench from bench time `start` [s] on; `memory` is how far it can be taken back [s].
 
-    It has a dump valve when the device has a valve on the output `dump_valve`: not energised it is open.
+    It has a dump valve if the device has a valve on the output `dump_valve`, open unless energised.
     """
 
     AHEAD = 10.0
@@ -111,7 +112,7 @@ class Simulation(Sampled):
     def command(self, output: str, segment: Segment, scale: Scale) -> None:
         """Follow a segment in device units; `constant` goes to its origin at once.
 
-        The pressure set-point ends at the regulator's range; ValueError for a sine that goes beyond.
+        The pressure set-point is limited to the regulator's range; raises ValueError for a sine beyond it.
         """
         limits = self._setpoints if output == "pressure" else (-math.inf, math.inf)
         waves = waves_of(segment, scale, self._plant.time, limits)
@@ -123,13 +124,13 @@ class Simulation(Sampled):
             raise DeviceError(self._name, f'no output "{output}" with a free end of {self._options.free_end}')
 
     def setpoint(self, output: str) -> float:
-        """The value commanded now [SI]."""
+        """Present set-point [SI]."""
         plant = self._plant
         held = plant.wanted if output == "displacement" and isinstance(plant, DrivenPlant) else plant.supply
         return held.setpoint(plant.time)
 
     def halt(self, output: str) -> None:
-        """Stop where it is: an actuator at the place it has reached, the regulator at its set-point of now."""
+        """Stop: an actuator at its present place, the regulator at its present set-point."""
         if output == "displacement" and isinstance(self._plant, DrivenPlant):
             self._plant.halt()
         else:
@@ -148,7 +149,7 @@ class Simulation(Sampled):
     # -- the air --------------------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        """Bring the muscle's air in line with valve and faults as they are at this moment; the strongest one counts."""
+        """Update the muscle's air for the present state of valve and faults; the strongest one counts."""
         faults, [air], supply, time = self.faults, self._valves.each, self._plant.supply, self._plant.time
         held = None
         shut = self._isolated and not self.is_on(o.ISOLATION_VALVE)
@@ -213,24 +214,24 @@ class Simulation(Sampled):
         }
 
     def _regulator_before(self) -> Regulated:
-        """The regulator as it is now, to look at again after the plant has gone on; a copy only for a meter."""
+        """The regulator before the plant advances; copied only if there is a flow meter."""
         return copy.copy(self._plant.supply) if self._metered else self._plant.supply
 
     def _inflow(self, regulator: Regulated, t: NDArray[np.float64], P: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What a meter between regulator and muscle sees [kg/s]; what leaves by the dump valve is not seen."""
+        """Flow through a meter between regulator and muscle [kg/s]; excludes flow through the dump valve."""
         if not self._metered or not isinstance(self._plant, DrivenPlant) or self._valves.each[0].forced is not None:
             return np.zeros(t.shape)
         return self._plant.inflow(regulator, t, P)
 
 
 JOINT_NOISE = {**dict.fromkeys(o.PRESSURES, 500.0), o.ANGLE: math.radians(0.02), o.TORQUE: 0.01}
-"""Of the sensors of preset `bench` [Pa, rad, N m]; assumed."""
+"""Noise of the sensors of preset `bench` [Pa, rad, N m]; assumed."""
 
 
 LEAK_LAG = 20.0
-"""With which a leaking muscle empties behind its isolation valve [s]."""
+"""Lag with which a leaking muscle empties behind its isolation valve [s]."""
 DRIVE_SPEED = math.radians(60)
-"""At which the drive goes to an angle that it is sent to at once [rad/s]."""
+"""Speed of the drive towards an angle commanded at once [rad/s]."""
 
 
 class JointSimulation(Sampled):
@@ -245,7 +246,7 @@ class JointSimulation(Sampled):
         vent_ratio = built.regulator.vent_ratio * options.slow_vent
         self._plant = JointPlant(replace(built, regulator=replace(built.regulator, vent_ratio=vent_ratio)), start=start)
         self._wanted = Regulated(Regulator(), start=start)
-        """Where the drive was sent [rad]."""
+        """Set-point of the drive [rad]."""
         if options.free_end == "actuator":
             self._plant.drive(constant(start, 0.0))
         self._dumps = tuple([n for n in named if n in (o.DUMP_VALVE, f"{o.DUMP_VALVE}_{i}")] for i in (1, 2))
@@ -266,7 +267,7 @@ class JointSimulation(Sampled):
 
     @property
     def dump_open(self) -> bool:
-        """Whether the dump valve empties both muscles."""
+        """Whether the dump valves empty both muscles."""
         return all(air.open for air in self._valves.each)
 
     # -- commands, at the plant's time ----------------------------------------------------------------------------
@@ -274,7 +275,7 @@ class JointSimulation(Sampled):
     def command(self, output: str, segment: Segment, scale: Scale) -> None:
         """Follow a segment in device units; `constant` goes to its origin at once.
 
-        A pressure's set-point ends at the regulator's range; ValueError for a sine that goes beyond.
+        A pressure set-point is limited to the regulator's range; raises ValueError for a sine beyond it.
         """
         if output in o.PRESSURES:
             self._plant.command(self._muscle(output), waves_of(segment, scale, self.time, SETPOINTS))
@@ -288,17 +289,17 @@ class JointSimulation(Sampled):
             raise DeviceError(self._name, f'no output "{output}" with a free end of {self._options.free_end}')
 
     def _muscle(self, output: str) -> int:
-        """Where the hose of an output leads, from 0."""
+        """Muscle that the hose of an output leads to, from 0."""
         index = o.PRESSURES.index(output)
         return 1 - index if self._options.hoses == "crossed" else index
 
     def setpoint(self, output: str) -> float:
-        """The value commanded now [SI]."""
+        """Present set-point [SI]."""
         held = self._wanted if output == o.ANGLE else self._plant.supplies[self._muscle(output)]
         return held.setpoint(self.time)
 
     def halt(self, output: str) -> None:
-        """Stop where it is: the drive at its angle, a regulator at its set-point of now."""
+        """Stop: the drive at its present angle, a regulator at its present set-point."""
         here = constant(self.time, self._plant.angle if output == o.ANGLE else self.setpoint(output))
         if output == o.ANGLE:
             self._wanted.command(here)
@@ -307,12 +308,12 @@ class JointSimulation(Sampled):
             self._plant.command(self._muscle(output), here)
 
     def place(self, load: Load) -> None:
-        """Nothing: a joint carries no weights."""
+        """No effect: a joint carries no weights."""
 
     # -- the air --------------------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        """Bring the air of each muscle in line with valve and faults as they are at this moment."""
+        """Update the air of each muscle for the present state of valves and faults."""
         airs = enumerate(zip(self._valves.each, self._plant.supplies, strict=True), start=1)
         each = tuple(
             self._settled(air, supply, self._dumps[number - 1], failing=number == self._options.faulty)
@@ -321,7 +322,7 @@ class JointSimulation(Sampled):
         self._valves = replace(self._valves, each=each)
 
     def _settled(self, air: Air, supply: Regulated, dumps: Sequence[str], *, failing: bool) -> Air:
-        """The air of one muscle, which may be the `failing` one; the strongest of what acts on it counts."""
+        """The air of one muscle, which may be the `failing` one; the strongest effect counts."""
         faults, time, energised = self.faults, self.time, self._valves.energised
         shut = energised.issuperset(dumps)
         opens = not shut and (air.open or not (failing and self._is_due(faults.dump_stuck_at)))
@@ -357,7 +358,7 @@ class JointSimulation(Sampled):
         supply = self._supply()
         supplies = self._plant.supplies
         wanted = {f"{name}_set": supplies[self._muscle(name)].setpoints(times) for name in o.PRESSURES}
-        # before the plant goes on: old commands are dropped
+        # before the plant advances: old commands are dropped
         wanted["angle_set"] = self._wanted.setpoints(times)
         moved = self._plant.advance(until, times.tolist())
         self._wanted.value(until)
@@ -376,11 +377,11 @@ PLATFORM_NOISE = {
     **dict.fromkeys(o.ACCELERATIONS, 0.02),
     **dict.fromkeys(o.TURNS, math.radians(0.1)),
 }
-"""Of the sensors [Pa, m/s2, rad/s]; assumed."""
+"""Noise of the sensors [Pa, m/s2, rad/s]; assumed."""
 HEIGHT = 0.02
-"""Of the accelerometer above the joint, where nothing says more [m]."""
+"""Default height of the accelerometer above the joint [m]."""
 BURST, LEAK = 10.0, 0.5
-"""How wide a hole is, an exhaust valve being 1."""
+"""Width of a hole relative to an exhaust valve."""
 
 
 class PlatformSimulation(Sampled):
@@ -412,14 +413,14 @@ class PlatformSimulation(Sampled):
     # -- commands, at the plant's time ----------------------------------------------------------------------------
 
     def pulse(self, output: str, seconds: float) -> None:
-        """Open a valve from now on for so long."""
+        """Open a valve for a time [s] from now."""
         kind, _, number = output.partition("_")
         if output not in (*o.FILLS, *o.EXHAUSTS):
             raise ValueError(f'"{output}" is switched and stays')
         self._plant.pulse(kind, int(number) - 1, seconds)
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Shut-off and dumps; of a valve that opens in pulses this ends the pulse, or opens it until it is shut."""
+        """Switch shut-off and dumps; for a valve that opens in pulses, end the pulse, or open it until it is shut."""
         if output in (*o.FILLS, *o.EXHAUSTS):
             kind, _, number = output.partition("_")
             self._plant.shut(kind, int(number) - 1)
@@ -428,23 +429,23 @@ class PlatformSimulation(Sampled):
         super().switch(output, on=on)
 
     def command(self, output: str, segment: Segment, scale: Scale) -> None:
-        """Nothing takes a value."""
+        """Refuse: no output takes a value."""
         raise DeviceError(self._name, f'no output "{output}": a platform has valves only')
 
     def setpoint(self, output: str) -> float:
-        """Nothing takes a value."""
+        """Refuse: no output takes a value."""
         raise DeviceError(self._name, f'no output "{output}": a platform has valves only')
 
     def halt(self, output: str) -> None:
-        """Nothing moves by itself."""
+        """No effect: nothing moves by itself."""
 
     def place(self, load: Load) -> None:
-        """Nothing: a platform carries no weights."""
+        """No effect: a platform carries no weights."""
 
     # -- faults ---------------------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        """Bring valves and sensors in line with commands and faults as they are at this moment."""
+        """Update valves and sensors for the present commands and faults."""
         plant, faults, i = self._plant, self.faults, self._options.faulty - 1
         plant.supply = self.is_on(o.SUPPLY_VALVE) and not self._is_due(faults.supply_lost_at)
         plant.dump = not self.energised

@@ -1,6 +1,6 @@
-"""Modbus devices of any maker: a register map in YAML says what is where (TCP, and RTU on a serial port).
+"""Modbus devices of any maker, described by a register map in YAML (TCP, and RTU on a serial port).
 
-`registers`: the map as people write it and as records, and their words; `adapter`: the connection, the only module that
+`registers`: the map in its file and as records, conversion of words; `adapter`: the connection, the only module that
 imports pymodbus; here: the device interface; `emulated`: a device with any map.
 
 One thread polls the inputs and steps ramps and sines; calls and polls take turns on the one connection.
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line
 
 CALL = 0.19
-"""Longest time that a call takes [s]; the guard gives up at 0.2 s."""
+"""Longest time of a call [s]; the guard gives up at 0.2 s."""
 OPEN = 1.9
 LATE = 0.05
-"""A command that was under way when its connection was cut is carried out within so long [s]."""
+"""Latest time at which a command is carried out that was in progress when its connection was cut [s]."""
 
 LOOK, SUPERVISED, PART = 0.05, 0.45, 0.25
-"""A guard reads interlocks, and asks what is held, so often [s], in so much of the time at most, and twice that [1]."""
+"""Intervals of a guard's interlock reads and of `held` [s]; they take at most `PART` and 2 `PART` of the time [1]."""
 TRIED = 4
-"""So many questions more show at opening how long an answer takes; one alone may have met a busy computer."""
+"""Number of further requests at `open` that show how long an answer takes; a single one may meet a busy computer."""
 SHARE, LEAST = 0.25, 0.1
-"""The polling thread waits for a sign of life of the program for this share of the watchdog's time, at least 0.1 s."""
+"""Fraction of the watchdog's time, and shortest time [s], that the polling thread waits for a call of the program."""
 
 
 class Watched(Polled):
@@ -48,7 +48,7 @@ class Watched(Polled):
         super().__init__(device, clock)
         self._armed = self._fed = 0.0
         self._found = 0.0
-        """The time that it had when it was opened [counts], which it gets back; 0: off."""
+        """Its time when it was opened [counts], restored at the end; 0: off."""
         self._beat = 0
 
     @abstractmethod
@@ -57,21 +57,21 @@ class Watched(Polled):
 
     @abstractmethod
     def _put(self, register: r.Register, value: float, deadline: float, *, checked: bool = True) -> None:
-        """Write a register before a deadline [s, monotonic]; then read it back, where it is `checked`."""
+        """Write a register before a deadline [s, monotonic]; then read it back if `checked`."""
 
     def _heard(self) -> float:
-        """When it answered last [s, monotonic], as far as that is known."""
+        """When it last answered [s, monotonic], if known."""
         return -math.inf
 
     def _called(self) -> float:
-        """When the program asked it something last, apart from the thread that polls [s, monotonic]."""
+        """When the program last called it, apart from the polling thread [s, monotonic]."""
         return self._fed
 
     def _hungry(self) -> bool:
         """Whether the watchdog is armed and has not been fed for a quarter of its time.
 
-        Most devices count any communication as a sign of life, so the thread that polls must fall silent then: the
-        device vents a quarter of its time (or 0.1 s) late at most, whatever hangs in the program.
+        Most devices count any communication as a sign of life, so the polling thread must then stop. The device vents
+        at most a quarter of its time (or 0.1 s) late, wherever the program hangs.
         """
         return self._armed > 0 and monotonic() - max(self._fed, self._called()) > max(SHARE * self._armed, LEAST)
 
@@ -93,7 +93,7 @@ class Watched(Polled):
         return self._armed
 
     def feed_watchdog(self) -> None:
-        """Write the heartbeat; where any communication feeds it, read its time unless it has just answered anyway."""
+        """Write the heartbeat; if any communication feeds it, read its time unless it has just answered anyway."""
         registers, deadline = self._own_watchdog(), monotonic() + CALL
         if registers.heartbeat is not None:
             self._beat = self._beat % 1000 + 1
@@ -103,7 +103,7 @@ class Watched(Polled):
         self._fed = monotonic()
 
     def disarm_watchdog(self) -> None:
-        """Stop it, or give it back the time that it had; outputs stay."""
+        """Stop it, or restore its previous time; outputs stay."""
         registers, self._armed = self._own_watchdog(), 0.0
         off = (registers.timeout, self._found) if registers.trigger is None else (registers.trigger, registers.off)
         self._put(*off, monotonic() + CALL)
@@ -115,9 +115,9 @@ class Watched(Polled):
 
 
 class ModbusDevice(Watched, Controlled):
-    """A device behind Modbus: `options: {map: ...}`; inputs, outputs and watchdog as its register map names them.
+    """A device with Modbus: `options: {map: ...}`; inputs, outputs and watchdog as its register map names them.
 
-    Raw values are those of the registers; the scaling is the bench's. Ramps and sines are stepped at the poll rate.
+    Raw values are those of the registers; the bench file has the scaling. Ramps and sines are stepped at the poll rate.
     """
 
     emulator = "pmabench_drivers.modbus.emulated"
@@ -135,13 +135,13 @@ class ModbusDevice(Watched, Controlled):
         self._line: Line | None = None
         self._watchdog = self._map.watchdog
         self._seen, self._over = ("", 0.0), 0
-        """Serial number and uptime as they were last, and over which of the connections that was."""
+        """Last serial number and uptime, and the number of the connection they were read on."""
         registers = self._watchdog
         own = [] if registers is None else [registers.trigger, registers.timeout]
         self._reported = r.spans(item for item in (*own, self._map.uptime) if item is not None and item.read_back)
-        """What it reports of itself, but for its serial number."""
+        """Registers about the device itself, except for its serial number."""
         self._written: dict[str, float] = {}
-        """What was written last to registers that cannot be read."""
+        """Last values written to registers that cannot be read."""
 
     @classmethod
     def map_schema(cls) -> dict[str, Any]:
@@ -150,7 +150,7 @@ class ModbusDevice(Watched, Controlled):
 
     @classmethod
     def lacks(cls, device: DeviceRecord) -> Iterator[str]:
-        """A serial line on which a late answer may still come when the run has given the device up."""
+        """A serial line on which, after a lost answer, the run ends before the device is read again."""
         if not device.address.startswith("/"):
             return
         map_ = cls.read_options(device, Reader()).map
@@ -167,7 +167,7 @@ class ModbusDevice(Watched, Controlled):
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect, read who it is, and prove by a known constant (where the map has one) that words are in order."""
+        """Connect, identify, and check the order of words by a known constant (if the map has one)."""
         self.close()
         self._line = self._new_line()
         deadline = monotonic() + OPEN
@@ -183,7 +183,7 @@ class ModbusDevice(Watched, Controlled):
         return who(maker, model, serial, firmware, clock=COMPUTER, answers=answers if answers < math.inf else 0.0)
 
     def close(self) -> None:
-        """End polling and let go of the connection."""
+        """Stop polling and close the connection."""
         self._following.clear()
         self._streaming = False
         self._written.clear()
@@ -225,7 +225,7 @@ class ModbusDevice(Watched, Controlled):
         return self._opened().called
 
     def _fastest(self) -> float:
-        """The map's rate, or what the line allows next to the guard's questions."""
+        """The map's rate, or the rate that the line allows beside the guard's requests."""
         takes, device = self._opened().quickest, self._device
         if not self._spans or takes == math.inf:
             return self._map.rate
@@ -239,7 +239,7 @@ class ModbusDevice(Watched, Controlled):
     def _tick(self) -> None:
         """One turn of the thread: the next step of each segment, then the inputs."""
         if self._hungry():
-            return  # whoever feeds it is gone: polling must not keep the device's watchdog quiet
+            return  # the program that should feed the watchdog hangs: polling must not feed it instead
         failure = self._step()
         try:
             self._poll()
@@ -257,13 +257,13 @@ class ModbusDevice(Watched, Controlled):
             begun = min(begun, line.asked)
         answered, took = self._clock.now(), monotonic() - begun
         if not self._is_the_same(line):
-            return  # another device, or one that began anew: whoever supervises it asks `held`, and ends the run
+            return  # another device, or a restarted one: `held` will show that and end the run
         self._keep([values[place] for place in self._places], answered - took, answered)
 
     def _is_the_same(self, line: Line) -> bool:
-        """Whether the device behind a new connection is the one before, as far as it can tell.
+        """Whether a new connection leads to the same device as before, if that can be known.
 
-        Of one with outputs samples are believed in any case: they show whether it vents.
+        Samples of a device with outputs are accepted in any case: they show whether it vents.
         """
         if line.connections == self._over or self._device.guarded:
             return True
@@ -276,13 +276,13 @@ class ModbusDevice(Watched, Controlled):
     # -- commands -------------------------------------------------------------------------------------------------
 
     def write(self, output: str, value: float) -> None:
-        """Command a value once; where no answer comes, what the device holds shows whether it was executed."""
+        """Command a value once; if no answer comes, the value that the device holds shows whether it was executed."""
         record = self._output(output)
         self._following.pop(output, None)
         self._put(self._map.outputs[output], value, resolution=record.resolution)
 
     def read_back(self, output: str) -> float:
-        """The value in the device's register; of one that cannot be read, what was written last."""
+        """The value in the device's register, or the last value written if it cannot be read."""
         self._output(output)
         self._opened().let_samples()
         return self._holds(self._map.outputs[output])
@@ -292,7 +292,7 @@ class ModbusDevice(Watched, Controlled):
         self._put(self._switched(output), float(on))
 
     def is_on(self, output: str) -> bool:
-        """What the coil or register holds; of one that cannot be read, what was written last."""
+        """Value of the coil or register, or the last value written if it cannot be read."""
         self._opened().let_samples()
         return self._holds(self._switched(output)) != 0
 
@@ -303,7 +303,7 @@ class ModbusDevice(Watched, Controlled):
         return self._get(self._map.inputs[name]) != 0
 
     def rescue(self, output: str, value: float) -> None:
-        """Write over a second connection and cut the first one; on a serial line, in turn with what is under way."""
+        """Write over a second connection and cut the first one; on a serial line, after the request in progress."""
         self._known("output", output, self._map.outputs)
         register = self._map.outputs[output]
         self._following.pop(output, None)
@@ -321,7 +321,7 @@ class ModbusDevice(Watched, Controlled):
             second.close()
 
     def _overrule(self, second: Line, register: r.Register, value: float, deadline: float, watch: float) -> None:
-        """Write over a second connection, and look for `watch` [s] whether the value stays."""
+        """Write over a second connection, and check for `watch` [s] whether the value stays."""
         words, function = self._words(register, value), self._function(register)
         second.overrule(function, register.address, words, deadline, register.name, watch=watch)
 
@@ -336,7 +336,7 @@ class ModbusDevice(Watched, Controlled):
     # -- what the device reports ----------------------------------------------------------------------------------
 
     def held(self) -> Mapping[str, float | str]:
-        """Its watchdog, the register `uptime` and the serial number, as far as the map has them."""
+        """Its watchdog, the register `uptime` and the serial number, if the map has them."""
         self._opened().let_samples()
         deadline, found = monotonic() + CALL, dict[str, float | str]()
         values = self._values(self._reported, deadline)
@@ -353,7 +353,7 @@ class ModbusDevice(Watched, Controlled):
         return found
 
     def _values(self, spans: Sequence[r.Span], deadline: float) -> dict[r.Register | None, float]:
-        """What the registers of some spans hold."""
+        """Values of the registers of some spans."""
         line, found = self._opened(), dict[r.Register | None, float]()
         for span in spans:
             words = line.read(span.table, span.address, span.count, deadline, span.registers[0].name)
@@ -361,7 +361,7 @@ class ModbusDevice(Watched, Controlled):
         return found
 
     def _who(self, deadline: float) -> tuple[str, float]:
-        """Serial number and uptime, as far as the map has registers for them."""
+        """Serial number and uptime, if the map has registers for them."""
         serial, uptime = self._map.identity.get("serial", ""), self._map.uptime
         return self._identify(serial, deadline), 0.0 if uptime is None else self._get(uptime, deadline)
 
@@ -423,14 +423,14 @@ class ModbusDevice(Watched, Controlled):
         return r.write_function(register, self._map.functions)
 
     def _to_send(self, register: r.Register, value: float, _until: float, *, checked: bool) -> tuple[list[int], float]:
-        """The words of a value, and what the device then holds."""
+        """The words of a value, and the value that the device then holds."""
         words = self._words(register, value)
         return words, r.decode(register, words)
 
     def _settle(
         self, register: r.Register, wanted: float, until: float, resolution: float, lost: Unanswered | None
     ) -> None:
-        """Refuse where the device holds something else; a lost answer is settled so, never by writing again."""
+        """Raise an error if the device holds another value; a lost answer is settled so, never by writing again."""
         try:
             held = self._arrived(register, wanted, until, resolution)
         except DeviceError as error:
@@ -447,9 +447,9 @@ class ModbusDevice(Watched, Controlled):
             )
 
     def _shows(self, _register: r.Register, held: float) -> str:
-        """What a register holds, in words."""
+        """Value of a register, in words."""
         return f"holds {held:g}"
 
     def _arrived(self, register: r.Register, _wanted: float, until: float, _resolution: float) -> float:
-        """What the device holds after a command."""
+        """Value that the device holds after a command."""
         return self._get(register, until)

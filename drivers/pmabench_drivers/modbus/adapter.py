@@ -1,11 +1,11 @@
 """One connection to a Modbus device: transactions that end in time; the only module that imports pymodbus.
 
-The adapter adds what the library lacks: no time-out longer than the caller's deadline however slowly bytes drip, no
-retry, every library error as a `DeviceError`, and no answer taken for another question's. Over TCP a lost answer ends
-the connection, and the next call opens a new one. A serial line has neither connections nor numbers in its frames:
-there a lost answer is remembered, and until the device's slowest time has passed nothing is asked whose answer would
-look the same. Exception codes: Modbus Application Protocol 1.1b3, section 7. `NamedLine` also asks who answers
-(function 43/14).
+The adapter adds to the library: no wait beyond the caller's deadline, however slowly bytes arrive; no retry; every
+library error as a `DeviceError`; and no answer taken for that of another request. Over TCP a lost answer closes the
+connection, and the next call opens a new one. A serial line has neither connections nor numbers in its frames: there a
+lost answer is noted, and until the device's slowest time has passed no request is sent whose answer would look the
+same. Exception codes: Modbus Application Protocol 1.1b3, section 7. `NamedLine` also identifies the device (function
+43/14).
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # noqa: TID253 
 from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TID253
 from pymodbus.framer import FramerRTU  # noqa: TID253
 
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import COMPUTER, Identity
 from pmabench_drivers.modbus.registers import BIT_TABLES, READ
 from pmabench_drivers.shared.link import Still, Unanswered, always, turn, who
 
 for _name in ("pymodbus.logging", "pymodbus_logging"):
-    logging.getLogger(_name).setLevel(logging.CRITICAL)  # it prints what is raised here anyway
+    logging.getLogger(_name).setLevel(logging.CRITICAL)  # its messages are also raised here
 
 PORT = 502
-"""Of Modbus TCP, where the address names none."""
+"""Default port of Modbus TCP."""
 SHOWN = 0.005
-"""Pause between two looks at what a device shows after a command [s]."""
+"""Pause between two checks of a device's value after a command [s]."""
 GIVES_WAY, PATIENT, LONGEST = 0.001, 0.1, 0.3
-"""Pause between two looks whether a sample may be asked for; when it goes before questions, and before all [s]."""
+"""Pause between two checks whether a sample may be read; wait until it precedes requests that can wait, and all [s]."""
 LONGEST_FRAME = 512
-"""Of what came late, so much is kept to find an answer in: two frames [bytes]."""
+"""Largest number of late bytes that are searched for an answer: two frames."""
 PIECE = 0.005
-"""Longest wait for bytes of a serial port before the deadline is looked at again [s]."""
+"""Longest wait for bytes of a serial port before the deadline is checked again [s]."""
 EXCEPTIONS = {
     1: "it does not know this function",
     2: "it has no such address",
@@ -57,6 +57,8 @@ EXCEPTIONS = {
     11: "the gateway got no answer from it",
 }
 """Exception code -> what the device says with it."""
+NO_REFUSAL = (5, 6, 10, 11)
+"""Of those, the ones after which it may be carried out, or the next time."""
 
 CALLS = {
     "holding": "read_holding_registers",
@@ -64,7 +66,7 @@ CALLS = {
     "coil": "read_coils",
     "discrete": "read_discrete_inputs",
 }
-"""Table -> what the library calls reading it."""
+"""Table -> name of the library's method that reads it."""
 SIGNATURES: dict[int, Callable[[Any], tuple[int, ...]]] = {
     **dict.fromkeys((1, 2), lambda answer: (len(answer.bits),)),
     **dict.fromkeys((3, 4), lambda answer: (len(answer.registers),)),
@@ -72,26 +74,26 @@ SIGNATURES: dict[int, Callable[[Any], tuple[int, ...]]] = {
     6: lambda answer: (answer.address, answer.registers[0]),
     **dict.fromkeys((15, 16), lambda answer: (answer.address, answer.count)),
 }
-"""Function code -> what distinguishes its answer from others."""
+"""Function code -> values that distinguish its answer from others."""
 FAILED = 0x80
 """Added to the function code of a refusal."""
 LAST_READ = 4
 """Function codes up to this one read."""
 
 Signature = tuple[int, ...]
-"""What distinguishes an answer from others: function code, and number of bytes or address."""
+"""Values that distinguish an answer from others: function code, and number of bytes or address."""
 IDENTIFY = 43
 BASIC, REGULAR = 1, 2
 
 
 class _Tcp(ModbusTcpClient):
-    """The library's client, whose `recv` knows the deadline of the whole call."""
+    """The library's client, with a `recv` that respects the deadline of the whole call."""
 
     deadline = 0.0
     why = ""
 
     def connect(self) -> bool:
-        """Connect; `why` says what was wrong where that cannot be done."""
+        """Connect; if that fails, `why` has the reason."""
         if self.socket is None:
             try:
                 target = self.comm_params.host, self.comm_params.port
@@ -104,7 +106,7 @@ class _Tcp(ModbusTcpClient):
         return self.socket is not None
 
     def recv(self, size: int | None) -> bytes:
-        """The bytes that are there, or none at the deadline."""
+        """The available bytes, or none at the deadline."""
         connection, left = self.socket, self.deadline - monotonic()
         if connection is None:
             raise ConnectionException("the connection was closed")
@@ -115,11 +117,11 @@ class _Tcp(ModbusTcpClient):
         return data
 
     def waiting(self) -> bytes:
-        """Nothing: a connection with a lost answer has ended."""
+        """No bytes: after a lost answer the connection is closed."""
         return b""
 
     def cut(self) -> None:
-        """End the connection under a call that waits for it."""
+        """Close the connection during a call that waits for it."""
         if (connection := self.socket) is not None:
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
@@ -132,27 +134,27 @@ class _Rtu(ModbusSerialClient):
     why = "is it there, and does no other program use it?"
 
     def connect(self) -> bool:
-        """Open the port for this program alone."""
+        """Open the port exclusively."""
         opened = super().connect()
         if opened and self.socket is not None:
             self.socket.timeout = PIECE
         return opened
 
     def recv(self, size: int | None) -> bytes:
-        """The bytes that are there, or none at the deadline."""
+        """The available bytes, or none at the deadline."""
         while self.socket is not None and monotonic() < self.deadline:
             if data := bytes(self.socket.read(1)):
                 return data + bytes(self.socket.read(self.socket.in_waiting))
         return b""
 
     def waiting(self) -> bytes:
-        """The bytes that are there."""
+        """The available bytes."""
         with contextlib.suppress(OSError, TypeError):
             return bytes(self.socket.read(self.socket.in_waiting)) if self.socket is not None else b""
         return b""
 
     def cut(self) -> None:
-        """A serial port is not cut: its calls end by themselves."""
+        """No effect: calls on a serial port end by themselves."""
 
 
 class Line:
@@ -170,15 +172,16 @@ class Line:
         self._closed = False
         self._owed: list[tuple[Signature, float]] = []
         self._late = b""
-        """What came while late answers were waited for."""
+        """Bytes received during the wait for late answers."""
         self._overdue = False
         self._calls = set[object]()
-        """Calls that wait for their turn or are under way; samples wait for them."""
+        """Calls that wait for their turn or are in progress; samples wait for them."""
         self.quickest, self.heard, self.asked, self.called = math.inf, -math.inf, -math.inf, -math.inf
-        """Shortest time that an answer took [s]; when the last one came, when a sample was asked for, and when somebody
-        called who is not the thread that polls and steps [s, monotonic]."""
+        """Shortest time of an answer [s]; when the last one came, when a sample was requested, and when a caller other
+        than the polling thread last called [s, monotonic].
+        """
         self.connections = 0
-        """How often it was connected: behind a new connection there may be another device."""
+        """Number of connections so far: a new connection may lead to another device."""
         host, colon, port = address.rpartition(":")
         self.is_serial = address.startswith("/")
         self._client: _Tcp | _Rtu
@@ -189,7 +192,7 @@ class Line:
             self._client = _Tcp(place[0], port=place[1], timeout=timeout, retries=0)
 
     def close(self) -> None:
-        """Let go of the connection for good; harmless when repeated. A call that still waits for its turn fails."""
+        """Close the connection for good; may be called again. A call that still waits for its turn fails."""
         self._closed = True
         self._client.cut()
         with self._lock:
@@ -200,7 +203,7 @@ class Line:
     ) -> list[int]:
         """`count` registers (or bits) of a table from `address` on, before `deadline` [s, monotonic].
 
-        For a `sample` all other calls go first, and `asked` is when it was sent.
+        A `sample` lets all other calls go first; `asked` is the time at which it was requested.
         """
         call, unit = getattr(self._client, CALLS[table]), self._unit_id
         bits = table in BIT_TABLES
@@ -212,7 +215,7 @@ class Line:
     def write(
         self, function: int, address: int, words: Sequence[int], deadline: float, what: str = "", still: Still = always
     ) -> None:
-        """Write registers (functions 6, 16) or coils (5, 15) once; `Unanswered` where the outcome is not known.
+        """Write registers (functions 6, 16) or coils (5, 15) once; raises `Unanswered` if the outcome is unknown.
 
         Never waits for an older answer: its echo holds the address, and a vent cannot wait. Nothing is sent if
         `still()` is false by the time the line is free.
@@ -238,11 +241,11 @@ class Line:
         mask: int = 0xFFFF,
         watch: float = 0.0,
     ) -> None:
-        """Write, and write again as long as the device shows another value.
+        """Write, and write again while the device shows another value.
 
         A command that another connection was sending when it was cut may be carried out after the first write: the
-        value is looked at for `watch` seconds. `shown_at`: the register that shows it, where that is another one;
-        `mask`: the bits that matter, the others stay as they are shown.
+        value is checked for `watch` seconds. `shown_at`: the register that shows it, if that is another one;
+        `mask`: the bits that are compared and written, the others stay as they are shown.
         """
         self.write(function, address, words, deadline, what)
         table, where = "coil" if function in {5, 15} else "holding", address if shown_at is None else shown_at
@@ -252,7 +255,7 @@ class Line:
             try:
                 held = self.read(table, where, len(words), deadline, what)
             except DeviceError:
-                return  # one that cannot be read was written; whether the bench is safe is measured
+                return  # written, but cannot be read; whether the bench is safe is measured
             wanted = [word & mask | before & ~mask for word, before in zip(words, held, strict=True)]
             if wanted != held:
                 self.write(function, address, wanted, deadline, what)
@@ -260,7 +263,7 @@ class Line:
                 return
 
     def cut(self) -> bool:
-        """End a call that hangs in another thread; the next one connects anew. Whether there was one."""
+        """End a call that hangs in another thread; the next one reconnects. Returns whether there was one."""
         under_way = self._lock.locked()
         self._client.cut()
         if not self.is_serial and self._lock.acquire(blocking=False):
@@ -272,7 +275,7 @@ class Line:
 
     @contextlib.contextmanager
     def _turn(self, deadline: float, what: str, *, sample: bool) -> Iterator[None]:
-        """The line for one question: a slow line would be taken again for samples before a call got it."""
+        """The line for one request; samples wait for calls, which would otherwise never get a slow line."""
         call = object()
         if sample:
             begun = monotonic()
@@ -289,7 +292,7 @@ class Line:
             self._calls.discard(call)
 
     def let_samples(self) -> None:
-        """Before a question that is in no hurry: let a sample go first that has waited for long."""
+        """Called before a request without hurry: let a sample go first that has waited long."""
         until = monotonic() + PATIENT
         while self._overdue and monotonic() < until:
             sleep(GIVES_WAY)
@@ -304,7 +307,7 @@ class Line:
         *,
         sample: bool = False,
     ) -> Any:
-        """Send one request and return its answer; the library's errors become sentences."""
+        """Send one request and return its answer; errors of the library are raised as DeviceError."""
         if not sample and still is always:
             self.called = monotonic()
         with self._turn(deadline, what, sample=sample):
@@ -334,21 +337,23 @@ class Line:
             self.heard = monotonic()
             self.quickest = min(self.quickest, self.heard - now)
             if answer.function_code > FAILED:
-                if any(signature[0] == wanted[0] for signature, _until in self._owed):
+                if owed := any(signature[0] == wanted[0] for signature, _until in self._owed):
                     self._lost(wanted)  # it may be the answer that is owed: then this one's is still to come
                 code = answer.exception_code
                 words = EXCEPTIONS.get(code, "which the specification does not define")
-                raise DeviceError(self._device, f"answers with exception {code}: {words}", what)
+                certain = not owed and wanted[0] > LAST_READ and code not in NO_REFUSAL
+                kind = NotSent if certain else DeviceError
+                raise kind(self._device, f"answers with exception {code}: {words}", what)
             return answer
 
     def _next_answer(self) -> Any:
-        """On a serial line, what comes after an answer that belongs to an older question."""
+        """On a serial line, the next answer after one that belongs to an older request."""
         if not self.is_serial or monotonic() >= self._client.deadline:
             raise ModbusException("no other answer came")
         return self._client.transaction.sync_get_response(self._unit_id, 0)
 
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
-        """Whether an answer belongs to this request; a late answer to an earlier one is ticked off."""
+        """Whether an answer belongs to this request; a late answer to an earlier one is removed from the list."""
         if (function := answer.function_code) > FAILED:
             return bool(function == wanted[0] | FAILED)
         signature: Signature = (function, *SIGNATURES.get(function, lambda _answer: ())(answer))
@@ -365,7 +370,7 @@ class Line:
             self._client.close()  # type: ignore[no-untyped-call]
 
     def _wait_until_clean(self, wanted: Signature, deadline: float, what: str) -> None:
-        """Wait while a late answer may still come that could be taken for the answer to this request."""
+        """Wait while a late answer may still arrive that could be taken for the answer to this request."""
         while True:
             self._owed = [item for item in self._owed if item[1] > monotonic()]
             if all(signature != wanted for signature, _until in self._owed):
@@ -380,12 +385,12 @@ class Line:
                 self._came(self._client.recv(None))
 
     def _came(self, data: bytes) -> None:
-        """Tick off the late answers that are in what came meanwhile."""
+        """Remove late answers found in the received bytes from the list."""
         self._late = (self._late + data)[-LONGEST_FRAME:]
         self._owed = [item for item in self._owed if not self._has_come(item[0])]
 
     def _has_come(self, signature: Signature) -> bool:
-        """Whether the late answer to a reading question is in what came meanwhile."""
+        """Whether the late answer to a read request is in the received bytes."""
         function, size = signature[:2]
         if function > LAST_READ:
             return False
@@ -412,7 +417,7 @@ class Line:
 
 
 class NamedLine(Line):
-    """A Modbus TCP connection whose other end also gives its names."""
+    """A Modbus TCP connection to a device that can identify itself."""
 
     def __init__(self, device: str, address: str, timeout: float) -> None:
         super().__init__(device, address, 1, timeout)
@@ -429,7 +434,7 @@ class NamedLine(Line):
         return found
 
     def read_again(self, address: int, count: int, deadline: float, what: str) -> list[int]:
-        """Holding registers; asked once more where no answer came in time: that moves nothing."""
+        """Holding registers; read once more if no answer came in time, as reading moves nothing."""
         try:
             return self.read("holding", address, count, deadline, what)
         except Unanswered:
@@ -438,7 +443,7 @@ class NamedLine(Line):
             return self.read("holding", address, count, deadline, what)
 
     def identity(self, deadline: float) -> Identity:
-        """Who answers, before `deadline` [s, monotonic]."""
+        """Identity of the device, before `deadline` [s, monotonic]."""
         names = self.identification(deadline)
         return who(names.get(0, ""), names.get(4) or names.get(1, ""), firmware=names.get(2, ""), clock=COMPUTER)
 

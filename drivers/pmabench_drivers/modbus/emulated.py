@@ -1,6 +1,6 @@
-"""An emulated Modbus device: what its registers read from the plant, what writing them does to it, its watchdog.
+"""An emulated Modbus device: registers read from the plant, effects of writes on it, and its watchdog.
 
-Served as the device's own register map says; what the map does not name answers with exception 2.
+Served according to the device's own register map; addresses outside the map answer with exception 2.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pmabench_drivers.shared.options import options_of
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice | RtuDevice:
-    """What a device of the driver `modbus` talks to: TCP, or RTU on a pseudo-terminal."""
+    """Emulated device for a device of the driver `modbus`: TCP, or RTU on a pseudo-terminal."""
     options = options_of(device, read_options)
     registers = Registers(device, options, plant, log)
     if device.address.startswith("/"):
@@ -27,7 +27,7 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice 
 
 
 class Registers:
-    """One device in front of the plant."""
+    """One device on the plant."""
 
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self.device, self._map, self._plant, self._log = device, options.map, plant, log
@@ -43,7 +43,7 @@ class Registers:
         self._power_on()
 
     def _power_on(self) -> None:
-        """Every register that is written as after power-on: outputs safe, watchdog off."""
+        """Reset every written register to power-on: outputs safe, watchdog off."""
         self._started = self._heard = monotonic()
         self._fired = False
         for register in self._written:
@@ -53,7 +53,7 @@ class Registers:
     # -- requests -------------------------------------------------------------------------------------------------
 
     def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
-        """What is read, or nothing; `Refused` where the device says no."""
+        """Registers read, or an empty list for a write; raises `Refused`."""
         with self._lock:
             watchdog = self._map.watchdog
             if watchdog is None or watchdog.heartbeat is None:
@@ -72,10 +72,10 @@ class Registers:
         shown = [
             register
             for register in self._map.inputs.values()
-            if (register.table, register.address) not in self._held  # else it shows what is commanded
+            if (register.table, register.address) not in self._held  # else it shows the commanded value
             and any((register.table, register.address + offset) in wanted for offset in range(register.count))
         ]
-        quantities = self._plant.quantities() if shown else {}  # the plant takes its time
+        quantities = self._plant.quantities() if shown else {}  # computing the plant takes time
         for register in shown:
             for offset, word in enumerate(self._input(register, quantities)):
                 key = register.table, register.address + offset
@@ -141,7 +141,7 @@ class Registers:
     # -- the device's watchdog ------------------------------------------------------------------------------------
 
     def look_at_watchdog(self) -> None:
-        """Vent by itself where the watchdog is armed and nothing was heard for its time."""
+        """Vent by itself if the watchdog is armed and nothing was received for its time."""
         watchdog = self._map.watchdog
         with self._lock:
             if watchdog is not None:
@@ -150,11 +150,11 @@ class Registers:
                     self._fire(watchdog)
 
     def expire_watchdog(self) -> bool:
-        """Vent by itself now; whether the watchdog was armed."""
+        """Vent by itself now; returns whether the watchdog was armed."""
         return self._end_watchdog(self._fire)
 
     def switch_off_watchdog(self) -> bool:
-        """Off, as by another program; whether it was armed."""
+        """Switch the watchdog off, as another program would; returns whether it was armed."""
         return self._end_watchdog(self._store_off)
 
     def _end_watchdog(self, act: Callable[[WatchdogRegisters], None]) -> bool:
@@ -166,7 +166,7 @@ class Registers:
             return True
 
     def _store_off(self, watchdog: WatchdogRegisters) -> None:
-        """The registers of a watchdog that is not running."""
+        """Set the registers of a stopped watchdog."""
         if watchdog.trigger is None:
             self._store(watchdog.timeout, [0] * watchdog.timeout.count)
         else:
@@ -175,12 +175,12 @@ class Registers:
     # -- what happens to it from outside --------------------------------------------------------------------------
 
     def restart(self) -> None:
-        """As after power-on."""
+        """Reset to power-on."""
         with self._lock:
             self._power_on()
 
     def change_set_point(self, value: float) -> bool:
-        """Another program commands the first output [register]; whether there is one."""
+        """Command the first output [register], as another program would; returns whether there is one."""
         with self._lock:
             for output in self.device.outputs[:1]:
                 register = self._map.outputs[output.output]

@@ -1,4 +1,4 @@
-"""Register maps as people write them, as records, and the way between 16-bit words and numbers; knows no connection.
+"""Register maps in their file and as records, and conversion between 16-bit words and numbers; uses no connection.
 
 The specification (Modbus Application Protocol 1.1b3) fixes the order of the two bytes of a register and leaves the
 order of the registers of a 32-bit value to the maker, hence `low_word_first` and `low_byte_first`.
@@ -23,34 +23,34 @@ from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader
 TABLES = ("holding", "input", "coil", "discrete")
 BIT_TABLES = ("coil", "discrete")
 TYPES = {"int16": ("h", 1), "uint16": ("H", 1), "int32": ("i", 2), "uint32": ("I", 2), "float32": ("f", 2)}
-"""Type -> how `struct` writes it, and its number of registers."""
+"""Type -> its format for `struct`, and its number of registers."""
 READ = {"holding": 3, "input": 4, "coil": 1, "discrete": 2}
 """Table -> the function code that reads it."""
 FUNCTIONS = (1, 2, 3, 4, 5, 6, 15, 16)
 MOST_WORDS = 125
-"""Registers that one transaction can read."""
+"""Largest number of registers read in one transaction."""
 MOST_BITS = 2000
 
 
 @dataclass(frozen=True)
 class Register:
-    """One value of the device: where it is and how it is written. `type` is `bit` in coils and discrete inputs."""
+    """One value of the device: its address and format. `type` is `bit` in coils and discrete inputs."""
 
     name: str
     table: str
     address: int
-    """As on the wire, counted from 0."""
+    """Address on the line, counted from 0."""
     type: str = "uint16"
     low_word_first: bool = False
     low_byte_first: bool = False
     bit: int = -1
-    """The bit of a register that is meant (0: the lowest); -1: the whole."""
+    """Bit of a register (0: the lowest); -1: the whole register."""
     length: int = 0
-    """Registers of a text."""
+    """Number of registers of a text."""
     read_back: bool = True
     """Whether a written value can be read again."""
     expect: float | None = None
-    """What it must hold when the device is opened."""
+    """Required value when the device is opened."""
 
     @property
     def is_bit(self) -> bool:
@@ -59,13 +59,13 @@ class Register:
 
     @property
     def count(self) -> int:
-        """Registers (or bits) that it takes."""
+        """Number of its registers (or bits)."""
         return 1 if self.is_bit else self.length if self.type == "text" else TYPES[self.type][1]
 
 
 @dataclass(frozen=True)
 class WatchdogRegisters:
-    """How the device's own watchdog is set: a time, a trigger or none, and what feeds it."""
+    """Registers of the device's own watchdog: a time, a trigger or none, and a heartbeat or none."""
 
     timeout: Register
     resolution: float
@@ -79,13 +79,13 @@ class WatchdogRegisters:
 
 @dataclass(frozen=True)
 class RegisterMap:
-    """Everything that is known of one kind of device."""
+    """Description of one kind of device."""
 
     unit_id: int = 1
     timeout: float = 0.1
     """Longest wait for an answer [s]."""
     slowest: float = 1.0
-    """Longest time after which the device may still answer an old question [s]; matters on serial lines."""
+    """Longest time after which the device may still answer an old request [s]; matters on serial lines."""
     rate: float = 100.0
     """Highest rate at which the device is polled [Hz]."""
     functions: tuple[int, ...] = FUNCTIONS
@@ -94,18 +94,18 @@ class RegisterMap:
     outputs: Mapping[str, Register] = field(default_factory=dict)
     watchdog: WatchdogRegisters | None = None
     uptime: Register | None = None
-    """A number that only grows until the device restarts."""
+    """A number that only increases until the device restarts."""
 
 
 def decode(register: Register, words: Sequence[int]) -> float:
-    """The number in `words` (each 0..65535), or the bit that is meant; texts by `decode_text`."""
+    """The number in `words` (each 0..65535), or the selected bit; for texts see `decode_text`."""
     if not register.is_bit and len(words) != register.count:
         raise ValueError(f"{register.type} takes {register.count} registers, not {len(words)}")
     return decoder(register)(words)
 
 
 def decoder(register: Register) -> Callable[[Sequence[int]], float]:
-    """What decodes the words of one register, made once for a register that is read again and again."""
+    """Decoding function for the words of one register, for repeated reading."""
     if register.is_bit:
         return lambda words: float(bool(words[0]))
     code, count = TYPES[register.type]
@@ -120,13 +120,13 @@ def decoder(register: Register) -> Callable[[Sequence[int]], float]:
 
 
 def decode_text(words: Iterable[int]) -> str:
-    """Two characters a register, up to the first zero; only what can be printed."""
+    """Two characters a register, up to the first zero; printable ones only."""
     data = b"".join(word.to_bytes(2, "big") for word in words).split(b"\0", 1)[0]
     return "".join(chr(byte) for byte in data if 32 <= byte < 127).strip()
 
 
 def encode(register: Register, value: float) -> list[int]:
-    """The words of a number, whole where the register is; ValueError where it does not fit, or is no number."""
+    """The words of a number, rounded for integer types; raises ValueError if it does not fit or is not finite."""
     if not math.isfinite(value):
         raise ValueError(f"{value} cannot be commanded")
     if register.is_bit:
@@ -164,7 +164,7 @@ class Span:
 
 
 def spans(registers: Iterable[Register]) -> list[Span]:
-    """The fewest transactions that read the registers without touching any address that is not in the map."""
+    """The fewest transactions that read the registers without any address outside the map."""
     found: list[Span] = []
     for register in sorted(set(registers), key=lambda r: (r.table, r.address, r.count)):
         last = found[-1] if found else None
@@ -189,7 +189,7 @@ MAP_KEYS = (
     *("identity", "inputs", "outputs", "watchdog", "uptime"),
 )
 UPTIMES = ("uint32", "int32")
-"""Types of a number that only grows until a restart."""
+"""Types of a number that only increases until a restart."""
 HIGH, LOW = "high-first", "low-first"
 
 
@@ -209,7 +209,7 @@ class Options:
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
-    """The options of a device and the names that its channels, outputs, valves and interlocks use."""
+    """Options of a device; also checks the names that its channels, outputs, valves and interlocks use."""
     given = reader.keys(device.options, ("options",), ("map", "baud", "parity", "stop_bits"), ("map",))
     if not device.address.startswith("/"):
         reader.host(device, "192.168.0.10:502", other=' or the path of a serial port ("/dev/ttyUSB0")')
@@ -318,7 +318,7 @@ def _register(
 
 
 def write_function(register: Register, functions: tuple[int, ...]) -> int:
-    """The function code that writes a register, out of the allowed ones; 0 where there is none."""
+    """The first allowed function code that writes a register; 0 if there is none."""
     if register.is_bit:
         wanted: tuple[int, ...] = (5, 15)
     else:
@@ -357,9 +357,9 @@ def _watchdog(
 
 
 def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
-    """What the bench asks of the device must be in the map, and fit.
+    """Check that everything the bench uses is in the map, and fits.
 
-    No two channels or outputs share a register, whatever the map calls it: that is a copied line of the map.
+    No two channels or outputs share a register, whatever its names in the map: that would be a copied line.
     """
     uses = [("channels", each.name, "input", each.input) for each in device.channels]
     uses += [("outputs", each.name, "output", each.output) for each in device.outputs]
@@ -389,7 +389,7 @@ def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
 
 
 def _fits(output: OutputRecord, register: Register, place: Place, reader: Reader) -> None:
-    """A register must take every value that may be commanded."""
+    """Check that a register can hold every value that may be commanded."""
     if register.is_bit:
         reader.fault(place, "is a coil, which takes no values")
         return
@@ -406,6 +406,6 @@ def _ends(scale: Any, channel: Any) -> tuple[float, float]:
 
 
 def map_schema() -> dict[str, Any]:
-    """The JSON Schema of a register map; what is read here and what it takes are compared by a test."""
+    """The JSON Schema of a register map; a test compares it with the keys read here."""
     schema: dict[str, Any] = json.loads(files(__package__).joinpath("registers.schema.json").read_text("utf-8"))
     return schema

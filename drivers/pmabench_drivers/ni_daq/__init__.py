@@ -1,10 +1,10 @@
 """NI multifunction devices like the USB-6215, through NI-DAQmx on this computer or behind NI's gRPC server.
 
-`options`: what the bench file says; `connection`: the only part that knows NI's package `nidaqmx`; here: the device
-interface; `emulated`, `emulated_tasks`: NI's server with one device in front of the simulated muscle.
+`options`: options of a bench file; `connection`: the only part that uses NI's package `nidaqmx`; here: the device
+interface; `emulated`, `emulated_tasks`: NI's server with one device on the simulated muscle.
 
-Samples of one start are fetched in a thread, numbered, and timed by their number over the rate that NI-DAQmx says it
-uses; the device's clock begins at the bench time of the start.
+A thread fetches the samples of one start and numbers them; their time is their number over the rate that NI-DAQmx
+reports. The device's clock starts at the bench time of the start.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from pmabench_drivers.shared.device import Led
 from pmabench_drivers.shared.link import JOIN, Cycle, Pace, Samples, Still, Unanswered, opened
 
 FETCH = 0.17
-"""Longest time of a look [s]."""
+"""Longest time of a fetch [s]."""
 LOOK = 50.0
-"""Waiting samples are fetched so often [Hz]."""
+"""Rate at which waiting samples are fetched [Hz]."""
 PATIENCE = 0.25
-"""So long no sample may come before `collect` says so [s]."""
+"""Time without a sample after which `collect` raises an error [s]."""
 SLIP = 0.1
-"""More than this the samples of a whole second may not be later than they were [s]."""
+"""Largest increase of the delay of all samples of a second [s]."""
 BEYOND = 1.2
-"""No converter gives more than so many times its range."""
+"""Largest possible value of a converter, relative to its range."""
 CALL = 0.17
-"""Longest time that a call takes [s]."""
+"""Longest time of a call [s]."""
 ANSWER = 0.1
-"""How long the answer to a command is waited for, before the line itself is looked at [s]."""
+"""Longest wait for the answer to a command, before the line itself is read [s]."""
 STEP = 0.06
-"""How long a step of a ramp may take, so that a command that ends the ramp still has its time [s]."""
+"""Longest time of a step of a ramp, so that a command that ends the ramp still has its time [s]."""
 OPEN = 1.8
 LATE, LOOSE = 0.1, 0.02
-"""A looped output is compared so long after it was set [s]; it may be off by this share of its limits [1]."""
+"""Delay after which a looped output is compared [s], and its tolerance as a fraction of its limits [1]."""
 
 
 class Sampling:
-    """From one start to its end; what an earlier start left under way cannot touch it."""
+    """Sampling from one start to its end; separate objects keep the rest of an earlier start from affecting it."""
 
     def __init__(
         self, device: str, names: Sequence[str], inputs: Sequence[Input], link: Connection, rate: float, clock: Clock
@@ -56,26 +56,26 @@ class Sampling:
         self._cycle = Cycle(f"ni-daq {device}", self._fetch, clock)
         self._number = 0
         self._unsure = True
-        """Whether the device is asked which sample comes next."""
+        """Whether the device must be asked for the number of the next sample."""
         self._pace = Pace(SLIP)
         self._failure = self._unheard = ""
         self.newest: tuple[float, Mapping[str, float]] = (-math.inf, {})
         """Time of the newest sample [s, bench time], and its values by channel [V]."""
         self.lost = 0
-        """Samples that were taken and never came; each is a gap in the times."""
+        """Samples that were taken and did not arrive; each is a gap in the times."""
 
     def begin(self, start: float) -> None:
-        """Fetch from now on; `start` is the time of sample 0 [s, bench time]."""
+        """Start fetching; `start` is the time of sample 0 [s, bench time]."""
         self.start = start
         self._heard = monotonic()
         self._cycle.start(LOOK)
 
     def end(self) -> None:
-        """Fetch no more; harmless when repeated."""
+        """Stop fetching; may be called again."""
         self._cycle.stop(JOIN)
 
     def collect(self) -> Block:
-        """What came since the last call; once all of it is handed out, an error where nothing more comes."""
+        """Samples since the last call; once all are returned, raises DeviceError if no more arrive."""
         block = self._samples.take()
         if len(block.time):
             return block
@@ -86,7 +86,7 @@ class Sampling:
         return block
 
     def _fetch(self) -> None:
-        """Everything that waits, in the fetching thread."""
+        """Fetch all waiting samples, in the fetching thread."""
         if self._failure:
             return
         try:
@@ -94,7 +94,7 @@ class Sampling:
                 if self._unsure:
                     self._find_place(self._link.position())
                 columns = self._link.read()
-        except Unanswered as error:  # what was asked for may be gone: the next look finds out how much
+        except Unanswered as error:  # the requested samples may be lost: the next fetch finds out how many
             self._unsure, self._unheard = True, error.message
             return
         except DeviceError as error:
@@ -105,7 +105,7 @@ class Sampling:
             self._keep(columns)
 
     def _find_place(self, position: int) -> None:
-        """The device says which sample comes next; those before it that did not come are a gap."""
+        """Continue at the sample that the device reports as next; missing ones before it are a gap."""
         if position < self._number:
             raise DeviceError(self._device, f"is at sample {position} after {self._number}: it began again")
         self.lost += position - self._number
@@ -143,16 +143,16 @@ class NiDaq(Led):
         self._second: Connection | None = None
         self._held: dict[str, float] = {}
         self._sent: dict[str, float] = {}
-        """When each output was set last [s, bench time]."""
+        """When each output was last set [s, bench time]."""
         measured = {channel.name: channel for channel in device.channels}
         commands = {o.output: "{}_command{}{}".format(*o.name.partition("_")) for o in device.outputs}
         self._loops = {output: measured[name] for output, name in commands.items() if name in measured}
-        """The channel into which each output is looped, where it is."""
+        """Channel into which each output is looped, if any."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Find the device, see that it has what the bench uses, prepare its tasks; outputs stay as they are."""
+        """Find the device, check that it has everything the bench uses, prepare its tasks; outputs stay as they are."""
         self.close()
         link = self._link = Connection(self._device.name, self._options)
         with self._closed_on_error():
@@ -168,7 +168,7 @@ class NiDaq(Led):
         return identity
 
     def close(self) -> None:
-        """End sampling and stepping and let go; outputs stay as they are."""
+        """Stop sampling and stepping and close the connections; outputs stay as they are."""
         self._following.clear()
         self._end_sampling()
         self._steps.stop(JOIN)
@@ -187,7 +187,7 @@ class NiDaq(Led):
     # -- samples --------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:
-        """Sample all channels together at `rate` [Hz]; returns the rate that NI-DAQmx says it uses."""
+        """Sample all channels together at `rate` [Hz]; returns the rate that NI-DAQmx reports."""
         self._refuse_rate(rate)
         link = self._opened()
         self._end_sampling()
@@ -200,14 +200,14 @@ class NiDaq(Led):
         return used
 
     def collect(self) -> Block:
-        """What came since the last call; once all of it is handed out, an error where nothing more comes."""
+        """Samples since the last call; once all are returned, raises DeviceError if no more arrive."""
         self._steps.refuse(self._device.name, "stepping", once=True)
         if self._sampling is not None:
             return self._sampling.collect()
         return Samples([channel.name for channel in self._device.channels]).take()
 
     def stop(self) -> None:
-        """End sampling; a ramp under way goes on."""
+        """Stop sampling; a ramp in progress continues."""
         if self._sampling is not None:
             self._end_sampling()
             with self._opened().calls(CALL):
@@ -220,7 +220,7 @@ class NiDaq(Led):
 
     @property
     def lost(self) -> int:
-        """Samples since the start that were taken and never came; each is a gap in the times."""
+        """Samples since the start that were taken and did not arrive; each is a gap in the times."""
         return 0 if self._sampling is None else self._sampling.lost
 
     # -- outputs ---------------------------------------------------------------------------------------------------
@@ -232,23 +232,23 @@ class NiDaq(Led):
         self._put(self._opened(), output, value)
 
     cannot_read_back = "NI-DAQmx cannot be asked what an output gives"
-    """Why `read_back` answers from memory; the conformance suite then says that it was not checked."""
+    """Why `read_back` answers from memory; the conformance suite then reports that it was not checked."""
 
     def read_back(self, output: str) -> float:
-        """What the output was last set to [V], as NI-DAQmx acknowledged it; what is measured where that is another one.
+        """Last value of the output [V] acknowledged by NI-DAQmx, or the measured one if that differs.
 
-        Measured is an output that is looped into a channel (`pressure_command` of `pressure`). A device that restarts
+        An output is measured if it is looped into a channel (`pressure_command` of `pressure`). A restart of the device
         is not seen here, but by `is_on`, `held` and the end of its samples.
         """
         record = self._output(output)
-        with self._command_turn():  # a step of a ramp may be under way
+        with self._command_turn():  # a step of a ramp may be in progress
             if output in self._held:
                 return self._measured(record, self._held[output])
         message = "what it gives is not known: nothing was set since it was opened, or the answer was lost"
         raise self._error(message, output)
 
     def _measured(self, record: OutputRecord, sent: float) -> float:
-        """The value [V] of a looped output where another program has changed it, else `sent`."""
+        """The measured value [V] of a looped output if another program has changed it, else `sent`."""
         channel, sampling = self._loops.get(record.output), self._sampling
         if channel is None or sampling is None:
             return sent
@@ -259,9 +259,9 @@ class NiDaq(Led):
         return float(record.scale.to_raw(value)) if other else sent
 
     def held(self) -> Mapping[str, float | str]:
-        """Its serial number, which NI-DAQmx gives only while the device is there; it has no watchdog and no uptime.
+        """Its serial number, which NI-DAQmx only gives while the device is present; it has no watchdog and no uptime.
 
-        Raises DeviceError where its tasks are gone: what it gives is not known after a restart.
+        Raises DeviceError if its tasks are gone: after a restart its outputs are unknown.
         """
         link = self._opened()
         with link.calls(CALL):
@@ -286,7 +286,7 @@ class NiDaq(Led):
 
     @contextmanager
     def _command_turn(self) -> Iterator[None]:
-        """After a step that is under way; a call that hangs is not waited for."""
+        """Wait for a step in progress; a call that hangs is not waited for."""
         turn = self._turn.acquire(timeout=CALL / 2)
         try:
             yield
@@ -312,7 +312,7 @@ class NiDaq(Led):
             raise self._error(f"cannot be set to {value:g} V", output)
 
     def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
-        """Set a value, unless a command is under way: the next step comes soon."""
+        """Set a value, unless a command is in progress: the next step comes soon."""
         link = self._link
         if link is not None and self._turn.acquire(blocking=False):
             try:
@@ -326,7 +326,7 @@ class NiDaq(Led):
     # -- lines -----------------------------------------------------------------------------------------------------
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Set a valve's line once; reading it shows whether it was done."""
+        """Set a valve's line once; the line is then read to check it."""
         self._put_line(self._opened(), output, on=on)
 
     def is_on(self, output: str) -> bool:

@@ -1,9 +1,8 @@
-"""NI's package `nidaqmx` in front of one device: calls that end in time, and sentences for what goes wrong.
+"""NI's package `nidaqmx` for one device: calls that end in time, and its errors as DeviceError.
 
 Over gRPC each task has a name on the server, where it outlives the program that made it: a program that opens the
-device ends the tasks that another of this computer has left, and a second connection commands through the same tasks.
-No task of an output stays started, so nothing is reserved between two commands, and
-another program can always vent.
+device ends the tasks left over by another one of this computer, and a second connection commands through the same
+tasks. No output task stays started, so nothing is reserved between two commands, and another program can always vent.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from pmabench_drivers.ni_daq.options import Input, Options, Output
 from pmabench_drivers.shared.link import Unanswered
 
 SHORTEST = 0.001
-"""Time for a call for which none is left [s]."""
+"""Time for a call if none is left [s]."""
 BUFFER = 10.0
-"""So long samples wait for whoever reads them [s]."""
+"""Length of the buffer of waiting samples [s]."""
 MOST = 4000
-"""Samples of each input that are read at once."""
+"""Largest number of samples of each input that are read at once."""
 REASONS = {
     -200220: "NI-DAQmx knows no device of this name",
     -200170: "the device has no such channel",
@@ -41,7 +40,7 @@ REASONS = {
     -200714: "samples were lost inside the device: the connection is too slow for the rate",
     -200088: "the task is gone: the server was restarted, or another program took the device",
 }
-"""Errors of NI-DAQmx that are met at a bench, in words of our own."""
+"""Frequent errors of NI-DAQmx, in plain words."""
 
 
 class Bounded:
@@ -61,7 +60,7 @@ class Bounded:
         self._channel, self._left = grpc.insecure_channel(server, list(options.items())), left
 
     def unary_unary(self, *names: Any, **how: Any) -> Callable[..., Any]:
-        """One question and one answer."""
+        """One request and one answer."""
         call = self._channel.unary_unary(*names, **how)
 
         def bounded(request: Any, metadata: Any = None) -> Any:
@@ -74,7 +73,7 @@ class Bounded:
 
 
 class Connection:
-    """One way to a device: NI-DAQmx here, or a separate connection to a server."""
+    """One connection to a device: NI-DAQmx here, or a separate connection to a server."""
 
     def __init__(self, name: str, options: Options) -> None:
         self._name, self._options = name, options
@@ -137,13 +136,13 @@ class Connection:
     # -- life -----------------------------------------------------------------------------------------------------
 
     def load(self) -> None:
-        """Import NI's package, which takes its time."""
+        """Import NI's package, which takes some time."""
         parts = ["stream_readers", "stream_writers", "system", *(["_grpc_interpreter"] if self._options.server else [])]
         for part in parts:
             import_module(f"nidaqmx.{part}")
 
     def open(self) -> Identity:
-        """Connect, find the device, see that it has what the bench uses, and prepare its tasks; commands nothing."""
+        """Connect, find the device, check that it has what the bench uses, and prepare its tasks; commands nothing."""
         system = self._system()
         names = [_short(name) for name in system.devices.device_names]
         if (wanted := self._options.device) not in names:
@@ -166,16 +165,16 @@ class Connection:
         return Identity("NI", model, serial, f"NI-DAQmx {'.'.join(map(str, version))}", simulated=simulated)
 
     def serial(self) -> str:
-        """The serial number, asked for now."""
+        """The serial number, read now."""
         return f"{int(self._device.serial_num):X}"
 
     def refuse_lost(self) -> None:
-        """Ask for the state of a task; DeviceError where server or device restarted and the task is gone."""
+        """Read the state of a task; raises DeviceError if server or device restarted and the task is gone."""
         for task in list(self._tasks.values())[:1]:
             task.is_task_done()
 
     def attach(self) -> None:
-        """Connect, and take the outputs and valve lines as another connection has prepared them."""
+        """Connect, and attach to the outputs and valve lines that another connection has prepared."""
         self._connect()
         for output in self._options.outputs:
             self._prepare_output(output, None)
@@ -183,16 +182,16 @@ class Connection:
             self._prepare_line(line, out=True, attach=True)
 
     def close(self) -> None:
-        """End what this connection has made, and let go; outputs stay as they are."""
+        """Close the tasks that this connection has made, and the connection; outputs stay as they are."""
         for task in self._tasks.values():
-            with suppress(Exception):  # a server that is gone has no tasks
+            with suppress(Exception):  # a server that has ended has no tasks
                 task.close()
         self._tasks.clear()
         self._writers, self._readers, self._samples = {}, {}, None
         self.hang_up()
 
     def hang_up(self) -> None:
-        """Close the connection and nothing else."""
+        """Close only the connection."""
         channel, self._channel = self._channel, None
         if channel is not None:
             with suppress(Exception):
@@ -209,7 +208,7 @@ class Connection:
         return System.remote(self._session("")) if self._options.server else System.local()
 
     def _session(self, name: str, *, attach: bool = False) -> Any:
-        """How a task is named on the server, and whether it must be there already."""
+        """Name of a task on the server, and whether it must already exist."""
         if not self._options.server:
             return None
         from nidaqmx import GrpcSessionOptions, SessionInitializationBehavior
@@ -221,7 +220,7 @@ class Connection:
     # -- tasks ----------------------------------------------------------------------------------------------------
 
     def _task(self, key: str, *, attach: bool = False) -> Any:
-        """A task of this device; a new one unless `attach`: what a program left on the server when it died is ended."""
+        """A task of this device; a new one unless `attach`: a task left over on the server is closed first."""
         from nidaqmx import Task
 
         name = f"pmabench {socket.gethostname()} {self._options.device} {key}"
@@ -234,7 +233,7 @@ class Connection:
         return task
 
     def _prepare_output(self, output: str, limits: tuple[float, float] | None) -> None:
-        """A task for one output; `limits` None: it is there already."""
+        """Prepare a task for one output; `limits` None: it already exists."""
         from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
         task = self._task(output, attach=limits is None)
@@ -276,7 +275,7 @@ class Connection:
     # -- what the device has ----------------------------------------------------------------------------------------
 
     def _refuse_missing(self, device: Any) -> None:
-        """Every channel and line that the bench uses, and every range, must be there."""
+        """Check that every channel, line and range that the bench uses exists."""
         options, model = self._options, _short(device.product_type)
         groups: tuple[tuple[str, Any, Sequence[str]], ...] = (
             ("analogue input", device.ai_physical_chans, [item.name for item in options.inputs.values()]),
@@ -297,7 +296,7 @@ class Connection:
                 raise DeviceError(self._name, f"a {model} has no range of {item.span:g} V; it has {shown}", item.name)
 
     def _range(self, device: Any, output: str) -> tuple[float, float]:
-        """The narrowest range of the outputs that holds all that is ever commanded [V]."""
+        """The narrowest output range that includes every commanded value [V]."""
         wanted: Output = self._options.outputs[output]
         low, high = wanted.low, wanted.high
         ends = [float(end) for end in list(device.ao_voltage_rngs)[:40]]
@@ -309,7 +308,7 @@ class Connection:
         return min(ranges, key=lambda pair: pair[1] - pair[0])
 
     def _refuse_finer(self, output: str, step: float) -> None:
-        """The bench file must not promise smaller steps than the converter has."""
+        """Refuse a resolution in the bench file that is finer than the converter's."""
         given = self._options.outputs[output].step
         if not given >= 0.99 * step:
             message = f'the bench file says steps of {given:g} V, and they are {step:.3g} V: "resolution: {step:.6f} V"'
@@ -322,7 +321,7 @@ class Connection:
         self._known(self._writers, name)(value)
 
     def level(self, line: str) -> bool:
-        """The level of a line, also of one that is driven."""
+        """The level of a line, also of a driven one."""
         return bool(self._known(self._readers, line)())
 
     def _known(self, prepared: dict[str, Any], name: str) -> Any:
@@ -354,7 +353,7 @@ class Connection:
         return used
 
     def end(self) -> None:
-        """Sample no more; harmless when repeated."""
+        """Stop sampling; may be called again."""
         from nidaqmx.constants import TaskMode
 
         if (task := self._tasks.get("ai")) is not None:
@@ -362,11 +361,11 @@ class Connection:
             task.control(TaskMode.TASK_UNRESERVE)
 
     def position(self) -> int:
-        """Number of the sample that is read next."""
+        """Number of the next sample to be read."""
         return int(self._tasks["ai"].in_stream.curr_read_pos)
 
     def read(self) -> list[array[float]]:
-        """What waits, `MOST` samples at most, an array [V] for each input."""
+        """Waiting samples, at most `MOST`, an array [V] for each input."""
         import numpy as np
 
         if (waiting := min(int(self._tasks["ai"].in_stream.avail_samp_per_chan), MOST)) <= 0:
@@ -379,5 +378,5 @@ class Connection:
 
 
 def _short(text: object, longest: int = 60) -> str:
-    """A text from outside, in one line and of bounded length."""
+    """A text from outside, in one line and of limited length."""
     return " ".join(str(text).split())[:longest]

@@ -1,4 +1,4 @@
-"""NI's gRPC server, emulated: the calls that the package `nidaqmx` makes for a bench, in front of one board."""
+"""NI's gRPC server, emulated: the calls of the package `nidaqmx` that a bench needs, for one board."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from pmabench_drivers.shared.options import options_of
 
 SERVICE = "nidaqmx_grpc.NiDAQmx"
 LINKS = {name: f.LINK[name] for name in f.LINK if name not in {"late", "stale", "double"}}
-"""An answer of gRPC belongs to its question: none comes twice, or to another one."""
+"""An answer of gRPC belongs to its request: none comes twice, or to another one."""
 ATTACH, INITIALIZE = 2, 1
 VERSION = {0x1272: 24, 0x1923: 5, 0x2F22: 0}
 """Attributes of the system: major, minor, update."""
 ALL_LINES, FINITE, CONTINUOUS = 1, 10178, 10123
 """One channel for all lines; kinds of timing."""
 WORKERS = 16
-"""So many calls at once."""
+"""Largest number of simultaneous calls."""
 GIVE_UP = 10.0
 """Longest wait for a client to give up [s]."""
 
@@ -36,7 +36,7 @@ VOLTAGE = 10322
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: f.CommandLog) -> EmulatedServer:
-    """The server that a device of the driver `ni-daqmx` is reached through."""
+    """Emulated server for a device of the driver `ni-daqmx`."""
     options = options_of(device, read_options)
     if not options.server:
         why = 'its bench file names no server; an emulator needs "options: {server: 127.0.0.1:PORT}"'
@@ -83,22 +83,22 @@ class EmulatedServer:
         if not port:
             raise UsageError(f"cannot serve {self.board.device.name} at {self.address}: the port is taken")
         all_there = threading.Barrier(WORKERS)
-        for _ in range(WORKERS):  # now: one that begins later would look like a thread that a driver left behind
+        for _ in range(WORKERS):  # now: a thread that starts later would look like one left behind by a driver
             workers.submit(all_there.wait)
         self.address = f"{self.address.rpartition(':')[0]}:{port}"
         self._server = server
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start serving."""
         self._server.start()
 
     def close(self) -> None:
-        """Hang up."""
+        """Stop serving."""
         self.board.close()
         self._server.stop(0.0).wait(2.0)
 
     def serve_again(self, *, forget: bool) -> None:
-        """Cut every connection, and listen again; `forget`: as a server that was ended, without its tasks."""
+        """Cut every connection, and listen again; `forget`: without the tasks, like a restarted server."""
         with self._lock:
             self._server.stop(0.0).wait(2.0)
             if forget:
@@ -150,7 +150,7 @@ class EmulatedServer:
     # -- what the calls do ------------------------------------------------------------------------------------------
 
     def create_task(self, request: Any, context: Any) -> Answer:
-        """A new task, or one that is there."""
+        """Create a task, or attach to an existing one."""
         import grpc
 
         way = request.initialization_behavior
@@ -173,7 +173,7 @@ class EmulatedServer:
         return {}
 
     def write_many(self, request: Any, context: Any, fault: f.Fault) -> Answer:
-        """Set the outputs of a task; the values of one after those of another."""
+        """Set the outputs of a task; the values are grouped by channel."""
         task, size = self.board.task(request.task.name), request.num_samps_per_chan
         rows = [request.write_array[first : first + size] for first in range(0, len(request.write_array), size)]
         if fault.kind != "ignore":
@@ -208,7 +208,7 @@ class EmulatedServer:
         return {"read_array": data, "samps_per_chan_read": request.num_samps_per_chan}
 
     def read_lines(self, request: Any) -> Answer:
-        """The levels of the lines of a task; the samples of one channel after those of another."""
+        """The levels of the lines of a task; the samples are grouped by channel."""
         task, size = self.board.task(request.task.name), request.num_samps_per_chan
         levels = [[self.board.level(name) for name in channel.terminals] * size for channel in task.channels]
         data = bytes(level for channel in levels for level in channel)
@@ -216,13 +216,13 @@ class EmulatedServer:
         return {"read_array": data, "samps_per_chan_read": size, "num_bytes_per_samp": most}
 
     def read_ports(self, request: Any) -> Answer:
-        """The levels of the lines of a task, each at its place in the port."""
+        """The levels of the lines of a task, each at its bit of the port."""
         task, size = self.board.task(request.task.name), request.num_samps_per_chan
         data = [bits for channel in task.channels for bits in [channel.bits(self.board.level)] * size]
         return {"read_array": data, "samps_per_chan_read": size}
 
     def wait(self, name: str, request: Any, context: Any) -> None:
-        """Until what is asked for is there, or the time of the request is over."""
+        """Wait until the requested samples are available, or the time of the request is over."""
         if name == "ReadAnalogF64":
             within = request.timeout
         elif name == "WaitUntilTaskDone":
@@ -243,7 +243,7 @@ class EmulatedServer:
 
 
 def _attribute(name: str) -> Callable[..., Answer]:
-    """The call that asks for an attribute."""
+    """The call that reads an attribute."""
 
     def call(server: EmulatedServer, request: Any, _context: Any, _fault: f.Fault) -> Answer:
         if name.startswith("GetDevice") and request.device_name != server.board.device.address:
@@ -258,13 +258,13 @@ def _attribute(name: str) -> Callable[..., Answer]:
 
 
 def _refuse(grpc: Any, context: Any, refused: Refused) -> None:
-    """An error of NI-DAQmx as the server reports it: its code is next to the answer."""
+    """Report an error of NI-DAQmx as the server does: its code is in the metadata."""
     context.set_trailing_metadata((("ni-error", str(refused.code)),))
     context.abort(grpc.StatusCode.UNKNOWN, str(refused))
 
 
 def _wait(context: Any) -> bytes:
-    """No answer, until the client has given up."""
+    """Give no answer, until the client has given up."""
     until = time.monotonic() + GIVE_UP
     while context.is_active() and time.monotonic() < until:
         time.sleep(0.005)
@@ -272,7 +272,7 @@ def _wait(context: Any) -> bytes:
 
 
 def _of_task(act: Callable[[Board, Task, Any], object]) -> Callable[..., Answer]:
-    """A call that acts on a task and answers nothing."""
+    """A call that acts on a task and has an empty answer."""
 
     def call(server: EmulatedServer, request: Any, _context: Any, _fault: f.Fault) -> Answer:
         act(server.board, server.board.task(request.task.name), request)
@@ -295,7 +295,7 @@ def _add_output(board: Board, task: Task, request: Any) -> None:
 
 
 def _not_done(_board: Board, task: Task, _request: Any) -> None:
-    """Refuse where the waiting has come to its end in vain."""
+    """Refuse if the wait has ended without success."""
     if not task.done:
         raise Refused(-200560, "Wait Until Done did not indicate that the task was done within the specified timeout.")
 
@@ -327,7 +327,7 @@ def _names(task: Task) -> str:
 
 
 def _terminals(_board: Board, request: Any) -> int:
-    """How an input can be measured, as bits: against ground, against AI SENSE, against the one eight higher."""
+    """Terminal configurations of an input, as bits: to ground, to AI SENSE, to the input eight higher."""
     if (name := request.physical_channel.partition("/")[2]) not in AI:
         raise Refused(-200170, "Physical channel specified does not exist on this device.")
     return 7 if name in AI[:8] else 3
@@ -361,7 +361,7 @@ ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
     ("Write UInt32", 0x217F): _task(_lines),
     ("PhysicalChan Int32", 0x2342): _terminals,
 }
-"""Attributes: what they are of and their type, as in the name of the call, and their number."""
+"""Attributes: object and type, as in the name of the call, and number."""
 CALLS: dict[str, Callable[..., Answer]] = {
     **{name: _attribute(name) for name in {"Get" + of.replace(" ", "Attribute") for of, _ in ATTRIBUTES}},
     "CreateTask": lambda server, request, context, _fault: server.create_task(request, context),
@@ -390,4 +390,4 @@ CALLS: dict[str, Callable[..., Answer]] = {
     "WriteAnalogScalarF64": EmulatedServer.write,
     "WriteDigitalLines": EmulatedServer.write_lines,
 }
-"""The calls that there are; any other is refused as unknown."""
+"""The supported calls; any other is refused as unknown."""

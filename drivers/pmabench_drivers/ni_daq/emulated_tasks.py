@@ -1,7 +1,7 @@
-"""A USB-6215 behind NI-DAQmx as far as a bench needs it: tasks, one sample clock, outputs, lines; behind it the muscle.
+"""The part of a USB-6215 behind NI-DAQmx that a bench needs: tasks, one sample clock, outputs, lines, on the muscle.
 
-Written from NI's description of tasks and errors and apart from the driver, so that each is a check of the other. Knows
-no wire.
+Written from NI's description of tasks and errors and separately from the driver, so that each checks the other. Uses no
+connection.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ SPANS = (0.2, 1.0, 5.0, 10.0)
 FASTEST = 250e3
 """Samples a second over all inputs."""
 TIMEBASE = 20e6
-"""The sample clock is this, divided by a whole number [Hz]."""
+"""The rate of the sample clock is this, divided by a whole number [Hz]."""
 BITS = 16
 USUAL, RSE, NRSE, DIFF = -1, 10083, 10078, 10106
 COMMIT, UNRESERVE = 3, 5
 TICK = 0.02
-"""Samples that fall due are taken at least so often [s]; each at its own time."""
+"""Longest interval for taking due samples [s]; each is taken for its own time."""
 
 
 BUFFERS = ((100.0, 1_000), (10e3, 10_000), (1e6, 100_000))
-"""Up to this rate [Hz] NI-DAQmx gives a continuous task a buffer of so many samples, unless more are asked for."""
+"""Highest rate [Hz] for a buffer of a number of samples, for a continuous task, unless more are requested."""
 
 
 def listed(text: str) -> list[str]:
@@ -61,19 +61,19 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Virtual:
-    """A virtual channel: its name, and the terminals behind it; several only of digital lines."""
+    """A virtual channel: its name, and its terminals; several only for digital lines."""
 
     name: str
     terminals: tuple[str, ...]
 
     def bits(self, levels: Callable[[str], bool]) -> int:
-        """The levels of its lines, each at its place in the port."""
+        """The levels of its lines, each at its bit of the port."""
         return sum(levels(name) << int(name.rpartition("line")[2]) for name in self.terminals)
 
 
 @dataclass
 class Task:
-    """A task as the server keeps it."""
+    """A task as the server stores it."""
 
     kind: str = ""
     """`ai`, `ao`, `di`, `do`."""
@@ -82,9 +82,9 @@ class Task:
     spans: list[tuple[float, float]] = field(default_factory=list)
     terminals: list[int] = field(default_factory=list)
     rate: float = 0.0
-    """Of its sample clock [Hz]; 0: on demand, at the moment at which it is read or written."""
+    """Rate of its sample clock [Hz]; 0: on demand, when it is read or written."""
     finite: int = 0
-    """Samples after which it is done; 0: it goes on."""
+    """Number of samples after which it is done; 0: continuous."""
     buffer: int = 0
     state: str = "verified"
     start: float = 0.0
@@ -96,7 +96,7 @@ class Task:
 
     @property
     def done(self) -> bool:
-        """Whether nothing more comes of it."""
+        """Whether it has ended."""
         return self.state != "running" or bool(self.finite and self.taken >= self.finite)
 
 
@@ -127,7 +127,7 @@ class Board:
         return self.tasks[name]
 
     def add(self, task: Task, kind: str, text: str, known: Sequence[str], title: str = "", *, one: bool = False) -> int:
-        """Put physical channels into a task, each a virtual one or all as `one`; returns how many."""
+        """Add physical channels to a task, each as a virtual one or all as `one`; returns their number."""
         names: list[str] = []
         for physical in listed(text):
             device, _, name = physical.partition("/")
@@ -154,7 +154,7 @@ class Board:
         return len(names)
 
     def add_input(self, task: Task, text: str, title: str, terminal: int, low: float, high: float) -> None:
-        """Analogue inputs, with the narrowest range that holds `low` to `high`."""
+        """Add analogue inputs, with the narrowest range that includes `low` to `high`."""
         fitting = [span for span in SPANS if span >= max(abs(low), abs(high))]
         upper = any(name.partition("/")[2] in AI[8:] for name in listed(text))
         if not fitting or terminal not in {USUAL, RSE, NRSE, DIFF} or (terminal == DIFF and upper):
@@ -164,14 +164,14 @@ class Board:
             task.terminals.append(terminal)
 
     def reserve(self, task: Task) -> None:
-        """Take what a task needs, or refuse."""
+        """Reserve the resources of a task, or refuse."""
         for other in self.tasks.values():
             shared = task.kind == other.kind == "ai" or set(task.names) & set(other.names)
             if other is not task and other.state != "verified" and shared:
                 raise Refused(-50103, "The specified resource is reserved.")
 
     def control(self, task: Task, action: int) -> None:
-        """Commit or let go."""
+        """Commit or unreserve a task."""
         if action == COMMIT:
             self.reserve(task)
             task.state = "committed"
@@ -181,7 +181,7 @@ class Board:
             raise Refused(-200077, "Requested value is not a supported value for this property.")
 
     def configure(self, task: Task, rate: float, samples: int, *, finite: bool) -> None:
-        """Set the sample clock to a rate that it can have; the buffer is at least what NI-DAQmx makes it."""
+        """Set the sample clock to the lowest possible rate from `rate` up; the buffer is at least NI-DAQmx's own."""
         if task.kind != "ai" or not rate > 0:
             raise Refused(-200077, "Requested value is not a supported value for this property.")
         if rate * len(task.names) > FASTEST:
@@ -190,7 +190,7 @@ class Board:
         task.buffer = samples if finite else max(samples, next(size for most, size in BUFFERS if rate <= most))
 
     def start(self, task: Task) -> None:
-        """Begin."""
+        """Start a task."""
         self.reserve(task)
         task.state, task.start = "running", monotonic()
         task.taken = task.read = 0
@@ -198,7 +198,7 @@ class Board:
         task.waiting.clear()
 
     def restart(self) -> None:
-        """Outputs at 0 V and lines low as after power-on, tasks under way are aborted; the server stays."""
+        """Reset to power-on: outputs at 0 V, lines low, running tasks aborted; the server stays."""
         with self.lock:
             for name in AO:
                 self._wiring.give(name, self._reached(name, 0.0))
@@ -209,7 +209,7 @@ class Board:
                 task.aborted, task.state = task.state == "running", "verified"
 
     def change_set_point(self, value: float) -> bool:
-        """Another program sets the first output that the bench uses [V]; whether there is one."""
+        """Set the first output that the bench uses [V], as another program would; returns whether there is one."""
         with self.lock:
             for name in list(self._wiring.outputs)[:1]:
                 self._wiring.give(name, self._reached(name, value))
@@ -224,7 +224,7 @@ class Board:
                     self.take(task)
 
     def take(self, task: Task) -> None:
-        """Every sample that is due, each as it was at its time; those without room end the sampling."""
+        """Take every sample that is due, each for its time; a full buffer ends the sampling."""
         if task.kind != "ai" or task.state != "running":
             return
         due = floor((monotonic() - task.start) * task.rate)
@@ -244,7 +244,7 @@ class Board:
         return float(min(max(round(volts / step) * step, -span), span - step))
 
     def waiting(self, task: Task) -> int:
-        """How many samples may be read."""
+        """Number of samples that can be read."""
         self.take(task)
         if task.aborted:
             raise Refused(-88710, "A task has been aborted or a device has been removed from the system.")
@@ -253,11 +253,11 @@ class Board:
         return len(task.waiting)
 
     def default(self, task: Task) -> int:
-        """How many samples are read where all that are there are asked for."""
+        """Number of samples read if all available ones are requested."""
         return (task.finite or self.waiting(task)) if task.rate else 1
 
     def ready(self, task: Task, count: int) -> bool:
-        """Whether so many samples can be read without waiting; a task with a clock begins when it is read."""
+        """Whether `count` samples can be read without waiting; reading starts a task with a clock."""
         if not task.rate or task.kind != "ai":
             return True
         if task.state != "running":
@@ -265,7 +265,7 @@ class Board:
         return self.waiting(task) >= count
 
     def fetch(self, task: Task, count: int) -> list[float]:
-        """So many samples, one channel after the other."""
+        """Read `count` samples, grouped by channel."""
         if task.kind == "ai" and not task.rate:
             self.reserve(task)
             quantities, pairs = self._plant.quantities(), zip(task.names, task.spans, strict=True)
@@ -279,7 +279,7 @@ class Board:
     # -- outputs and lines -------------------------------------------------------------------------------------------
 
     def set_outputs(self, task: Task, rows: Sequence[Sequence[float]], connection: int, *, start: bool) -> None:
-        """Voltages on the outputs of a task, on demand: a row for each, its values one after another."""
+        """Set the outputs of a task on demand: a row for each, with its values in order."""
         self._begin_writing(task, len(rows), start=start)
         for (low, high), row in zip(task.spans, rows, strict=True):
             if not all(low <= volts <= high for volts in row):
@@ -296,13 +296,13 @@ class Board:
             raise Refused(-200846, "Write cannot be performed when auto start is false and the task is not running.")
 
     def _reached(self, name: str, volts: float) -> float:
-        """The nearest voltage that an output can give, which it gives from now on."""
+        """The nearest voltage that an output can give, to which it is set."""
         step = 20.0 / 2**BITS
         self.volts[name] = round(volts / step) * step
         return self.volts[name]
 
     def set_lines(self, task: Task, values: Sequence[int], connection: int, *, start: bool) -> None:
-        """Levels on the lines of a task: of each virtual channel, its lines at their places in the port."""
+        """Set the lines of a task: for each virtual channel, its lines at their bits of the port."""
         self._begin_writing(task, len(values), start=start)
         for channel, value in zip(task.channels, values, strict=True):
             for name in channel.terminals:
@@ -310,5 +310,5 @@ class Board:
                 self._wiring.switch(name, on=high, connection=connection)
 
     def level(self, name: str) -> bool:
-        """The level of a line; an input that nobody wired is low."""
+        """The level of a line; an input that is not wired is low."""
         return self._levels[name] if name in self._levels else self._wiring.level(name)

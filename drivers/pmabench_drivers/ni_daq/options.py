@@ -1,4 +1,4 @@
-"""Options of the driver `ni-daqmx` for a device, read strictly; knows no connection. Standard library only."""
+"""Options of the driver `ni-daqmx` for a device, read strictly; uses no connection. Standard library only."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pmabench_drivers.shared.options import Place, Reader
 
 HERE = ("options",)
 TERMINALS = ("RSE", "NRSE", "DIFF")
-"""Against the device's ground, against AI SENSE, against the input eight higher."""
+"""Reference of an input: the device's ground, AI SENSE, the input eight higher."""
 RANGES = {"10 V": 10.0, "5 V": 5.0, "1 V": 1.0, "0.2 V": 0.2}
 """Range to both sides [V]."""
 PAIR = 8
-"""A differential input takes the one so much higher as its other end (NI-DAQmx, physical channels of M Series)."""
+"""Offset of the second input of a differential pair (NI-DAQmx, physical channels of M Series)."""
 AI = tuple(f"ai{number}" for number in range(32))
 AO = ("ao0", "ao1")
 LINES = {f"port{port}/line{line}": 8 * port + line for port in range(2) for line in range(8)}
 PORT = 31763
-"""Where NI's gRPC server listens unless its configuration says otherwise."""
+"""Default port of NI's gRPC server."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 _SERVER = re.compile(r"([A-Za-z0-9][A-Za-z0-9.-]{0,251})(?::(\d{1,5}))?")
 
@@ -41,21 +41,21 @@ class Output:
 
     low: float
     high: float
-    """Lowest and highest voltage that is ever commanded [V]."""
+    """Lowest and highest commanded voltage [V]."""
     step: float
-    """What the bench file says of its steps [V]."""
+    """Resolution in the bench file [V]."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Everything about one device."""
+    """Options of one device."""
 
     device: str = ""
-    """What NI-DAQmx calls it."""
+    """Its name in NI-DAQmx."""
     server: str = ""
-    """`host:port` of NI's gRPC server; empty where NI-DAQmx is on this computer."""
+    """`host:port` of NI's gRPC server; empty if NI-DAQmx is on this computer."""
     inputs: Mapping[str, Input] = field(default_factory=dict)
-    """Channel of the bench -> what is sampled for it."""
+    """Channel of the bench -> its input."""
     outputs: Mapping[str, Output] = field(default_factory=dict)
     valves: tuple[str, ...] = ()
     """Lines of the valves."""
@@ -64,7 +64,7 @@ class Options:
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
-    """The options of a device and the names that its channels, outputs, valves and interlocks use."""
+    """Options of a device; also checks the names that its channels, outputs, valves and interlocks use."""
     given = reader.keys(device.options, HERE, ("server", "terminals", "ranges"))
     if not _NAME.fullmatch(device.address):
         reader.fault(("address",), f'the name in NI-DAQmx is expected, for instance "Dev1", not "{device.address}"')
@@ -102,7 +102,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
 
 
 def _server(given: Mapping[str, object], reader: Reader) -> str:
-    """`host:port`, with the usual port where none is given."""
+    """`host:port`, with the default port if none is given."""
     text = reader.text(given, "server", HERE)
     match = _SERVER.fullmatch(text)
     if text and (match is None or int(match[2] or PORT) > 65535):
@@ -112,7 +112,7 @@ def _server(given: Mapping[str, object], reader: Reader) -> str:
 
 
 def _each_once(device: DeviceRecord, inputs: Mapping[str, Input], reader: Reader) -> None:
-    """No terminal of two channels; a differential input has one that can be its other end."""
+    """Check that no two channels use a terminal, and that differential inputs have a second input."""
     taken: dict[str, str] = {}
     for channel, item in inputs.items():
         place: Place = ("channels", channel, "input")

@@ -1,11 +1,10 @@
 """Indicators that send text lines over a serial port: load cells, gauges, displays.
 
-Here: what the bench file says, how a line is read in bounded work, the device interface; `emulator`: an indicator on a
-pseudo-terminal.
+Here: options, bounded parsing of a line, the device interface; `emulator`: an indicator on a pseudo-terminal.
 
-A regular expression can take longer than the age of the universe on a line of 100 characters. So that reading one line
-is bounded, a pattern may repeat single characters and classes only, never groups, and repetitions that can take the
-same characters are few: n of them can take parts of a run of r characters in about r^n / n! ways.
+A regular expression can take longer than the age of the universe on a line of 100 characters. To keep the work for one
+line bounded, a pattern may repeat only single characters and classes, never groups, and only few repetitions may match
+the same characters: n of them can divide a run of r characters in about r^n / n! ways.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from pmabench_drivers.shared.options import BAUDS, PARITIES, Reader
 
 LONGEST_PATTERN = 300
 MOST_SHARED = 3
-"""Four repetitions that can take the same characters: 120^4 / 24 steps at worst, some 0.3 s."""
+"""Four repetitions that match the same characters: 120^4 / 24 steps at worst, some 0.3 s."""
 NOT_INPUTS = ("sign", "unit", "status")
 """Named groups that are no measured value."""
 
@@ -47,7 +46,7 @@ _EMULATED = re.compile(r"[^%]*%[+\- 0]*\d{0,2}(?:\.\d{1,2})?f[^%]*")
 
 
 def pattern_problem(pattern: str) -> str:
-    """Why a pattern cannot be used; empty where it can."""
+    """Why a pattern cannot be used; empty if it can."""
     if len(pattern) > LONGEST_PATTERN:
         return f"is longer than {LONGEST_PATTERN} characters"
     variable: list[frozenset[str]] = []
@@ -84,7 +83,7 @@ def pattern_problem(pattern: str) -> str:
 
 
 def _shared(sets: list[frozenset[str]]) -> int:
-    """Number of repetitions that share characters with others, less one for each group of them."""
+    """Number of repetitions that share characters with others, minus one for each set of them."""
     bunch = list(range(len(sets)))
     for a, b in combinations(range(len(sets)), 2):
         if sets[a] & sets[b]:
@@ -93,12 +92,12 @@ def _shared(sets: list[frozenset[str]]) -> int:
 
 
 def inputs_of(pattern: re.Pattern[str]) -> list[str]:
-    """The named groups that are measured values."""
+    """Named groups that are measured values."""
     return [name for name in pattern.groupindex if name not in NOT_INPUTS]
 
 
 def number(text: str, sign: str = "") -> float:
-    """A decimal number, spaces after its sign allowed; ValueError for anything else."""
+    """A decimal number, spaces after its sign allowed; raises ValueError for anything else."""
     found = _NUMBER.fullmatch(text.strip())
     if found is None or (sign and found[1]):
         raise ValueError(f'"{text[:40]}" is no number')
@@ -107,7 +106,7 @@ def number(text: str, sign: str = "") -> float:
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the driver `serial-ascii` for a indicator; times in s, rates in Hz."""
+    """Options of the driver `serial-ascii` for an indicator; times in s, rates in Hz."""
 
     pattern: re.Pattern[str] = re.compile("(?P<value>.*)")
     baud: int = 9600
@@ -115,26 +114,26 @@ class Options:
     parity: str = "N"
     stop_bits: int = 1
     poll: bytes = b""
-    """What is sent to get one line; empty where the indicator sends by itself."""
+    """Request for one line; empty if the indicator sends by itself."""
     terminator: bytes = b"\r"
     timeout: float = 0.15
     slowest: float = 0.5
-    """Longest time after which a line may still come that was asked for [s]."""
+    """Longest time after which a requested line may still arrive [s]."""
     rate: float = 10.0
-    """Lines a second: the most that it is polled, or those that it sends by itself."""
+    """Lines a second: highest polling rate, or rate at which it sends by itself."""
     unit: str = ""
-    """How the indicator writes its unit; empty: as the bench does."""
+    """Unit as the indicator writes it; empty: as in the bench."""
     good_status: tuple[str, ...] = ()
     over_range: tuple[str, ...] = ("OL", "------")
     errors: Mapping[str, str] = field(default_factory=dict)
-    """Lines that mean a fault, and what they mean."""
+    """Lines that report a fault -> meaning."""
     ask_identity: bytes = b""
     emulate: str = "%.3f\r"
-    """For the emulator: a line as printf writes it."""
+    """For the emulator: printf format of a line."""
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
-    """The options of a device, and the inputs that its channels use."""
+    """Options of a device; also checks the inputs that its channels use."""
     place, base = ("options",), Options()
     given = reader.keys(device.options, place, KEYS, ("pattern", "rate"))
     reader.port(device, "/dev/ttyUSB0")
@@ -199,7 +198,7 @@ def _channels(device: DeviceRecord, options: Options, reader: Reader, *, known: 
 
 
 class LineReader:
-    """Reads one line for the channels of a device."""
+    """Parses one line for the channels of a device."""
 
     def __init__(self, options: Options, channels: tuple[ChannelRecord, ...]) -> None:
         self._options, self._channels = options, channels
@@ -208,7 +207,7 @@ class LineReader:
         self._names = [channel.input for channel in channels] or inputs_of(options.pattern)
 
     def values(self, line: bytes) -> list[float]:
-        """The raw value of each channel; over range reads as no number, or as a channel's highest count.
+        """The raw value of each channel; NaN if over range, or the highest count of a channel in counts.
 
         Raises `Wrong` or `Unreadable`.
         """
@@ -240,9 +239,9 @@ class LineReader:
 
 
 OPEN = 1.5
-"""How long `open` waits for a first line that can be read [s]."""
+"""Longest wait at `open` for a first readable line [s]."""
 PATIENCE = 0.5
-"""So long [s], and at least three lines, nothing readable may come before `collect` says so."""
+"""Time, and at least three lines, without a readable line after which `collect` raises an error [s]."""
 
 
 class SerialIndicator(Polled):
@@ -263,13 +262,13 @@ class SerialIndicator(Polled):
         self._flow = Flow(PATIENCE)
         self._heard = 0.0
         self._late, self._late_until = b"", 0.0
-        """What has come of a late answer, and until when the rest of it may come [s, monotonic]."""
+        """Received part of a late answer, and until when the rest may arrive [s, monotonic]."""
         self._rate = self._options.rate
         self._problem = ""
         self._failure: DeviceError | None = None
 
     def open(self) -> Identity:
-        """Open the port for this program alone and wait for one line that can be read."""
+        """Open the port exclusively and wait for one readable line."""
         self.close()
         options = self._options
         settings = {"bytesize": options.data_bits, "parity": options.parity, "stopbits": options.stop_bits}
@@ -280,14 +279,14 @@ class SerialIndicator(Polled):
         return who("", model or "serial ASCII indicator", clock=COMPUTER)
 
     def close(self) -> None:
-        """End reading and let go of the port."""
+        """Stop reading and close the port."""
         self._cycle.stop(JOIN)
         port, self._port = self._port, None
         if port is not None:
             port.close()
 
     def start(self, rate: float) -> float:
-        """Poll at `rate` [Hz] or the highest that the options allow; one that sends by itself keeps its own rate."""
+        """Poll at `rate` [Hz] or the highest allowed rate; an indicator that sends by itself keeps its own rate."""
         self._refuse_rate(rate)
         port = self._opened()
         self.stop()
@@ -303,7 +302,7 @@ class SerialIndicator(Polled):
         return self._rate
 
     def collect(self) -> Block:
-        """What came since the last call; an error for a wrong unit, a fault that it reports, or silence."""
+        """Samples since the last call; raises DeviceError for a wrong unit, a reported fault, or silence."""
         port = self._opened()
         if self._failure is not None:
             raise self._failure
@@ -315,7 +314,7 @@ class SerialIndicator(Polled):
         return super().collect()
 
     def stop(self) -> None:
-        """End reading; two threads would take each other's bytes."""
+        """Stop reading; two threads would take each other's bytes."""
         self._cycle.stop(JOIN)
         if self._port is not None:
             self._port.hush()
@@ -323,14 +322,14 @@ class SerialIndicator(Polled):
     # -- polled ---------------------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        """Ask once and take the one line that answers; after a lost answer nothing is asked until it cannot come."""
+        """Poll once and take the one line of the answer; after a lost answer wait until it can no longer arrive."""
         if self._failure is not None:
             return
         try:
             self._late += self._opened().drain()
             *whole, begun = self._late.split(self._options.terminator)
             if monotonic() < self._late_until and (not whole or begun.strip()):
-                return  # half of the late answer is no answer: the other half would be taken for the next one
+                return  # half of a late answer: the other half would be taken for the next answer
             asked = self._clock.now()
             lines, rest = self._exchange(self._options.poll, self._options.timeout)
         except DeviceError as error:
@@ -346,7 +345,7 @@ class SerialIndicator(Polled):
             self._take(lines[0], (asked + answered) / 2, answered)
 
     def _exchange(self, question: bytes, timeout: float) -> tuple[list[bytes], bytes]:
-        """Send, and collect until a line is whole: the lines, and what is behind them."""
+        """Send, and receive until a line is complete: the lines, and the bytes after them."""
         port, terminator = self._opened(), self._options.terminator
         port.send(question)
         data = port.receive(lambda got: terminator in got or len(got) > sp.LONGEST_LINE, timeout)
@@ -356,12 +355,12 @@ class SerialIndicator(Polled):
     # -- as they come ---------------------------------------------------------------------------------------------
 
     def _listen(self, data: bytes, now: float) -> None:
-        """Bytes that came at `now` [s, bench time], on the port's thread."""
+        """Take bytes that arrived at `now` [s, bench time], on the port's thread."""
         if self._failure is not None:
             return
         wire, lines = 10.0 / self._options.baud, self._splitter.feed(data)
         for index, line in enumerate(lines):
-            waiting = (len(lines) - 1 - index) / self._rate  # it has waited in a buffer for the ones after it
+            waiting = (len(lines) - 1 - index) / self._rate  # it has waited in a buffer for the lines after it
             self._take(line, now - waiting - len(line) * wire, now)
             if behind := self._flow.behind(now):
                 text = "fewer come than at first: they wait in a converter or on the way, or it was set otherwise"
@@ -391,7 +390,7 @@ class SerialIndicator(Polled):
         return sp.readable(lines[0]).strip()
 
     def _first_line(self) -> None:
-        """Prove that a line can be read; its sample is dropped."""
+        """Check that a line can be read; its sample is dropped."""
         options, port, deadline, last = self._options, self._opened(), monotonic() + OPEN, ""
         splitter = sp.Splitter(options.terminator)
         try:

@@ -1,4 +1,4 @@
-"""An emulated serial indicator: sends lines of text about the plant, when asked or by itself, with faults on demand."""
+"""An emulated serial indicator: sends text lines about the plant, when polled or by itself, with faults on demand."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KINDS = (LINK, STUCK, NOISE, OVER, UNIT)
 
 
 class Indicator(OnTerminal):
-    """One indicator on a pseudo-terminal; the line is the option `emulate`, its number the first channel's."""
+    """One indicator on a pseudo-terminal; the line is the option `emulate`, with the number of the first channel."""
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
         self._device, self._options, self._plant = device, options_of(device, read_options), plant
@@ -26,11 +26,11 @@ class Indicator(OnTerminal):
         self._clock, self._due, self._asked = DeviceClock(faults), 0.0, b""
 
     def wait(self) -> float:
-        """Until the next line is due, where it sends by itself."""
+        """Time until the next line is due, if it sends by itself."""
         return IDLE if self._options.poll else min(max(0.0, self._due - self._clock.now()), IDLE)
 
     def take(self, data: bytes) -> None:
-        """Answer each question; by itself, send what is due."""
+        """Answer each request; if it sends by itself, send the due lines."""
         poll, identity = self._options.poll, self._options.ask_identity
         if not poll:
             if self._clock.now() >= self._due:
@@ -47,7 +47,7 @@ class Indicator(OnTerminal):
         self._asked = asked
 
     def _send(self) -> None:
-        """One line, with the fault of the moment."""
+        """Send one line, with the present fault."""
         fault = self.next_fault()
         line = self._line(fault.kind, fault.value)
         self.terminal.write(self.outgoing(line.encode("ascii", "replace"), fault))
@@ -67,4 +67,4 @@ class Indicator(OnTerminal):
 
 
 serve = Indicator
-"""The indicator that a device of the driver `serial-ascii` talks to."""
+"""Emulated indicator for a device of the driver `serial-ascii`."""

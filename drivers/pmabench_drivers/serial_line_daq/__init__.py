@@ -1,10 +1,10 @@
 """A microcontroller board with an open line protocol: samples by its own clock, set-points, valves, its own watchdog.
 
-The protocol is in docs/devices/serial-line-daq.md, the program of the board in `sketch`. Here: lines
-as bytes, times of numbered samples, options, the device interface; `emulator`: a board on a pseudo-terminal.
+The protocol is in docs/devices/serial-line-daq.md, the program of the board in `sketch`. Here: encoding of lines, times
+of numbered samples, options, the device interface; `emulator`: a board on a pseudo-terminal.
 
-One thread reads every line and gives answers to whoever asked by their number. A question is sent once. It has a number
-that no other has for a long time, so a late answer never belongs to another.
+One thread reads every line and passes answers to their callers by number. A request is sent once. Its number is not
+used again for a long time, so a late answer never belongs to another request.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ END = b"\n"
 PROTOCOL = "line-daq"
 VERSION = "1"
 MOST = {"a": 6, "d": 6, "o": 4, "v": 4}
-"""How many inputs, levels, outputs and valves a board has at most, by the letter of their names (`a0`, `d0` ...)."""
+"""Largest number of inputs, levels, outputs and valves of a board, by the letter of their names (`a0`, `d0` ...)."""
 NAMES = {"a": "count input", "d": "digital input", "o": "output", "v": "valve"}
 ARMED, VENTED, LEVELS = 1, 2, 2
 """Bits of the state: watchdog armed, vented by the watchdog; the levels follow from bit 2 on."""
@@ -42,14 +42,14 @@ REASONS = {
     "unarmed": "refuses, because its watchdog is not armed",
     "vented": "has vented by itself, because its watchdog heard nothing; it takes nothing until it is armed again",
 }
-"""The words with which a board refuses."""
+"""Words of a refusal by a board -> message."""
 _WHOLE = re.compile(rb"([ -)+-~]{1,114})\*([0-9A-F]{4})")
 _COUNT = re.compile(r"-?\d{1,10}")
 WRAP = 1 << 32
 LONGEST = 10_000_000
-"""A jump over more than this is no loss but nonsense [us]."""
+"""Largest jump of the clock that counts as a loss; beyond it the sample is invalid [us]."""
 DRIFT = 2e-3
-"""How far number and clock may drift apart over a gap [1]."""
+"""Largest drift between number and clock over a gap [1]."""
 KNOWN_BAUDS = tuple(sorted({*BAUDS, 250_000, 500_000, 1_000_000, 2_000_000}))
 BAUD = 500_000
 WATCHDOG = (0.05, 1.0)
@@ -65,9 +65,9 @@ class Sample:
     """One numbered row of counts."""
 
     number: int
-    """Counts the periods since sampling began, those too in which nothing was sent [1], modulo 2^32."""
+    """Number of periods since sampling began, including those in which nothing was sent [1], modulo 2^32."""
     micros: int
-    """When it was taken by the board's clock [us], modulo 2^32."""
+    """Time of the sample on the board's clock [us], modulo 2^32."""
     state: int
     counts: tuple[int, ...]
 
@@ -88,7 +88,7 @@ def decode(line: bytes) -> list[str]:
 
 
 def read_sample(fields: list[str], inputs: int) -> Sample:
-    """The fields of an `S` line; raises NoLine."""
+    """The sample in the fields of an `S` line; raises NoLine."""
     if len(fields) != 4 + inputs or not all(_COUNT.fullmatch(text) for text in fields[1:]):
         raise NoLine(f"a sample that has not {inputs} counts")
     number, micros, state, *counts = map(int, fields[1:])
@@ -100,15 +100,15 @@ def read_sample(fields: list[str], inputs: int) -> Sample:
 
 
 def index_of(name: str, letter: str) -> int | None:
-    """The number in a name like `a0`; None where it is no such name."""
+    """The number in a name like `a0`; None for any other name."""
     found = re.fullmatch(rf"{letter}(\d)", name)
     return int(found[1]) if found and int(found[1]) < MOST[letter] else None
 
 
 class Timeline:
-    """Gives the time of each sample; counts what was lost by the numbers.
+    """Times of samples; counts lost ones by their numbers.
 
-    Number and clock say the same twice: a sample whose two do not fit is not believed.
+    Number and clock carry the same information: a sample whose two disagree is not accepted.
     """
 
     def __init__(self, period: int, before: Timeline | None = None) -> None:
@@ -116,14 +116,14 @@ class Timeline:
         self._last: Sample | None = None
         self._time = 0
         self.ahead: float | None = before.ahead if before is not None else None
-        """What the board's clock is ahead of bench time by, wraps counted [us]; times go on where `before` ended."""
+        """Lead of the board's clock over bench time, wraps counted [us]; times continue where `before` ended."""
         self.lost = 0
-        """Samples whose numbers never came."""
+        """Samples whose numbers did not arrive."""
         self.misfits = 0
-        """Samples in a row that were not believed."""
+        """Consecutive samples that were not accepted."""
 
     def place(self, sample: Sample, host: float) -> int | None:
-        """Time of a sample that came at `host` [s, bench time] by the board's clock [us]; None: it is not believed."""
+        """Time on the board's clock [us] of a sample that arrived at `host` [s, bench time]; None if not accepted."""
         if (last := self._last) is None:
             if self.ahead is None:
                 self.ahead = sample.micros - host * 1e6
@@ -178,20 +178,20 @@ def _named(reader: Reader, place: tuple[str, ...], name: str, letter: str) -> No
 
 
 CALL = 0.17
-"""Longest time that a call takes [s]."""
+"""Longest time of a call [s]."""
 ANSWER = 0.08
-"""How long an answer is waited for before what the board holds is asked for [s]."""
+"""Longest wait for an answer before the value that the board holds is read [s]."""
 OPEN = 1.9
 ASK = 0.2
-"""While it is opened a board is asked so often who it is: an Arduino restarts when its port is opened [s]."""
+"""Interval for requests of the identity at `open`: an Arduino restarts when its port is opened [s]."""
 PATIENCE = 0.25
-"""So long [s], and at least three periods, no sample may come, or steps may fail, before `collect` says so."""
+"""Time, and at least three periods, without samples or steps after which `collect` raises an error [s]."""
 MISFITS = 3
-"""So many samples in a row whose number and clock do not fit are an error."""
+"""Number of consecutive samples whose number and clock disagree that is an error."""
 
 
 class Link(SerialPort):
-    """An open port; `on_sample` gets the fields of each `S` line and when it came [s, bench time], on its thread."""
+    """An open port; its thread calls `on_sample` with the fields of each `S` line and its bench time [s]."""
 
     def __init__(
         self, device: str, address: str, baud: int, clock: Clock, on_sample: Callable[[list[str], float], None]
@@ -201,18 +201,18 @@ class Link(SerialPort):
         self._turn, self._sending = threading.Lock(), threading.Lock()
         self._waiting: dict[int, SimpleQueue[list[str]]] = {}
         self._number = random.randrange(1 << 20)
-        self._splitter = Splitter(END, whole=True)  # what is not whole has a wrong checksum
+        self._splitter = Splitter(END, whole=True)  # an incomplete line has a wrong checksum
         self.invalid = 0
-        """Lines that could not be read."""
+        """Number of unreadable lines."""
         self.last = ""
-        """The last one of them."""
+        """The last unreadable line."""
         self.listen(self._read)
 
     def ask(self, deadline: float, letter: str, *values: int, still: Still = always, aside: bool = False) -> list[str]:
-        """What the board answers before `deadline` [s, monotonic]; nothing is sent if `still()` is false by then.
+        """The board's answer before `deadline` [s, monotonic]; nothing is sent if `still()` is false by then.
 
-        One question is under way at a time: a board has little room for what comes in. One that goes `aside` does not
-        wait for its turn. Raises DeviceError where the board refuses, Unanswered where nothing comes.
+        One request is in progress at a time: a board has little memory for incoming bytes. With `aside` a request does
+        not wait for its turn. Raises DeviceError if the board refuses, Unanswered if no answer comes.
         """
         asked = monotonic()
         busy = f"has not answered yet what was asked before; the question {letter} was not sent"
@@ -257,10 +257,10 @@ class Link(SerialPort):
 
 
 class SerialLineDaq(Led):
-    """A board with the program of `sketch`, or another that speaks its protocol; its only option is `baud`.
+    """A board with the program of `sketch`, or another with its protocol; its only option is `baud`.
 
     Inputs are `a0` to `a5` (counts) and `d0` to `d5` (levels), outputs `o0` to `o3` (counts) and `v0` to `v3` (valves).
-    Time is the board's own. Only `feed_watchdog` keeps its watchdog quiet. `disarm_watchdog` also vents.
+    Time is the board's own. Only `feed_watchdog` feeds its watchdog. `disarm_watchdog` also vents.
     """
 
     verified = "emulator and compiled sketch, no board"
@@ -288,7 +288,7 @@ class SerialLineDaq(Led):
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Open the port for this program alone, ask who is there, and end sampling; outputs stay as they are."""
+        """Open the port exclusively, identify the board, and stop sampling; outputs stay as they are."""
         self.close()
         link = self._link = Link(self._device.name, self._device.address, self._options, self._clock, self._take)
         with self._closed_on_error():
@@ -297,7 +297,7 @@ class SerialLineDaq(Led):
         return identity
 
     def close(self) -> None:
-        """End stepping and let go of the port; the board goes on sampling, and its watchdog stays as it is."""
+        """Stop stepping and close the port; the board keeps sampling, and its watchdog stays as it is."""
         self._following.clear()
         self._steps.stop(JOIN)
         self._timeline, self._armed, self._failure = None, 0.0, None
@@ -347,7 +347,7 @@ class SerialLineDaq(Led):
         return 1e6 / period
 
     def collect(self) -> Block:
-        """What came since the last call; an error for silence, and once for what else went wrong."""
+        """Samples since the last call; raises DeviceError for silence, and once for any other failure."""
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
@@ -364,22 +364,22 @@ class SerialLineDaq(Led):
         return block
 
     def stop(self) -> None:
-        """End sampling; a ramp under way goes on."""
+        """Stop sampling; a ramp in progress continues."""
         if self._timeline is not None and self._link is not None:
             self._timeline = None
             self._ask("G", 0)
 
     @property
     def missed(self) -> int:
-        """Samples that the board counted and that never came."""
+        """Samples that the board counted and that did not arrive."""
         return self._timeline.lost if self._timeline is not None else 0
 
     def _take(self, fields: list[str], now: float) -> None:
-        """One `S` line that came at `now` [s, bench time], in the reading thread."""
+        """Take one `S` line that arrived at `now` [s, bench time], in the reading thread."""
         timeline = self._timeline
         sample = read_sample(fields, self._has["a"])
         if timeline is None:
-            return  # sampling has not begun here: another program left it on
+            return  # left over: another program started the sampling
         if (micros := timeline.place(sample, now)) is None:
             if timeline.misfits == MISFITS:
                 message = (
@@ -397,7 +397,7 @@ class SerialLineDaq(Led):
     # -- commands -------------------------------------------------------------------------------------------------
 
     def write(self, output: str, value: float) -> None:
-        """Command a whole number of counts once; where no answer comes, what the board holds decides."""
+        """Command a whole number of counts once; if no answer comes, the value that the board holds decides."""
         self._output(output)
         self._following.pop(output, None)
         self._put("W", self._index(output, "o"), self._whole(output, value))
@@ -421,7 +421,7 @@ class SerialLineDaq(Led):
         return bool(self._ask("D") >> LEVELS + index & 1)
 
     def rescue(self, output: str, value: float) -> None:
-        """Send on the same wire without waiting for a turn; the answer is known by its number."""
+        """Send on the same line without waiting for a turn; the answer is identified by its number."""
         self._following.pop(output, None)
         if output in self._outputs:
             self._put("W", self._index(output, "o"), self._whole(output, value), aside=True)
@@ -439,7 +439,7 @@ class SerialLineDaq(Led):
     # -- the board's watchdog -------------------------------------------------------------------------------------
 
     def arm_watchdog(self, seconds: float) -> float:
-        """Set it, start it, and read back the time that the board holds [s]."""
+        """Set it and start it; returns the time that the board holds [s]."""
         if not 0 < seconds < math.inf:
             raise self._error(f"a watchdog of {seconds} s cannot be set", "watchdog")
         until = monotonic() + CALL
@@ -450,17 +450,17 @@ class SerialLineDaq(Led):
         return self._armed
 
     def feed_watchdog(self) -> None:
-        """A sign of life; an error where the board is not armed any more."""
+        """Feed it; raises DeviceError if the board is no longer armed."""
         if not self._ask("F") & ARMED:
             raise self._error("took a sign of life and is not armed", "watchdog")
 
     def disarm_watchdog(self) -> None:
-        """Stop it. The board vents: nothing stays on that nobody watches."""
+        """Stop it. The board vents: no output stays on without a watchdog."""
         self._armed = 0.0
         self._ask("T", 0)
 
     def held(self) -> Mapping[str, float | str]:
-        """The time of its watchdog [s], 0 where it is off, has fired, or the board has started again; and who it is."""
+        """The time of its watchdog [s], 0 if it is off, has fired, or the board has restarted; and its identity."""
         until = monotonic() + CALL
         seconds, about = self._ask("T", until=until) * 1e-3, self._opened().ask(until, "I")
         return {"watchdog": seconds, **dict(zip(("model", "serial"), about[2:4], strict=False))}
@@ -471,7 +471,7 @@ class SerialLineDaq(Led):
         return opened(self._link, self._device.name)
 
     def _ask(self, letter: str, *values: int, until: float = 0.0) -> int:
-        """The number that the board answers."""
+        """The number in the board's answer."""
         return self._number(self._opened().ask(until or monotonic() + CALL, letter, *values))
 
     def _number(self, answer: list[str]) -> int:
@@ -480,7 +480,7 @@ class SerialLineDaq(Led):
         return int(answer[0])
 
     def _put(self, letter: str, index: int, value: int, *, still: Still = always, aside: bool = False) -> None:
-        """Send once; the answer says what the board holds. Where it is lost the board is asked instead."""
+        """Send once; the answer is the value that the board holds. If it is lost, the value is read instead."""
         link, until = self._opened(), monotonic() + CALL
         lost = ""
         try:
@@ -505,7 +505,7 @@ class SerialLineDaq(Led):
         return index
 
     def _whole(self, output: str, value: float) -> int:
-        """Whole counts that the board can take."""
+        """A value as whole counts within the board's range."""
         if not math.isfinite(value) or not -0.5 <= value < self._full_scale + 0.5:
             raise self._error(f"cannot be set to {value:g}; 0 to {self._full_scale} counts", output)
         return round(value)

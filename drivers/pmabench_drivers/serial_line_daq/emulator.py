@@ -1,4 +1,4 @@
-"""An emulated board on a pseudo-terminal: the protocol as the sketch speaks it, in front of the plant, with faults.
+"""An emulated board on a pseudo-terminal: the protocol of the sketch, on the plant, with faults.
 
 `delay`, `silence`, `lost`, `truncated`, `garbage`, `double` act on lines; `hang-up` and `reset` are those of the
 line and of the board.
@@ -27,7 +27,7 @@ GARBAGE = b"\x00\xff*FFFF\n@#\n"
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBoard:
-    """The board that the driver of `device` talks to."""
+    """Emulated board for a device of the driver `serial-line-daq`."""
     options_of(device, w.read_options)
     if not device.address.startswith("/"):
         raise UsageError(f"{device.name} is at {device.address}; an emulator serves only a path of a serial port")
@@ -35,9 +35,9 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBo
 
 
 class EmulatedBoard(OnTerminal):
-    """One board; the channels, outputs and valves of the device say which of its inputs and outputs is what.
+    """One board, wired according to the channels, outputs and valves of the device.
 
-    `boot_micros`: what its clock shows when it starts [us].
+    `boot_micros`: its clock's value when it starts [us].
     """
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog, boot_micros: int = 0) -> None:
@@ -54,21 +54,21 @@ class EmulatedBoard(OnTerminal):
         self._vent()
 
     def expire_watchdog(self) -> bool:
-        """Let the watchdog expire; whether it was armed."""
+        """Let the watchdog expire; returns whether it was armed."""
         self._expire = self._armed > 0
         return self._expire
 
     def switch_off_watchdog(self) -> bool:
-        """Switch it off without venting, as a fault of its memory would; whether it was armed."""
+        """Switch it off without venting, as a fault of its memory would; returns whether it was armed."""
         armed, self._armed = self._armed, 0.0
         return armed > 0
 
     def restart(self) -> None:
-        """As after power-on: vented, not sampling; its own thread does it."""
+        """Reset to power-on: vented, not sampling; carried out in its own thread."""
         self._restart = True
 
     def change_set_point(self, value: float) -> bool:
-        """Another value of the first output [count]; whether there is one."""
+        """Set another value of the first output [count]; returns whether there is one."""
         for name in list(self._wiring.outputs)[:1]:
             self._held[name] = round(value)
             self._wiring.give(name, value)
@@ -77,7 +77,7 @@ class EmulatedBoard(OnTerminal):
     # -- the program ----------------------------------------------------------------------------------------------
 
     def take(self, data: bytes) -> None:
-        """Obey each whole line, then do what is due."""
+        """Carry out each whole line, then any due actions."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         self._rest = self._rest[: LONGEST + 1]
         for line in lines:
@@ -86,13 +86,13 @@ class EmulatedBoard(OnTerminal):
         self._turn()
 
     def wait(self) -> float:
-        """Until something is due."""
+        """Time until the next action."""
         if self._period:
             return min(max(self._due - self._micros(), 0) * 1e-6, 0.005)
         return 0.005 if self._armed else 0.05
 
     def _micros(self) -> int:
-        """Its clock, which this program lets run on [us]."""
+        """Its clock, which runs on this program's [us]."""
         return self._boot_micros + round((self._clock.now() - self._booted) * 1e6)
 
     def _turn(self) -> None:
@@ -105,7 +105,7 @@ class EmulatedBoard(OnTerminal):
         now, at = self._micros(), monotonic()
         if not self._period or now < self._due:
             return
-        while self._period and self._due <= now:  # the board is in time, even where this program is not
+        while self._period and self._due <= now:  # the board is on time, even if this program is not
             moment = at - 1e-6 * (now - self._due)
             number, micros = self._number % (1 << 32), self._due % (1 << 32)
             self._number += 1
@@ -193,7 +193,7 @@ class EmulatedBoard(OnTerminal):
         return value
 
     def by_hand(self, name: str, value: float) -> None:
-        """An output [count] or a valve (0, 1) as the board puts it out from now on, whoever wants it."""
+        """Set an output [count] or a valve (0, 1) of the board, by a command or without one."""
         self._held[name] = int(value)
         self._wiring.set(name, value)
         self._wiring.switch(name, on=value != 0)

@@ -1,1 +1,1 @@
-"""What families of devices share: options, polling, streaming, ramps in steps, serial lines. Standard library only."""
+"""Shared by families of devices: options, polling, streaming, ramps in steps, serial lines. Standard library only."""

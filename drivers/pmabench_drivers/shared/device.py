@@ -1,8 +1,8 @@
-"""What drivers of all families do alike: read options, look names up, poll, and step along ramps and sines.
+"""Common part of all drivers: read options, look names up, poll, and step along ramps and sines.
 
-A driver derives from `Driver`; from `Polled` where a thread of the driver asks the device for samples; from `Stepped`
-where the device takes single set-points only; from `Controlled` where one thread does both. Devices that send by
-themselves: `serial_port`. Knows no wire. Standard library only.
+A driver derives from `Driver`; from `Polled` if a thread of the driver requests each sample; from `Stepped`
+if the device only takes single set-points; from `Controlled` if one thread does both. Devices that send by
+themselves: `serial_port`. Uses no connection. Standard library only.
 """
 
 from __future__ import annotations
@@ -22,10 +22,16 @@ from pmabench_drivers.shared.options import Place, Reader, options_of
 
 STEPS = 100.0
 """Rate at which ramps and sines are stepped where no polling sets it [Hz]."""
+MOTIONS = ("length", "angle")
+"""Quantities of outputs that move."""
+HURRY = 1.5
+"""After a stall of computer or link, a motion is led back to its ramp or sine at most so many times as fast as that."""
+STALL = 0.05
+"""A step that comes so late [s] comes after a stall."""
 
 
 def refuse_nonsense(device: str, output: str, segment: Segment) -> None:
-    """DeviceError where a segment is neither a ramp nor a sine, has a number that is not finite, or has no rate."""
+    """Raise DeviceError if a segment is neither a ramp nor a sine, has a number that is not finite, or has no rate."""
     ends = (segment.start, segment.origin, segment.target, segment.amplitude)
     paces = (segment.rate, segment.frequency, segment.cycles)
     if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, (*ends, *paces))):
@@ -37,7 +43,7 @@ def refuse_nonsense(device: str, output: str, segment: Segment) -> None:
 def stepped(segment: Segment, now: float, resolution: float = 0.0) -> tuple[float | None, bool]:
     """Set-point [device units] at bench time `now` [s], and whether it is the last one; None before the start.
 
-    On the device's steps where it has any, and never outside the segment: between origin and target of a ramp, between
+    On the device's steps if it has any, and never outside the segment: between origin and target of a ramp, between
     the crests of a sine.
     """
     if (since := now - segment.start) < 0:
@@ -57,7 +63,7 @@ def stepped(segment: Segment, now: float, resolution: float = 0.0) -> tuple[floa
 
 
 def _on_step(value: float, resolution: float, low: float, high: float) -> float:
-    """The nearest whole step, inside `low` to `high`."""
+    """The nearest whole step, limited to `low` to `high`."""
     if resolution > 0:
         value = round(value / resolution) * resolution
     return min(max(value, low), high)
@@ -71,7 +77,7 @@ class Driver(ABC):
     @staticmethod
     @abstractmethod
     def read_options(device: DeviceRecord, reader: Reader) -> Any:
-        """The options of this family; every problem goes to the reader."""
+        """The options of this family; reports every problem to the reader."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         self._options = options_of(device, self.read_options)
@@ -80,18 +86,18 @@ class Driver(ABC):
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """What is wrong with the options, each with its place; touches no device."""
+        """Errors of the options, each with its place; touches no device."""
         reader = Reader()
         cls.read_options(device, reader)
         return reader.problems
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the link; harmless when repeated."""
+        """Close the connection; may be called again."""
 
     @contextmanager
     def _closed_on_error(self) -> Iterator[None]:
-        """Opening: what fails leaves nothing open."""
+        """Close everything if opening fails."""
         try:
             yield
         except DeviceError:
@@ -102,7 +108,7 @@ class Driver(ABC):
         return DeviceError(self._device.name, message, what)
 
     def _known(self, kind: str, name: str, known: Iterable[str]) -> None:
-        """Refuse a name that is none of the known ones."""
+        """Refuse a name that is not known."""
         if name not in (names := list(known)):
             raise self._error(f'no {kind} "{name}"{did_you_mean(name, names)}')
 
@@ -116,10 +122,10 @@ class Driver(ABC):
 
 
 class Polled(Driver):
-    """A device that is asked for each sample, by a thread that calls `_tick` at absolute deadlines."""
+    """A device that is read for each sample, by a thread that calls `_tick` at absolute deadlines."""
 
     _doing = "polling"
-    """What the thread does, as error messages call it."""
+    """Activity of the thread, for error messages."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
@@ -137,7 +143,7 @@ class Polled(Driver):
         """One turn of the thread."""
 
     def _fastest(self) -> float:
-        """Highest rate of the open device [Hz]; an error where it is not open."""
+        """Highest rate of the open device [Hz]; raises DeviceError if it is not open."""
         return float(self._options.rate)
 
     def start(self, rate: float) -> float:
@@ -151,40 +157,42 @@ class Polled(Driver):
         return used
 
     def collect(self) -> Block:
-        """What was polled since the last call; an error once polls or steps have failed for 0.25 s."""
+        """Samples since the last call; raises DeviceError once polls or steps have failed for 0.25 s."""
         self._cycle.refuse(self._device.name, self._doing)
         return self._samples.take()
 
     def stop(self) -> None:
-        """Poll no more."""
+        """Stop polling."""
         self._streaming = False
         self._cycle.stop()
 
     @property
     def missed(self) -> int:
-        """Polls that fell out because the device or the machine was late."""
+        """Polls left out because the device or the computer was late."""
         return self._cycle.missed
 
     def _keep(self, values: Iterable[float], asked: float, answered: float) -> None:
-        """Keep the values of one poll, taken halfway between question and answer [s, bench time]."""
+        """Keep the values of one poll, taken halfway between request and answer [s, bench time]."""
         self._samples.append(round((asked + answered) / 2 * 1e9), list(values), round(answered * 1e9))
 
 
 class Stepped(Driver):
-    """A device that takes single set-points: the driver sends the one of each moment of a ramp or sine."""
+    """A device that takes single set-points: the driver sends those of a ramp or sine one by one."""
 
     _following: dict[str, Segment]
-    """Output -> the segment under way."""
+    """Output -> its present segment."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         self._following = {}
+        self._led: dict[str, tuple[Segment, float, float]] = {}
+        """Output -> the segment of its last step, the moment of it that was sent, and when [s, bench time]."""
         self.unanswered = -math.inf
-        """When a step was sent last of which nobody knows whether it was carried out [s, bench time]."""
+        """When a step was last sent whose outcome is unknown [s, bench time]."""
         super().__init__(device, clock)
 
     @abstractmethod
     def _begin_steps(self) -> None:
-        """Start the thread that calls `_step`, unless it runs; an error if the device is not open."""
+        """Start the thread that calls `_step`, unless it runs; raises DeviceError if the device is not open."""
 
     @abstractmethod
     def _refuse_value(self, output: str, value: float) -> None:
@@ -195,7 +203,7 @@ class Stepped(Driver):
         """Send a set-point [device units], unless `still()` is false when the line is free."""
 
     def follow(self, output: str, segment: Segment) -> None:
-        """Step along the segment from its start on, or from now on if that has passed."""
+        """Step along the segment from its start, or from now if that has passed."""
         self._output(output)
         refuse_nonsense(self._device.name, output, segment)
         swing = abs(segment.amplitude)
@@ -205,10 +213,10 @@ class Stepped(Driver):
         self._following[output] = segment
 
     def _step(self) -> DeviceError | None:
-        """Send the value of this moment of every segment, the last one of which ends it; the first error."""
+        """Send the present value of every segment, and end a segment with its last; returns the first error."""
         failure: DeviceError | None = None
         for output, segment in list(self._following.items()):
-            value, last = stepped(segment, self._clock.now(), self._outputs[output].resolution)
+            value, last = stepped(segment, self._moment(output, segment), self._outputs[output].resolution)
             if value is None:
                 continue
             still = partial(self._follows, output, segment)
@@ -221,6 +229,18 @@ class Stepped(Driver):
                 if last and still():
                     self._following.pop(output, None)
         return failure
+
+    def _moment(self, output: str, segment: Segment) -> float:
+        """The moment of a segment [s, bench time] whose value is sent now; a motion does not leap after a stall."""
+        now = self._clock.now()
+        if self._outputs[output].quantity not in MOTIONS or now < segment.start:
+            return now
+        of, led, before = self._led.get(output, (None, 0.0, 0.0))
+        if of is not segment:
+            led = before = segment.start
+        moment = min(now, led + HURRY * min(now - before, STALL))
+        self._led[output] = segment, moment, now
+        return moment
 
     def _follows(self, output: str, segment: Segment) -> bool:
         return self._following.get(output) is segment
@@ -235,7 +255,7 @@ class Led(Stepped):
 
     @abstractmethod
     def _opened(self) -> object:
-        """The link; an error where the device is not open."""
+        """The link; raises DeviceError if the device is not open."""
 
     def _begin_steps(self) -> None:
         self._opened()
@@ -256,7 +276,7 @@ class Controlled(Stepped, Polled):
             self._cycle.start(rate)
 
     def stop(self) -> None:
-        """Poll no more; a ramp under way goes on."""
+        """Stop polling; a ramp in progress continues."""
         self._streaming = False
         if not self._following:
             self._cycle.stop()

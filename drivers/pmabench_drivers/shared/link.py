@@ -1,7 +1,6 @@
-"""What links share: samples in a buffer, a thread with absolute deadlines, turns on one line, answers that did not
-come.
+"""Common part of links: a buffer of samples, a thread with absolute deadlines, turns on one line, lost answers.
 
-Knows no wire. Standard library only.
+Uses no connection. Standard library only.
 """
 
 from __future__ import annotations
@@ -21,23 +20,23 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, Block, Identity
 
 JOIN = 0.15
-"""How long a thread is given to end, where that is waited for [s]."""
+"""Longest wait for a thread to end [s]."""
 PATIENCE = 0.25
-"""So long [s] ticks may fail before `collect` says so; what is lost till then is a gap in the samples."""
+"""Time for which ticks may fail until `collect` raises an error [s]; lost samples until then are a gap."""
 BEHIND = 0.02
-"""Deadlines are made up that passed within so long [s], and always the last one: a busy computer's stalls are short."""
+"""Largest delay of missed deadlines that are made up [s], at least the last one: a busy computer's stalls are short."""
 DRIFT = 2e-4
 """Largest drift between the clocks of device and computer [1]."""
 AHEAD = 0.3
-"""A sample may arrive at most so long before its own time stamp [s]."""
+"""Largest lead of a sample's time stamp over its arrival [s]."""
 WINDOW = 1.0
-"""Everything must be late for so long before it counts [s]: a busy computer is late now and then."""
+"""Shortest time for which everything must be late [s]: a busy computer is late now and then."""
 ENOUGH = 20
-"""And at least so many pieces must have arrived in that time."""
+"""Smallest number of pieces that must arrive in that time."""
 
 
 class Samples:
-    """Samples of one stream between the thread that takes them and the caller who collects them."""
+    """Samples of one stream, between the thread that takes them and the caller who collects them."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
@@ -50,7 +49,7 @@ class Samples:
         self._columns = [array("d") for _ in self._names]
 
     def append(self, time: int, values: Sequence[float], host: int) -> None:
-        """One sample of all channels: `time` and `host` [ns, bench time], values in the order of the names."""
+        """Append one sample of all channels: `time` and `host` [ns, bench time], values in the order of the names."""
         with self._lock:
             self._last = max(time, self._last + 1)
             self._time.append(self._last)
@@ -59,9 +58,9 @@ class Samples:
                 column.append(value)
 
     def extend(self, first: int, columns: Sequence[array[float]], start: float, rate: float, host: float) -> None:
-        """Samples of a device that numbers them, from number `first` on.
+        """Append samples of a device that numbers them, from number `first` on.
 
-        Number 0 was taken at `start`, the next ones at `rate` [Hz]; they came at `host` (both [s, bench time]).
+        Number 0 was taken at `start`, the next ones at `rate` [Hz]; they arrived at `host` (both [s, bench time]).
         """
         origin, end = round(start * 1e9), first + len(columns[0])
         times = array("q", [origin + round(number * 1e9 / rate) for number in range(first, end)])
@@ -82,9 +81,9 @@ class Samples:
 class Cycle:
     """Calls `tick` in a thread at start + k / rate.
 
-    Deadlines that passed while the computer did something else are made up as far as `BEHIND`; those that passed
-    in a `tick` that took longer than a period are not: a slow device rests, so that others get their turn at it.
-    What is not made up is counted.
+    Deadlines missed because the computer was busy are made up as far as `BEHIND`; those missed in a `tick` that took
+    longer than a period are not: a slow device rests, so that other calls get their turn.
+    Deadlines that are not made up are counted.
     """
 
     def __init__(self, name: str, tick: Callable[[], None], clock: Clock) -> None:
@@ -92,21 +91,21 @@ class Cycle:
         self._halt = threading.Event()
         self._thread: threading.Thread | None = None
         self.missed = 0
-        """Deadlines at which nothing was done, because what was before took too long."""
+        """Deadlines left out, because an earlier tick took too long."""
         self.broken: Exception | None = None
-        """What ended the thread against its will."""
+        """Exception that ended the thread."""
         self._failing: tuple[float, DeviceError] | None = None
         """Since when ticks fail [s, bench time], and the last reason."""
 
     def note(self, failure: DeviceError | None) -> None:
-        """What went wrong in this tick; None where it went well."""
+        """Error of this tick; None if it succeeded."""
         failing = self._failing
         self._failing = None if failure is None else (failing[0] if failing else self._clock.now(), failure)
 
     def refuse(self, device: str, doing: str = "polling", *, once: bool = False) -> None:
-        """Raise DeviceError where the thread has ended, or its ticks have failed for longer than `PATIENCE`.
+        """Raise DeviceError if the thread has ended, or its ticks have failed for longer than `PATIENCE`.
 
-        `once`: what was said counts as over, until it has lasted as long again.
+        `once`: a raised error is over, until it has lasted as long again.
         """
         if self.broken is not None:
             raise DeviceError(device, f"{doing} broke off: {self.broken}")
@@ -117,7 +116,7 @@ class Cycle:
             raise failing[1]
 
     def start(self, rate: float) -> None:
-        """Start the thread at `rate` [Hz]; an earlier one is ended, and may still be in its last `tick`."""
+        """Start the thread at `rate` [Hz]; an earlier one is stopped, and may still be in its last `tick`."""
         self.stop()
         self.missed = 0
         self._halt = threading.Event()
@@ -126,11 +125,11 @@ class Cycle:
 
     @property
     def running(self) -> bool:
-        """Whether the thread lives."""
+        """Whether the thread runs."""
         return self._thread is not None and self._thread.is_alive()
 
     def stop(self, wait: float = 0.0) -> None:
-        """Begin nothing more, and wait so long [s] for a `tick` under way; harmless when repeated."""
+        """Start no further tick, and wait up to `wait` [s] for the present one; may be called again."""
         thread, self._thread = self._thread, None
         self._halt.set()
         if thread is not None and wait:
@@ -142,7 +141,7 @@ class Cycle:
             began = self._clock.now()
             try:
                 self._tick()
-            except Exception as error:  # the caller learns it at the next collect
+            except Exception as error:  # raised at the next `collect`
                 self.broken = error
                 return
             due += 1
@@ -155,7 +154,7 @@ class Cycle:
 
 
 class Pace:
-    """Detects samples that fall behind their clock: for a second all come later than the quickest, by `slip` [s]."""
+    """Detects samples that lag behind their clock: for a second all arrive later than the quickest, by `slip` [s]."""
 
     def __init__(self, slip: float) -> None:
         self._slip = slip
@@ -163,9 +162,9 @@ class Pace:
         self._window: list[float] = []
 
     def behind(self, taken: float, now: float) -> float:
-        """How far samples are behind [s], 0 while all is well; the newest, `taken` by its clock [s], came `now` [s].
+        """Lag of the samples [s], 0 if within `slip`; the newest, `taken` by its clock [s], arrived at `now` [s].
 
-        Negative where samples come before their time.
+        Negative if samples arrive before their time.
         """
         late = now - taken
         self._least = min(self._least + DRIFT * max(0.0, min(now - self._seen, WINDOW)), late)
@@ -183,13 +182,13 @@ class Pace:
 
 
 LEARNS, SETTLES = 3.0, 1.0
-"""How often lines come is learnt from the first seconds, without the very first [s]: a buffer may be emptied then."""
+"""First seconds in which the interval of lines is measured, and the part to leave out [s]: a buffer may be emptied."""
 FEWER = 0.02
-"""Lines may come so much more seldom than at first, or be lost, and it is forgotten as fast [1]."""
+"""Allowed relative increase of the interval of lines, also by losses; a lag is forgotten as fast [1]."""
 
 
 class Flow:
-    """Detects lines that have no clock and come later and later: fewer come than at first, by `slip` [s] of them."""
+    """Detects lines without a clock that arrive later and later: fewer than at first, by `slip` [s] of them."""
 
     def __init__(self, slip: float) -> None:
         self._slip = slip
@@ -199,7 +198,7 @@ class Flow:
         self._begun = self._before = -math.inf
 
     def behind(self, now: float) -> float:
-        """How far lines are behind [s] when one comes at `now` [s]; 0 while all is well."""
+        """Lag of the lines [s] when one arrives at `now` [s]; 0 if within `slip`."""
         if not self._period:
             self._arrived.append(now)
             if now - self._arrived[0] < LEARNS:
@@ -222,21 +221,21 @@ class Flow:
 
 T = TypeVar("T")
 Still = Callable[[], bool]
-"""Whether what is about to be sent is still wanted."""
+"""Whether the message to be sent is still wanted."""
 BUSY = "the line was busy with another call until the deadline"
 
 
 class Unanswered(DeviceError):
-    """No answer came to a question that was sent: whether it was carried out is not known."""
+    """No answer came to a request that was sent: whether it was carried out is unknown."""
 
 
 def always() -> bool:
-    """Whether it is still wanted: yes."""
+    """Always wanted."""
     return True
 
 
 def opened(link: T | None, device: str) -> T:
-    """The link, or an error where there is none."""
+    """The link; raises DeviceError if there is none."""
     if link is None:
         raise DeviceError(device, "is not open")
     return link
@@ -244,7 +243,7 @@ def opened(link: T | None, device: str) -> T:
 
 @contextmanager
 def turn(lock: threading.Lock, deadline: float, device: str, what: str = "", busy: str = BUSY) -> Iterator[None]:
-    """Hold the lock of a line; DeviceError if it is not free by `deadline` [s, monotonic]."""
+    """Hold the lock of a line; raises DeviceError if it is not free by `deadline` [s, monotonic]."""
     if not lock.acquire(timeout=max(0.0, deadline - monotonic())):
         raise DeviceError(device, busy, what)
     try:
@@ -256,31 +255,31 @@ def turn(lock: threading.Lock, deadline: float, device: str, what: str = "", bus
 def who(
     maker: str, model: str, serial: str = "", firmware: str = "", *, clock: str = "own", answers: float = 0.0
 ) -> Identity:
-    """Who answered: simulated where its model says so."""
+    """An identity, simulated if its model says so."""
     return Identity(maker, model, serial, firmware, model.startswith(EMULATED), clock, answers)
 
 
 def reason(error: Exception) -> str:
-    """Why a port or a connection failed, in the words of the operating system where it has any."""
+    """Why a port or a connection failed, in the words of the operating system if it has any."""
     return getattr(error, "strerror", None) or str(error)
 
 
 class Listening(ABC):
-    """A link with a thread that passes on every piece that arrives, with its time [s, bench time]."""
+    """A link with a thread that passes on every received piece, with its time [s, bench time]."""
 
     def __init__(self, device: str, address: str, clock: Clock) -> None:
         self._device, self._address, self._clock = device, address, clock
         self._halt = threading.Event()
         self._thread: threading.Thread | None = None
         self.gone = ""
-        """Why the link was lost while it was listened to."""
+        """Why the link was lost while listening."""
 
     @abstractmethod
     def _receive(self) -> Any:
-        """What came within a short time, nothing in vain; OSError where the link is lost."""
+        """Bytes received within a short time, possibly none; raises OSError if the link is lost."""
 
     def listen(self, take: Callable[[Any, float], None]) -> None:
-        """From now on a thread hands each piece to `take`."""
+        """Start a thread that passes each piece to `take`."""
         self.hush()
         self.gone, self._halt = "", threading.Event()
         self._thread = threading.Thread(
@@ -290,11 +289,11 @@ class Listening(ABC):
 
     @property
     def listening(self) -> bool:
-        """Whether somebody listens."""
+        """Whether a thread listens."""
         return self._thread is not None
 
     def hush(self) -> None:
-        """Listen no more; harmless when repeated."""
+        """Stop listening; may be called again."""
         self._halt.set()
         thread, self._thread = self._thread, None
         if thread is not None and thread is not threading.current_thread():
@@ -312,6 +311,6 @@ class Listening(ABC):
                 continue
             try:
                 take(piece, self._clock.now())
-            except Exception as error:  # the owner learns it at the next call
+            except Exception as error:  # raised at the next call
                 self.gone = f"reading {self._address} broke off: {error}"
                 return

@@ -1,6 +1,6 @@
-"""A driver's options as strictly read plain data: every problem with its place; knows no driver. Standard library only.
+"""A driver's options as strictly read plain data: every problem with its place; uses no driver. Standard library only.
 
-The same reading serves `check`, which wants all problems, and the driver itself, which refuses the first one.
+`check`, which reports all problems, and the driver itself, which raises the first one, use the same functions.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _EXAMPLES = {"time": '"100 ms"', "frequency": '"50 Hz"', "speed": '"20 mm/s"'}
 
 
 class Reader:
-    """Reads values and collects what is wrong with them; a wrong value reads as its default."""
+    """Reads values and collects their problems; a wrong value is replaced by its default."""
 
     def __init__(self) -> None:
         self.problems: list[tuple[Place, str]] = []
@@ -40,7 +40,7 @@ class Reader:
         self.problems.append((place, message))
 
     def keys(self, value: Any, place: Place, known: Collection[str], needed: Collection[str] = ()) -> Mapping[str, Any]:
-        """A mapping with known keys only, and with those that are needed."""
+        """A mapping with known keys only, and with all needed ones."""
         if not isinstance(value, Mapping):
             self.fault(place, f"keys and values are expected here, not {_shown(value)}")
             return {}
@@ -53,7 +53,7 @@ class Reader:
         return value
 
     def named(self, value: Any, place: Place) -> Mapping[str, Any]:
-        """A mapping whose keys are names of the user's own."""
+        """A mapping with names chosen by the user."""
         if not isinstance(value, Mapping):
             self.fault(place, f"names and what belongs to them are expected here, not {_shown(value)}")
             return {}
@@ -84,12 +84,12 @@ class Reader:
         return str(value)
 
     def choices(self, given: Mapping[str, Any], key: str, place: Place, known: Iterable[str]) -> dict[str, str]:
-        """One of the known words for each name of the user's own; a wrong one reads as the first."""
+        """One of the known words for each name chosen by the user; a wrong one is replaced by the first."""
         items, options = self.named(given.get(key, {}), (*place, key)), tuple(known)
         return {name: self.choice(items, name, (*place, key), options, options[0]) for name in items}
 
     def flag(self, given: Mapping[str, Any], key: str, place: Place, *, default: bool) -> bool:
-        """A yes or no, as true or false."""
+        """True or false."""
         value = given.get(key, default)
         if not isinstance(value, bool):
             self.fault((*place, key), f"true or false is expected, not {_shown(value)}")
@@ -99,7 +99,7 @@ class Reader:
     def whole(
         self, given: Mapping[str, Any], key: str, place: Place, low: int, high: int, default: int | None = None
     ) -> int:
-        """A whole number from `low` to `high`; also as `"0x1F"`."""
+        """An integer from `low` to `high`; also as `"0x1F"`."""
         value = _unhexed(given.get(key, default))
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             if key in given or default is None:
@@ -108,20 +108,20 @@ class Reader:
         return value
 
     def one_of(self, given: Mapping[str, Any], key: str, place: Place, known: Sequence[int], default: int) -> int:
-        """One of the known whole numbers, which are in rising order."""
+        """One of the known integers, which are in increasing order."""
         if (value := self.whole(given, key, place, known[0], known[-1], default)) not in known:
             self.fault((*place, key), f"{value} is not possible here; known: {', '.join(map(str, known))}")
         return value
 
     def known(self, place: Place, says: str, name: str, known: Iterable[str], more: str = "") -> bool:
-        """Whether a name is one of the known; else a problem that `says` what is missing, and `more`."""
+        """Whether a name is known; if not, notes a problem that begins with `says` and ends with `more`."""
         if name in (names := list(known)):
             return True
         self.fault(place, f'{says} "{name}"{did_you_mean(name, names)}{more}')
         return False
 
     def lines(self, device: DeviceRecord, numbers: Mapping[str, int], more: str) -> None:
-        """Valves and interlocks must each have a digital line for themselves; `numbers` are those of all names."""
+        """Check that valves and interlocks each have their own digital line; `numbers` are those of all names."""
         places: list[tuple[Place, str]] = [(("outputs", valve.name, "output"), valve.output) for valve in device.valves]
         places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
         seen: dict[int, str] = {}
@@ -132,12 +132,12 @@ class Reader:
                 seen.setdefault(numbers[name], str(place[1]))
 
     def port(self, device: DeviceRecord, example: str) -> None:
-        """The address must be that of a serial port."""
+        """Check that the address is that of a serial port."""
         if not device.address:
             self.fault(("address",), f'the path of a serial port is expected, for instance "{example}"')
 
     def host(self, device: DeviceRecord, example: str, usual: int | None = None, other: str = "") -> tuple[str, int]:
-        """Host and port of IP:PORT, or of IP alone where a `usual` port is given; `other`: what is possible, too."""
+        """Host and port of IP:PORT, or of IP alone if a `usual` port is given; `other`: further possibilities."""
         host, colon, port = device.address.rpartition(":")
         if not colon and usual is not None:
             host, port = device.address, str(usual)
@@ -152,12 +152,12 @@ class Reader:
         return "", 0
 
     def watchdog(self, device: DeviceRecord, who: str, shortest: float, longest: float) -> None:
-        """The watchdog of the bench must be one that the device can have [s]."""
+        """Check that the device can have the bench's watchdog time [s]."""
         if device.watchdog and not shortest <= device.watchdog <= longest:
             self.fault(("watchdog",), f"{who} waits {shortest:g} to {longest:g} s, not {device.watchdog:g} s")
 
     def number(self, given: Mapping[str, Any], key: str, place: Place) -> float | None:
-        """A finite number, also as `"0x1F"`; None where none is given."""
+        """A finite number, also as `"0x1F"`; None if there is none."""
         value = _unhexed(given.get(key))
         if value is None or (isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)):
             return None if value is None else float(value)
@@ -184,7 +184,7 @@ class Reader:
 
 
 def options_of(device: DeviceRecord, read: Callable[[DeviceRecord, Reader], T]) -> T:
-    """What `read` makes of the options of a device; raises the first problem as a `DeviceError`."""
+    """The options of a device as read by `read`; raises the first problem as a `DeviceError`."""
     reader = Reader()
     options = read(device, reader)
     for place, message in reader.problems:
@@ -193,7 +193,7 @@ def options_of(device: DeviceRecord, read: Callable[[DeviceRecord, Reader], T]) 
 
 
 def _unhexed(value: Any) -> Any:
-    """A number that is written as `"0x1F"`; anything else as it is."""
+    """A number written as `"0x1F"`; anything else unchanged."""
     hexadecimal = isinstance(value, str) and re.fullmatch(r"0[xX][0-9A-Fa-f]{1,16}", value)
     return int(value, 16) if hexadecimal else value
 

@@ -1,6 +1,6 @@
-"""Serial ports: questions while a port is quiet, a reading thread while it streams, lines of text in its bytes.
+"""Serial ports: requests to a quiet port, a reading thread for a streaming one, text lines in its bytes.
 
-`SerialStream` is the driver of a device that sends by itself. Knows no protocol. pyserial is loaded when a port is
+`SerialStream` is the driver of a device that sends by itself. Uses no protocol. pyserial is imported when a port is
 opened.
 """
 
@@ -24,11 +24,11 @@ LONGEST_LINE = 120
 PIECE = 0.02
 """Longest single wait for bytes [s]."""
 PUSH = 0.1
-"""Longest time to hand bytes to the port [s]."""
+"""Longest time to pass bytes to the port [s]."""
 MOST = 20_000
-"""More than this is never kept while an answer is waited for [bytes]."""
+"""Largest number of bytes kept during the wait for an answer."""
 STREAM_PATIENCE = 0.5
-"""So long nothing usable may come before `collect` says so [s]."""
+"""Time without usable data after which `collect` raises an error [s]."""
 
 
 class Wrong(Exception):
@@ -36,11 +36,11 @@ class Wrong(Exception):
 
 
 class Unreadable(Exception):
-    """A line that is not what is expected: cut off, disturbed, something else."""
+    """A line in another format than expected: cut off, disturbed, something else."""
 
 
 class Splitter:
-    """Cuts a stream of bytes into lines; what comes before the first terminator is not a whole line and is dropped."""
+    """Cuts a stream of bytes into lines; the part before the first terminator is not a whole line and is dropped."""
 
     def __init__(self, terminator: bytes, *, whole: bool = False) -> None:
         self._terminator, self._whole = terminator, whole
@@ -60,12 +60,12 @@ class Splitter:
 
 
 def readable(line: bytes) -> str:
-    """The start of a line with only what can be printed, for messages."""
+    """Printable start of a line, for messages."""
     return "".join(chr(byte) if 32 <= byte < 127 else "." for byte in line[:40])
 
 
 def text_of(line: bytes) -> str:
-    """A line as text; raises `Unreadable` where it is too long, or no ASCII."""
+    """A line as text; raises `Unreadable` if it is too long, or not ASCII."""
     if len(line) > LONGEST_LINE:
         raise Unreadable("a line longer than any that is expected")
     try:
@@ -75,9 +75,9 @@ def text_of(line: bytes) -> str:
 
 
 def hand_over(port: Any, data: bytes, seconds: float) -> None:
-    """Hand bytes to an open port of pyserial, or a socket, each once; OSError where it takes none for `seconds`.
+    """Pass bytes to an open port of pyserial, or a socket, each once; raises OSError if it takes none for `seconds`.
 
-    Its own `write` says "Write timeout" though every byte went out, where the program stood still for so long.
+    pyserial's `write` raises "Write timeout" although every byte was sent, if the program was stopped for that time.
     """
     deadline = monotonic() + seconds
     while data:
@@ -88,7 +88,7 @@ def hand_over(port: Any, data: bytes, seconds: float) -> None:
 
 
 def open_port(device: str, address: str, **settings: Any) -> Any:
-    """A port of pyserial for this program alone; `settings` are those of `serial.Serial`. Raises DeviceError."""
+    """A port of pyserial, opened exclusively; `settings` are those of `serial.Serial`. Raises DeviceError."""
     import serial
 
     try:
@@ -100,25 +100,25 @@ def open_port(device: str, address: str, **settings: Any) -> Any:
 
 
 def received(port: Any) -> bytes:
-    """The bytes that arrive within the port's time-out, and all that are waiting then."""
+    """The bytes that arrive within the port's time-out, and all that are then waiting."""
     data = bytes(port.read(1))
     return data + bytes(port.read(min(port.in_waiting, MOST)))
 
 
 class SerialPort(Listening):
-    """An open port of one program alone; every call is bounded. Raises DeviceError."""
+    """A port opened exclusively; every call is bounded. Raises DeviceError."""
 
     def __init__(self, device: str, address: str, baud: int, clock: Clock, **settings: Any) -> None:
         super().__init__(device, address, clock)
         self._port = open_port(device, address, baudrate=baud, timeout=PIECE, **settings)
 
     def send(self, data: bytes) -> None:
-        """Hand bytes to the port, once."""
+        """Pass bytes to the port, once."""
         with self._explained("cannot send to"):
             hand_over(self._port, data, PUSH)
 
     def receive(self, whole: Callable[[bytes], bool], seconds: float) -> bytes:
-        """What comes until it is whole, `seconds` have passed, or nothing more is kept."""
+        """Bytes received until they are `whole`, `seconds` have passed, or no more are kept."""
         deadline, data = monotonic() + seconds, b""
         with self._explained():
             while not whole(data) and len(data) < MOST and monotonic() < deadline:
@@ -126,7 +126,7 @@ class SerialPort(Listening):
         return data
 
     def drain(self) -> bytes:
-        """What waits."""
+        """The waiting bytes."""
         with self._explained():
             return bytes(self._port.read(min(self._port.in_waiting, MOST)))
 
@@ -141,14 +141,14 @@ class SerialPort(Listening):
         return received(self._port)
 
     def close(self) -> None:
-        """Let go of the port; harmless when repeated."""
+        """Close the port; may be called again."""
         self.hush()
         with contextlib.suppress(OSError):
             self._port.close()
 
 
 class SerialStream(Driver):
-    """One device that has a port to itself; a kind of device says how it is greeted, quieted and read."""
+    """One device with its own port; a kind of device defines how it is set up, stopped and read."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
@@ -161,38 +161,38 @@ class SerialStream(Driver):
 
     @abstractmethod
     def _quiet(self) -> None:
-        """End a stream that may be under way."""
+        """End a stream that may be in progress."""
 
     @abstractmethod
     def _take(self, data: bytes, now: float) -> None:
-        """Bytes that came at `now` [s, bench time], on the port's thread; what ends the stream goes to `_failure`."""
+        """Take bytes that arrived at `now` [s, bench time], on the port's thread; sets `_failure` to end the stream."""
 
     @abstractmethod
     def _missing(self) -> str:
-        """What is said where nothing usable has come for too long."""
+        """Error message if nothing usable has arrived for too long."""
 
     def _forget(self) -> None:
-        """Nothing has come yet."""
+        """Reset to the state before any data."""
         self._samples = Samples([channel.name for channel in self._device.channels])
         self._failure = ""
         self._heard = monotonic()
 
     def open(self) -> Identity:
-        """Quiet it, see that it is the right device, and set what a true record needs; nothing is saved in it."""
+        """Stop its stream, check the model, and write the settings that a complete record needs; they are not saved."""
         self.close()
         self._port = SerialPort(self._device.name, self._device.address, self._options.baud, self._clock)
         with self._closed_on_error():
             return self._greet()
 
     def close(self) -> None:
-        """Quiet it and let go of the port."""
+        """Stop its stream and close the port."""
         if (port := self._port) is not None:
             self.stop()
             self._port = None
             port.close()
 
     def collect(self) -> Block:
-        """What came since the last call; an error where it is silent, or the stream has failed."""
+        """Samples since the last call; raises DeviceError if it is silent, or the stream has failed."""
         port = self._opened()
         why = port.gone or self._failure
         if not why and port.listening and monotonic() - self._heard > self._patience:
@@ -202,11 +202,11 @@ class SerialStream(Driver):
         return self._samples.take()
 
     def stop(self) -> None:
-        """End the stream; harmless when repeated."""
+        """End the stream; may be called again."""
         port = self._port
         if port is not None and port.listening:
             port.hush()
-            with contextlib.suppress(DeviceError):  # a port that is lost sends nothing either
+            with contextlib.suppress(DeviceError):  # a lost port sends nothing either
                 self._quiet()
 
     @property
@@ -214,7 +214,7 @@ class SerialStream(Driver):
         return STREAM_PATIENCE
 
     def _ready(self, rate: float) -> SerialPort:
-        """The port, quiet, for a stream that begins."""
+        """The port, quiet, for a new stream."""
         self._refuse_rate(rate)
         port = self._opened()
         self.stop()

@@ -13,7 +13,7 @@ from pmabench.files import quantity as q
 from pmabench.files.document import Strict, among, schema_of
 
 Action = Literal["warn", "hold", "stop", "vent"]
-"""What follows a crossed limit: a line in the record, no new command until it is over, a controlled stop, a vent."""
+"""Consequence of a crossed limit: a line in the record, no new command until it is over, a controlled stop, a vent."""
 
 WATCH_KEYS = {
     "rate": ("faster_than", "for"),
@@ -24,7 +24,7 @@ WATCH_KEYS = {
     "burst": ("falls", "within"),
     "slack": ("below", "for"),
 }
-"""Kind of watch -> the keys that belong to it."""
+"""Kind of watch -> its keys."""
 WATCH_OPTIONAL = {("rate", "for"), ("off_range", "for"), ("slack", "for")}
 ALIASES = {"for_": "for"}
 """Field of a model -> its key in the file."""
@@ -38,7 +38,7 @@ SAFE_KEYS = {
     "close": ("within",),
     "confirm": ("below", "within"),
 }
-"""Action of the safe state -> the keys that belong to it."""
+"""Action of the safe state -> its keys."""
 SAFE_OPTIONAL = {("ramp_down", "to")}
 
 
@@ -54,7 +54,7 @@ class LimitFile(Strict):
 
 
 def one_of(model: Strict, kinds: dict[str, tuple[str, ...]], optional: set[tuple[str, str]]) -> str:
-    """Which kind an entry is; ValueError where that is not clear, a key is missing or one does not belong to it."""
+    """The kind of an entry; raises ValueError if that is not clear, a key is missing or one does not belong to it."""
     given = {ALIASES.get(name, name) for name in model.model_fields_set if getattr(model, name) is not None}
     found = [kind for kind in kinds if kind in given]
     if len(found) != 1:
@@ -90,17 +90,17 @@ class WatchFile(Strict):
 
     @property
     def kind(self) -> str:
-        """Key of `WATCH_KEYS`."""
+        """Kind of the entry, a key of `WATCH_KEYS`."""
         return one_of(self, WATCH_KEYS, WATCH_OPTIONAL)
 
     @property
     def channel(self) -> str:
-        """The channel that is watched."""
+        """The watched channel."""
         return str(getattr(self, self.kind))
 
     @model_validator(mode="after")
     def _one_kind(self) -> WatchFile:
-        assert self.kind  # noqa: S101  (raises where there is not exactly one)
+        assert self.kind  # noqa: S101  (raises unless there is exactly one)
         return self
 
 
@@ -118,16 +118,16 @@ class SafeActionFile(Strict):
     at: s.Reading | None = None
     below: s.Reading | None = None
     within: s.TimeAbove0 | None = None
-    """Deadline; the next action follows then at the latest."""
+    """Deadline, after which the next action starts in any case."""
 
     @property
     def verb(self) -> str:
-        """Key of `SAFE_KEYS`."""
+        """Verb of the action, a key of `SAFE_KEYS`."""
         return one_of(self, SAFE_KEYS, SAFE_OPTIONAL)
 
     @model_validator(mode="after")
     def _one_verb(self) -> SafeActionFile:
-        assert self.verb  # noqa: S101  (raises where there is not exactly one)
+        assert self.verb  # noqa: S101  (raises unless there is exactly one)
         return self
 
 
@@ -159,7 +159,7 @@ class ProofFile(Strict):
     below: s.PressureAbove0
     within: s.TimeAbove0
     fill: s.TimeAbove0 = 5.0
-    """Longest time to fill."""
+    """Longest time for filling."""
 
     @model_validator(mode="after")
     def _in_order(self) -> ProofFile:
@@ -192,11 +192,11 @@ class ReviewFile(Strict):
 
 
 PLACED = ("displacement", "angle")
-"""Channels whose zero is where hands bring the free end."""
+"""Channels whose zero is at a position that the operator sets by hand."""
 
 
 ZEROED, ZEROED_EACH = ("pressure", "force", *PLACED), ("pressure",)
-"""Channels that may have a zero, and which of them each of several muscles has."""
+"""Channels that may have a zero, and those of them that each of several muscles has."""
 Zeroed = Annotated[str, BeforeValidator(among(ZEROED, ZEROED_EACH)), WithJsonSchema(schema_of(ZEROED, ZEROED_EACH))]
 
 
@@ -227,15 +227,15 @@ class SelfTestFile(Strict):
     settle: s.TimeAbove0 = 3.0
     """Time at each pressure."""
     load: q.Load | None = None
-    """A load that is on its support meanwhile."""
+    """Load that is on its support during the check."""
     noise: dict[s.Name, s.Reading] = {}
-    """Most rms noise per channel; 0.5 % of the range if not given."""
+    """Largest rms noise per channel; 0.5 % of the range if not given."""
     linearity: s.RatioAbove0 = 0.05
-    """Most by which the regulator may leave its straight line, of the highest pressure."""
+    """Largest deviation of the regulator from a straight line, as a fraction of the highest pressure."""
     alignment: s.TimeAbove0 = 0.02
-    """Most time between force and pressure."""
+    """Largest delay between force and pressure."""
     leak: s.RateAbove0 = 5e3 / 60
-    """Most that the pressure may fall with the isolation valve shut."""
+    """Largest rate at which the pressure may fall with the isolation valve shut."""
 
 
 class SessionFile(Strict):
@@ -266,43 +266,43 @@ class Weights(Strict):
     plates: list[q.Plates] = []
     g: q.Acceleration = 9.81
     carriage: q.Mass = 0.0
-    """What moves with the stack: table, cable, rod."""
+    """Mass that moves with the stack: table, cable, rod."""
     act_as: Literal["mass", "force"] = "mass"
     """`mass`: the stack moves with the muscle; `force`: a constant-force device without inertia."""
     pulley: bool = False
     support: q.Length = 0.0
     catch_height: q.Length | None = None
     load_tolerance: s.RatioAbove0 = 0.1
-    """How far the measured force of a load at rest may be from its weight, in addition to the cell's uncertainty."""
+    """Allowed deviation of the force of a load at rest from its weight, in addition to the cell's uncertainty."""
     load_action: Literal["warn", "stop"] = "warn"
-    """What follows when it is further: a line in the record, or a controlled stop."""
+    """Consequence of a larger deviation: a line in the record, or a controlled stop."""
 
 
 class Joint(Strict):
-    """A joint that the muscles turn: how far its angle may go, and how fast a drive turns it where there is one."""
+    """A joint that the muscles turn: how far its angle may go, and how fast a drive turns it, if there is one."""
 
     stroke: tuple[q.Angle, q.Angle]
     speed: q.AngularSpeed = 0.0
     pulley: Annotated[q.Length, Field(gt=0)] | None = None
-    """Radius on which the muscles pull; `check --simulate` needs it on a real bench, as it does the next one."""
+    """Radius at which the muscles pull; `check --simulate` needs this and `contraction` on a real bench."""
     contraction: s.RatioAbove0 | None = None
-    """Of both muscles at angle 0."""
+    """Contraction of both muscles at angle 0."""
 
 
 class PlatformFile(Strict):
     """A platform that three muscles tilt about two axes: how far it may tilt, and what its control must know of it."""
 
     tilt: Annotated[q.Angle, Field(gt=0)]
-    """The furthest that may be asked for."""
+    """Largest tilt that may be commanded."""
     stops: Annotated[q.Angle, Field(gt=0)]
-    """Angle of either axis at which a stop holds it."""
+    """Angle of either axis at which it hits a stop."""
     circle: Annotated[q.Length, Field(gt=0)]
-    """Radius of the circle on which the muscles pull."""
+    """Radius of the circle of the points where the muscles pull."""
     contraction: s.RatioAbove0
-    """Of each muscle while it is level."""
+    """Contraction of each muscle while the platform is level."""
     mass: q.Mass
     height: q.Length
-    """Of its centre of mass above the joint."""
+    """Height of its centre of mass above the joint."""
     accelerometer: q.Length = 0.0
     """Height of the accelerometer above the joint."""
 
@@ -322,9 +322,9 @@ class MuscleFile(Strict):
 
 
 LIMITED = ("pressure", "force", "contraction", "displacement", "angle", "torque", "supply")
-"""What can be limited."""
+"""Quantities that can have limits."""
 LIMITED_EACH = ("pressure", "force", "contraction", "displacement")
-"""Of it what each of several muscles has: `pressure_1`, `pressure_2` ..."""
+"""Those of them that each of several muscles has: `pressure_1`, `pressure_2` ..."""
 Limited = Annotated[
     str, BeforeValidator(among(LIMITED, LIMITED_EACH)), WithJsonSchema(schema_of(LIMITED, LIMITED_EACH))
 ]
@@ -353,12 +353,12 @@ class Air(Strict):
     relief_valve: s.PressureAbove0 | Literal["none"] = "none"
     isolation_valve: str = "none"
     dump_valve: Literal["normally open", "normally closed", "none"] | None = None
-    """A dump valve that the program does not switch; one that it switches is among the outputs."""
+    """A dump valve that the program does not switch; one that it switches is an output."""
     atmosphere: q.Pressure = 101325.0
     overshoot: s.PressureNotBelow0 = 0.0
-    """Most that the regulator overshoots a step."""
+    """Largest overshoot of the regulator after a step."""
     conductance: AirConductance | None = None
-    """For `check` to predict the pressure that a driven end makes; without it a fast motion counts as closed."""
+    """For `check` to predict the pressure at a driven end; without it, the muscle counts as closed in a fast motion."""
 
 
 class VerifiedFile(Strict):
@@ -367,7 +367,7 @@ class VerifiedFile(Strict):
     by: Annotated[str, Field(min_length=1, max_length=100)]
     date: datetime.date
     firmware: Annotated[str, Field(max_length=100)] = ""
-    """As the device reports it (`bench probe`); with another one the driver counts as not verified."""
+    """Firmware as the device reports it (`bench probe`); with another one the driver counts as not verified."""
 
 
 class DeviceFile(Strict):
@@ -377,9 +377,9 @@ class DeviceFile(Strict):
     address: str = ""
     options: dict[str, Any] = {}
     watchdog: s.TimeAbove0 | None = None
-    """After so long without a word from the program the device vents by itself."""
+    """Time without communication after which the device vents by itself."""
     verified: VerifiedFile | None = None
-    """That this driver was tried on this device itself, not on an emulator only."""
+    """Confirms that this driver was tried on this device itself, not only on an emulator."""
 
 
 class ChannelFile(Strict):
@@ -409,7 +409,7 @@ class OutputFile(Strict):
     resolution: s.Reading | None = None
     safe: s.Reading | None = None
     without_power: Literal["holds", "vents"] = "holds"
-    """What a regulator does when its power fails; many hold the pressure."""
+    """What the regulator does without power; many hold the pressure."""
 
 
 class ValveFile(Strict):
@@ -420,7 +420,7 @@ class ValveFile(Strict):
     energised: Literal["closed", "open"]
     """Its position while the output is on; without power it is the other one."""
     pulse: s.TimeAbove0 | None = None
-    """It opens in pulses of at most so long, and is shut between them."""
+    """Longest pulse, if it opens in pulses and is shut between them."""
 
 
 def _kind_of_output(value: Any) -> str:
@@ -445,9 +445,9 @@ class BenchFile(Strict):
     joint: Joint | None = None
     platform: PlatformFile | None = None
     muscles: dict[MuscleNumber, MuscleFile] = {}
-    """Where there are several, by number from 1 on; their channels carry it: `pressure_1`, `pressure_2` ..."""
+    """Muscles by number from 1, if there are several; also in the names of channels: `pressure_1`, `pressure_2` ..."""
     vents: Literal["together"] | Annotated[list[s.Name], Field(min_length=2, max_length=20)] | None = None
-    """In what order the safe state takes several muscles down: all at once, or the outputs and valves in order."""
+    """Order in which the safe state vents several muscles: all at once, or this list of outputs and valves."""
     air: Air
     devices: dict[s.Name, DeviceFile]
     channels: dict[s.Name, ChannelFile]
@@ -466,7 +466,7 @@ class BenchFile(Strict):
     session: SessionFile | None = None
     reviewed: ReviewFile | None = None
     to_confirm: list[s.Place] | None = None
-    """Keys whose values a program derived and nobody has confirmed; an empty list where all are, by `reviewed`."""
+    """Keys of values that a program derived and nobody has confirmed; empty once all are confirmed by `reviewed`."""
     web_vent: bool = False
     """Whether `watch --web --vent` shows a button that vents this bench."""
 
@@ -483,33 +483,33 @@ class BenchFile(Strict):
 
     @property
     def set_points(self) -> dict[str, OutputFile]:
-        """The outputs that take values."""
+        """Outputs that take values."""
         return {name: output for name, output in self.outputs.items() if isinstance(output, OutputFile)}
 
     @property
     def valves(self) -> dict[str, ValveFile]:
-        """The outputs that are switched."""
+        """Outputs that are switched."""
         return {name: output for name, output in self.outputs.items() if isinstance(output, ValveFile)}
 
     @property
     def normally_open_dump(self) -> bool:
-        """Whether a dump valve opens when its power fails, switched by the program or not."""
+        """Whether a dump valve opens without power, switched by the program or not."""
         return self.air.dump_valve == "normally open" or self.switched_dump
 
     @property
     def switched_dump(self) -> bool:
-        """Whether the program switches dump valves that empty every muscle when their power fails."""
+        """Whether the program switches dump valves that empty every muscle without power."""
         empties = [name for name, valve in self.valves.items() if valve.energised == "closed"]
         each = [f"dump_valve_{number}" for number in self.muscles]
         return "dump_valve" in empties or (bool(each) and set(each) <= set(empties))
 
     @property
     def steered(self) -> list[str]:
-        """The pressures that valves bring about in pulses, and no output takes as a value."""
+        """Pressures that valves control in pulses, without an output that takes them as a value."""
         return [f"pressure_{number}" for number in self.muscles] if self.platform is not None else []
 
     @property
     def pressures(self) -> list[str]:
-        """What commands the pressure of a muscle: outputs, or a pressure that valves bring about."""
+        """Names of the commanded muscle pressures: outputs, or pressures controlled by valves."""
         names = [f"pressure_{number}" for number in self.muscles] or ["pressure"]
         return self.steered or [name for name in names if name in self.set_points]

@@ -1,7 +1,7 @@
 """Files for emulated benches: the faults that an emulator shows, and the truth of a rig.
 
-Which faults there are the emulator knows. A truth file says what is really wired to which terminal and by which
-data-sheet scale.
+The emulator defines which faults exist. A truth file states what is really wired to which terminal, with scales from
+the data sheets.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ class Event(Strict):
     """One thing that happens: a fault of a device, a fault of the plant, or another load on the free end."""
 
     after: Time = 0.0
-    """Since it is served."""
+    """Time since the emulator was started."""
     device: Annotated[str, Field(max_length=60)] | None = None
     fault: Annotated[str, Field(max_length=60)] | None = None
     value: str | int | float | None = None
-    """How much, with its unit where it has one; what is usual for the fault where not given."""
+    """Size of the fault, with its unit if it has one; the fault's usual size if not given."""
     count: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
-    """So many answers or samples; until it is cleared where not given."""
+    """Number of answers or samples that it affects; until it is cleared if not given."""
     lasts: Annotated[Time, Field(gt=0)] | None = Field(default=None, alias="for")
     plant: Annotated[str, Field(max_length=60)] | None = None
     load: Load | None = None
@@ -53,7 +53,7 @@ Line = tuple[tuple[Reading, Reading], tuple[Reading, Reading]]
 """Two points of a straight line."""
 Terminal = Annotated[str, Field(min_length=1, max_length=80)]
 Source = Annotated[str, Field(min_length=1, max_length=400)]
-"""The data sheet or page that the numbers are from."""
+"""Data sheet or page with the numbers."""
 
 
 class SensorFile(Strict):
@@ -64,7 +64,7 @@ class SensorFile(Strict):
     ]
     sensor: Line
     device: Line | None = None
-    """Where the device gives something else than the signal, for instance counts for volts."""
+    """Scale of the device, if it does not give the signal itself but for instance counts for volts."""
     source: Source
 
 
@@ -77,7 +77,7 @@ class ActuatorFile(Strict):
     step: Reading | None = None
     """Smallest step of the device."""
     range: tuple[Reading, Reading] | None = None
-    """Between which ends a drive can move."""
+    """Ends of the travel of a drive."""
     source: Source
 
 
@@ -86,7 +86,7 @@ class ValveTruth(Strict):
 
     valve: Literal["dump_valve"]
     energised: Literal["closed", "open"]
-    """Where it is with current."""
+    """Position while energised."""
     source: Source
 
 
@@ -96,7 +96,7 @@ class ContactTruth(Strict):
     contact: Name
     """A contact whose name has "stop" in it is the emergency stop."""
     released: Literal["high", "low"]
-    """The level as long as nobody has pressed it."""
+    """Level while it is not pressed."""
     source: Source
 
 
@@ -104,9 +104,9 @@ class DeviceTruth(Strict):
     """One device: which it is, how it is set up, and what is wired to it by terminal."""
 
     driver: str
-    """The kind of device, by the name of its driver."""
+    """Name of its driver."""
     options: dict[str, Any] = {}
-    """How the device is set up, as its driver calls it; where it listens is the bench file's."""
+    """Settings of the device, as options of its driver; its address is in the bench file."""
     inputs: dict[Terminal, SensorFile] = {}
     outputs: dict[Terminal, ActuatorFile] = {}
     valves: dict[Terminal, ValveTruth] = {}
@@ -120,4 +120,4 @@ class TruthFile(Strict):
     name: Annotated[str, Field(min_length=1, max_length=80)]
     note: Text = ""
     devices: Annotated[dict[Name, DeviceTruth], Field(min_length=1)]
-    """By the names that the bench file gives them."""
+    """Devices by their names in the bench file."""

@@ -1,4 +1,4 @@
-"""Plant files: a muscle of one's own with its regulator and the noise of the sensors, by one of four laws."""
+"""Plant files: a lab's own muscle with its regulator and sensor noise, by one of four laws."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pmabench.files import quantity as q
 from pmabench.files.document import Strict
 
 NEUTRAL = acos(1 / sqrt(3)) - 1e-3
-"""Braid angle from which on a muscle does not contract [rad]."""
+"""Braid angle from which a muscle no longer contracts [rad]."""
 
 
 def _within(low: float, high: float, quantity: str) -> AfterValidator:
-    """A validator that refuses values which no plant has, with a message in usual units."""
+    """Validator that refuses values outside the plausible range, with a message in display units."""
 
     def check(value: float) -> float:
         if not low <= value <= high:
@@ -28,7 +28,7 @@ def _within(low: float, high: float, quantity: str) -> AfterValidator:
 
 
 Coefficients = Annotated[list[float], Field(min_length=1, max_length=10)]
-"""Of a polynomial, lowest power first."""
+"""Coefficients of a polynomial, lowest power first."""
 
 
 class Table(Strict):
@@ -43,15 +43,15 @@ class Polynomial(Strict):
     coefficients: Coefficients | None = None
     pieces: Annotated[list[Coefficients], Field(min_length=2, max_length=50)] | None = None
     breaks: Annotated[list[Reading], Field(min_length=1, max_length=49)] | None = None
-    """Where one piece ends and the next begins: one less than pieces."""
+    """Pressures where one piece ends and the next begins: one fewer than pieces."""
     unit: Text
-    """Of the coefficient, for instance `N/mm`."""
+    """Unit of the coefficient, for instance `N/mm`."""
     pressure: Text
-    """Unit of the pressure that the polynomial is of, for instance `kPa`."""
+    """Unit of the polynomial's pressure, for instance `kPa`."""
     centre: Reading | None = None
     scale: Reading | None = None
     domain: tuple[Reading, Reading] | None = None
-    """Between which pressures the source gives it; from 0 up to the plant's highest pressure where not given."""
+    """Range of pressures in the source; from 0 to the plant's highest pressure if not given."""
 
     @model_validator(mode="after")
     def _one_form(self) -> Polynomial:
@@ -76,7 +76,7 @@ Coefficient = Annotated[
     | Annotated[Polynomial, Tag("a polynomial")],
     Discriminator(_form),
 ]
-"""A coefficient over the gauge pressure."""
+"""A coefficient over gauge pressure."""
 
 
 class FrictionFile(Strict):
@@ -98,17 +98,17 @@ class RegulatorFile(Strict):
 
     dead_time: Annotated[q.Time, _within(0, 10, "time")] = 0.0
     lag: Annotated[q.Time, _within(0, 60, "time")] = 0.0
-    """First-order, while filling."""
+    """First-order lag while filling."""
     vent_ratio: Annotated[float, Field(ge=0.01, le=100)] = 1.0
-    """Lag while venting by lag while filling."""
+    """Lag while venting over lag while filling."""
     dead_band: Annotated[q.Pressure, _within(0, 1e6, "pressure")] = 0.0
-    """Pressure error that it does not act on."""
+    """Pressure error below which the regulator does nothing."""
     leak: Annotated[q.Rate, _within(0, 10, "rate")] = 0.0
-    """Share of the pressure that is lost in a second, for instance `2 %/s`."""
+    """Fraction of the pressure lost per second, for instance `2 %/s`."""
     natural_frequency: Annotated[q.Frequency, _within(0, 1e3, "frequency")] = 0.0
-    """Of second order, in place of a `lag`."""
+    """Natural frequency of a second-order response, in place of `lag`."""
     damping_ratio: Annotated[float, Field(ge=0.05, le=20)] = 1.0
-    """Of second order; 1 is critical, below it overshoots."""
+    """Damping ratio of a second-order response; 1 is critical, lower values overshoot."""
 
     @model_validator(mode="after")
     def _one_order(self) -> RegulatorFile:
@@ -133,10 +133,10 @@ class FlowFile(Strict):
     """A regulator that has to move air in and out, so that the pressure depends on the motion."""
 
     fill: Annotated[q.Conductance, _within(0, 1e-5, "conductance")]
-    """Flow per pressure between its own and the muscle's."""
+    """Mass flow per difference between the regulator's and the muscle's pressure."""
     vent: Annotated[q.Conductance, _within(0, 1e-5, "conductance")]
     polytropic: Annotated[float, Field(ge=1, le=1.4)] = 1.2
-    """1: the air keeps its temperature, 1.4: it takes no heat."""
+    """Polytropic exponent; 1: isothermal, 1.4: adiabatic."""
     temperature: Annotated[q.Temperature, _within(230, 370, "temperature")] = 293.0
     atmosphere: Annotated[q.Pressure, _within(5e4, 1.1e5, "pressure")] = 101325.0
 
@@ -162,9 +162,9 @@ class PlantFile(Strict):
     source: Text
     """Where the numbers come from."""
     length: Annotated[q.Length, _within(1e-3, 10, "length")]
-    """Nominal, without pressure."""
+    """Nominal length, without pressure."""
     highest_pressure: Annotated[q.Pressure, _within(1e3, 2e6, "pressure")]
-    """Up to which the law holds; the simulated regulator goes no higher."""
+    """Range of the law; the simulated regulator goes no higher."""
     regulator: RegulatorFile = RegulatorFile()
     noise: NoiseFile = NoiseFile()
     follow_lag: Annotated[q.Time, _within(0, 10, "time")] = 0.0
@@ -176,7 +176,7 @@ class ThreeElementFile(PlantFile):
 
     law: Literal["three-element"]
     stop: Annotated[q.Length, _within(1e-4, 10, "length")]
-    """Contraction at which it cannot go further."""
+    """Largest possible contraction, at its stop."""
     F_ce: Coefficient
     K: Coefficient
     B_c: Coefficient
@@ -184,14 +184,14 @@ class ThreeElementFile(PlantFile):
     B_r: Coefficient
     """Damping while it relaxes."""
     tau_r: Coefficient | None = None
-    """With a free end it relaxes with this time constant of the pressure before the release, not by `B_r` (paper 1)."""
+    """With a free end it relaxes with this time constant of the pressure before the release, not `B_r` (paper 1)."""
     friction: FrictionFile | None = None
     diameter: Annotated[q.Length, _within(1e-4, 1, "length")] | None = None
     """Free diameter of the braid."""
     braid_angle: Annotated[q.Angle, _within(0.01, NEUTRAL, "angle")] | None = None
-    """Of the braid to the muscle's axis, without contraction."""
+    """Angle between braid and muscle axis without contraction."""
     flow: FlowFile | None = None
-    """Where the pressure depends on the motion; needs `diameter` and `braid_angle`."""
+    """If given, the pressure depends on the motion; needs `diameter` and `braid_angle`."""
 
     @model_validator(mode="after")
     def _shorter(self) -> ThreeElementFile:
@@ -209,7 +209,7 @@ class DaerdenFile(PlantFile):
     diameter: Annotated[q.Length, _within(1e-4, 1, "length")]
     """Free diameter."""
     braid_angle: Annotated[q.Angle, _within(0.01, NEUTRAL, "angle")]
-    """Of the braid to the muscle's axis, at eps = 0."""
+    """Angle between braid and muscle axis at eps = 0."""
     alpha: Annotated[float, Field(ge=1, le=5)] = 2.0
     """Exponent; 2 is that of Tondu and Lopez."""
     A: Annotated[q.Force, _within(0, 1e6, "force")]
@@ -219,10 +219,10 @@ class DaerdenFile(PlantFile):
     B2: Annotated[q.Ratio, _within(1e-3, 1, "ratio")]
     """The rubber term has its pole at eps = -B2."""
     reach: tuple[Annotated[q.Ratio, _within(-0.5, 0, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]
-    """From where to where it may be driven, as share of the length; below 0 stretched."""
+    """Lowest and highest contraction that may be driven, as fractions of the length; stretched if negative."""
     hysteresis: HysteresisFile | None = None
     flow: FlowFile | None = None
-    """Where the pressure depends on the motion."""
+    """If given, the pressure depends on the motion."""
 
 
 class ContractorFile(PlantFile):
@@ -230,17 +230,17 @@ class ContractorFile(PlantFile):
 
     law: Literal["contractor"]
     radius: Annotated[q.Length, _within(1e-4, 0.5, "length")]
-    """At eps = 0."""
+    """Radius at eps = 0."""
     braid_angle: Annotated[q.Angle, _within(0.01, NEUTRAL, "angle")]
-    """Of the braid to the muscle's axis, at eps = 0."""
+    """Angle between braid and muscle axis at eps = 0."""
     threshold: Annotated[q.Pressure, _within(0, 2e5, "pressure")] = 45e3
-    """Below it there is no force."""
+    """Pressure below which there is no force."""
     reach: tuple[Annotated[q.Ratio, _within(0, 0.3, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]
-    """From where to where it may be driven, as share of the length."""
+    """Lowest and highest contraction that may be driven, as fractions of the length."""
 
 
 Weights = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1, max_length=20)]
-"""Of the stops of a hysteresis; together 1."""
+"""Weights of the stop operators of a hysteresis; their sum is 1."""
 
 
 def _whole(widths: list[float], weights: list[float]) -> None:
@@ -256,12 +256,12 @@ class SurfaceFile(Strict):
     A: q.Force
     A_P: q.ForcePerPressure
     s: Annotated[float, Field(gt=0, le=1000)]
-    """How steeply it falls at small contraction, for instance 33.4."""
+    """Steepness at small contraction, for instance 33.4."""
     C: q.ForcePerPressure
     D: q.ForcePerPressure
     E: q.Force
     bend: Annotated[float, Field(ge=0, le=2)] = 1.0
-    """1 as written; 0 puts a straight line over eps in place of exp(-s eps)."""
+    """1 as written; 0 replaces exp(-s eps) by a straight line over eps."""
     span: Annotated[q.Ratio, _within(0.001, 0.5, "ratio")] = 0.16
     """Contraction at which that line meets the exponential again."""
 
@@ -272,12 +272,12 @@ class StopsOverLengthFile(Strict):
     height: Annotated[q.Force, _within(0, 1e4, "force")]
     per_pressure: q.ForcePerPressure = 0.0
     widths: Annotated[list[Annotated[q.Length, _within(1e-7, 1, "length")]], Field(min_length=1, max_length=20)]
-    """Contraction after a turn at which each stop slides again is twice its width."""
+    """Half of the contraction after a reversal at which each stop operator slides again."""
     weights: Weights
     first_cycle: Annotated[q.Ratio, _within(0, 10, "ratio")] = 0.0
-    """Share by which it is higher after a rest."""
+    """Fraction by which the hysteresis is higher after a rest."""
     way: Annotated[q.Length, _within(1e-4, 10, "length")] = 0.08
-    """Way gone after which 1/e of that share is left: there and back."""
+    """Travel, in both directions, after which 1/e of that fraction is left."""
 
     @model_validator(mode="after")
     def _weighted(self) -> StopsOverLengthFile:
@@ -316,11 +316,11 @@ class CreepFile(Strict):
 
 
 class RealFile(PlantFile):
-    """A muscle with bent force, hysteresis over contraction and pressure, and creep; what is not given is not there."""
+    """A muscle with curved force, hysteresis over contraction and pressure, and creep; effects not given are absent."""
 
     law: Literal["real"]
     reach: tuple[Annotated[q.Ratio, _within(-0.1, 0, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]
-    """From where to where it may be driven, as share of the length; a free end goes from 0 to the second."""
+    """Lowest and highest contraction that may be driven, as fractions of the length; a free end starts at 0."""
     surface: SurfaceFile
     B_c: Coefficient
     """Damping while it contracts."""
@@ -338,4 +338,4 @@ LAWS: dict[str, type[ThreeElementFile | DaerdenFile | ContractorFile | RealFile]
     "contractor": ContractorFile,
     "real": RealFile,
 }
-"""Name of the law -> its file."""
+"""Name of the law -> model of its file."""

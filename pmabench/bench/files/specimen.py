@@ -1,7 +1,7 @@
-"""The specimen file, the calibration file, and kinds of values that all files of a bench share.
+"""The specimen file, the calibration file, and types of values shared by all files of a bench.
 
-A specimen is the muscle under test, what it bears, and what is already believed of it. A calibration has reference
-points, and how well they are known.
+A specimen is the muscle under test, its limits, and values known before the test. A calibration has reference points
+and their uncertainty.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ Reading = Annotated[
     BeforeValidator(q.raw_quantity),
     WithJsonSchema({"type": "string", "description": "a number with its unit", "examples": ["5.003 V", "600 kPa"]}),
 ]
-"""A number with the device's or the quantity's unit, kept apart."""
+"""A number with the device's or the quantity's unit, kept separate."""
 
 Text = Annotated[str, Field(max_length=400)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
 Place = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}(\.[A-Za-z0-9_-]{1,40}){0,9}$")]
-"""Where a value is in a file: `limits.pressure.trip`."""
+"""Path of keys to a value in a file: `limits.pressure.trip`."""
 
 
 def above_zero(value: float) -> float:
@@ -120,13 +120,13 @@ class AssemblyFile(Strict):
     """Several like muscles tested as one specimen."""
 
     parallel: Annotated[int, Field(ge=1, le=100)] = 1
-    """Side by side: their forces add up."""
+    """Number of muscles next to each other: their forces add up."""
     series: Annotated[int, Field(ge=1, le=100)] = 1
-    """End to end: their lengths add up."""
+    """Number of muscles end to end: their lengths add up."""
     section: LengthAbove0
     """Nominal length of one muscle."""
     connector: Annotated[q.Length, AfterValidator(not_below_zero)] = 0.0
-    """Length of all that connects muscles end to end; it does not contract."""
+    """Total length of the connectors between muscles end to end; it does not contract."""
 
 
 class SpecimenFile(Strict):
@@ -139,20 +139,20 @@ class SpecimenFile(Strict):
     nominal_length: LengthAbove0
     inner_diameter: LengthAbove0
     braid_angle: AngleAbove0 | None = None
-    """Of the braid to the muscle's axis at the nominal length; F_ce of paper 1 is computed from it."""
+    """Angle between braid and muscle axis at the nominal length; F_ce of paper 1 is computed from it."""
     mass: MassAbove0 | None = None
-    """Of the muscle; half of its weight loads one that hangs (paper 1)."""
+    """Mass of the muscle; half of its weight is added to the load if it hangs (paper 1)."""
     cycles_before: int = 0
     assembly: AssemblyFile | None = None
     mounted: MountedFile
     limits: SpecimenLimits
     expected: ExpectedFile | None = None
     to_confirm: list[Place] = []
-    """Keys of this file whose values nobody has given yet: nothing runs in real time until a person deletes them."""
+    """Keys of this file without a value from a person; each must be deleted before a run in real time."""
 
     @model_validator(mode="after")
     def _without_connectors(self) -> SpecimenFile:
-        """A contraction is a share of what contracts: of the muscles alone."""
+        """Lengths must exclude connectors, as contraction refers to the muscles alone."""
         if self.assembly is None:
             return self
         one = self.assembly
@@ -168,7 +168,7 @@ class SpecimenFile(Strict):
 
 
 def any_specimen() -> SpecimenFile:
-    """A specimen that limits nothing, for looking at a bench alone; nothing is ever run with it."""
+    """A specimen without limits, to inspect a bench alone; nothing is ever run with it."""
     limits = SpecimenLimits.model_construct(
         pressure=SpecimenPressure.model_construct(command=inf, never_above=inf), contraction=inf, source=""
     )

@@ -1,5 +1,5 @@
-"""A lab's files from its answers. Knows no terminal.
+"""A lab's files from its answers. Uses no terminal.
 
-`questions` with the answers and limits, `reading` of what is typed, `files`: bench, specimen, simulated muscle,
-calibrations, protocol.
+`questions` holds the questions, answers and limits, `reading` parses what is typed, `files` writes bench, specimen,
+simulated muscle, calibrations and protocol.
 """

@@ -1,9 +1,9 @@
 """All files of a lab's folder from its answers: bench, calibrations by data sheets, specimen, muscle, protocols.
 
-A protocol is a shipped one with the loads, pressures and ways of one muscle and bench in place of those of its paper.
+A protocol is a shipped one with the loads, pressures and strokes of one muscle and bench in place of its paper's.
 
-`Sheet`: a file while it is written; each line says where its value is from, what nobody said is listed for
-confirmation.
+`Sheet`: a file being written; each line states the source of its value, and values not given by a person are listed
+for confirmation.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from pmabench.model.real.muscle import Surface
 from pmabench.store.records import Array
 
 COLUMN = 60
-"""Where comments begin, in lines that are shorter."""
+"""Column where comments begin in shorter lines."""
 SOURCES = {"never_above": "data sheet", "contraction": "data sheet", "sensors": "data sheets", "supply": "as built"}
-"""Question -> where its answer is from; all others: asked."""
+"""Question -> source of its answer; all others: asked."""
 
 
 class Sheet:
-    """Lines of a YAML file."""
+    """Lines of a YAML file being written."""
 
     def __init__(self, answers: Answers, schema: str, *head: str) -> None:
         self.answers = answers
@@ -39,18 +39,18 @@ class Sheet:
         self.to_confirm: list[str] = []
 
     def add(self, *lines: str) -> None:
-        """Lines as they are."""
+        """Add lines unchanged."""
         self.lines += lines
 
     def said(self, line: str, key: str, *places: str) -> None:
-        """A line by the answer to question `key`; where nobody gave it, `places` are to be confirmed."""
+        """Add a line with the answer to question `key`; if it was derived, `places` are to be confirmed."""
         if self.answers.said(key):
             self._noted(line, f"{SOURCES.get(key, 'as said')}, asked {self.answers.asked.isoformat()}")
         else:
             self.guessed(line, "proposed by init", *places)
 
     def guessed(self, line: str, why: str, *places: str) -> None:
-        """A line with a derived value at `places`, which are to be confirmed."""
+        """Add a line with a derived value at `places`, which are to be confirmed."""
         self._noted(line, f"TO CONFIRM: {why}")
         self.to_confirm += places
 
@@ -58,7 +58,7 @@ class Sheet:
         self.lines.append(f"{line:{COLUMN - 1}} # {note}" if len(line) < COLUMN else f"{line}   # {note}")
 
     def text(self) -> str:
-        """The file, with the list of what is to be confirmed at its end."""
+        """Text of the file, with the list of what is to be confirmed at its end."""
         lines = [*self.lines, "to_confirm:   # delete an entry when you have looked it up; nothing runs before"]
         lines += [f"  - {place}" for place in self.to_confirm]
         if not self.to_confirm:
@@ -269,7 +269,7 @@ def _limits(sheet: Sheet, answers: Answers, limits: Limits) -> None:
 
 
 def calibration_texts(answers: Answers, calibrations: dict[str, str]) -> dict[str, str]:
-    """Path -> text of the calibrations by data sheets, for the channels that have none in `calibrations`."""
+    """Path -> text of the calibrations by data sheets, for channels that have none in `calibrations`."""
     if answers.text("daq") == NONE_YET:
         return {}
     found = {}
@@ -314,27 +314,27 @@ def specimen_text(answers: Answers) -> str:
 
 
 LOADS, PRESSURES = 9, 7
-"""Steps of a sweep."""
+"""Numbers of loads and of pressures of a sweep."""
 ENOUGH = 4
-"""Loads that a line of force over contraction wants."""
+"""Loads needed for a line of force over contraction."""
 LIFTED = (0.1, 0.7)
-"""Lightest and heaviest load, as shares of the force at the highest pressure."""
+"""Lightest and heaviest load, as fractions of the force at the highest pressure."""
 LIFTS = 0.2
-"""Share of the highest contraction to which the lowest pressure lifts the lightest load."""
+"""Fraction of the highest contraction to which the lowest pressure lifts the lightest load."""
 STRONGER = 1.25
-"""How much more a muscle may pull than predicted, and still stays short of its highest contraction."""
+"""Factor by which a muscle may pull more than predicted without reaching its highest contraction."""
 SHORT_OF = 0.85
-"""Share of the highest contraction that a sweep may reach."""
+"""Fraction of the highest contraction that a sweep may reach."""
 NO_LIMIT = """\
 # What is good enough is for you to say, for what you need K for; until then results are judged without a limit.
 # accept:
 #   K: {relative_interval: 5 %}                # widest 95 % interval of K, of its value\
 """
-"""In place of limits of acceptance: nobody asked for one, and one that nobody set would be met or missed by chance."""
+"""Replaces the acceptance limits: none is known, and meeting an invented one would mean nothing."""
 
 
 def protocol_text(shipped: str, answers: Answers, specimen: SpecimenFile) -> str:
-    """The text of the shipped protocol for this lab: every value that depends on the size of the muscle replaced."""
+    """The shipped protocol adapted to this lab: every value that depends on the size of the muscle is replaced."""
     limits = limits_of(answers)
     muscle = of_specimen(specimen, limits.command)
     text = re.sub(r"^(name: .*?),.*$", rf"\1, {answers.text('type')}", shipped, count=1, flags=re.MULTILINE)
@@ -366,10 +366,10 @@ def _with_weights(text: str, answers: Answers, limits: Limits, muscle: Predicted
 
 
 def _loads(answers: Answers, surface: Surface, limits: Limits) -> tuple[list[float], float]:
-    """Loads that hanger and plates make [kg], and the highest pressure for them [Pa].
+    """Loads that hanger and plates can make [kg], and the highest pressure for them [Pa].
 
-    The lightest one limits the pressure, and so the heaviest that is lifted: the one with `ENOUGH` above it, and of
-    these the widest range.
+    The lightest load limits the pressure, and so the heaviest load that is lifted. Chosen is the lightest load with
+    `ENOUGH` loads in its range, and among these the widest range.
     """
     given = answers.value("stack")
     totals = np.round(Stack(given.hanger, given.plates).loads[1:], 6)
@@ -426,12 +426,12 @@ CHANNEL_OF = {"pressure": "pressure", "length": "displacement", "force": "force"
 
 
 def lab_files(answers: Answers, shipped_protocol: str) -> dict[str, str]:
-    """Path in the lab's folder -> text; `shipped_protocol` is the text that is made to fit.
+    """Path in the lab's folder -> text; `shipped_protocol` is the text of the protocol to be adapted.
 
     Raises
     ------
     UsageError
-        Where a file that an answer names cannot be read.
+        If a file that an answer names cannot be read.
     """
     own = _calibrations(answers)
     specimen = specimen_text(answers)

@@ -1,11 +1,11 @@
 """The questions that `init` asks about a bench and its muscle, at most 20 of them, and the answers of a lab.
 
-An answer that follows from others (from the type's data sheet, the size of the muscle, the device: `default`) is a
+An answer that is derived from others (from the type's data sheet, the size of the muscle, the device: `default`) is a
 guess that a person has to confirm. What protects people and muscle is never derived: such a question is `needed`, and
 an answer offered for it is only shown.
 
-Here too: the file that keeps the answers, and the limits of a bench from what the muscle bears, the relief valve, the
-supply and the sensors; each to be confirmed.
+Also the file that keeps the answers, and the limits of a bench from the limits of the muscle, the relief valve, the
+supply and the sensors; each is to be confirmed.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ class Daq:
     driver: str
     title: str
     address: str
-    """An example of its address, or the usual one."""
+    """Its usual address, or an example."""
     inputs: str
-    """Usual inputs, as they are typed."""
+    """Usual inputs, in the form of an answer."""
     fifth: str
-    """The next input, for what an actuator is set to."""
+    """Next input, for the looped-back command of an actuator."""
     raw: str
     """Unit of its readings."""
     full: float
     """Highest reading; the lowest is 0."""
     output: str
-    """Output of the regulator."""
+    """Usual output for the regulator."""
     second: str
-    """Output of an actuator."""
+    """Usual output for an actuator."""
     out_full: float
     """Highest value of an output, in `raw`."""
     resolution: str
@@ -79,11 +79,11 @@ DAQS = {
 }  # fmt: skip
 """Answer -> device."""
 NONE_YET = "none"
-"""The answer of a lab that has no device yet; its bench is simulated."""
+"""Answer of a lab that has no device yet; its bench is simulated."""
 
 
 CONTRACTION = "25 %"
-"""Of muscles whose data sheet is not known here."""
+"""Highest contraction of muscles without a data sheet in the library."""
 PROTOCOLS = {
     "weights": {
         "contraction-relaxation": "force, stiffness, damping: steps of pressure under weights",
@@ -95,11 +95,11 @@ PROTOCOLS = {
         "isometric-pressurisation": "force over pressure at fixed lengths",
     },
 }
-"""Free end -> protocol -> what it gives."""
+"""Free end -> protocol -> its result."""
 
 
 def muscle_type(answers: Answers) -> MuscleType | None:
-    """The library's type of the muscle."""
+    """Type of the muscle in the library; None if unknown."""
     return find_type(answers.text("make"), answers.text("type"))
 
 
@@ -112,25 +112,25 @@ def surface(answers: Answers) -> Surface:
 
 
 def nominal_length(answers: Answers) -> str | None:
-    """From the label."""
+    """Nominal length from the label; None if it has none."""
     length = length_on_label(answers.text("type"))
     return show(length, "length") if length else None
 
 
 def diameter(answers: Answers) -> str | None:
-    """From the type."""
+    """Inner diameter of the type; None if unknown."""
     found = muscle_type(answers)
     return show(found.diameter, "length") if found else None
 
 
 def pressure_hint(answers: Answers) -> str:
-    """The data sheet's value, to be compared with the own one."""
+    """Highest pressure by the data sheet, to be compared with the answer; empty if unknown."""
     found = muscle_type(answers)
     return f"{found.name}: {show(found.highest_pressure, 'pressure')} by the data sheet" if found else ""
 
 
 def contraction(answers: Answers) -> str:
-    """From the type, else what most muscles bear."""
+    """Highest contraction of the type, else `CONTRACTION`."""
     found = muscle_type(answers)
     return show(found.contraction, "ratio") if found else CONTRACTION
 
@@ -141,37 +141,37 @@ def highest_force(answers: Answers) -> float:
 
 
 def round_up(value: float, digits: int = 2) -> float:
-    """The next number of so many digits that is not smaller."""
+    """Round up to a number of `digits` significant digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
     return float(f"{math.ceil(value / unit - 1e-9) * unit:.6g}")
 
 
 def stack(answers: Answers) -> str:
-    """Ten plates that together weigh half of the muscle's highest force."""
+    """A stack of ten plates with half of the muscle's highest force."""
     plate = round_up(0.05 * highest_force(answers) / GRAVITY, 1)
     return f"hanger {show(plate / 5, 'mass')}, plates 10 x {show(plate, 'mass')}"
 
 
 def actuator(answers: Answers) -> str:
-    """As far as the muscle goes, and twice its force."""
+    """An actuator with the muscle's stroke and twice its force."""
     stroke = answers.value("contraction") * answers.value("nominal_length")
     force = round_up(2 * highest_force(answers))
     return f"{show(round_up(stroke), 'length')}, 100 mm/s, {show(force, 'force')}"
 
 
 def address(answers: Answers) -> str | None:
-    """The usual one; a register map is the lab's own."""
+    """Usual address of the device; None for a register map, which is the lab's own."""
     return None if answers.text("daq") == "modbus" else DAQS[answers.text("daq")].address
 
 
 def inputs(answers: Answers) -> str:
-    """The first inputs of the device."""
+    """The device's usual inputs."""
     daq = DAQS[answers.text("daq")]
     return daq.inputs + (f", actuator {daq.fifth}" if answers.text("free_end") == "actuator" else "")
 
 
 def sensors(answers: Answers) -> str:
-    """Ranges somewhat wider than what the muscle does."""
+    """Ranges somewhat wider than the muscle's."""
     daq = DAQS[answers.text("daq")]
     raw = f"0 {daq.raw}..{daq.full:g} {daq.raw}"
     pressure = round_up(1.3 * answers.value("never_above"))
@@ -185,19 +185,19 @@ def sensors(answers: Answers) -> str:
 
 
 def regulator(answers: Answers) -> str:
-    """The first output over its whole range."""
+    """The device's usual output over its whole range."""
     daq = DAQS[answers.text("daq")]
     top = round_up(1.3 * answers.value("never_above"))
     return f"{daq.output} 0 {daq.raw}..{daq.out_full:g} {daq.raw} = 0 kPa..{show(top, 'pressure')}"
 
 
 def protocols(answers: Answers) -> dict[str, str]:
-    """Those for this free end."""
+    """Protocols for this free end."""
     return PROTOCOLS[answers.text("free_end")]
 
 
 MOST = 20
-"""Questions that anybody is asked."""
+"""Largest number of questions."""
 
 
 def _has_daq(answers: Answers) -> bool:
@@ -213,14 +213,14 @@ class Question:
     explain: str
     read: Callable[[str, Answers], Any]
     default: Callable[[Answers], str | None] = field(default=lambda _answers: None)
-    """The derived answer; None where there is none."""
+    """Derived answer; None without one."""
     choices: Callable[[Answers], Mapping[str, str]] = field(default=lambda _answers: {})
-    """Answer -> words, for a numbered menu."""
+    """Answer -> description, for a numbered menu."""
     asked: Callable[[Answers], bool] = field(default=lambda _answers: True)
     needed: bool = False
-    """Only a person may answer it."""
+    """Whether only a person may answer it."""
     hint: Callable[[Answers], str] = field(default=lambda _answers: "")
-    """What is known that may help; never taken as the answer."""
+    """Information that may help; never taken as the answer."""
 
 
 def _plain(read: Callable[[str], Any]) -> Callable[[str, Answers], Any]:
@@ -331,15 +331,15 @@ def _table() -> tuple[Question, ...]:
 
 
 QUESTIONS = {question.key: question for question in _table()}
-"""Key -> question, in the order in which they are asked."""
+"""Key -> question, in order."""
 
 
 ASKED = "asked"
-"""Key of the day on which the questions were asked."""
+"""Key of the date on which the questions were asked."""
 
 
 class Answers:
-    """Answers to `QUESTIONS` by key, as typed; None for "not known yet". Gives parsed values, derived where missing."""
+    """Answers to `QUESTIONS` by key, as typed; None for "not known yet". Returns parsed values, derived if missing."""
 
     def __init__(self, given: Mapping[str, str | None], asked: datetime.date) -> None:
         self.given = dict(given)
@@ -350,7 +350,7 @@ class Answers:
         return self.given.get(key) is not None
 
     def text(self, key: str) -> str:
-        """The answer as typed, or the derived one; KeyError where there is neither."""
+        """The answer as typed, or the derived one; raises KeyError if there is neither."""
         found = self.given.get(key)
         found = QUESTIONS[key].default(self) if found is None else found
         if found is None:
@@ -358,20 +358,20 @@ class Answers:
         return found
 
     def value(self, key: str) -> Any:
-        """The parsed answer, given or derived; ValueError where it cannot be read."""
+        """The parsed answer, given or derived; raises ValueError if it cannot be read."""
         return QUESTIONS[key].read(self.text(key), self)
 
     def questions(self) -> list[Question]:
-        """Those that belong to the answers so far, in their order."""
+        """Questions that apply to the answers so far, in their order."""
         return [question for question in QUESTIONS.values() if question.asked(self)]
 
     def missing(self) -> list[str]:
-        """Keys of answers that only a person can give, and nobody has."""
+        """Keys of missing answers that only a person can give."""
         open_ones = [question for question in self.questions() if not self.said(question.key)]
         return [question.key for question in open_ones if question.needed or not self._derivable(question)]
 
     def _derivable(self, question: Question) -> bool:
-        """Whether an answer can be derived, once the others are there."""
+        """Whether an answer can be derived once the others are given."""
         try:
             return question.default(self) is not None
         except KeyError:
@@ -406,7 +406,7 @@ def read_answers(path: Path) -> tuple[dict[str, str | None], datetime.date | Non
 
 
 def check_answers(answers: Answers, document: Document | None = None) -> None:
-    """Raise what cannot be read of the given answers: `InvalidFile` at its place, or `UsageError` without a file."""
+    """Raise `InvalidFile` (or without a file `UsageError`) if given answers cannot be parsed."""
     problems = []
     for key, typed in answers.given.items():
         try:
@@ -423,21 +423,21 @@ def check_answers(answers: Answers, document: Document | None = None) -> None:
 
 
 def quoted(value: str) -> str:
-    """A text as YAML between double quotes."""
+    """A text in double quotes, as YAML."""
     return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 OVERSHOOT = 0.02
-"""Of the regulator, as a share of the highest pressure."""
+"""Overshoot of the regulator, as a fraction of the highest pressure."""
 UNCERTAINTY = 0.005
-"""Of a sensor without calibration, as a share of its range."""
+"""Uncertainty of a sensor without calibration, as a fraction of its range."""
 SUPPLY_MARGIN = 50e3
-"""What a regulator needs above its set-point [Pa]."""
+"""Supply pressure that a regulator needs above its set-point [Pa]."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """All in SI."""
+    """Limits of a bench, in SI."""
 
     command: float
     trip: float
@@ -456,7 +456,7 @@ class Limits:
 
 
 def limits_of(answers: Answers) -> Limits:
-    """Limits that are consistent with the answers: below the relief valve and `never_above`, the trip in between."""
+    """Limits consistent with the answers: below the relief valve and `never_above`, the trip in between."""
     never = answers.value("never_above")
     pressure, relief = answers.value("supply")
     ceiling = min(never, relief if relief is not None else never)
@@ -475,7 +475,7 @@ def limits_of(answers: Answers) -> Limits:
 
 
 def scales_of(answers: Answers) -> dict[str, Scale]:
-    """Ranges of the sensors; of a simulated bench those that would be proposed."""
+    """Ranges of the sensors; of a simulated bench the proposed ones."""
     if answers.text("daq") != NONE_YET:
         found: dict[str, Scale] = answers.value("sensors")
         return found
@@ -484,5 +484,5 @@ def scales_of(answers: Answers) -> dict[str, Scale]:
 
 
 def _down(pressure: float) -> float:
-    """The next whole kPa below."""
+    """Round down to whole kPa."""
     return math.floor(pressure / 1e3 + 1e-9) * 1e3

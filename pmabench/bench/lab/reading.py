@@ -1,4 +1,4 @@
-"""What is typed in answer to a question, read strictly: every reader raises ValueError with what was expected."""
+"""Strict parsing of typed answers: every function raises ValueError with what was expected."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from dataclasses import dataclass, field
 from pmabench.files.quantity import parse_mass_or_force, parse_plates, parse_quantity, raw_quantity
 
 GRAVITY = 9.81
-"""Of the benches that are written [m/s2]."""
+"""Gravity of the benches that are written [m/s2]."""
 QUANTITY_OF = {"pressure": "pressure", "displacement": "length", "force": "force"}
 """Measured channel -> quantity."""
 _NAME = re.compile(r"[A-Za-z0-9_/.-]{1,40}")
 
 
 MOST_SIGNS = 200
-"""Of a text: an address can have a file's path in it."""
+"""Longest text in characters: an address can contain a file's path."""
 
 
 def text(value: str) -> str:
-    """Any text of one line that can be written between double quotes."""
+    """One line of text that can be put between double quotes."""
     if not value or len(value) > MOST_SIGNS or any(sign in value for sign in '"\\\n'):
         raise ValueError(f"a text of at most {MOST_SIGNS} signs is expected, without quotation marks")
     return value
 
 
 def above_zero(quantity: str) -> Callable[[str], float]:
-    """A reader of a `quantity` above zero [SI]."""
+    """Parser of a `quantity` above zero [SI]."""
 
     def read(value: str) -> float:
         number = parse_quantity(value, quantity)
@@ -39,7 +39,7 @@ def above_zero(quantity: str) -> Callable[[str], float]:
 
 
 def mounted(value: str) -> tuple[float, float]:
-    """`250 mm, 6 kg`: mounted length [m] and the load on it meanwhile [kg]."""
+    """`250 mm, 6 kg`: mounted length [m] and the load during mounting [kg]."""
     length, _, load = (part.strip() for part in value.partition(","))
     kind, number = parse_mass_or_force(load or "0 kg")
     return above_zero("length")(length), number if kind == "mass" else number / GRAVITY
@@ -47,7 +47,7 @@ def mounted(value: str) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Stack:
-    """Weights on the free end: texts of the masses as typed, and the plates as (count, mass [kg])."""
+    """Weights on the free end [kg]; plates as (count, mass [kg])."""
 
     hanger: float
     carriage: float
@@ -85,7 +85,7 @@ def actuator(value: str) -> tuple[float, float, float]:
 
 
 def inputs(value: str) -> dict[str, str]:
-    """`pressure AIN0, displacement AIN1, force AIN2, command AIN3, actuator AIN4`: what is read -> input."""
+    """`pressure AIN0, displacement AIN1, force AIN2, command AIN3, actuator AIN4`: signal -> input."""
     found = {}
     for part in value.split(","):
         word, _, name = part.strip().partition(" ")
@@ -113,7 +113,7 @@ class Scale:
 
 
 def scale(value: str, quantity: str) -> Scale:
-    """`0 V..10 V = 0 kPa..1000 kPa`: readings of the device and what they mean."""
+    """`0 V..10 V = 0 kPa..1000 kPa`: device readings and their values."""
     left, equals, right = value.partition("=")
     raw, values = ([end.strip() for end in side.split("..")] for side in (left, right))
     if not equals or len(raw) != 2 or len(values) != 2:
@@ -148,7 +148,7 @@ def regulator(value: str) -> tuple[str, Scale]:
 
 
 def dump_valve(value: str) -> tuple[str, str] | None:
-    """`FIO0 closed`: output, and where the valve is while the output is on; None for `none`."""
+    """`FIO0 closed`: output, and position of the valve while it is on; None for `none`."""
     if value == "none":
         return None
     name, _, energised = (part.strip() for part in value.partition(" "))
@@ -166,7 +166,7 @@ def supply(value: str) -> tuple[float, float | None]:
 
 
 def interlock(value: str) -> str | None:
-    """An input, or None for `none`."""
+    """Name of an input, or None for `none`."""
     if not _NAME.fullmatch(value):
         raise ValueError('the name of an input is expected, or "none"')
     return None if value == "none" else value

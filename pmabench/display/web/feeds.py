@@ -1,8 +1,8 @@
-"""The runs that viewers look at, each with its feed, and the one thread that reads run folders for them.
+"""The runs that are being viewed, each with its feed, and the single thread that reads run folders for them.
 
-The thread of each viewer asks its feed for what is new; nothing here waits for a viewer. Of addresses, `/` is the
-newest run of the folder, and the next one when it begins; `/run/ID` one run; `/campaign/NAME` the newest run of a
-campaign, `/session/DATE` that of a day, with the others of it.
+The thread of each viewer asks its feed for new data; nothing here waits for a viewer. Addresses: `/` is the newest run
+of the folder, and the next one when it begins; `/run/ID` one run; `/campaign/NAME` the newest run of a campaign,
+`/session/DATE` that of a day, each with a list of the other runs.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from pmabench.store.folder import read_manifest, read_seal, status_of
 from pmabench.store.livestream import pa
 
 LONGEST_FRAME = 10.0
-"""A frame begins at most so long before the newest sample [s]; what is older a viewer asks for as history."""
+"""Longest time range of a frame, up to the newest sample [s]; older data are requested as history."""
 RENEWED = 0.25
-"""The parts of the page are made so often [s]; values and curves come with each frame."""
+"""Interval for renewing the parts of the page [s]; values and curves are sent with each frame."""
 AT_REST = 1.0
-"""Values are sent so often [s] while no sample is new, so that their age is seen."""
+"""Interval for sending values without new samples [s], so that their age is visible."""
 MOST = 2500
-"""Most buckets of a channel in an answer."""
+"""Most buckets of a channel in one answer."""
 
 
 @dataclass
 class Seen:
-    """What one viewer has got of a run."""
+    """What one viewer has received of a run."""
 
     versions: dict[str, int] = field(default_factory=dict)
     """Version of each part of the page."""
@@ -52,7 +52,7 @@ class Seen:
     loop: tuple[float, int, int] = (-1.0, -1, 0)
     """Begin and version of the loop, and its number of points."""
     at: float = 0.0
-    """When values were sent [s, monotonic]."""
+    """When values were last sent [s, monotonic]."""
 
 
 class Feed:
@@ -65,7 +65,7 @@ class Feed:
         self.state = RunState(folder, self._keep)
         self.viewers = 0
         self.left_at = time.monotonic()
-        """When the last viewer left [s]."""
+        """When the last viewer left [s, monotonic]."""
         self.may_vent: bool | None = None
         """Whether the button may be shown; None until the bench file was read, which is before any sample."""
         self._vent = vent
@@ -77,7 +77,7 @@ class Feed:
         self._kept: tuple[tuple[Any, ...], dict[str, Any]] = ((), {})
         self._count = 0
         self._made: dict[tuple[str, int, int], dict[str, Any]] = {}
-        """Frames of this reading, which most viewers get alike."""
+        """Frames of this reading, as most viewers get the same."""
         self._renewed = -RENEWED
         self._behind = True
 
@@ -95,7 +95,7 @@ class Feed:
         return self.folder.name
 
     def poll(self) -> bool:
-        """Read what is new; whether more waits to be read at once."""
+        """Read new data; returns whether more can be read at once."""
         before = self.state.files.there
         behind = self.state.poll()
         if self.state.files.there and not before:
@@ -113,7 +113,7 @@ class Feed:
         return behind
 
     def _renew(self, behind: bool) -> None:
-        """Make the parts of the page anew; those that are as they were keep their version."""
+        """Renew the parts of the page; unchanged ones keep their version."""
         state = self.state
         trials = len(state.lines), state.done, state.files.there, id(state.lines)
         if self._kept[0] != trials:
@@ -135,20 +135,20 @@ class Feed:
                 self._parts[name] = self._count, text
 
     def fresh(self, seen: Seen) -> list[tuple[str, str]]:
-        """Name and JSON of what a viewer has not got yet; `seen` is brought up to date."""
+        """Name and JSON of parts that a viewer has not received; updates `seen`."""
         messages = []
         for name, (version, text) in list(self._parts.items()):
             if seen.versions.get(name) != version:
                 seen.versions[name] = version
                 messages.append((name, text))
-        # A page that hears which run it is drops what came before: the loop of a trial would be lost.
+        # A page discards its data when it learns which run it shows: the loop of a trial would be lost.
         frame = self._frame(seen) if self._parts else {}
         if frame:
             messages.append(("frame", json.dumps(frame, separators=(",", ":"))))
         return messages
 
     def _frame(self, seen: Seen) -> dict[str, Any]:
-        """Newest buckets, values and points of the loop; empty where no sample is new."""
+        """New buckets, values and loop points; empty without new samples."""
         frame: dict[str, Any] = {}
         pieces = self.buckets.newest(seen.buckets)
         streams = {}
@@ -178,7 +178,7 @@ class Feed:
         return frame
 
     def _as_data(self, piece: Piece) -> dict[str, Any]:
-        """Buckets of one stream for the page, in the units that people read; missing values are null."""
+        """Buckets of one stream for the page, in display units; missing values are null."""
         channels = {}
         for column, name in enumerate(piece.names):
             channel = self.state.channels.get(name)
@@ -190,7 +190,7 @@ class Feed:
         return {"k": piece.k.tolist(), "channels": channels}
 
     def history(self, begin: float | None, end: float | None, span: float | None, most: int) -> dict[str, Any]:
-        """Buckets from `begin` to `end` [s], or of the last `span` [s], or of all: at most `most` of each channel."""
+        """Buckets from `begin` to `end` [s], or of the last `span` [s], or all; at most `most` per channel."""
         first, last = self.buckets.span
         end = last if end is None else min(end, last)
         if begin is None:
@@ -205,19 +205,19 @@ class Feed:
 
 
 PERIOD = 0.1
-"""Runs that somebody looks at are read so often [s] ..."""
+"""Interval for reading the runs with viewers [s] ..."""
 IDLE = 1.0
-"""... and the newest one so often where nobody does, so that its history is there at once."""
+"""... and for reading the newest run without any, so that its history is available at once."""
 LOOK = 1.0
-"""How often it is looked for newer runs [s]."""
+"""Interval for looking for newer runs [s]."""
 MOST_FEEDS = 6
-"""Runs that are held at once."""
+"""Largest number of runs in memory."""
 KEPT = 60.0
-"""A run that nobody looks at any more is held so long [s]."""
+"""How long a run without viewers is kept [s]."""
 
 
 class Room:
-    """Run folders below one place, for any number of viewers."""
+    """Run folders in one place, for any number of viewers."""
 
     def __init__(self, root: Path, *, vent: bool = False) -> None:
         self.places = Places(root)
@@ -232,12 +232,12 @@ class Room:
         """The newest run."""
 
     def start(self) -> None:
-        """Begin to read."""
+        """Start the reading thread."""
         self._look(time.monotonic())
         self._thread.start()
 
     def stop(self) -> None:
-        """Read no more; viewers see that in `over`."""
+        """Stop reading; viewers see it in `over`."""
         self._over.set()
         with self.changed:
             self.changed.notify_all()
@@ -250,12 +250,12 @@ class Room:
 
     @property
     def viewers(self) -> int:
-        """How many streams are open."""
+        """Number of open streams."""
         with self._lock:
             return sum(feed.viewers for feed in self._feeds.values())
 
     def feed_of(self, folder: Path) -> Feed:
-        """The feed of a run folder; a run that nobody looks at may be let go for it."""
+        """The feed of a run folder; runs without viewers may be dropped for it."""
         with self._lock:
             feed = self._feeds.get(folder.name)
             if feed is None:
@@ -266,19 +266,19 @@ class Room:
             return feed
 
     def enter(self, feed: Feed) -> None:
-        """A viewer begins to look at a run."""
+        """A viewer starts viewing a run."""
         with self._lock:
             feed.viewers += 1
             self._feeds[feed.id] = feed
 
     def leave(self, feed: Feed) -> None:
-        """A viewer looks at it no more."""
+        """A viewer stops viewing a run."""
         with self._lock:
             feed.viewers -= 1
             feed.left_at = time.monotonic()
 
     def _read(self) -> None:
-        """Poll by an absolute clock: a pause of fixed length after the work would lose frames."""
+        """Poll at absolute times: with a fixed pause after the work the rate would fall."""
         due = time.monotonic()
         looked = -LOOK
         idle = 0.0
@@ -307,7 +307,7 @@ class Room:
                 self._over.wait(max(0.0, due - time.monotonic()))
 
     def _look(self, now: float) -> None:
-        """Find the newest run, and let go of runs that nobody looks at."""
+        """Find the newest run, and drop runs that have had no viewer for `KEPT`."""
         with suppress(OSError):
             self.newest = self.places.run_at("/")
         if self.newest is not None:
@@ -319,9 +319,9 @@ class Room:
 
 
 LISTED = 200
-"""Newest runs that are looked at for a list."""
+"""Most runs that are examined for a list."""
 SHOWN = 40
-"""Runs of a list."""
+"""Most runs in a list."""
 
 
 class Places:
@@ -330,10 +330,10 @@ class Places:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._known: dict[str, dict[str, Any]] = {}
-        """Runs that have ended, by the name of their folder."""
+        """Summaries of runs that have ended, by folder name."""
 
     def run_at(self, address: str) -> Path | None:
-        """The run folder that an address means now; None where there is none."""
+        """The run folder that an address refers to now; None without one."""
         what, _, name = address.strip("/").partition("/")
         name = unquote(name)
         if not what:
@@ -346,7 +346,7 @@ class Places:
         return self.root / listed[0]["id"] if listed else None
 
     def listed(self, address: str, run: Path | None = None) -> list[dict[str, Any]]:
-        """The runs of a campaign or of a day, newest first; for other addresses those of the run's campaign or day."""
+        """Runs of a campaign or a day, newest first; for other addresses those of the campaign or day of `run`."""
         what, _, name = address.strip("/").partition("/")
         wanted = unquote(name)
         if what not in {"campaign", "session"}:
@@ -367,7 +367,7 @@ class Places:
         return max(runs)[1] if runs else None
 
     def _about(self, run: Path) -> dict[str, Any] | None:
-        """What a list says of a run; None where it cannot be read."""
+        """Summary of a run for a list; None if it cannot be read."""
         if run.name in self._known:
             return self._known[run.name]
         try:

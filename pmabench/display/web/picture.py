@@ -1,6 +1,6 @@
-"""What is known of a run, as plain data for the page: texts for people, numbers in the units that people read.
+"""State of a run as plain data for the page: texts, and numbers in display units.
 
-Each function gives one part of the page, which is sent again only when it has changed.
+Each function returns one part of the page, which is sent again only when it has changed.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from pmabench.files.document import Document
 from pmabench.kinds import registry
 
 NOTICES = 60
-"""Notices that are sent."""
+"""Number of notices sent."""
 SYMBOLS = {"pressure": "P", "displacement": "x", "force": "F", "angle": "angle", "supply": "supply"}
 FINISHED = ("finished", "failed")
-"""How a run ends that `process` takes as it is."""
+"""Status of a run that `process` accepts as it is."""
 
 
 def _shown(value: float | None, scale: float, digits: int) -> float | None:
-    """A value [SI] in its unit, rounded; None where there is none."""
+    """A value [SI] in its display unit, rounded; None if missing."""
     return None if value is None or not isfinite(value) else round(value / scale, digits)
 
 
 def digits_of(channel: Channel) -> int:
-    """Decimals of a channel's values in its unit."""
+    """Decimals of a channel's values in its display unit."""
     return decimals(channel.span / quantity(channel.quantity).scale)
 
 
 def run_part(state: RunState, root: Path, *, vent: bool) -> dict[str, Any]:
-    """Which run this is, how it ended, what to type next, and whether there is a vent button."""
+    """Identity of the run, how it ended, the next command, and whether there is a vent button."""
     manifest = state.files.manifest
     status, folder = state.status, state.files.folder
     return {
@@ -63,7 +63,7 @@ def run_part(state: RunState, root: Path, *, vent: bool) -> dict[str, Any]:
 
 
 def _next(state: RunState) -> str:
-    """The command that follows the end of a run."""
+    """The next command after the end of a run."""
     place = state.files.folder
     if not state.trials:
         return ""
@@ -80,7 +80,7 @@ def may_vent(folder: Path) -> bool:
 
 
 def now_part(state: RunState) -> dict[str, Any]:
-    """Where the run is: trial, phase, time; what the operator is asked; what is commanded."""
+    """Position of the run: trial, phase, time; question to the operator; present commands."""
     trial, running = state.trial, state.status == "running"
     left = state.progress.left(state.t) if state.progress is not None and running else None
     if trial is not None:
@@ -145,7 +145,7 @@ def channels_part(state: RunState) -> list[dict[str, Any]]:
 
 
 def values_of(state: RunState) -> dict[str, list[Any]]:
-    """Newest value, least and greatest, age [s] and alarm (0, 1, 2) of each channel."""
+    """Newest value, minimum, maximum, age [s] and alarm (0, 1, 2) of each channel."""
     found = {}
     for channel in state.channels.values():
         scale, digits = quantity(channel.quantity).scale, digits_of(channel)
@@ -192,12 +192,12 @@ def trials_part(state: RunState) -> dict[str, Any]:
 
 
 def _both(number: Number) -> list[str]:
-    """A value, and its interval or its distance from what it is compared with."""
+    """A value, and its interval or its deviation from the reference."""
     return [number_text(number).replace("-", "−"), half_text(number) or off_text(number).replace("-", "−")]
 
 
 def coefficients_part(state: RunState, expected: Expected | None) -> list[dict[str, Any]]:
-    """What the trials measured over what was varied: one curve for each quantity, K and the headlines first."""
+    """Measured quantities over the varied coordinate: one curve for each quantity, K and the headlines first."""
     along = _along(state)
     planned = [p for trial in state.files.plan.get("trials") or () if (p := _place(trial.get("point"), along))]
     axis = _heading(along) if along else {"symbol": "trial", "unit": ""}
@@ -225,7 +225,7 @@ def coefficients_part(state: RunState, expected: Expected | None) -> list[dict[s
 
 
 def _along(state: RunState) -> str:
-    """What is varied: the pressure where it is, else the first other that is; empty: the trials by number."""
+    """The varied coordinate: pressure if possible, else the first other; empty: trials by number."""
     points = [trial.get("point") or {} for trial in state.files.plan.get("trials") or () if isinstance(trial, dict)]
     names = list(dict.fromkeys(name for point in points for name in point if name in POINT))
     varied = [name for name in names if len({point.get(name) for point in points}) > 1 and name not in {"mass"}]
@@ -242,7 +242,7 @@ def _round(value: float) -> float:
 
 
 def _measured(state: RunState, symbol: str, along: str) -> Iterator[tuple[float, TrialLine, Number]]:
-    """Each number of a quantity with its trial, and its place on the axis."""
+    """Each number of a quantity with its trial and its place on the axis."""
     for line in state.lines:
         place = _place(line.point, along) if along else float(line.number)
         if place is not None:
@@ -250,7 +250,7 @@ def _measured(state: RunState, symbol: str, along: str) -> Iterator[tuple[float,
 
 
 def _points(state: RunState, symbol: str, along: str) -> list[list[Any]]:
-    """[place, value, trial number, whether without doubt, half width or None] of trials that measured a quantity."""
+    """[place, value, trial number, whether without doubt, half width or None] for each measured value."""
     found = []
     for place, line, n in _measured(state, symbol, along):
         if n.value is not None and isfinite(n.value):
@@ -261,7 +261,7 @@ def _points(state: RunState, symbol: str, along: str) -> list[list[Any]]:
 
 
 def _references(state: RunState, symbol: str, along: str) -> list[list[float]]:
-    """What the specimen file predicts where trials were made: the mean of each place."""
+    """Mean prediction of the specimen file at each place with trials."""
     found: dict[float, list[float]] = {}
     for place, _line, n in _measured(state, symbol, along):
         if n.reference_is == "expected" and n.reference is not None:

@@ -1,8 +1,8 @@
-"""What the page's curves are drawn from: buckets of every channel over time, and the loop of the trial under way.
+"""Data for the curves of the page: buckets of every channel over time, and the loop of the current trial.
 
-A bucket holds the least and the greatest of its samples, never a mean and never every n-th: a spike of 4 ms is seen at
-any zoom. Samples that a fit would leave out count as missing, not as zero. Buckets without samples are not kept.
-A loop is pressure, displacement and force, thinned to what is drawn.
+A bucket holds the minimum and maximum of its samples, not a mean or every n-th sample: a spike of 4 ms is visible at
+any zoom. Samples that a fit would exclude count as missing, not as zero. Buckets without samples are not kept.
+A loop is pressure, displacement and force, thinned for drawing.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from pmabench.display.wording import quantity
 from pmabench.store.records import UNUSABLE, Array, Flags
 
 WIDTHS = (0.02, 0.1, 0.4, 1.6, 6.4, 25.6)
-"""Widths [s]. Each is a whole multiple of the one before."""
+"""Widths of buckets [s]; each is a whole multiple of the one before."""
 FINE = 180.0
-"""The narrowest buckets are kept for so long [s]: they are for curves that grow."""
+"""How long the narrowest buckets are kept [s]: they are for curves in progress."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Buckets of one stream: `k` of shape (n,) is begin over width; `low` and `high` [SI] have shape (n, channels)."""
+    """Buckets of one stream: `k`, shape (n,), is start time / width; `low` and `high` [SI] have shape (n, channels)."""
 
     names: tuple[str, ...]
     k: NDArray[np.int64]
@@ -36,7 +36,7 @@ class Piece:
 
 
 class _Level:
-    """The buckets of one width, in the order of time."""
+    """Buckets of one width, in order of time."""
 
     def __init__(self, channels: int) -> None:
         self.count = 0
@@ -44,7 +44,7 @@ class _Level:
         self._rows = np.empty(256, np.dtype([("k", np.int64), ("low", *ends), ("high", *ends)]))
 
     def add(self, k: NDArray[np.int64], low: Array, high: Array) -> None:
-        """Append buckets; the first is merged with the last that is there, where both are the same."""
+        """Append buckets; the first is merged with the present last one if it has the same number."""
         last = self._rows[max(self.count - 1, 0)]
         if self.count and k[0] <= last["k"]:
             last["low"], last["high"] = np.fmin(last["low"], low[0]), np.fmax(last["high"], high[0])
@@ -77,14 +77,14 @@ class _Level:
 
 
 class Buckets:
-    """The buckets of all streams of a run. One thread adds, others ask."""
+    """Buckets of all streams of a run. One thread adds, others read."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._levels: dict[str, tuple[tuple[str, ...], tuple[_Level, ...]]] = {}
 
     def add(self, stream: str, t: Array, values: Mapping[str, Array], flags: Flags) -> None:
-        """Samples of a stream in order: `t` [s], `flags` and each of `values` [SI] of shape (n,)."""
+        """Add samples of a stream in order: `t` [s], `flags` and each of `values` [SI] of shape (n,)."""
         names = tuple(values)
         y = np.column_stack([np.asarray(values[name], float) for name in names]) if names else np.empty((len(t), 0))
         y[(flags & np.uint16(UNUSABLE)) != 0] = np.nan
@@ -107,7 +107,7 @@ class Buckets:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Time of the first and the last sample [s], to the width of a bucket; (0, 0) where there is none."""
+        """Time of the first and the last sample [s], with the resolution of a bucket; (0, 0) without samples."""
         with self._lock:
             ends = [levels[1].ends for _, levels in self._levels.values() if levels[1].count]
         if not ends:
@@ -115,7 +115,7 @@ class Buckets:
         return min(end[0] for end in ends) * WIDTHS[1], (max(end[1] for end in ends) + 1) * WIDTHS[1]
 
     def between(self, begin: float, end: float, level: int) -> dict[str, Piece]:
-        """Buckets of a level that have a part of a time [s], by stream."""
+        """Buckets of a level that overlap a time range [s], by stream."""
         width = WIDTHS[level]
         with self._lock:
             return {
@@ -124,10 +124,7 @@ class Buckets:
             }
 
     def newest(self, since: Mapping[str, int]) -> dict[str, Piece]:
-        """The narrowest buckets of each stream from number `since` on, which may have been incomplete; else the last.
-
-        Streams without anything new are left out.
-        """
+        """Narrowest buckets of each stream from number `since` on, which may have been incomplete; else the last."""
         with self._lock:
             found = {}
             for stream, (names, levels) in self._levels.items():
@@ -137,30 +134,30 @@ class Buckets:
 
 
 def level_for(span: float, most: int) -> int:
-    """The narrowest level that has at most so many buckets in a time [s]; the widest where none has."""
+    """The narrowest level with at most `most` buckets in a time range [s]; the widest if none has."""
     return next((n for n, width in enumerate(WIDTHS) if span / width <= most), len(WIDTHS) - 1)
 
 
 MOST_POINTS = 400
-"""Points of a loop that is drawn."""
+"""Most points of a loop."""
 FINEST = 0.004
-"""A point is kept where an axis has moved by this share of its range so far [1]; more, whenever there are too many."""
+"""Smallest distance of points, as a fraction of an axis's range so far [1]; increased when there are too many."""
 LEAST = {"pressure": 2.0, "displacement": 0.2, "angle": 1.0, "force": 2.0}
-"""Ranges that count at least, in the units that people read: so noise at rest makes no points."""
+"""Smallest ranges that count, in display units, so that noise at rest makes no points."""
 AXES = (("pressure",), ("displacement", "angle"), ("force",))
-"""Channels of a point: the first of each that is measured."""
+"""Channels of a point: of each group the first that is measured."""
 BEFORE = 2
-"""Loops of earlier trials that are kept."""
+"""Number of loops of earlier trials that are kept."""
 
 
 def axes_of(state: RunState) -> list[str]:
-    """Names of the channels that a point has."""
+    """Names of the channels of a point."""
     return [found for names in AXES if (found := next((n for n in names if n in state.channels), ""))]
 
 
 @dataclass
 class Loop:
-    """One trial: its number from 1, and points of shape (n, axes) in the units that people read."""
+    """One trial: its number from 1, and points of shape (n, axes) in display units."""
 
     number: int
     begin: float
@@ -168,14 +165,14 @@ class Loop:
     points: list[list[float]] = field(default_factory=list)
     share: float = FINEST
     version: int = 0
-    """Changes whenever points that were there are thinned."""
+    """Changes whenever existing points are thinned."""
 
     def __post_init__(self) -> None:
         self._low = np.full(len(self.axes), np.inf)
         self._high = np.full(len(self.axes), -np.inf)
 
     def add(self, rows: Array) -> None:
-        """Points of shape (n, axes); kept are those that are far enough from the one before, so corners are seen."""
+        """Add points of shape (n, axes); kept are those far enough from the one before, which preserves corners."""
         self._low, self._high = np.fmin(self._low, rows.min(axis=0)), np.fmax(self._high, rows.max(axis=0))
         self._thin([[round(float(v), 3) for v in row] for row in rows])
         while len(self.points) > MOST_POINTS:
@@ -194,7 +191,7 @@ class Loop:
 
 
 class Loops:
-    """The loop of the trial under way and those of the trials before it."""
+    """The loop of the current trial and those of the trials before it."""
 
     def __init__(self) -> None:
         self.now: Loop | None = None

@@ -1,8 +1,8 @@
-"""Requests of browsers: who may ask, the page, streams of what is new, history, and the vent button.
+"""Requests of browsers: access control, the page, streams of new data, history, and the vent button.
 
-Every answer but the page needs the token. The page itself holds no data, and the token comes in the fragment of its
-address, which browsers do not send. A request by another name of this computer (one that was made to lead here), or
-from a page of somewhere else, is refused.
+Every answer except the page needs the token. The page itself contains no data, and the token is in the fragment of its
+address, which browsers do not send. A request by another host name (DNS rebinding), or from a page of another origin,
+is refused.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from urllib.parse import parse_qs, urlsplit
 from pmabench.display.web.feeds import Feed, Room, Seen
 
 SCRIPTS = ("text.js", "curves.js", "figures.js", "parts.js", "link.js", "main.js")
-"""Files of the script in `page/`, in their order."""
+"""Files of the script in `page/`, in order."""
 NOT_SHOWN = r"\.u-(legend|inline|series|title)\b[^{}]*\{[^{}]*\}"
 """Rules of uPlot's style for legend and title, which no plot of this page has."""
 
@@ -41,7 +41,7 @@ def _read(package: str, name: str) -> str:
 
 
 def _short(text: str) -> str:
-    """Script or markup without indents and comments of a whole line, which a browser need not load."""
+    """Script or markup without indentation and full-line comments, to reduce its size."""
     lines = (line.strip() for line in text.splitlines())
     return "\n".join(line for line in lines if line and not line.startswith("//"))
 
@@ -52,7 +52,7 @@ def _hash(text: str) -> str:
 
 @cache
 def page() -> tuple[bytes, str]:
-    """The page, and its Content-Security-Policy: its script and style, data of the same address, nothing else."""
+    """The page, and its Content-Security-Policy: its own script and style, data of the same address, nothing else."""
     vendored, own = "pmabench.plotting", "pmabench.display.web"
     style = re.sub(NOT_SHOWN, "", _read(vendored, "web/uplot.min.css"))
     style += "".join(_read(own, "page/page.css").splitlines())
@@ -68,17 +68,18 @@ def page() -> tuple[bytes, str]:
 
 
 LONGEST_WAIT = 20.0
-"""A connection that does not take or send anything for so long is closed [s]."""
+"""Idle time after which a connection is closed [s]."""
 MOST_CONNECTIONS = 48
 MOST_STREAMS = 4
-"""Streams of one computer that stay open. A browser opens six connections to one address and lets all others wait, so
-further pages get what is new and ask again after `AGAIN` [ms]."""
+"""Streams of one computer that stay open. A browser opens six connections to one address and queues all others, so
+further pages get new data and ask again after `AGAIN` [ms].
+"""
 AGAIN = 1000
 VENT = (sys.executable, "-P", "-m", "pmabench", "vent")
 LONGEST_VENT = 90.0
-"""The command has this long [s]; a guard says within a minute what came of its vent."""
+"""Time limit of the command [s]; a guard reports the result of its vent within a minute."""
 TICK = 1.0
-"""A viewer hears something so often [s], so that it knows that the link is there."""
+"""Longest time between two messages to a viewer [s], so that it knows that the link is alive."""
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -90,7 +91,7 @@ HEADERS = {
 
 
 class Refused(Exception):
-    """A request that is not answered, with its HTTP status."""
+    """A refused request, with its HTTP status."""
 
     def __init__(self, status: int, why: str) -> None:
         self.status, self.why = status, why
@@ -106,7 +107,7 @@ class Server(ThreadingHTTPServer):
     def __init__(
         self, room: Room, token: str, address: str = "127.0.0.1", port: int = 0, *, vent: bool = False
     ) -> None:
-        """Listens at once, answers from `start` on. Port 0 takes a free one. Raises OSError where it is in use."""
+        """Listens at once, answers after `start`. Port 0 takes a free one. Raises OSError if it is in use."""
         self.address_family = socket.AF_INET6 if ":" in address else socket.AF_INET
         super().__init__((address, port), _Handler)
         self.room = room
@@ -123,7 +124,7 @@ class Server(ThreadingHTTPServer):
         self._lock = threading.Lock()
 
     def start(self) -> None:
-        """Answer from now on, in other threads."""
+        """Start answering, in other threads."""
         self.room.start()
         threading.Thread(target=self.serve_forever, args=(0.2,), daemon=True).start()
 
@@ -138,25 +139,25 @@ class Server(ThreadingHTTPServer):
         return f"{self.url}{path}#t={self.token}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread, unless too many are at work."""
+        """Answer in a thread, unless there are too many."""
         if not self._places.acquire(blocking=False):
             self.shutdown_request(request)
             return
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """As it is inherited; then the place is free for another."""
+        """As inherited; then release the slot."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._places.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that leaves is no error."""
+        """Ignore errors of a connection: a browser may disconnect at any time."""
 
     @contextmanager
     def stream(self, computer: str) -> Iterator[bool]:
-        """While a stream is written; whether it may stay open."""
+        """Count a stream while it is written; yields whether it may stay open."""
         with self._lock:
             self.streams[computer] += 1
             stays = self.streams[computer] <= MOST_STREAMS
@@ -177,7 +178,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: Server
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: an address may hold what nobody should read in a log."""
+        """Log nothing: an address may contain the token or other secrets."""
 
     def do_GET(self) -> None:
         """The page, a stream, or history."""
@@ -207,7 +208,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._send(400, b"this request cannot be read\n", "text/plain; charset=utf-8")
 
     def _of_here(self) -> None:
-        """Refuse other names of this computer, and pages of somewhere else."""
+        """Refuse other host names, and pages of another origin."""
         host = self.headers.get_all("Host") or []
         if len(host) != 1 or host[0].lower() not in self.server.hosts:
             raise Refused(421, "this server has another name; use the address that pmabench printed")
@@ -216,7 +217,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise Refused(403, "another page asks for this")
 
     def _allowed(self) -> None:
-        """Refuse who has not the token, and requests that a page of somewhere else has caused."""
+        """Refuse requests without the token, and those caused by a page of another origin."""
         if self.headers.get("Sec-Fetch-Site", "same-origin") != "same-origin":
             raise Refused(403, "another page asks for this")
         given = self.headers.get("Authorization", "")
@@ -240,13 +241,13 @@ class _Handler(BaseHTTPRequestHandler):
     # -- data ---------------------------------------------------------------------------------------------------------
 
     def feed_at(self, address: str) -> Feed | None:
-        """The feed that an address means now."""
+        """The feed that an address refers to now; None without one."""
         place = self.server.room.places
         folder = self.server.room.newest if address in {"", "/"} else place.run_at(address)
         return None if folder is None else self.server.room.feed_of(folder)
 
     def _history(self, query: dict[str, str]) -> None:
-        """Buckets of a time; of a run that is looked at."""
+        """Send buckets of a time range."""
         feed = self.feed_at(query.get("at", "/"))
         if feed is None:
             raise Refused(404, "there is no such run")
@@ -255,7 +256,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(200, json.dumps(data, separators=(",", ":")).encode(), "application/json")
 
     def _stream(self, query: dict[str, str]) -> None:
-        """What is new, as server-sent events, until the viewer leaves."""
+        """Send new data as server-sent events until the viewer leaves."""
         self._send_head(200, {"Content-Type": "text/event-stream; charset=utf-8"})
         self.close_connection = True
         with self.server.stream(str(self.client_address[0])) as stays:
@@ -264,7 +265,7 @@ class _Handler(BaseHTTPRequestHandler):
     # -- vent ---------------------------------------------------------------------------------------------------------
 
     def _vent(self, _query: dict[str, str]) -> None:
-        """Start `pmabench vent` for the bench of the newest run, where that is allowed, and answer with its result."""
+        """Start `pmabench vent` for the bench of the newest run, if allowed, and answer with its result."""
         length = int(self.headers.get("Content-Length") or 0)
         if not 0 < length <= 1000:
             raise Refused(400, "a vent names its run")
@@ -281,7 +282,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _seconds(text: str | None) -> float | None:
-    """A time [s]; ValueError where it is no number."""
+    """A time [s]; ValueError if it is no number."""
     value = None if text is None else float(text)
     if value is not None and not abs(value) < 1e9:
         raise ValueError(text)
@@ -294,7 +295,7 @@ def _is_page(path: str) -> bool:
 
 
 class _Viewer:
-    """One stream: follows an address, which may come to mean another run."""
+    """One stream: follows an address, which may refer to another run later."""
 
     def __init__(self, handler: _Handler, address: str, *, stays: bool) -> None:
         self._handler = handler
@@ -306,7 +307,7 @@ class _Viewer:
         self._list = ""
 
     def show(self) -> None:
-        """Write until the viewer leaves or the room is closed."""
+        """Write until the viewer leaves or the server stops."""
         try:
             if not self._stays:
                 self._write(f"retry: {AGAIN}\n\n")
@@ -324,7 +325,7 @@ class _Viewer:
                 self._room.leave(self._feed)
 
     def _choose(self, *, look: bool) -> None:
-        """Change to another run where the address means another one now; looked up once a second."""
+        """Change to another run if the address now refers to one; checked once a second."""
         if not look and self._feed is not None:
             return
         feed = self._handler.feed_at(self._address)
@@ -356,9 +357,9 @@ class _Viewer:
 def start(
     root: Path, token: str, address: str = "127.0.0.1", ports: tuple[int, ...] = (0,), *, vent: bool = False
 ) -> Server:
-    """A server of the runs below `root`, at the first of `ports` that is free; it answers already.
+    """Start a server for the runs in `root`, at the first free one of `ports`.
 
-    Raises OSError where none is free, or the address is not one of this computer.
+    Raises OSError if none is free, or the address is not one of this computer.
     """
     failed: OSError | None = None
     for port in ports:
@@ -375,7 +376,7 @@ def start(
 def vent(bench: str, command: Sequence[str] = VENT) -> dict[str, Any]:
     """Vent a bench by its name: `confirmed` [bool], `result` in words, `actions` of the guard. Raises nothing.
 
-    The view holds nothing that could vent: the command finds the guard and its key in the user's own files.
+    The view itself cannot vent: the command finds the guard and its key in the user's own files.
     """
     whole = [*command, "--json", "--", bench]
     try:

@@ -1,7 +1,7 @@
 """The bending angle of an arm of muscles over pressure and load.
 
-- `reduction`, on `stairs` (the rests, and creep) with what `departures` do
-- protocol files: `protocol`; words, figures and one trial on the display: `figures`
+- `reduction`, on the rests and creep of `stairs` and the error sources of `departures`
+- protocol files: `protocol`; sentences, figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Imported, Kind, Result

@@ -1,8 +1,8 @@
-"""What departures do to the values of an arm: no rest at the end of a hold, a cable that slips, a zero that is off as
-far as the record shows it, an angle read in steps, another curve than the form.
+"""Effects of departures from the model on the values of an arm: motion at the end of a hold, a cable that slips, a zero
+error in the recorded channels, coarse steps of the angle, a curve that is not of the form.
 
-The form is paper 2's, alpha = a + b / (1 + (p / c)^d), with a, b, c and d as powers of the load: `terms`, shape
-(4, powers), are a0, a1 ...; b0 ..., and so on. At one load there is one power.
+The form is paper 2's, alpha = a + b / (1 + (p / c)^d), with a, b, c and d polynomials in the load: `terms`, shape (4,
+powers), holds a0, a1 ... in its first row, b0, b1 ... in the second, and so on. At one load there is one power.
 """
 
 from __future__ import annotations
@@ -23,13 +23,15 @@ from pmabench.store.analyses.results import Estimate, withhold
 from pmabench.store.records import Array
 
 LATE = 0.25
-"""Share of the gap of both ways above which what is left of a motion is not left to its interval."""
+"""Share of the gap between both branches; a significant effect above it withholds the gap, a smaller one only widens
+the interval.
+"""
 OFF = 3.0
-"""Errors of a mean angle by which the form may miss it (root mean square)."""
+"""Largest rms misfit of the form, in standard errors of a mean angle."""
 POWERS = 5
-"""Of the load, from 0 on: so many loads can be fitted exactly, and more than that say whether the powers hold."""
+"""Powers of the load, from 0 on: the form goes through this many loads exactly; only more loads can test it."""
 LEAST = 0.003
-"""Share of the largest angle below which a miss says nothing against the form."""
+"""Misfit, as a share of the largest angle, that is too small to count against the form."""
 
 
 def _moving(one: Loaded, place: int, side: int) -> tuple[Left, str]:
@@ -47,19 +49,19 @@ def _slips(one: Loaded, share: float = 1.0) -> Doubt:
 
 
 def zero_off(one: Loaded) -> str:
-    """That the gauge does not read 0 when vented, in words. Above 0 it may also be air that is left in the muscle."""
+    """Message that the vented gauge does not read 0. A reading above 0 may also be air left in the muscle."""
     text = f"with {one.mass:g} kg the pressure reads {show(one.zero, 'pressure', 2)} when it is vented, more than its"
     other = "" if one.zero < 0 else ", or let out what the valve leaves in the muscle"
     return f"{text} calibration allows: zero the gauge{other}"
 
 
 def _zero(one: Loaded, slope: float) -> Doubt:
-    """Effect on a value that changes by `slope` for each pascal that the gauge reads more."""
+    """Effect of the gauge's zero error on a value that changes by `slope` per pascal of reading."""
     return Doubt("zero of the pressure", "calibration", abs(slope * one.zero), one.zero < 0, zero_off(one))
 
 
 def _apart(one: Loaded, share: float = 1.0) -> Doubt:
-    """Effect on a value that changes by `share` of what the angle reads more."""
+    """Effect of the angle's zero error on a value that changes by `share` per radian of reading."""
     return Doubt("zero of the angle against the displacement", "calibration", abs(share * one.apart), seen=False)
 
 
@@ -68,14 +70,14 @@ def _steps(half: float) -> Doubt:
 
 
 def at_rest(one: Loaded, place: int, slope: float) -> list[Doubt]:
-    """Effects on an angle on the way up, which changes by `slope` with the pressure [rad/Pa]."""
+    """Effects on an angle of the way up; `slope` is d(angle)/d(pressure) there [rad/Pa]."""
     further, reason = _moving(one, place, -1)
     moving = Doubt("motion after the hold", "method", further.most, further.seen, reason)
     return [moving, _slips(one), _zero(one, slope), _apart(one), _steps(one.coarse)]
 
 
 def of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
-    """Effects on the gap of both ways, which motions that are not over would close."""
+    """Effects on the gap between both branches, which unfinished motion would close."""
     found = [_moving(one, place, side) for side in (-1, 1)]
     half, seen = sum(further.most for further, _ in found), any(further.seen for further, _ in found)
     reason = next((text for further, text in found if further.seen), "")
@@ -86,7 +88,7 @@ def of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
 
 
 def of_flat(one: Loaded, top: int, value: float) -> list[Doubt]:
-    """Effects on the pressure from which on the angle stays, which moves with the largest angle."""
+    """Effects on the pressure where the angle becomes flat, which shifts with the largest angle."""
     further, reason = _moving(one, top, -1)
     P, angles = one.pressure[: top + 1], one.up.mean(axis=0)[: top + 1]
 
@@ -99,9 +101,11 @@ def of_flat(one: Loaded, top: int, value: float) -> list[Doubt]:
 
 
 def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *, both: bool) -> list[Estimate]:
-    """The coefficients of the form through one load: with the scatter of the trials, or withheld where it misses them.
+    """The coefficients of the form at one load, widened by the scatter of the trials, or withheld where the misfit is
+    too large.
 
-    `start` are the values of the fit to the mean of the trials; `both`: through the mean of both ways.
+    `start` are the coefficients fitted to the mean of the trials; `both`: fit to the mean of both branches, else to the
+    way up.
     """
     rows = 0.5 * (one.up + np.where(np.isfinite(one.down), one.down, one.up)) if both else one.up
     P, mean = one.pressure, rows.mean(axis=0)
@@ -116,17 +120,18 @@ def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *
     moved = np.hypot(*(_fit(P, mean + tilt * further, fitted) - fitted for tilt in (level, tilted)))
     slip, (solve, shifts) = _slips(one), linearized([one], fitted[:, None])
     slipped = np.abs(_fit(P, mean + slip.half * 0.5 * (level + tilted), fitted) - fitted)
-    slipped[0] += slip.half  # a is off as a whole, too
+    slipped[0] += slip.half  # a shifts by the whole slip, too
     steps = one.coarse * np.linalg.norm(solve, axis=1)
     repeats = np.array([spread(column) or 0.0 for column in each.T])
     return _wider(estimates, [one], repeats, moved, seen, slipped, shifts, steps, slip.reason)
 
 
 def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Estimate]:
-    """The powers of the load, `estimates` by coordinate (`a_0` and so on), of the fit to the ways up of these `loads`:
-    with the scatter of the trials and what motions and slips could do, or withheld where angles lie off the form.
+    """The coefficients of the powers of the load, fitted to the ways up of all `loads` and widened by the scatter of
+    the trials, unfinished motion and slips; withheld where the misfit is too large.
 
-    To first order: a change of the angles is taken through the linearized least squares.
+    `estimates` are named by coordinate (`a_0` and so on). First order: changes of the angles are passed through the
+    linearized least squares.
     """
     known = {e.coordinate: e.value for e in estimates}
     terms = np.array([[known[f"{name}_{n}"] for n in range(POWERS)] for name in "abcd"], dtype=np.float64)
@@ -154,15 +159,15 @@ def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Est
 
 
 def _motions(one: Loaded) -> tuple[Array, bool]:
-    """What the angles on the way up would still change by, shape (pressures,) [rad], and whether any is seen."""
+    """Motion still to come in each angle of the way up [rad], shape (pressures,), and whether any is significant."""
     motions = [one.motion(place, -1) for place in range(len(one.sets))]
     return np.array([motion.most for motion in motions]), any(motion.seen for motion in motions)
 
 
 def _misses(miss: float, error: float, largest: float, text: str) -> str:
-    """Why coefficients are withheld where the form misses the angles by `miss` (rms) [rad]; empty where it does not.
+    """Reason for withholding the coefficients if the rms misfit `miss` [rad] is too large; else empty.
 
-    `error` is that of a mean angle, `largest` the largest angle [rad].
+    `error` is the standard error of a mean angle, `largest` the largest angle [rad].
     """
     if miss <= max(OFF * error, LEAST * largest):
         return ""
@@ -173,9 +178,11 @@ def _wider(
     estimates: Sequence[Estimate], loads: Sequence[Loaded], repeats: Array, moved: Array, seen: bool, slipped: Array,
     shifts: Array, steps: Array, slips: str = "",
 ) -> list[Estimate]:  # fmt: skip
-    """The coefficients with the scatter of the trials, and with what motions, slips, zeros and steps of the angle do.
+    """The coefficients, widened by the scatter of the trials, unfinished motion, slips, zero errors and steps of the
+    angle.
 
-    All of shape (coefficients,), `shifts` by pascal; `seen` is whether motions are, `slips` why a slip withholds.
+    Arrays have shape (coefficients,); `shifts` is per pascal. `seen`: the motion is significant; `slips`: reason for
+    withholding because of a slip.
     """
     zero, apart = max(loads, key=lambda one: abs(one.zero)), max(loads, key=lambda one: abs(one.apart))
     found = []
@@ -196,8 +203,8 @@ def _wider(
 
 
 def linearized(loads: Sequence[Loaded], terms: Array) -> tuple[Array, Array]:
-    """Change of all coefficients with each angle, shape (4 powers, angles), by linearized least squares; and where the
-    pressure reads 1 Pa more, shape (4 powers,).
+    """Sensitivity of all coefficients by linearized least squares: to each angle, shape (4 powers, angles), and to 1 Pa
+    more in every pressure reading, shape (4 powers,).
     """
     rows, bends = [], []
     for one in loads:
@@ -217,12 +224,12 @@ def linearized(loads: Sequence[Loaded], terms: Array) -> tuple[Array, Array]:
 
 
 def _at(one: Loaded, terms: Array) -> Array:
-    """a, b, c, d at a load by their powers, shape (4, powers)."""
+    """a, b, c, d at the load of `one`, from `terms`, shape (4, powers)."""
     return np.asarray(terms @ one.mass ** np.arange(terms.shape[1]))
 
 
 def _error(one: Loaded, rows: Array) -> float:
-    """Standard error of a mean angle of like rests [rad], without what a trial is off as a whole; shape (trials, n)."""
+    """Standard error of a mean angle at rest [rad] from `rows` (trials, n), without the common shift of each trial."""
     within = np.sqrt(np.mean(np.var(rows - rows.mean(axis=1, keepdims=True), axis=0, ddof=min(1, len(rows) - 1))))
     return max(float(within), one.noise) / float(np.sqrt(len(rows)))
 
@@ -235,7 +242,7 @@ def _curve(P: Array, terms: Array) -> Array:
 
 
 def _fit(P: Array, angles: Array, start: Sequence[float] | Array) -> Array:
-    """Coefficients a, b, c, d by least squares from those near by."""
+    """Coefficients a, b, c, d by least squares, starting from `start`."""
     begin = np.array(start, dtype=np.float64)
 
     def miss(share: Array) -> Array:

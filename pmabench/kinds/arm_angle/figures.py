@@ -1,6 +1,6 @@
-"""What an arm's bending angle says in words and shows in its figure; paper 2's formula and Table 1 for comparison.
+"""Sentences and figure about the bending angle of an arm, compared with paper 2's formula and Table 1.
 
-The figure: bending angle over pressure at each load, what paper 2 has, and how far both ways are apart.
+The figure: bending angle over pressure at each load, paper 2's curve, and the gap between both branches.
 
 `measure`: the values of one trial, for the display.
 """
@@ -36,19 +36,19 @@ CURVE = 121
 """Points of a drawn curve."""
 PARAMETERS = {p.name: p for p in MODELS["arm-angle"].parameters}
 HIGHEST, LOWEST, MOST = PARAMETERS["pressure"].high, PARAMETERS["pressure"].low, PARAMETERS["load"].high
-"""Where paper 2's formula holds [Pa, Pa, kg]."""
+"""Range in which paper 2's formula holds [Pa, Pa, kg]."""
 BARELY = 1.01
-"""Measured pressures outside of a formula by no more than this factor count as its end."""
+"""A measured pressure outside the formula's range by at most this factor is evaluated at the end of the range."""
 TABLE_1 = {0.0: 84.333, 0.1: 84.0, 0.2: 75.5, 0.3: 66.0, 0.4: 57.0, 0.5: 47.0}
 """Load [kg] -> largest angle [deg], Table 1 of paper 2."""
 DRIFTS = 0.005
-"""Drift at the end of a hold, as a share of the largest angle, that is doubted."""
+"""Drift at the end of a hold, as a share of the largest angle, from which on it is reported as a doubt."""
 SAME = np.radians(0.01)
-"""Difference of both ways that nobody can measure [rad]."""
+"""Gap between both branches that is too small to measure [rad]."""
 BENT = np.radians(1.0)
-"""Angle without load at the preload that is reported: paper 2 calls the arm straight there [rad]."""
+"""Angle at the preload without load from which on it is reported; paper 2 calls the arm straight there [rad]."""
 APART = 0.02
-"""Share of the largest angle by which the displacement may give another one."""
+"""Difference between measured angle and angle from displacement that is reported, as a share of the largest."""
 
 
 def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Finding]:
@@ -85,7 +85,7 @@ def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Findi
 
 
 def _gaps(loads: Sequence[Loaded]) -> list[Finding]:
-    """Hysteresis in words; a branch on the wrong side is doubted."""
+    """Hysteresis in words; a doubt where the descending branch lies on the wrong side."""
     known = [(one, one.widest) for one in loads if one.widest is not None]
     if not known:
         return []
@@ -100,7 +100,7 @@ def _gaps(loads: Sequence[Loaded]) -> list[Finding]:
 
 
 def _arcs(rests: Sequence[Any], largest: float, settings: Mapping[str, Any]) -> list[Finding]:
-    """The angle against the contraction of the bending muscle by the radius."""
+    """Comparison of the angle with the contraction of the bending muscle divided by the radius."""
     pairs = np.array([(rest.angle, rest.arc) for _, rest in rests if np.isfinite(rest.arc)])
     if not len(pairs):
         return []
@@ -115,7 +115,7 @@ def _arcs(rests: Sequence[Any], largest: float, settings: Mapping[str, Any]) -> 
 
 
 def of_fits(fits: Sequence[Fitted]) -> list[Finding]:
-    """How well paper 2's form does at each load."""
+    """How well paper 2's form fits at each load."""
     found = []
     for reason in dict.fromkeys(one.why for one in fits if one.why):
         masses = ", ".join(f"{one.of.mass:g} kg" for one in fits if one.why == reason)
@@ -133,7 +133,7 @@ def of_fits(fits: Sequence[Fitted]) -> list[Finding]:
 
 
 def of_matrix(fit: ModelFit | None, why: str, fits: Sequence[Fitted]) -> list[Finding]:
-    """The powers of the load: how well they do at the loads, and how much they are worth between."""
+    """How well the powers of the load fit at the tested loads, and how well they interpolate between them."""
     if fit is None:
         return [Finding("note", why)] if fits else []
     off = float(np.abs(fit.computed - fit.measured).max())
@@ -148,10 +148,10 @@ def of_matrix(fit: ModelFit | None, why: str, fits: Sequence[Fitted]) -> list[Fi
 
 
 def left_out(fits: Sequence[Fitted]) -> tuple[float, float] | None:
-    """Largest errors [rad] at inner loads that are left out: powers of the load in a to d, and cubics at a pressure.
+    """Largest errors [rad] at inner loads that are left out: by a to d as powers of the load, and by interpolation.
 
-    The cubics are monotone, through the angles of the other loads at the same commanded pressure. None for fewer than
-    six loads.
+    The interpolation over the load is by monotone cubics through the angles at the same commanded pressure. None for
+    fewer than six loads.
     """
     if len(fits) < POWERS + 1:
         return None
@@ -172,7 +172,7 @@ def left_out(fits: Sequence[Fitted]) -> tuple[float, float] | None:
 
 
 def paper_angle(P: Array, mass: float) -> Array:
-    """Paper 2's angle [rad] at P [Pa] and a load [kg]; nan where it does not hold."""
+    """Paper 2's angle [rad] at P [Pa] and a load [kg]; nan outside its range."""
     there = (LOWEST / BARELY <= P) & (HIGHEST * BARELY >= P) & (mass <= MOST * (1 + 1e-9))
     found = np.full(P.shape, np.nan)
     if there.any():
@@ -182,7 +182,7 @@ def paper_angle(P: Array, mass: float) -> Array:
 
 
 def printed(mass: float) -> float | None:
-    """The largest angle of Table 1 at a load [kg], in rad."""
+    """Largest angle of Table 1 at a load [kg], in rad; None for a load that is not in the table."""
     return next((float(np.radians(angle)) for load, angle in TABLE_1.items() if abs(load - mass) < 1e-6), None)
 
 
@@ -256,7 +256,7 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 
 def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
-    """Left the angles; right the difference of both ways, where there are both."""
+    """Left the angles; right the gap between both branches, if there are two."""
     both = any("above" in one.columns for one in panels)
     figure = blank(FULL, 3.0)
     cells = grid(figure, 1, 3 if both else 1, left=0.55, across=0.55)
@@ -291,7 +291,7 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Angle at the preload, the largest one, and by how much both ways are apart at most."""
+    """Angle at the preload, the largest angle, and the largest gap between both branches."""
     try:
         stair = stair_of(trial, settings_of(run))
     except NotUsable as reason:

@@ -1,7 +1,7 @@
-"""Arm angle: where the end of an arm of muscles comes to over the pressure of the one that bends it (paper 2).
+"""Arm angle: position of the end of an arm of muscles over the pressure of the muscle that bends it (paper 2).
 
-All muscles of the arm are at the preload; one of them is then taken up in steps, and down again, with a load at the
-arm's end. The others have a regulator of their own, set by hand.
+All muscles of the arm start at the preload; the bending one goes up in steps and down again, with a load at the arm's
+end. The other muscles have a separate regulator, set by hand.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step
 from pmabench.protocol.sweep import PressureAxis, PressureRange, Sweep, expand
 
 LEAST = 0.5
-"""Shortest hold: less is no rest [s]."""
+"""Shortest hold that can count as rest [s]."""
 NOTHING = 1.0
-"""Pressures nearer to each other than this are one [Pa]."""
+"""Pressures closer than this count as equal [Pa]."""
 HAZARD = (
     "the other muscles of the arm hang on a regulator that hands set: the dump valve must empty them together with the "
     "one that bends"
@@ -30,7 +30,7 @@ HAZARD = (
 
 
 class ArmAxes(Strict):
-    """What is swept: what hangs on the arm's end."""
+    """What is swept: the load at the arm's end."""
 
     load: Annotated[list[Load], Field(min_length=1)]
 
@@ -39,18 +39,18 @@ class ArmTrial(Strict):
     """One trial: with one load from the preload up through the pressures, and down again."""
 
     preload: Pressure
-    """Of all muscles: where the bending one begins and ends."""
+    """Of all muscles; the bending one starts and ends there."""
     pressures: PressureAxis
-    """Of the bending muscle, rising."""
+    """Pressures of the bending muscle, rising."""
     rate: PressureRate
-    """Of the ramps from one to the next."""
+    """Rate of the ramps between pressures."""
     hold: Time
-    """Time at each; the angle is the mean over its last fifth."""
+    """Hold at each pressure; the angle is the mean over the last fifth."""
     branches: Literal["up", "up-and-down"] = "up-and-down"
     angle: Literal["measured", "from-displacement"] = "measured"
-    """By the channel `angle`; or the displacement along the bending muscle by `radius`, an arc of one curvature."""
+    """From the channel `angle`; or displacement along the bending muscle divided by `radius` (constant curvature)."""
     radius: Length | None = None
-    """From the arm's middle to the bending muscle."""
+    """Distance from the arm's middle to the bending muscle."""
 
 
 class ArmAngle(ProtocolHead):
@@ -62,7 +62,7 @@ class ArmAngle(ProtocolHead):
     sweep: Sweep[ArmAxes]
     trial: ArmTrial
     compare: Literal["paper-2", "nothing"] = "paper-2"
-    """Paper 2's formula and table; they hold for 0 to 0.5 kg, a preload of 0.45 bar, to 5 bar."""
+    """Paper 2's formula and table; valid for 0 to 0.5 kg, a preload of 0.45 bar, pressures up to 5 bar."""
 
     def compile(self, c: Compilation) -> Plan:
         """The plan: per load and repeat one staircase of pressure, all of it recorded."""
@@ -89,7 +89,7 @@ class ArmAngle(ProtocolHead):
         return c.plan("arm-angle", settings)
 
     def _angle(self, c: Compilation) -> None:
-        """Check that the angle can be had."""
+        """Check that the bench can give the angle."""
         trial = self.trial
         if trial.radius is not None:
             c.positive(trial.radius, ("trial", "radius"))
@@ -122,7 +122,7 @@ class ArmAngle(ProtocolHead):
         return rising
 
     def _within_the_formula(self, c: Compilation, mass: float, place: Location, pressures: list[float]) -> None:
-        """Check that paper 2's formula holds for load, preload and pressures, and that nothing would trip."""
+        """Check that load, preload and pressures are in the range of paper 2's formula and would trip no limit."""
         from pmabench.model.library import MODELS  # slow to import
 
         model = MODELS["arm-angle"]
@@ -155,9 +155,9 @@ class ArmAngle(ProtocolHead):
 
 
 def _steps(of: ArmTrial, pressures: list[float], index: int) -> list[Step]:
-    """One trial, from no pressure through `pressures` [Pa], the first of which is the preload, and back to none.
+    """One trial: from 0 through `pressures` [Pa], the first of which is the preload, and back to 0.
 
-    All of it is recorded, so that each trial begins and ends at the same place, whichever were done before it.
+    All of it is recorded, so that each trial begins and ends in the same state, whatever was done before.
     """
     steps: list[Step] = [Record("preload", True, index)]
     before = 0.0

@@ -1,6 +1,6 @@
 """Reduction of an arm's bending angle: both branches over pressure at each load, and paper 2's formula fitted to them.
 
-Knows the rests of each staircase of pressure (`stairs`); words and figure are in `figures`.
+Works on the rests of each staircase of pressure (`stairs`); sentences and figure are in `figures`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pmabench.store.records import Array, RunData
 
 KIND = "arm-angle"
 REST, UP, MEAN, MATRIX = "angle-at-rest", "logistic-up", "logistic-mean", "logistic-loads"
-"""Methods: from the rests alone; paper 2's form through the way up, through the mean of both ways; over all loads."""
+"""Methods: the rests alone; paper 2's form fitted to the way up, to the mean of both branches, or over all loads."""
 FORM, FORM_LOADS = "arm-angle-at-load", "arm-angle-coefficients"
 """Models of the library."""
 UNKNOWN = ("a", "b", "c", "d")
@@ -36,7 +36,7 @@ RESIDUALS = "repeats part: residuals of the fit, or the scatter of the trials wh
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """One load: its rests and paper 2's form through them, or why there is none."""
+    """One load: its rests and the fit of paper 2's form, or the reason why there is none."""
 
     of: Loaded
     up: ModelFit | None
@@ -45,11 +45,11 @@ class Fitted:
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """Bending angle [rad] at the preload and at most, its hysteresis, a, b [rad], c [Pa], d [1] of each load [kg].
+    """Bending angle [rad] at the preload and at most, its hysteresis, and a, b [rad], c [Pa], d [1] at each load [kg].
 
-    As the paper does it: alpha = a + b / (1 + (p / c)^d) through the way up, its coefficients as powers of the load.
-    And both ways apart, their difference, and the same form through their mean. `options`: `angle`, `radius` [m],
-    `compare` as the plan's settings.
+    As in the paper: alpha = a + b / (1 + (p / c)^d) fitted to the way up, its coefficients as powers of the load. Also
+    both branches separately, their difference, and the same form fitted to their mean. `options`: `angle`, `radius` [m]
+    and `compare`, in place of the plan's settings.
     """
     settings = settings_of(runs[0], options) if runs else dict(options or {})
     compare = settings.get("compare") == "paper-2"
@@ -86,7 +86,9 @@ def _of_load(fitted: Fitted) -> list[Estimate]:
         symbol: str, values: Array, method: float, gains: Mapping[str, float],
         offsets: Mapping[str, float] | None = None, note: str = "", kind: tuple[str, str] = ("rad", "angle"),
     ) -> Estimate:  # fmt: skip
-        """Mean of the trials' `values`; `method` is its part; gains and offsets as `Scales.part` takes them."""
+        """Mean of the trials' `values`; `method` is the half width of its method part; gains, offsets: see
+        `Scales.part`.
+        """
         part = one.scales.part(gains, offsets)
         return mean_of_trials(symbol, kind, REST, at, names, values, method, part, ONCE, note)
 
@@ -117,7 +119,7 @@ def _of_load(fitted: Fitted) -> list[Estimate]:
 
 
 def _slopes(P: Array, angle: Array) -> Array:
-    """Angle over pressure at each pressure [rad/Pa]; where two rests read one pressure, that of the whole way."""
+    """d(angle)/d(pressure) at each pressure [rad/Pa]; the mean slope where two rests have the same pressure."""
     if len(P) > 1 and (np.diff(P) > 0).all():
         return np.asarray(np.gradient(angle, P))
     return np.full(len(P), np.ptp(angle) / np.ptp(P) if len(P) > 1 else 0.0)
@@ -150,7 +152,7 @@ def _fit(P: Array, angle: Array) -> ModelFit:
 
 
 def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
-    """Paper 2's 20 numbers: the coefficients as powers of the load, through the ways up of all loads at once."""
+    """Paper 2's 20 numbers: the coefficients as powers of the load, fitted to the ways up of all loads at once."""
     used = [(one.of, one.up) for one in fits if one.up is not None]
     if len(used) < departures.POWERS:
         return None, f"no powers of the load: {len(used)} loads with a fit, {departures.POWERS} are needed"
@@ -205,7 +207,7 @@ def _coefficients(
 def _by_scales(fit: ModelFit, loads: Sequence[Loaded]) -> dict[str, float | None]:
     """Calibration part of each coefficient.
 
-    The gain of the angle stretches a and b, its zero lifts a; the gain of the pressure moves c, its zero bends all.
+    The gain of the angle scales a and b, its zero shifts a; the gain of the pressure scales c, its zero changes all.
     """
     values = {u.name: u.value for u in fit.unknowns}
     _, shifts = departures.linearized(loads, np.reshape(list(values.values()), (len(UNKNOWN), -1)))

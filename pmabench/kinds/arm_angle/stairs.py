@@ -1,7 +1,7 @@
 """The rests of an arm's staircase of pressure: one trial up and down under one load; grouped by load.
 
-Creep that takes longer than a hold is seen over all steps of a staircase: one hold shows it as a straight drift,
-without an end, but all together show how a drift dies away, and so how long it takes.
+Creep slower than a hold shows within one hold only as a straight drift. All steps of a staircase together show how the
+drift decays, and so its time constant.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 LAST = 0.2
-"""Share of each rest at its end whose mean counts."""
+"""Last share of each hold over which the mean is taken."""
 LATER = 0.6
-"""Share of it that shows whether it is a rest."""
+"""Last share of each hold that is tested for motion."""
 FEWEST = 5
-"""Samples that it needs."""
+"""Fewest samples of a mean."""
 UNUSABLE_SHARE = 0.5
 FOLLOWS = 0.5
 """Share of the commanded change that the measured pressure must show between the rests [1]."""
 MANY = 3
-"""Trials of which one can be known from the others."""
+"""Fewest trials of which one can be found to differ from the others."""
 SURE = 8.0
-"""Standard deviations of the noise of a rest from which on a trial that does not come back is seen."""
+"""A trial that does not return counts as slipped from this many standard deviations of a rest's noise on."""
 SOON, LATER_ON = 0.03, 0.3
-"""So long after the first command no pressure is there yet, and so long after the last ramp it is gone [s]."""
+"""Time after the first command before pressure rises, and after the last ramp until it is vented [s]."""
 LIKE = 3.0
-"""Two sensors differ by a zero where that is so many times what else they differ by (root mean square)."""
+"""Angle and displacement have a zero difference where it exceeds this many times their rms difference."""
 NEAR = np.radians(1.0)
-"""How near to the largest angle the curve counts as flat [rad]."""
+"""Distance from the largest angle within which the curve counts as flat [rad]."""
 PHASES = {"preload": -1, "up": -1, "down": 1}
 """Phase of a ramp -> the side from which its pressure is reached: -1 from below."""
 
@@ -69,9 +69,9 @@ class Rest:
     angle: float
     """[rad]."""
     drift: float
-    """What the angle still changes by over the last fifth of the hold [rad]."""
+    """Change of the angle over the last fifth of the hold [rad]."""
     noise: float
-    """Of the mean [rad]."""
+    """Standard deviation of the mean [rad]."""
     held: Held
     """The angle over the later part of the hold."""
     moved: float
@@ -79,11 +79,11 @@ class Rest:
     by: float
     """Change of the angle by that ramp [rad]."""
     since: float
-    """Begin of `held` [s]."""
+    """Start of `held` [s]."""
     arc: float
-    """Contraction of the bending muscle by the radius [rad]; nan where one of them is not known."""
+    """Displacement divided by the radius [rad]; nan where either is unknown."""
     coarse: float
-    """What the steps in which the angle is read leave open of the mean [rad]."""
+    """Possible error of the mean because the angle is read in steps [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +93,12 @@ class Stair:
     trial: TrialData
     rests: tuple[Rest, ...]
     vented: tuple[float, ...]
-    """What the pressure reads before and after the trial, without pressure [Pa]; each as near to 0 as noise lets it."""
+    """Vented pressure before and after the trial [Pa], each moved towards 0 by its noise."""
 
     def column(self, sets: Sequence[float], side: int, of: str = "angle") -> Array:
-        """`of` the rests that were reached from one side, at the commanded pressures; nan where there is none."""
+        """Attribute `of` of the rests reached from one side, at the commanded pressures `sets`; nan where there is
+        none.
+        """
         values = {round(rest.set): float(getattr(rest, of)) for rest in self.rests if rest.side == side}
         return np.array([values.get(round(P), np.nan) for P in sets])
 
@@ -109,21 +111,21 @@ class Loaded:
     """At the arm's end [kg]."""
     stairs: tuple[Stair, ...]
     sets: tuple[float, ...]
-    """Commanded pressures that every trial has on its way up, rising [Pa]."""
+    """Commanded pressures that every trial has on its way up, ascending [Pa]."""
     scales: Scales
     radius: float
-    """From the arm's middle to where the displacement is measured [m]; nan where it is not known."""
+    """Distance from the arm's middle to the line of the displacement [m]; nan where unknown."""
     channel: str
-    """That gives the angle."""
+    """Channel that gives the angle."""
 
     @property
     def per_offset(self) -> float:
-        """Change of the angle with the offset of its channel [rad per unit of that]."""
+        """Change of the angle per unit offset of its channel [rad per unit]."""
         return 1.0 / self.radius if self.channel == "displacement" else 1.0
 
     @cached_property
     def pressure(self) -> Array:
-        """Measured, the mean of all rests at each [Pa]; shape (n,)."""
+        """Measured pressure, mean of all rests at each commanded one [Pa]; shape (n,)."""
         each = [stair.column(self.sets, side, "pressure") for side in (-1, 1) for stair in self.stairs]
         return np.asarray(np.nanmean(each, axis=0))
 
@@ -144,22 +146,22 @@ class Loaded:
 
     @cached_property
     def mean(self) -> Array:
-        """Mean of both ways and all trials [rad]; of the way up alone where there is no other; shape (n,)."""
+        """Mean of both branches and all trials [rad]; the way up alone where there is no other; shape (n,)."""
         there = np.isfinite(self.down)
         return np.asarray(np.where(there, 0.5 * (self.up + np.where(there, self.down, 0.0)), self.up).mean(axis=0))
 
     @cached_property
     def gaps(self) -> Array:
-        """From above less from below [rad]; shape (trials, n)."""
+        """Angle on the way down minus angle on the way up [rad]; shape (trials, n)."""
         return self.down - self.up
 
     @property
     def widest(self) -> int | None:
-        """Where both ways are furthest apart; None where there is one way only."""
+        """Index of the largest gap between both branches; None if there is one branch only."""
         return int(np.argmax(np.abs(self.gaps[:, :-1].mean(axis=0)))) if self.both else None
 
     def motion(self, place: int, side: int) -> Left:
-        """Change of the angle that is still to come at one pressure, reached from one side [rad]."""
+        """Change of the angle still to come at one pressure, reached from one side [rad]."""
         rests = [rest for stair in self.stairs for rest in stair.rests if rest.side == side]
         found = left([rest.held for rest in rests if round(rest.set) == round(self.sets[place])])
         slow = self.creep.get((side, round(self.sets[place])), 0.0)
@@ -167,25 +169,25 @@ class Loaded:
 
     @cached_property
     def creep(self) -> dict[tuple[int, int], float]:
-        """Side and commanded pressure -> what creep that is slower than a hold still adds there [rad]."""
+        """(side, commanded pressure) -> change still to come by creep slower than a hold [rad]."""
         places = [(rest.side, round(rest.set)) for rest in self.stairs[0].rests]
         return dict(zip(places, still_to_come(self.stairs).tolist(), strict=False))
 
     @property
     def noise(self) -> float:
-        """Of the mean of a rest, the largest [rad]."""
+        """Largest standard deviation of a rest's mean [rad]."""
         return max(rest.noise for stair in self.stairs for rest in stair.rests)
 
     @property
     def coarse(self) -> float:
-        """Largest error of the mean of a rest by the steps in which the angle is read [rad]."""
+        """Largest error of a rest's mean because the angle is read in steps [rad]."""
         return max(rest.coarse for stair in self.stairs for rest in stair.rests)
 
     @cached_property
     def hysteresis(self) -> float:
-        """What the sensor of the angle may read more on the way down than on the way up [rad].
+        """How much more the angle sensor may read on the way down than on the way up [rad].
 
-        Twice `HYSTERESIS` of the uncertainty of its offset, or all of it where the reading stays behind its noise.
+        A share `HYSTERESIS` of twice the uncertainty of its offset; all of that where the reading sticks.
         """
         most = 2 * self.scales.offsets.get(self.channel, 0.0) * abs(self.per_offset)
         readings = (stair.trial.channels[self.channel][stair.trial.usable] for stair in self.stairs)
@@ -193,7 +195,7 @@ class Loaded:
 
     @cached_property
     def zero(self) -> float:
-        """Reading of the vented gauge, where it is beyond its calibration [Pa]: the least of all trials; else 0."""
+        """Smallest reading of the vented gauge [Pa] if all have one sign and it exceeds the calibration; else 0."""
         reads = [read for stair in self.stairs for read in stair.vented]
         least = min(reads, key=abs, default=0.0)
         alike = all(read * least > 0 for read in reads)
@@ -201,7 +203,7 @@ class Loaded:
 
     @cached_property
     def apart(self) -> float:
-        """What the displacement gives more than the angle at all rests alike, beyond the calibrations [rad]; else 0."""
+        """Zero difference of angle from displacement and measured angle beyond the calibrations [rad]; else 0."""
         angle, arc = np.array([(rest.angle, rest.arc) for stair in self.stairs for rest in stair.rests]).T
         if not np.isfinite(arc).all() or np.ptp(angle) <= 4 * self.coarse + LIKE * self.noise:
             return 0.0
@@ -217,11 +219,11 @@ class Loaded:
         if not self.both or len(self.stairs) < MANY:
             return 0.0, False
         off = float(np.abs(self.gaps[:, 0] - np.median(self.gaps[:, 0])).max())
-        return off, off > max(SURE * self.noise, 4 * self.coarse)  # two rests, and two of the others
+        return off, off > max(SURE * self.noise, 4 * self.coarse)  # noise of two rests, and of two of the other trials
 
 
 def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list[Loaded], list[Dropped]]:
-    """The loads, rising, and the trials that cannot be used."""
+    """The loads, ascending, and the trials that cannot be used."""
     every, dropped = measured_trials(runs, lambda _, trial: measure(trial, settings))
     known = Scales.of(runs), float(settings.get("radius") or np.nan), channel_of(settings)
     groups = grouped(every, lambda stair: round(stair.trial.point["tip_mass"] * 1e6))
@@ -239,12 +241,12 @@ def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list
 
 
 def channel_of(settings: Mapping[str, Any]) -> str:
-    """The channel that gives the angle."""
+    """Name of the channel that gives the angle."""
     return "displacement" if settings.get("angle") == "from-displacement" else "angle"
 
 
 def measure(trial: TrialData, settings: Mapping[str, Any]) -> Stair:
-    """One trial: what it shows at each pressure; raises `NotUsable`."""
+    """The rests of one trial; raises `NotUsable`."""
     channel, radius = channel_of(settings), float(settings.get("radius") or np.nan)
     refuse_incomplete(trial, channel, "pressure")
     if "tip_mass" not in trial.point:
@@ -297,7 +299,9 @@ def measure(trial: TrialData, settings: Mapping[str, Any]) -> Stair:
 
 
 def _vented(trial: TrialData, ramps: Sequence[Command], good: NDArray[np.bool_]) -> tuple[float, ...]:
-    """Mean pressure before the first ramp acts and after the last one, where they come from 0 and go there [Pa]."""
+    """Mean pressure before the first ramp acts and after the last, if they start or end at 0 [Pa], moved towards 0 by
+    noise.
+    """
     P, parts = trial.channels["pressure"], []
     if ramps and ramps[0].before == 0 and ramps[0].recorded:
         parts.append(good & (trial.t <= ramps[0].t + SOON))
@@ -309,20 +313,20 @@ def _vented(trial: TrialData, ramps: Sequence[Command], good: NDArray[np.bool_])
 
 
 TIMES = np.geomspace(0.3, 120.0, 19)
-"""Time constants of creep that are tried, over the length of the stretch of a hold that is looked at."""
+"""Time constants of creep that are tried, in units of the evaluated part of a hold."""
 LONGEST = 1e3
-"""Creep along the logarithm of time is looked at until then [s]."""
+"""Longest time constant of creep that is even over the logarithm of time [s]."""
 SLOW = 4.0
-"""From here on one hold does not show them (`samples.TIMES`)."""
+"""Longer time constants, in the same units, do not show within one hold (`samples.TIMES`)."""
 MORE = 1.3
-"""Factor on what is still to come: creep is no exponential, and goes on for longer than one."""
+"""Factor on the change still to come: creep is not exponential and lasts longer than the fit says."""
 
 
 def still_to_come(stairs: Sequence[Stair]) -> Array:
-    """What slow creep still adds at each rest of like staircases [rad], the mean of them; 0 where none is seen.
+    """Change still to come by slow creep at each rest [rad], mean of equal staircases; 0 where none is significant.
 
-    A share of each step comes with one time constant, or with all of them alike over the logarithm of time until
-    `LONGEST`, and what was left before the first step dies away with it.
+    Fitted: a share of each step creeps with one time constant, or with all time constants equally over log time up to
+    `LONGEST`; creep left from before the first step decays in the same way.
     """
     each = [rest for stair in stairs for rest in stair.rests]
     rests = len(each) // len(stairs)
@@ -332,7 +336,9 @@ def still_to_come(stairs: Sequence[Stair]) -> Array:
     drifts = np.array([_drift(rest.held.y) for rest in each])
 
     def fitted(times: Array) -> tuple[float, float, float, float, Array]:
-        """Sum of squares left, the largest time constant [s], the share of each step and its error, what is to come."""
+        """Residual sum of squares, largest time constant [s], share of each step and its standard error, change to
+        come.
+        """
         pairs = [_dying_away(stair.rests[: n + 1], times) for stair in stairs for n in range(rests)]
         columns, to_come = (np.array(column) for column in zip(*pairs, strict=True))
         found, *_ = np.linalg.lstsq(columns, drifts, rcond=None)
@@ -348,9 +354,8 @@ def still_to_come(stairs: Sequence[Stair]) -> Array:
 
 
 def _dying_away(rests: Sequence[Rest], times: Array) -> tuple[list[float], Array]:
-    """Of all steps together, and of what was left before: the drift in the last of `rests`, what is to come after it.
-
-    Shape (2,) each [rad], and 1.
+    """Regressors of creep of all steps together, and of creep left from before: drift in the last of `rests` [rad],
+    shape (2,), and the change to come after it, shape (2,).
     """
     at, by = (np.array([getattr(rest, name) for rest in rests]) for name in ("moved", "by"))
     held = rests[-1].held
@@ -360,13 +365,13 @@ def _dying_away(rests: Sequence[Rest], times: Array) -> tuple[list[float], Array
 
 
 def _drift(y: Array) -> float:
-    """Mean of the later half less that of the earlier."""
+    """Mean of the later half minus mean of the earlier half."""
     half = len(y) // 2
     return float(y[half:].mean() - y[:half].mean())
 
 
 def flat_from(P: Array, angle: Array) -> float | None:
-    """The last pressure [Pa] at which `angle` [rad], whose largest is its last, is `NEAR` below that; None if never.
+    """Highest pressure [Pa] at which `angle` [rad] is `NEAR` below its last and largest value; None if it never is.
 
     By monotone cubics.
     """

@@ -1,4 +1,4 @@
-"""A filled muscle, shut off and contracted slowly: its volume over contraction.
+"""Volume of a muscle over contraction: filled, shut off and contracted slowly.
 
 - `reduction`, made of `stroke`
 - protocol files: `protocol`; figures and one trial on the display: `figures`

@@ -16,12 +16,12 @@ from pmabench.protocol.plan import Hold, Plan, Record, Seek
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 
 ROOM = (50e3, 110e3)
-"""Absolute pressures of a room [Pa]: from 5.5 km above the sea to a high below it."""
+"""Range of the room's absolute pressure [Pa]: from 5.5 km above sea level to a high at sea level."""
 ENDS = ("stop", "vent")
 SLACK_TIME = 5.0
-"""What the limit allows beyond the strokes [s]."""
+"""Margin of the time limit beyond the strokes [s]."""
 MOST = 20.0
-"""Slowest motion that still counts as one: a stroke of so many minutes [min]."""
+"""Longest duration of one stroke [min]."""
 
 
 class Diameters(Strict):
@@ -30,9 +30,9 @@ class Diameters(Strict):
     diameters: tuple[Length, Length, Length]
     heights: tuple[Length, Length, Length]
     thickness: Length
-    """Of the wall."""
+    """Thickness of the wall."""
     uncertainty: Length
-    """Of a diameter (95 %), the same for all three."""
+    """Uncertainty of each diameter (95 %); all three may be off in the same direction."""
 
     def _inner(self) -> list[tuple[float, float]]:
         """Inner diameter and height of each cylinder [m]."""
@@ -43,12 +43,12 @@ class Diameters(Strict):
         return sum(pi / 4 * d**2 * h for d, h in self._inner())
 
     def half(self) -> float:
-        """What the uncertainty of the diameters, all off alike, makes of it [m3]."""
+        """Half width of the volume if all diameters are off by their uncertainty in the same direction [m3]."""
         return self.uncertainty * sum(pi / 2 * d * h for d, h in self._inner())
 
 
 class Reference(Strict):
-    """Volume inside the muscle at `start`, at pressure: measured as such, or by three diameters."""
+    """Volume inside the pressurised muscle at `start`: measured directly, or from three diameters."""
 
     volume: Volume | None = None
     uncertainty: Volume | None = None
@@ -72,7 +72,7 @@ class Dead(Strict):
 
 
 class Room(Strict):
-    """The room's absolute pressure by a barometer, in place of the bench's `air: {atmosphere}`."""
+    """The room's absolute pressure by a barometer, instead of the bench's `air: {atmosphere}`."""
 
     pressure: Pressure
     uncertainty: Pressure
@@ -91,21 +91,21 @@ class ClosedTrial(Strict):
     to: Length
     speed: Speed
     rest: Time
-    """After the valve has shut and at both ends of each stroke, so that the air takes the room's temperature."""
+    """After the valve has shut and at both ends of each stroke, so that the air reaches room temperature."""
     cycles: Annotated[int, Field(ge=1, le=100)] = 2
     settle: Time
     """Time at pressure before the motion to the start."""
     approach: Speed
     every: Length
-    """Distance of the contractions at which a volume is computed."""
+    """Spacing of the contractions at which the volume is computed."""
     reference: Reference
     dead: Dead
     exponent: Annotated[float, Field(ge=1.0, le=1.4)] = 1.0
     """k of P V^k: 1 isothermal, as in paper 3."""
     room: Room | None = None
-    """Else the bench's, +- `room_uncertainty`."""
+    """If missing, the bench's value +- `room_uncertainty`."""
     room_uncertainty: Pressure = 3e3
-    """Of the bench's pressure of the room (95 %): what the weather does to it."""
+    """Uncertainty of the bench's room pressure (95 %), because of the weather."""
 
 
 class ClosedVolume(ProtocolHead):
@@ -176,7 +176,7 @@ class ClosedVolume(ProtocolHead):
         return len(c.problems) == before
 
     def _valve(self, c: Compilation) -> str:
-        """The isolation valve that is shut; empty where the bench has none that will do."""
+        """Name of the isolation valve to shut; empty where the bench has no suitable one."""
         name = c.mounted.bench_file.air.isolation_valve
         valves = c.mounted.bench.valves
         if not any(valve.name == name and valve.safe == "closed" for valve in valves):
@@ -223,7 +223,7 @@ class ClosedVolume(ProtocolHead):
         return pressure, half
 
     def _stays_above(self, c: Compilation, point: Point, volume: float, room: float) -> None:
-        """Check that the pressure at the end of the stroke is believed to stay above what the bench bears."""
+        """Check that the predicted pressure at the end of the stroke stays above the bench's lower limit."""
         specimen, trial = c.mounted.specimen_file, self.trial
         if specimen.braid_angle is None or volume <= 0:
             return

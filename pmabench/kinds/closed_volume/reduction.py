@@ -1,6 +1,6 @@
-"""Reduction of closed volumes: V over contraction at each start pressure, whether they agree, and V(eps) through all.
+"""Reduction of closed volumes: V over contraction at each start pressure, whether they agree, and V(eps) fitted to all.
 
-Knows the samples. One trial, the curve, and what departures do to it are in `stroke`.
+One trial, the curve, and the effects of departures are in `stroke`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ KIND = "closed-volume"
 TIGHT, PRINTED, CURVE = "closed, leak taken out", "closed, as printed", "closed, V(eps)"
 ADIABATIC = 1.4
 LEAKS = 0.02
-"""Share of the air lost over a trial that is doubted."""
+"""Share of the air lost over a trial from which on it is a doubt."""
 LOST = "look for the leak, and whether the air or the room cools, or the gauge drifts"
 NAMES = (("D_0", "length", "m"), ("theta_0", "angle", "rad"), ("alpha", "count", "1"))
 NO_REPEATS = "no repeats part: one stroke"
@@ -82,10 +82,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 def _values(
     of: Callable[[Gas, float, float], Array], each: Sequence[Array], settings: Mapping[str, Any], scales: Scales
 ) -> Iterator[tuple[float, Parts]]:
-    """Each value of `of`(gas, gain, offset), shape (n,), with its parts; `each` are those of the cycles of one stroke.
+    """Each value of `of`(gas, gain, offset), shape (n,), with its interval parts; `each` has the values by cycle, per
+    stroke.
 
-    Gain and offset are what is wrong with the measured pressure: share, and [Pa]. The plan gives the half width of each
-    quantity that `Gas` is made of as `<name>_half`, in its unit: what these do is the method part.
+    Gain [1] and offset [Pa] are errors of the measured pressure. The method part comes from the plan's half widths of
+    the quantities in `Gas`, named `<name>_half`.
     """
     gas = Gas.of(settings)
     value = of(gas, 0.0, 0.0)
@@ -123,7 +124,7 @@ def _volumes(
 
 
 def _curve(members: Sequence[Stroke], settings: Mapping[str, Any], scales: Scales) -> Iterator[Estimate]:
-    """D0, theta0 and alpha through the volumes of all pressures; repeats are the strokes, each fitted alone."""
+    """D0, theta0 and alpha of V(eps), fitted to the mean of all pressures; repeats are fits to single strokes."""
     length, n = float(settings["length"]), len(members)
     eps, names = members[0].x / length, tuple(m.trial.name for m in members)
 
@@ -151,7 +152,7 @@ def _curve(members: Sequence[Stroke], settings: Mapping[str, Any], scales: Scale
 
 
 def _findings(pressure: float, group: Sequence[Stroke], gas: Gas) -> list[Finding]:
-    """What leaked, and what another exponent would make of the volume."""
+    """How much air leaked, and how another exponent would change the volume."""
     where = f"from {show(pressure, 'pressure')}"
     share = max((m.lost / (m.before + gas.atmosphere) for m in group), key=abs)
     lost = max((m.lost for m in group), key=abs)
@@ -175,7 +176,9 @@ def _findings(pressure: float, group: Sequence[Stroke], gas: Gas) -> list[Findin
 
 
 def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
-    """Whether start pressures give the same volume (paper 3); of the given one, at the start, they say nothing."""
+    """Whether start pressures give the same volume (paper 3). At the start the volume is given, so it tests nothing
+    there.
+    """
     tight = [e for e in estimates if e.method == TIGHT and e.value is not None]
     pairs = []
     for group in grouped(tight, lambda e: e.at["contraction"]).values():
@@ -201,7 +204,7 @@ def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
 
 
 def _made_of(start: float, settings: Mapping[str, Any]) -> Finding:
-    """The numbers that the volumes rest on; `start` is where the strokes begin [m]."""
+    """The given quantities behind the volumes; `start` is where the strokes begin [m]."""
     gas = Gas.of(settings)
     reference, dead = (show(float(settings[f"{name}_half"]), "volume", 2) for name in ("reference", "dead"))
     room = show(float(settings["atmosphere_half"]), "pressure", 2)

@@ -1,17 +1,17 @@
-"""One trial of a closed volume: absolute pressures on a grid of contractions, the volumes that follow, and V(eps)
-through them.
+"""One trial of a closed volume: absolute pressures on a grid of contractions, the volumes that follow, and the fit of
+V(eps).
 
 P_abs V^k of a closed mass is constant (paper 3, chamber equation without flow): V + V_d = (V_0 + V_d) (m/m_0)
-(P_0/P)^(1/k), P absolute: the room's pressure is added to what gauges read. m/m_0 is 1 as the paper prints it; a leak
-into the room takes dm/dt = -c P_gauge P^(1/k - 1), and c follows from the pressure back at the start.
+(P_0/P)^(1/k), P absolute: gauge reading plus room pressure. m/m_0 is 1 in the paper; a leak into the room takes dm/dt =
+-c P_gauge P^(1/k - 1), with c from the pressure after return to the start.
 
 V(eps) is that of the modified Daerden model, V = (pi/4) D0^2 l0 [1/sin^2 theta0 - (1 - eps)^alpha / tan^2 theta0] (1 -
-eps) (paper 3). For a given alpha it is linear in D0^2/sin^2 theta0 and D0^2/tan^2 theta0, so only alpha is searched; no
-start values.
+eps) (paper 3). For a given alpha it is linear in D0^2/sin^2 theta0 and D0^2/tan^2 theta0, so only alpha is searched,
+without start values.
 
-Departures from P V = const of the air shut in: what lags (heat, a slow sensor) makes the volume on the way there
-another one than on the way back; a leak that is not proportional to the pressure makes it another one at the start
-between two cycles; a wrong pressure of the room makes it another one from another start pressure.
+Departures from P V = const of the enclosed air: a lag (heat, a slow sensor) makes the volume differ between both
+directions; a leak that is not proportional to the pressure makes it differ at the start between two cycles; a wrong
+room pressure makes it differ between start pressures.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, RunData, TrialData
 
 FOLLOWS = 0.01
-"""Fall of the absolute pressure over a stroke, as a share, below which the valve counts as open."""
+"""Relative fall of the absolute pressure over a stroke below which the valve is taken to be open."""
 FEWEST = 5
-"""Samples of a stroke about each contraction."""
+"""Fewest samples of a stroke near each contraction."""
 
 
 @dataclass(frozen=True)
 class Gas:
-    """What is known apart from the pressure: volumes [m3], the room's pressure [Pa absolute], k [1]."""
+    """Known quantities apart from the pressure: volumes [m3], room pressure [Pa absolute], k [1]."""
 
     reference: float
     dead: float
@@ -47,7 +47,7 @@ class Gas:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Gas:
-        """What the plan gives."""
+        """From the plan's settings."""
         return cls(*(float(settings[name]) for name in ("reference_volume", "dead_volume", "atmosphere", "exponent")))
 
 
@@ -59,7 +59,9 @@ class Stroke:
     x: Array
     P: Array
     paid: Array
-    """Integral of P_gauge (P_gauge + room)^(1/k - 1) from the start on, as `P`."""
+    """Integral of P_gauge (P_gauge + room)^(1/k - 1) over time from the start, shape as `P`; a leak is proportional to
+    it.
+    """
     paid_at_end: float
     before: float
     after: float
@@ -67,22 +69,22 @@ class Stroke:
     returns: Array
     """Gauge pressure and `paid` at the start between two cycles, shape (cycles - 1, 2)."""
     far: tuple[Held, ...]
-    """The pressure in the rests at the far end."""
+    """Pressure in the rests at the far end."""
     noise: float
     resting: int
-    """Samples of a rest whose mean counts."""
+    """Samples of a rest that are averaged."""
     aside: Array
-    """Displacement in the rests at the start and at the far end, less where the drive was sent [m], shape (2,)."""
+    """Measured displacement minus commanded position at the start and at the far end [m], shape (2,)."""
 
     def by(self, P: Array, paid: Array, gas: Gas, *, leak: bool = True) -> Array:
-        """V [m3] at gauge pressures P [Pa] and what was `paid` till then, with what leaked taken out or not."""
+        """V [m3] at gauge pressures P [Pa] and `paid` up to then, with or without correction for the leak."""
         begin, power = self.before + gas.atmosphere, 1 / gas.exponent
         lost = 1 - ((self.after + gas.atmosphere) / begin) ** power if leak else 0.0
         kept = 1 - lost * paid / self.paid_at_end
         return np.asarray((gas.reference + gas.dead) * kept * (begin / (P + gas.atmosphere)) ** power - gas.dead)
 
     def volumes(self, gas: Gas, *, leak: bool) -> Array:
-        """V [m3], shape (cycles, n), the mean of both directions; with what leaked taken out or not."""
+        """V [m3], shape (cycles, n), mean of both directions; with or without correction for the leak."""
         V = self.by(self.P, self.paid, gas, leak=leak)
         return np.asarray(0.5 * (V[0::2] + V[1::2]))
 
@@ -156,12 +158,12 @@ def _about(x: Array, y: Array, grid: Array, every: float) -> Array:
 
 
 ALPHAS = (1.0, 5.0)
-"""Where alpha is looked for: the domain of the model."""
+"""Search range of alpha: the domain of the model."""
 FEWEST_VOLUMES = 4
 
 
 def fit_volume(eps: Array, V: Array, length: float) -> tuple[float, float, float] | None:
-    """D0 [m], theta0 [rad], alpha [1] of volumes V [m3] at eps [1], shape (n,); None where no such curve fits."""
+    """D0 [m], theta0 [rad], alpha [1] fitted to volumes V (n,) [m3] at eps (n,) [1]; None if the form does not fit."""
     if len(eps) < FEWEST_VOLUMES or not np.isfinite(V).all():
         return None
     size, y = pi / 4 * length, V / V.max()
@@ -189,9 +191,9 @@ def volume_at(eps: Array, length: float, D_0: float, theta_0: float, alpha: floa
 
 
 SURE = 5.0
-"""Standard deviations from which on a difference is seen."""
+"""Standard deviations from which on a difference is significant."""
 UNSEEN = 1e-4
-"""By so much gauge and drive may disagree unseen [m]."""
+"""Difference between gauge and drive that is tolerated [m]."""
 BOTH_WAYS, BETWEEN, STILL, ROOM = "both ways", "returns to the start", "motion in the rest", "pressure of the room"
 PLACE = "place of the drive"
 PARTS = {BOTH_WAYS: "method", BETWEEN: "drift", STILL: "method", ROOM: "method", PLACE: "method"}
@@ -210,7 +212,7 @@ ADVICE = {
 
 
 Effect = tuple[Array, bool]
-"""Of a departure: share of the volume at each contraction, shape (n,), and whether it is significant."""
+"""Effect of a departure: share of the volume at each contraction, shape (n,), and whether it is significant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,11 +221,11 @@ class Form:
 
     x: Array
     volumes: Array
-    """Of all start pressures [m3]; shape (n,)."""
+    """Mean over all start pressures [m3]; shape (n,)."""
     shares: Mapping[float, Mapping[str, Effect]]
-    """By start pressure, and departure."""
+    """Start pressure -> departure -> effect."""
     leaked: Mapping[float, Array]
-    """Share that the volume is larger by where no leak is taken out, at `x`."""
+    """Start pressure -> relative excess of the volume at `x` without correction for the leak."""
 
     def of_volume(self, e: Estimate, *, leak: bool) -> list[Doubt]:
         """Effects on the volume at one start pressure and contraction."""
@@ -240,12 +242,14 @@ class Form:
         return found
 
     def of_curve(self, index: int, length: float) -> list[Doubt]:
-        """Of a coefficient of V(eps), the `index`-th: it only widens, for each volume has its own limit."""
+        """Effects on the `index`-th coefficient of V(eps); they only widen it, since each volume is withheld on its
+        own.
+        """
         base = fit_volume(self.x / length, self.volumes, length)
         found = []
         for name in ADVICE:
             share = np.mean([effects[name][0] for effects in self.shares.values()], axis=0)
-            # an effect of known size may go over the contractions with one sign, with two, and so on
+            # the effect may change sign over the contractions: tried as cosines with 0 to 4 half waves
             along = np.pi * np.linspace(0.0, 1.0, len(share))
             shapes = [np.ones(len(share))] if name in (ROOM, PLACE) else [np.cos(order * along) for order in range(5)]
             moved = [fit_volume(self.x / length, self.volumes * (1 + shape * share), length) for shape in shapes]
@@ -257,7 +261,7 @@ class Form:
 
 
 def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
-    """Of the strokes by start pressure [Pa]."""
+    """The effects from the strokes by start pressure [Pa]."""
     shares: dict[float, dict[str, Effect]] = {}
     leaked, means = {}, {}
     room, beyond = _room(cells, gas)
@@ -272,7 +276,7 @@ def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
 
 
 def _of_one(strokes: Sequence[Stroke], gas: Gas) -> dict[str, Effect]:
-    """What the strokes from one start pressure show."""
+    """The effects that the strokes from one start pressure show."""
     noise = _noise(strokes, gas)
     by_way = np.array([one.by(one.P, one.paid, gas) for one in strokes])
     V = by_way.mean(axis=(0, 1))
@@ -290,9 +294,9 @@ def _of_one(strokes: Sequence[Stroke], gas: Gas) -> dict[str, Effect]:
 
 
 def _aside(strokes: Sequence[Stroke], V: Array) -> Effect:
-    """Of a displacement that is not where the drive was sent: the gauge's place is wrong, or the drive's at the start.
+    """Effect of a displacement that differs from the commanded position: gauge or drive is wrong.
 
-    With a wrong gauge a volume is that of another place, with a wrong drive the one at the start is.
+    A gauge error moves each volume to another contraction, a drive error changes the reference volume at the start.
     """
     x, (start, far) = strokes[0].x, np.mean([one.aside for one in strokes], axis=0)
     per_metre = np.abs(np.gradient(V, x)) / V
@@ -302,12 +306,14 @@ def _aside(strokes: Sequence[Stroke], V: Array) -> Effect:
 
 
 def _noise(strokes: Sequence[Stroke], gas: Gas) -> float:
-    """Of a volume from the mean of a rest, as a share of it."""
+    """Noise of a volume from the mean of a rest, as a share of the volume."""
     return max(one.noise / (one.before + gas.atmosphere) / sqrt(one.resting) for one in strokes)
 
 
 def _room(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> tuple[dict[float, Array], bool]:
-    """What another pressure of the room, for which the start pressures agree best, makes of the volumes [m3]."""
+    """Change of the volumes [m3] by the room pressure at which the start pressures agree best, and whether it is
+    significant.
+    """
     n = len(next(iter(cells.values()))[0].x)
     if len(cells) < 2:
         return {P: np.zeros(n) for P in cells}, False

@@ -4,10 +4,11 @@
   pressure)
 - whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
   its words and overlays: `checks`
-- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`
+- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`, by the pressure of `gauge`
+- sessions that do not fit one muscle: `days`
 - where asked for: chosen forms over pressure in `joint`; output error in `output_error`
 - by paper 1: `paper1`, made of `paper1_steps`
-- further trials: what they would add in `predicted`, what is known so far in `known`, the choice in `next_trial`
+- further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`
 """
 
@@ -48,7 +49,8 @@ METHODS = {
     ),
     "regulator-response": (
         "Dead time and one lag, or two where the corrected Akaike criterion asks for them, fitted to the mean step of "
-        "the measured pressure at each pressure, over the time since the command."
+        "the measured pressure at each pressure, over the time since the command. A lag as long as that of the gauge, "
+        "declared or found, is that of its filter and left out; without one the gauge counts as late by it."
     ),
     "bandwidth, by coefficients": (
         "Where the gain from the pressure command to small contractions first falls by 3 dB: the regulator's lags, "

@@ -1,11 +1,12 @@
-"""The regulator from command to pressure, by its steps, and the small-signal bandwidth (-3 dB) of contraction.
+"""Response of the regulator from command to pressure, fitted to its steps, and small-signal bandwidth (-3 dB) of
+contraction.
 
     (P - P_0) / (P_1 - P_0) = 1 - exp(-s / T),  or  1 - (T_1 exp(-s / T_1) - T_2 exp(-s / T_2)) / (T_1 - T_2)
 
-with s the time since command and dead time. The pressure fit does not need it: it is driven by what was measured.
+with s the time since command and dead time. The pooled fit does not need it: its input is the measured pressure.
 
 From the coefficients, at a pressure and with the mass of a load, the command goes through the regulator's lags and the
-muscle (dead time turns the phase alone):
+muscle (dead time changes only the phase):
 
     |G|^2 = 1 / prod(1 + (omega T_i)^2)  K^2 / ((K - M omega^2)^2 + (B omega)^2),  B = (B_c + B_r)/2
 
@@ -13,12 +14,12 @@ From a step of the command to the contraction y(t), 0 to 1 from its start to its
 
     G(j omega) = 1 - j omega integral of (1 - y(t)) exp(-j omega t) dt
 
-The bandwidth is where |G| first falls to 1/sqrt(2). Friction, which holds small motions, is in neither.
+The bandwidth is where |G| first falls to 1/sqrt(2). Neither includes friction, which blocks small motions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf, log, pi, sqrt
 
@@ -26,10 +27,12 @@ import numpy as np
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import sentences
+from pmabench.analysis.shared.samples import UNDECLARED
 from pmabench.analysis.shared.student import half_width, mean_with_half
 from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.verdict.agreement import weighted
 from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.gauge import Late
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
 from pmabench.kinds.contraction_relaxation.values import aicc
@@ -38,38 +41,73 @@ from pmabench.store.records import Array, TrialData
 
 METHOD = "regulator-response"
 BEFORE, AFTER = 0.1, 2.0
-"""What of a step is fitted: from so long before the command to so long after it [s]."""
+"""Fitted part of a step: from BEFORE the command to AFTER it [s]."""
 FALL = 6.0
 """A second lag is reported where the corrected Akaike criterion falls by more than this."""
-NAMES = ("dead time", "lag", "second lag")
+NAMES, SENSOR = ("dead time", "lag", "second lag"), "displacement sensor"
+IN_TIME = Late()
+BLURRED = 0.75
+"""A second lag up to this share of a sample period is what sampling makes of steps, at any times between samples."""
 FEWEST = 20
 STEPS, NUDGE, GAIN = 100, 1.5e-8, 1e-10
-"""A fit takes so many steps at most, with slopes over so small a change, until the sum of squares falls by less."""
+"""Gauss-Newton: most steps, relative difference for derivatives, relative fall of the sum of squares that ends it."""
 
 
 @dataclass(frozen=True)
 class Response:
-    """Dead time and lags [s] of one pressure, their standard errors, and rms [1] of what the fit misses of the step."""
+    """Dead time and lags [s] at one pressure, their standard errors, and rms of the residual as a share of the step."""
 
     times: tuple[float, ...]
     errors: tuple[float, ...]
     rms: float
     aicc: float
     """Corrected Akaike criterion."""
+    single: Response | None = None
+    """Of two lags, the best fit with one."""
+    unsure: tuple[float, ...] = ()
+    """Half widths of what else is open of the times [s]."""
+    filtered: bool = False
+    """Whether a filter of the gauge was seen, which is none of the lags."""
+
+    def of_regulator(self, late: Late, period: float) -> Response:
+        """The same without what the gauge makes of it, sampled every `period` [s].
+
+        A lag as long as that of the gauge is its filter; without one it has a delay; with another second lag it may
+        have either. A short second lag of a gauge of which nothing is known may be that of its filter.
+        """
+        dead, *lags = self.times
+        which = late.filter_in(lags, self.errors[1:])
+        if which is not None:
+            kept = [1 + i for i in range(len(lags)) if i != which]
+            times, errors = ([each[i] for i in kept] for each in (self.times, self.errors))
+            unsure = (late.half_sample, *(0.0 for _ in kept))
+            return replace(
+                self, times=(dead + late.declared, *times), errors=(self.errors[0], *errors), unsure=unsure,
+                filtered=True,
+            )  # fmt: skip
+        one = self.single
+        if one is not None and lags[1] < period:
+            moved = abs(one.times[0] - dead) if lags[1] > BLURRED * period else 0.0
+            return replace(
+                one, times=(one.times[0] - late.found, *one.times[1:]), unsure=(hypot(moved, late.unsure), 0.0)
+            )
+        short = [T if i and T < UNDECLARED and not late.lag else 0.0 for i, T in enumerate(lags)]
+        return replace(
+            self, times=(dead - late.found, *lags), unsure=(late.lag if len(lags) > 1 else late.unsure, *short)
+        )
 
 
 def response(t: Array, y: Array) -> Response | None:
-    """Fit to a step y (n,) from 0 to about 1 over the time since the command t (n,) [s]; None where none fits."""
+    """Fit to a step y (n,) from 0 to about 1 over time t (n,) since the command [s]; None where no fit succeeds."""
     one = _fitted(t, y, 1)
     if one is None:
         return None
     two = _fitted(t, y, 2)
-    needless = two is None or two.aicc > one.aicc - FALL or two.times[2] < float(np.median(np.diff(t)))
-    return one if needless else two
+    return one if two is None or two.aicc > one.aicc - FALL else replace(two, single=one)
 
 
 def step(since: Array, times: Sequence[float]) -> Array:
-    """The response to a step at 0, over the time since it [s], shape (n,); `times` = dead time, one or two lags [s]."""
+    """Step response over the time since the step [s], shape (n,); `times` = dead time, then one or two lags [s]."""
     s = np.maximum(0.0, since - times[0])
     if len(times) == 2:
         return np.asarray(-np.expm1(-s / times[1]))
@@ -78,7 +116,7 @@ def step(since: Array, times: Sequence[float]) -> Array:
 
 
 def _fitted(t: Array, y: Array, lags: int) -> Response | None:
-    """Best fit with so many lags; unknowns: end value, dead time, ln lags."""
+    """Best fit with `lags` lags; unknowns: end value, dead time, ln of each lag."""
     risen = np.flatnonzero(y > 0.632)
     if len(t) < FEWEST or not len(risen):
         return None
@@ -93,7 +131,7 @@ def _fitted(t: Array, y: Array, lags: int) -> Response | None:
     def missed(z: Array) -> Array:
         return np.asarray(z[0] * step(t, times(z)) - y)
 
-    with np.errstate(all="ignore"):  # far from the values a step may overflow; it is not taken
+    with np.errstate(all="ignore"):  # a trial step far from the solution may overflow; it is rejected
         found, slope = _least(missed, np.array(start))
     n, p = len(t), lags + 3
     power = max(float(np.sum(missed(found) ** 2)), 1e-18 * n)
@@ -108,9 +146,9 @@ def _fitted(t: Array, y: Array, lags: int) -> Response | None:
 
 
 def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
-    """Unknowns with the least sum of squares of `missed` near z, and its slopes there, by damped Gauss-Newton.
+    """Unknowns with the least sum of squares of `missed` near z, and the Jacobian there, by damped Gauss-Newton.
 
-    Of its own, for `scipy.optimize` takes longer to import than all of a reduction.
+    Written here because importing `scipy.optimize` takes longer than a whole reduction.
     """
     left, damping = missed(z), 1e-3
     slope = np.empty((len(left), len(z)))
@@ -135,17 +173,24 @@ def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
     return z, slope
 
 
-def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
-    """Dead time and lags [s] at each tested pressure and over all of them, and how well they describe the steps."""
-    found = responses(campaign)
+def regulator(campaign: Campaign, late: Late = IN_TIME, sensor: Late = IN_TIME) -> tuple[list[Estimate], list[Finding]]:
+    """Dead time and lags [s] at each tested pressure and over all of them, and how well they describe the steps.
+
+    The campaign is as of `gauge`, and its pressure `late`. A displacement `sensor` that is late is a line of its own:
+    a loop has it, too.
+    """
+    found = responses(campaign, late)
     if not found:
         return [], [Finding("note", "the regulator's dead time and lag are not identifiable: no step of the pressure")]
     estimates = [  # intervals at one pressure from the residual
-        _estimate(campaign, place, {"pressure": P}, value, Parts(NORMAL * error, 0.0), trials)
+        _estimate(campaign, place, {"pressure": P}, value, Parts(NORMAL * error, unsure), trials)
         for P, (one, trials) in found.items()
-        for place, (value, error) in enumerate(zip(one.times, one.errors, strict=True))
+        for place, (value, error, unsure) in enumerate(zip(one.times, one.errors, one.unsure, strict=True))
     ]
     whole = [e for place, name in enumerate(NAMES) for e in _over_all(campaign, place, name, found)]
+    if sensor.lag:
+        parts, n = Parts(0.0, sensor.unsure), len(campaign.trials)
+        whole.append(Estimate("t_d", sensor.lag, "s", "time", METHOD, {}, parts, n, coordinate=SENSOR))
     worst, (one, _) = max(found.items(), key=lambda item: item[1][0].rms)
     lags = " and ".join(show(lag, "time", 3) for lag in one.times[1:])
     text = (
@@ -155,7 +200,7 @@ def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
     return [*estimates, *whole], [Finding("note", text)]
 
 
-def responses(campaign: Campaign) -> dict[float, tuple[Response, tuple[str, ...]]]:
+def responses(campaign: Campaign, late: Late) -> dict[float, tuple[Response, tuple[str, ...]]]:
     """Fit to the mean step at each tested pressure [Pa], with the names of its trials; none where none fits."""
     found: dict[float, tuple[Response, tuple[str, ...]]] = {}
     for P in campaign.tested:
@@ -163,12 +208,24 @@ def responses(campaign: Campaign) -> dict[float, tuple[Response, tuple[str, ...]
         if rises:
             fitted = response(rises[0][1], np.mean([y for _, _, y in rises], axis=0))
             if fitted is not None:
-                found[P] = fitted, tuple(name for name, _, _ in rises)
+                found[P] = fitted.of_regulator(late, 1 / campaign.rate), tuple(name for name, _, _ in rises)
     return found
 
 
+ONSET = 0.2
+"""Share of the time constant of a filter by which it delays an onset that is read off the samples."""
+
+
+def behind(found: Iterable[Response], late: Late) -> tuple[float, float]:
+    """How late the onset of the pressure is in the samples, and what is open of that [s]; a filter hardly delays it."""
+    steps = list(found)
+    if any(one.filtered for one in steps):
+        return ONSET * late.lag - late.declared, ONSET * late.lag
+    return late.found, max((one.unsure[0] for one in steps), default=late.lag)
+
+
 def _rise(campaign: Campaign, number: int, P: float) -> tuple[str, Array, Array] | None:
-    """Name, time since the command and share of the step, of the first command of a trial at P [Pa]."""
+    """Name, time since the command and share of the step, for the first command of a trial at P [Pa]; None if none."""
     trial, samples = campaign.trials[number], campaign.samples[number]
     if trial.point["pressure"] != P:
         return None
@@ -190,24 +247,24 @@ def _over_all(
     campaign: Campaign, place: int, name: str, found: Mapping[float, tuple[Response, tuple[str, ...]]]
 ) -> list[Estimate]:
     """Mean of one time over the pressures, which are unlike conditions: the method part reaches to the farthest."""
-    mine = [(one.times[place], one.errors[place]) for one, _ in found.values() if len(one.times) > place]
+    mine = [one for one, _ in found.values() if len(one.times) > place]
     if len(mine) < 2:
         return []
-    values, errors = np.array(mine).T
+    values, errors, unsure = np.array([(one.times[place], one.errors[place], one.unsure[place]) for one in mine]).T
     mean = float(values.mean())
     half = NORMAL * float(np.sqrt(np.sum(errors**2))) / len(values)
     reach = float(np.max(np.abs(values - mean)))
     trials = tuple(trial for _, names in found.values() for trial in names)
     low, high = (show(float(end), "time", 3) for end in (values.min(), values.max()))
     note = f"{name}: mean over {len(mine)} pressures, from {low} to {high}"
-    return [_estimate(campaign, place, {}, mean, Parts(half, reach), trials, note)]
+    return [_estimate(campaign, place, {}, mean, Parts(half, hypot(reach, unsure.max())), trials, note)]
 
 
 def _estimate(
     campaign: Campaign, place: int, at: Mapping[str, float], value: float, parts: Parts, trials: tuple[str, ...],
     note: str = "",
 ) -> Estimate:  # fmt: skip
-    """One time [s]; the dead time knows the command's clock only so well."""
+    """One time [s]; the uncertainty of the command's clock is added to the dead time."""
     late = skew.off(campaign.runs, "pressure") if place == 0 else 0.0
     parts = replace(parts, calibration=0.0, skew=late)
     symbol = "tau_P" if place else "t_d"
@@ -221,18 +278,18 @@ LOWEST, HIGHEST = 0.01, 200.0
 """Range in which a bandwidth is searched [Hz]."""
 LEVEL = sqrt(0.5)
 EXACT = 1e-9
-"""It is found within this share of itself, or of the gain [1]."""
+"""Tolerance of the bandwidth, relative, and of the gain, absolute [1]."""
 LEAST_STEP = 1e-3
 """Smallest step that a bandwidth is computed from [m]."""
 NEAR_REST = 0.03
-"""Share of a step that it may still move by in the last fifth of its hold."""
+"""Largest motion in the last fifth of a hold, as a share of the step, that counts as rest."""
 SHIFT = 1e-3
 TOGETHER = 0.01
-"""Samples of a step over so long [s] are taken as one: 4e-5 of the gain at 0.5 Hz."""
+"""Samples of a step within this time [s] are averaged; this changes the gain at 0.5 Hz by 4e-5."""
 
 
 def crossing(gain: Callable[[Array], Array]) -> float | None:
-    """Lowest frequency [Hz] from which on |G| is below 1/sqrt(2); None where that is outside the range."""
+    """Lowest frequency [Hz] at which |G| falls below 1/sqrt(2); None if outside the search range."""
     f = np.geomspace(LOWEST, HIGHEST, 120)
     for first in range(0, len(f), 12):
         below = first + np.flatnonzero(gain(f[first : first + 12]) < LEVEL)
@@ -242,7 +299,7 @@ def crossing(gain: Callable[[Array], Array]) -> float | None:
         return None
     low, high = float(f[below[0] - 1]), float(f[below[0]])
     over, under = (float(g) - LEVEL for g in gain(np.array([low, high])))
-    for _ in range(60):  # regula falsi, the end that stays for the second time counting half
+    for _ in range(60):  # regula falsi, Illinois variant: an end kept twice has its value halved
         middle = high - under * (high - low) / (under - over)
         off = float(gain(np.array([middle]))[0]) - LEVEL
         if abs(off) < EXACT or high - low < EXACT * low:
@@ -271,7 +328,7 @@ def of_model(K: float, B: float, M: float, lags: Sequence[float]) -> float | Non
 
 
 def of_step(t: Array, y: Array) -> float | None:
-    """Bandwidth [Hz] of a response y (n,), from 0 to 1 and at rest at its end; t (n,) since the command [s]."""
+    """Bandwidth [Hz] of a step response y (n,), from 0 to 1 and at rest at its end; t (n,) since the command [s]."""
     weights = np.gradient(t)
     weights[[0, -1]] *= 0.5
     left = (1 - y) * weights
@@ -287,11 +344,11 @@ def of_step(t: Array, y: Array) -> float | None:
 
 
 def estimates(campaign: Campaign, found: Sequence[Estimate], responses: dict[float, Response]) -> list[Estimate]:
-    """f_b [Hz] at each tested pressure with the least and the largest load, by the coefficients and by steps.
+    """f_b [Hz] at each tested pressure with the least and the largest load, from the coefficients and from steps.
 
-    `found` are the primary method's estimates. Method part: half the
-    difference between the bandwidths with B_c and with B_r, next to the method parts of K and B; of steps, half the
-    difference of the bandwidths with and without their last fifth.
+    `found` are the primary method's estimates. Method part from coefficients: half the difference between the
+    bandwidths with B_c and with B_r, and the method parts of K and B; from steps: half the difference between the
+    bandwidths with and without the last fifth of the hold.
     """
     loads = sorted({sample.load for sample in campaign.samples})
     chosen = list(dict.fromkeys((loads[0], loads[-1])))
@@ -303,7 +360,7 @@ def estimates(campaign: Campaign, found: Sequence[Estimate], responses: dict[flo
 def _by_coefficients(
     campaign: Campaign, P: float, load: float, by: dict[tuple[str, float], Estimate], response: Response | None
 ) -> Estimate | None:
-    """At one pressure [Pa] with one load [N]; None where a coefficient or the regulator is not known."""
+    """At one pressure [Pa] and load [N]; None where a coefficient or the regulator's response is unknown."""
     known = [by[symbol, P] for symbol in ("K", "B_c", "B_r") if (symbol, P) in by]
     if response is None or len(known) < 3:
         return None
@@ -335,7 +392,7 @@ def _by_coefficients(
 
 
 def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
-    """At the pressures that partial steps lead to, all trials with a load [N]."""
+    """At the targets of partial steps, from all trials with this load [N]."""
     groups: dict[float, list[tuple[str, float, float, float]]] = {}
     for number, sample in enumerate(campaign.samples):
         if sample.load != load:
@@ -362,9 +419,9 @@ def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
 
 
 def _scatter(groups: Mapping[float, Sequence[tuple[str, float, float, float]]]) -> tuple[float, int]:
-    """Standard deviation of like steps as a share of their mean [1], over all targets, and its degrees of freedom.
+    """Relative standard deviation of equal steps, pooled over all targets, and its degrees of freedom.
 
-    Two repeats agree by chance; all pairs of a campaign do not.
+    Two repeats may agree by chance; all groups of a campaign together rarely do.
     """
     steps = [(target, round(by, -2), value) for target, rows in groups.items() for _, by, value, _ in rows]
     like = [np.array([value for *_, value in alike]) for alike in grouped(steps, lambda one: one[:2]).values()]
@@ -397,7 +454,7 @@ def _steps(campaign: Campaign, number: int, trial: TrialData) -> list[tuple[floa
 
 
 def findings(estimates: Sequence[Estimate]) -> list[Finding]:
-    """From where to where it goes, and how the two ways agree at the same pressure and load."""
+    """Range of the bandwidths, and how both ways agree at the same pressure and load."""
     model = {tuple(e.at.values()): e for e in estimates if e.method == MODEL}
     steps = {tuple(e.at.values()): e for e in estimates if e.method == STEP}
     if not model:

@@ -1,11 +1,11 @@
-"""What speaks for the pooled fit next to its residual: loads left out, friction, whole trials simulated with it.
+"""Checks of the pooled fit apart from its residual: loads left out, friction, simulation of whole trials.
 
-NRMSE = ||x - x_model|| / ||x - mean x|| over the samples of a trial (100 (1 - NRMSE) is the fit in %, as system
-identification prints it); of one phase the rms error by the standard deviation of the whole trial, for a phase that
-hardly moves has next to none. Of several trials the squares of all are added.
+NRMSE = ||x - x_model|| / ||x - mean x|| over the samples of a trial; 100 (1 - NRMSE) is the fit in % of system
+identification. For one phase: rms error divided by the standard deviation of the whole trial, since a phase that hardly
+moves has almost none. For several trials, the squares of all are summed.
 
-Every check is a least squares on the segments that the fit has already; no trial is read again. And what is said and
-shown of the fit: findings, facts, overlays. Knows the pooled fit; fits nothing, gives no estimate.
+Each check is a least squares on the segments of the fit; no trial is read again. Also findings, facts and overlays of
+the fit. Works from the pooled fit; gives no estimate.
 """
 
 from __future__ import annotations
@@ -49,38 +49,40 @@ from pmabench.store.analyses.results import Estimate, Finding, Trace
 from pmabench.store.records import Array, TrialData
 
 BLIND = 0.15
-"""Share of the largest contraction that a free run may move where a coefficient is open."""
+"""Share of the largest contraction that a free run may move through at pressures where a coefficient is unknown."""
 COARSE = 4
 """A free run steps over this many samples."""
 AIM = 0.1
-"""NRMSE from which on the fitted muscle is doubted: a fit of 90 % is what good models reach."""
+"""NRMSE from which on the fitted model is a doubt: good models reach a fit of 90 %."""
 PHASES = ("contraction", "relaxation")
 
 
 @dataclass(frozen=True, eq=False)
 class FreeRun:
-    """One trial and the fitted muscle; arrays of shape (n,), every `COARSE`-th sample."""
+    """Simulation of one trial with the fitted muscle; arrays of shape (n,), every `COARSE`-th sample."""
 
     number: int
-    """Of the trial in the campaign."""
+    """Number of the trial in the campaign."""
     t: Array
     P: Array
     x: Array
     model: Array
-    """Contraction of the fitted muscle [m]; nan from where its motion asks for what is not known."""
+    """Contraction of the fitted muscle [m]; nan from where the motion needs an unknown coefficient."""
     ok: NDArray[np.bool_]
-    """Samples that count: measured, and modelled."""
+    """Samples that count: measured and simulated."""
     way: NDArray[np.intp]
     """1 after a rise of the commanded pressure, -1 after a fall, 0 before any."""
 
     @property
     def whole(self) -> bool:
-        """Whether the fitted muscle is known to the end."""
+        """Whether the simulation covers the whole trial."""
         return bool(np.isfinite(self.model).all())
 
     @cached_property
     def squares(self) -> dict[str, tuple[float, float]]:
-        """Sums of (x - model)^2 and (x - mean x)^2 [m2] of the trial, and of each of `PHASES` in its share of rows."""
+        """Sums of (x - model)^2 and (x - mean x)^2 [m2], of the trial and of each of `PHASES`, the latter sum by its
+        share of rows.
+        """
         parts = {"": self.ok, PHASES[0]: self.ok & (self.way > 0), PHASES[1]: self.ok & (self.way < 0)}
         variance = float(np.var(self.x[self.ok])) if self.ok.any() else 0.0
         return {
@@ -90,10 +92,10 @@ class FreeRun:
 
 
 def free_runs(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) -> list[FreeRun]:
-    """Every trial of the fit from rest on, by pressure, load and number.
+    """Free run of every trial of the fit, from rest, sorted by pressure, load and number.
 
-    Trials at pressures where a coefficient is not identifiable, but for B_r, are not run; the others as far as the
-    coefficients are known that their motion asks for. A bent muscle is run with its bend.
+    Trials at pressures where a coefficient other than B_r is not identifiable are left out; the others run as long as
+    the coefficients that the motion needs are known. A bent force-contraction curve is simulated with its bend.
     """
     unknown = {e.at["pressure"] for e in estimates if e.value is None and e.symbol in ("F_ce", "K", "B_c")}
     used = [i for i in np.unique(pooled.segments.trial).tolist() if campaign.trials[i].point["pressure"] not in unknown]
@@ -123,13 +125,13 @@ def rms(runs: Sequence[FreeRun]) -> float | None:
 
 
 def nrmse(runs: Sequence[FreeRun], phase: str = "") -> float | None:
-    """NRMSE of several trials together, of one of `PHASES` or of all; None where nothing moves."""
+    """NRMSE of several trials together, in one of `PHASES` or in all; None where nothing moves."""
     error, size = (sum(run.squares[phase][side] for run in runs) for side in (0, 1))
     return sqrt(error / size) if size > 0 else None
 
 
 def check(campaign: Campaign, runs: Sequence[FreeRun]) -> Check | None:
-    """NRMSE over all trials, by direction, of reference trials, and the worst operating point."""
+    """NRMSE over all trials, by direction, of reference trials, and at the worst operating point; None without runs."""
     value, error = nrmse(runs), rms(runs)
     if value is None or error is None:
         return None
@@ -153,7 +155,7 @@ def check(campaign: Campaign, runs: Sequence[FreeRun]) -> Check | None:
 
 
 def table(campaign: Campaign, runs: Sequence[FreeRun]) -> list[dict[str, Any]]:
-    """For each operating point pressure [Pa], load [N], trials, NRMSE as a whole and by phase, rms [m]."""
+    """Rows: pressure [Pa], load [N], trials, NRMSE as a whole and by phase, rms [m]; one for each operating point."""
     cells = grouped(runs, lambda run: int(campaign.cells[run.number]))
     return [
         {
@@ -173,7 +175,7 @@ def _percent(value: float) -> str:
 
 
 def _way(trial: TrialData) -> NDArray[np.intp]:
-    """1, -1 or 0 of each sample, by the command before it."""
+    """1, -1 or 0 for each sample, by the preceding command."""
     way = np.zeros(len(trial.t), dtype=np.intp)
     values = [c.value for c in trial.commands if c.output == "pressure" and c.t >= trial.t[0] - 1e-9]
     for rows, before, value in zip(strokes(trial), [0.0, *values], values, strict=False):
@@ -182,8 +184,8 @@ def _way(trial: TrialData) -> NDArray[np.intp]:
 
 
 def _known_until(samples: Samples, known: tuple[Array, Array], rate: float) -> float:
-    """When the motion begins [s] that makes `BLIND` of it go where a coefficient is open that it asks for; `known` is
-    what `_identified` found.
+    """Start time [s] of the motion that goes `BLIND` too far where it needs an unknown coefficient; `known` is the
+    result of `_identified`.
     """
     grid, identified = known
     low, high = grid[0], grid[-1]
@@ -201,8 +203,8 @@ def _known_until(samples: Samples, known: tuple[Array, Array], rate: float) -> f
 
 
 def _identified(pooled: Pooled) -> tuple[Array, Array]:
-    """Pressures [Pa] from the first knot to the last one, shape (n,), and whether each coefficient is known there, by
-    the scatter that is left to it, shape (4, n) in the order of `SYMBOLS`.
+    """Pressures [Pa] from the first to the last knot, shape (n,), and whether each coefficient is known there by its
+    remaining scatter, shape (4, n) in the order of `SYMBOLS`.
     """
     solved = pooled.fit
     P = np.linspace(solved.knots[0], solved.knots[-1], 256)
@@ -229,13 +231,13 @@ FEWEST = 3
 ENOUGH = 20
 """Fewest segments of a load or a direction."""
 WORSE = 2.0
-"""Residual of what was left out, by that of the fit, from which on the fit does not carry over ..."""
+"""A prediction counts as bad where its residual is this many times that of the fit ..."""
 NOTABLE = 0.01
-"""... where it is more than this share of the largest load."""
+"""... and more than this share of the largest load."""
 
 
 def checks(campaign: Campaign, pooled: Pooled) -> list[dict[str, Any]]:
-    """Held-out loads, the other direction, friction by sign of the velocity; as `Analysis.facts` holds checks."""
+    """Checks for `Analysis.facts`: held-out loads, the other direction, friction by sign of the velocity."""
     segments = pooled.segments
     size = float(np.max(np.abs(segments.force)))
     found = [_held_out(campaign, pooled, size), _other_direction(pooled, size), _friction(pooled, size)]
@@ -243,15 +245,15 @@ def checks(campaign: Campaign, pooled: Pooled) -> list[dict[str, Any]]:
 
 
 def _judged(name: str, error: float, residual: float, size: float, text: str, means: str) -> Check:
-    """The check of an error [N] of what a fit with this `residual` [N] predicts; a doubt says what it `means`."""
+    """The check of a prediction error [N] against the fit's `residual` [N]; `means` is the explanation of a doubt."""
     doubt = error > WORSE * residual and error > NOTABLE * size
     return Check(name, error / size, "ratio", "doubt" if doubt else "note", f"{text}: {means}" if doubt else text)
 
 
 def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
-    """Each load predicted by a fit to all others, where these determine it; the worst of them counts.
+    """Each load predicted by a fit to all others, where these determine it; the worst load counts.
 
-    The error is the rms of the residuals of the segments whose prediction is as sure as one segment is.
+    The error is the rms residual of the segments whose prediction is at least as certain as one segment.
     """
     segments, fit = pooled.segments, pooled.fit
     loads = np.array([round(samples.load, 2) for samples in campaign.samples])[segments.trial]
@@ -278,9 +280,10 @@ def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
 
 
 def _other_direction(pooled: Pooled, size: float) -> Check | None:
-    """Relaxation with K and F_ce of a fit to contraction alone: only B_r and friction are fitted to it.
+    """Relaxation predicted with K and F_ce of a fit to contraction alone; only B_r and friction are fitted to it.
 
-    One direction does not separate F_c from F_ce: twice F_c is between them, and one constant is used for both here.
+    One direction alone does not separate F_c from F_ce: they differ by 2 F_c between directions, so one constant is
+    used for both.
     """
     segments, fit = pooled.segments, pooled.fit
     k = len(fit.knots)
@@ -310,7 +313,7 @@ def _other_direction(pooled: Pooled, size: float) -> Check | None:
 
 
 def _friction(pooled: Pooled, size: float) -> Check | None:
-    """Residual by the sign of the velocity: without the Coulomb term, and what is left of it with it."""
+    """Residual by the sign of the velocity, without and with the Coulomb term."""
     segments, fit = pooled.segments, pooled.fit
     if not fit.friction:
         return None
@@ -346,7 +349,7 @@ def _groups(segments: Segments) -> list[NDArray[np.bool_]]:
 MISFIT = 3.0
 """A residual this many times larger than the channels' noise explains puts the model's form in doubt."""
 UNEVEN = 2.0
-"""Variance between trials by that of noise, from which on it is said that trials differ."""
+"""Ratio of the variance between trials to that of noise from which on the difference is reported."""
 SHOWN = 6
 
 
@@ -373,7 +376,7 @@ def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[s
 
 
 def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) -> Iterator[Finding]:
-    """Adequacy of the model, what could not be identified, and how trials scatter."""
+    """Adequacy of the model, coefficients that could not be identified, and scatter between trials."""
     rms, expected, trust = pooled.fit.rms, pooled.expected, pooled.trust
     size = f"residual {show(rms, 'force', 2)} rms over {len(pooled.segments)} segments"
     if rms > MISFIT * expected:
@@ -412,7 +415,7 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
 
 
 def _polled(campaign: Campaign, level: str) -> Iterator[Finding]:
-    """One on each channel that is new less often than it is recorded."""
+    """One finding for each channel that is updated less often than it is recorded."""
     for name in campaign.channels:
         if every := campaign.between[name]:
             yield Finding(
@@ -424,7 +427,7 @@ def _polled(campaign: Campaign, level: str) -> Iterator[Finding]:
 
 
 def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:
-    """Half widths by a bootstrap of `count` draws next to the repeats part of each estimate that has a pressure."""
+    """Half widths by a bootstrap of `count` draws, next to the repeats part of each estimate that has a pressure."""
     if not count:
         return {}
     draws = bootstrap(pooled.segments, pooled.fit, campaign.cells, count, pooled.trust.within)
@@ -445,7 +448,7 @@ def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate],
 
 
 def resampled_finding(found: dict[str, Any]) -> Finding:
-    """What the bootstrap says of the repeats part, over all coefficients."""
+    """Comparison of the bootstrap with the repeats part, over all coefficients."""
     ratios = [one["bootstrap"] / one["repeats"] for one in found["half_widths"] if one["repeats"]]
     middle, (low, high) = float(np.median(ratios)), np.percentile(ratios, [10, 90])
     text = (

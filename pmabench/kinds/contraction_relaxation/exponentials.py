@@ -1,7 +1,7 @@
-"""The step-exponential way of the papers: K, F_ce and B = K tau from exponentials; dead times and bandwidth.
+"""The papers' step-exponential method: K, F_ce and B = K tau from exponentials; dead times and bandwidth.
 
-It takes the pressure for a step, which biases B where the regulator is slow; kept for comparison. Knows trials and what
-the primary method found; computes no interval of the latter.
+It assumes a pressure step, which biases B where the regulator is slow; kept for comparison. Uses the trials and the
+primary method's results, and does not change the latter.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import bandwidth
 from pmabench.kinds.contraction_relaxation.bandwidth import responses
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
+from pmabench.kinds.contraction_relaxation.gauge import Late
 from pmabench.kinds.contraction_relaxation.intervals import AT_REST, CORRECTED, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
@@ -45,7 +46,7 @@ class Exponential:
     """From the command [s]."""
     tau: float
     rms: float
-    """Of the misfit [m]."""
+    """Rms residual [m]."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def exponential(t: Array, x: Array, start: float) -> Exponential | None:
 
 
 def steps_of(samples: Samples, trial: TrialData, lift: float) -> list[Step]:
-    """Contraction and relaxation steps of a trial, as far as they move and end off the support."""
+    """Fits to the contraction and relaxation steps of a trial that move and end off the support."""
     result = []
     commands = [c for c in trial.commands if c.output == "pressure" and c.phase in ("contract", "relax", "vent")]
     ends = [*(c.t for c in commands[1:]), float(samples.t[-1]) + 1e-9]
@@ -174,15 +175,18 @@ SINGLE = "no repeats part: too few points for scatter about their line"
 
 @dataclass(frozen=True)
 class _Raw:
-    """An estimate, and its change per relative change and per offset of the channels but the pressure."""
+    """An estimate, and its derivative by the relative gain and the offset of each channel except pressure."""
 
     estimate: Estimate
     gains: Mapping[str, float]
     offsets: Mapping[str, float]
 
 
-def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], options: Mapping[str, Any]) -> Further:
-    """The papers' estimates and the dead times; `found` are the primary method's."""
+def compare(
+    campaign: Campaign, gathered: tuple[Campaign, Late], pooled: Pooled, found: Sequence[Estimate],
+    options: Mapping[str, Any],
+) -> Further:  # fmt: skip
+    """The papers' estimates and the dead times; `found` are the primary method's, `gathered` is as of `gauge`."""
     primary, moved = pooled.fit, set(pooled.segments.trial.tolist())
     seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
     seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}
@@ -192,7 +196,7 @@ def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], optio
     reference = {key: e for key, e in at_each.items() if e.value is not None}
 
     def force_at(P: float) -> tuple[float, float] | None:
-        """F_ce from elsewhere [N], and what is open of it without its calibration."""
+        """F_ce from elsewhere [N], and the half width of its interval without the calibration part."""
         known = options.get("static")
         if known:
             return float(known["intercept"]) + float(known["slope"]) * P, 0.0
@@ -225,10 +229,13 @@ def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], optio
         for step in steps
     ]
     ordered = sorted(estimates, key=lambda e: (e.method, (*SYMBOLS, "tau_c", "tau_r").index(e.symbol)))
-    regulator = {P: fitted for P, (fitted, _) in responses(campaign).items()}
+    recorded, late = gathered
+    regulator = {P: fitted for P, (fitted, _) in responses(recorded, late).items()}
     widths = bandwidth.estimates(campaign, found, regulator)
+    of_motion = Late.of(recorded, pooled.diagnosis, "displacement")
+    behind = {"pressure": bandwidth.behind(regulator.values(), late), "motion": (of_motion.found, of_motion.lag)}
     return Further(
-        (*ordered, *_dead_times(campaign, moved), *widths),
+        (*ordered, *_dead_times(recorded, moved, behind), *widths),
         tuple(through for through in curves if through is not None),
         (*_findings(estimates), *bandwidth.findings(widths)),
         {"steps": table},
@@ -238,7 +245,7 @@ def compare(campaign: Campaign, pooled: Pooled, found: Sequence[Estimate], optio
 def _at(
     campaign: Campaign, P: float, steps: Sequence[Step], options: Mapping[str, Any], known: tuple[float, float] | None
 ) -> list[_Raw]:
-    """All of the papers' coefficients at one pressure [Pa]; `known`: F_ce from elsewhere, with what is open [N]."""
+    """The papers' coefficients at one pressure [Pa]; `known`: F_ce from elsewhere and its half width [N]."""
     contract, relax = ([step for step in steps if step.phase == phase] for phase in ("contract", "relax"))
     loads, x = np.array([(step.load, step.fit.end) for step in contract]).reshape(-1, 2).T
     regression = regress(loads, x)
@@ -289,8 +296,8 @@ def _at(
 def _calibrated(raw: Sequence[_Raw], scales: Scales) -> list[Estimate]:
     """The estimates with their calibration part; the weights are taken as exact.
 
-    The pressure counts by the slope of the coefficient over the pressures tested: it is given for a pressure that is
-    off by an offset o and a gain g, and so off itself by (o + g P) times that slope.
+    Pressure enters through the slope of the coefficient over the tested pressures: an estimate is given for a pressure
+    P that may be off by o + g P, with offset o and gain g.
     """
     result = []
     for one in raw:
@@ -309,7 +316,9 @@ def _calibrated(raw: Sequence[_Raw], scales: Scales) -> list[Estimate]:
 
 
 def _weighed(e: Estimate, found: Mapping[tuple[str, float], Estimate], seen: Collection[str]) -> Estimate:
-    """The estimate with what the weights would change it by if they were wrong and not the cell, as `found` says."""
+    """The estimate with its change if the weights were wrong and not the cell, as the primary estimates `found` have
+    it.
+    """
     known = found.get((e.symbol, e.at["pressure"]))
     open_by = sum(line.half or 0.0 for line in known.budget if line.name in seen) if known is not None else 0.0
     if not open_by:
@@ -318,7 +327,7 @@ def _weighed(e: Estimate, found: Mapping[tuple[str, float], Estimate], seen: Col
 
 
 def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], Estimate]) -> Estimate:
-    """The estimate with its distance to the primary method as bias, not taken off, and as method part."""
+    """The estimate with its difference to the primary method as bias, not subtracted, and as method part."""
     if estimate.symbol not in SYMBOLS:
         return estimate
     known = reference.get((estimate.symbol, estimate.at["pressure"]))
@@ -332,7 +341,7 @@ def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], Estimat
 
 
 def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
-    """How far the papers' way lies from the primary method."""
+    """Differences between the papers' method and the primary one."""
     mine = [e for e in estimates if e.method == METHOD]
     parts = biases(mine, ("B_c", "B_r", "K"))
     forces = [e.bias for e in mine if e.symbol == "F_ce" and e.bias is not None]
@@ -349,8 +358,10 @@ def _spread(over: str, ends: tuple[float, float]) -> str:
     return f"mean over {over}, from {low} to {high}: the method part reaches to the farther end"
 
 
-def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
+def _dead_times(campaign: Campaign, moved: set[int], behind: Mapping[str, tuple[float, float]]) -> list[Estimate]:
     """Dead times of the contractions, per pressure and over all; those of motion only from trials that did move.
+
+    `behind`: how late the onsets of pressure and motion are in the samples, and what is open of that [s].
 
     The motion waits for the pressure to exceed what the load asks for: loads are unlike conditions for it, pressures
     are for all of them. The method part reaches to the farthest condition: a mean over them is not that of one.
@@ -363,18 +374,30 @@ def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
         for kind, value in dead_times(samples.t, samples.channels, samples.ok, command.t).items():
             timed = command.recorded or not kind.startswith("command")
             if timed and (number in moved or not kind.endswith("motion")):
-                found.append((kind, number, value))
+                found.append((kind, number, value - _behind(kind, behind)[0]))
     estimates = []
     for kind in KINDS:
         members = [(number, value) for of, number, value in found if of == kind]
         tested = sorted(grouped(members, lambda one: campaign.trials[one[0]].point["pressure"]).items())
-        estimates += [_dead_time(campaign, kind, {"pressure": P}, group) for P, group in tested]
-        estimates += [_dead_time(campaign, kind, {}, members)] if len(tested) > 1 else []
+        unsure = _behind(kind, behind)[1]
+        estimates += [_dead_time(campaign, kind, {"pressure": P}, group, unsure) for P, group in tested]
+        estimates += [_dead_time(campaign, kind, {}, members, unsure)] if len(tested) > 1 else []
     return estimates
 
 
-def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Sequence[tuple[int, float]]) -> Estimate:
-    """One kind of dead time at one pressure, or over all of them; `group` holds trial numbers and times [s]."""
+def _behind(kind: str, behind: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
+    """How much too long a kind of dead time is in the samples, and what is open of that [s]."""
+    since, until = kind.split("-to-")
+    (first, unsure), (last, more) = behind.get(since, (0.0, 0.0)), behind[until]
+    return last - first, hypot(unsure, more)
+
+
+def _dead_time(
+    campaign: Campaign, kind: str, at: dict[str, float], group: Sequence[tuple[int, float]], unsure: float
+) -> Estimate:
+    """One kind of dead time at one pressure, or over all of them; `group` holds trial numbers and times [s], of which
+    all may be off by `unsure` [s].
+    """
     numbers = [number for number, _ in group]
     motion = kind.endswith("motion")
     conditions = [float(campaign.cells[n]) if motion else campaign.trials[n].point["pressure"] for n in numbers]
@@ -387,7 +410,7 @@ def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Seque
     else:
         channel = "displacement" if motion else "pressure"
         between, skewed = f"command and {channel}", skew.off(campaign.runs, channel)
-    parts = Parts(half, hypot(0.5 / campaign.rate, reach), 0.0, skewed)
+    parts = Parts(half, hypot(0.5 / campaign.rate, reach, unsure), 0.0, skewed)
     note, names = sentences(ONCE if half is None else "", note), tuple(map(campaign.name, numbers))
     found = Estimate("t_d", mean, "s", "time", ONSET, at, parts, len(group), note=note, trials=names, coordinate=kind)
     return skew.settled(found, between, skewed)

@@ -1,15 +1,14 @@
-"""How far the coefficients of a pooled fit can be trusted, by cause, and the bootstrap over its trials.
+"""Uncertainty of the coefficients of a pooled fit by cause, and the bootstrap over its trials.
 
-*Repeats*: covariance of least squares with the noise that was seen, checked by replays and widened
-where trials scatter more than that. *Method*: what replays of the fitted muscle come back with. *Calibration*: the fit
-once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: of the
-specimen by its reference trials, of a zero by the check at the end of a run, and by what is read at rest before each
-trial. Where the stroke of a specimen drifted, its compliance or its force may have; and a zero may have drifted at any
-time. So each cause is fitted both ways, and the larger change counts. Each is a `Source`; together they are the parts.
+*Repeats*: covariance of least squares with the observed noise, checked by replays and widened where trials scatter
+more. *Method*: bias found by replays of the fitted muscle. *Calibration*: the fit repeated with each channel off by its
+uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: of the specimen from its reference trials; of
+a zero from the check at the end of a run and from readings at rest before each trial. Where the stroke of a specimen
+drifted, its compliance or its force may have changed; a zero may have drifted at any time. Such a cause is fitted both
+ways, and the larger change counts. Each is a `Source`; together they make the parts.
 
-A check of the repeats part, which is the limit of many draws, by what the draws themselves say. Of n trials n - 1 are
-drawn and weigh n / (n - 1), or a draw from two would scatter by a half too little (Rao and Wu 1988, J. Am. Stat. Assoc.
-83, 231).
+The bootstrap checks the repeats part, which is its limit for many draws. Of n trials n - 1 are drawn with weight n / (n
+- 1); otherwise a draw from two would scatter by a half too little (Rao and Wu 1988, J. Am. Stat. Assoc. 83, 231).
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
 
 LIES = 0.1
-"""A cell that reads less than this share of the load says that it is on its support."""
+"""The load counts as supported where the cell reads less than this share of it."""
 SPECIMEN = "drift of the specimen"
 NO_REFERENCE = "no reference trial was done again"
 NO_CHECK = "the record has no zero at the end"
@@ -46,21 +45,21 @@ NO_CHECK = "the record has no zero at the end"
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """What may be off, and what that changes theta by."""
+    """A possible error and its effect on theta."""
 
     name: str
-    """As in the budget."""
+    """Name in the budget."""
     part: str
     """Field of `Parts` that it belongs to."""
     ways: Array | None
-    """Change of theta by each way that it may go, shape (m, p); None where it is not known, and `note` says why."""
+    """Change of theta by each variant of the error, shape (m, p); None where unknown, with the reason in `note`."""
     note: str = ""
     likely: Array | None = None
-    """Probability of each way, shape (m,); what is missing to 1 is that of none. None: the worst one counts."""
+    """Probability of each variant, shape (m,); the rest to 1 is for no error. None: the worst variant counts."""
     seen: bool = False
-    """It is significant: then it shifts the value one way, and adds to the half width as it is, not as a square."""
+    """Significant: it shifts the value in one direction, and its half width is added linearly instead of in squares."""
     kind: str = "B"
-    """As in `Source`."""
+    """See `Source`."""
 
     def source(self, combination: Array) -> Source:
         """The line in the budget of a linear combination (p,) of the coefficients."""
@@ -80,25 +79,27 @@ READS = {
     "nominal length elsewhere. The intervals hold both. Take the zero of the displacement there",
 }
 SEEN = 4.0
-"""Standard errors from which on a reading at rest is no noise."""
+"""Standard errors from which on a reading at rest is significant."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """What a channel reads before the first command of each trial, as far as noise and calibration do not make it."""
+    """Reading of a channel before the first command of each trial, beyond noise and calibration."""
 
     off: Array
-    """Less the first, and less the median [SI], shape (2, trials); 0 where nothing was recorded then."""
+    """Reading minus that of the first trial, and minus the median [SI], shape (2, trials); 0 where nothing was
+    recorded.
+    """
     level: float
-    """In trials that begin vented, the one nearest to 0 [SI]; 0 where noise, or what is known, may be all. Of a
-    displacement only where a cell says that the load lies.
+    """Reading nearest to 0 among trials that begin vented [SI]; 0 where noise or calibration may explain it. For a
+    displacement only of trials where the cell shows that the load is supported.
     """
     known: float
-    """What its calibration leaves open [SI]."""
+    """Uncertainty of the zero from the calibration [SI]."""
 
     @classmethod
     def of(cls, campaign: Campaign, channel: str) -> Rest:
-        """Of a channel of the campaign."""
+        """From the rests of a channel in the campaign."""
         known = Scales.of(campaign.runs).offsets.get(channel, 0.0)
         mean, variance = np.full((2, len(campaign.trials)), np.nan)
         vented, off = np.zeros(len(mean), bool), np.zeros((2, len(mean)))
@@ -127,12 +128,12 @@ class Rest:
 def causes_of(
     campaign: Campaign, segments: Segments, fit: Fit, noise: float, rests: Mapping[str, Rest]
 ) -> Iterator[Cause]:
-    """All causes of drift of a fit to `segments`, and zeros that are off; `noise` [N] as in `again`, `rests` by channel
-    what is read at rest.
+    """Drifts and zero errors that affect a fit to `segments`; `noise` [N] as in `Fit.again`, `rests`: channel -> its
+    readings at rest.
     """
 
     def zeros(channel: str, each: Iterable[Array | float]) -> Array:
-        """Change by a zero that is off by each of these [SI], one or (n,)."""
+        """Change of theta by each zero error [SI], a number or (n,)."""
         ways = [_off(segments, fit, channel, 0.0, by, noise) - fit.theta for by in each]
         return np.array(ways).reshape(-1, len(fit.theta))
 
@@ -143,7 +144,7 @@ def causes_of(
         each = off[segments.trial]
         shrunk = replace(segments, x=segments.x / (1 + each)[:, None], v=segments.v / (1 + each)[:, None])
         pull = fit.values("F_ce", segments.pressure)
-        # the stroke is (F_ce - F_L) / K: its relative change is a change of F_ce by that share of F_ce - F_L
+        # the stroke is (F_ce - F_L) / K: a relative change of it equals a change of F_ce by that share of F_ce - F_L
         weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
         changes = [fit.again(other, noise).theta - fit.theta for other in (shrunk, weaker)]
         yield Cause(SPECIMEN, "drift", np.array(changes))
@@ -151,7 +152,7 @@ def causes_of(
         ways = zeros(channel, (by for by in -rest.off[:, segments.trial] if by.any()))
         yield Cause(f"zero of {channel} from trial to trial", "drift", ways)
     for channel in campaign.channels:
-        if channel != "displacement":  # nobody knows of its zero: the specimen keeps it
+        if channel != "displacement":  # its zero belongs to the specimen: no check measures it
             ends = _zero_ends(campaign.runs, campaign.trials, channel)
             ways_of = None if ends is None else zeros(channel, (-by[segments.trial] for by in ends))
             yield Cause(f"drift of the zero of {channel}", "drift", ways_of, NO_CHECK if ends is None else "")
@@ -163,7 +164,7 @@ def causes_of(
 
 
 def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | None:
-    """Relative change of the stroke at each trial, straight lines between reference trials; shape (trials,)."""
+    """Relative change of the stroke at each trial, interpolated between reference trials; shape (trials,)."""
     known = compared(runs)
     if not known:
         return None
@@ -181,7 +182,9 @@ def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | N
 
 
 def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: str) -> tuple[Array, Array] | None:
-    """What a zero was off by at the end of each trial's run [SI], all the time, and growing evenly; (trials,) each."""
+    """Two courses of a zero error measured at the end of each trial's run [SI]: constant, and growing evenly; (trials,)
+    each. None without a check.
+    """
     ends = {run.id: end for run in runs if (end := next(zero_drifts(run, channel), None)) is not None}
     if not any(trial.run in ends for trial in trials):
         return None
@@ -190,7 +193,7 @@ def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: st
 
 
 def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
-    """What the zero of a channel read at each check at the end of a run, less that at the begin [SI]."""
+    """Change of a channel's zero in each check at the end of a run, relative to its start [SI]."""
     for event in run.events:
         if event.kind == "zero-check":
             zero = (event.data.get("channels") or {}).get(channel)
@@ -200,11 +203,11 @@ def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
 
 
 NORMAL = 1.96
-"""Half width of a 95 % interval by its standard deviation."""
+"""Half width of a 95 % interval in standard deviations."""
 SCATTER = "noise, and scatter between trials"
 NO_UNCERTAINTY = "the record has no uncertainty"
 FEW = 10
-"""With fewer repetitions in all, the scatter is that between all trials and not that within cells."""
+"""With fewer repetitions in all, scatter is taken between all trials instead of within cells."""
 
 
 CORRECTED = "correction"
@@ -212,44 +215,44 @@ CORRECTED = "correction"
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What corrected samples owe to their correction."""
+    """Uncertainty of a fit because its samples were corrected."""
 
     changes: Array
     """Change of theta by the part of each step of the correction that may be wrong; shape (m, p)."""
     spreads: tuple[Array, ...]
-    """Covariances of theta by leaving out loads and trials, sizes of the correction found anew; (p, p) each."""
+    """Jackknife covariances of theta over loads and over trials, with the correction sized anew; (p, p) each."""
     others: Array
-    """Change of theta by each other explanation in place of the one that was taken, shape (m, p)."""
+    """Change of theta by each other possible explanation, shape (m, p)."""
     factor: float
-    """By which all halves grow."""
+    """Factor on all half widths of the budget."""
 
     def variance(self, combination: Array) -> float:
         """Largest variance of a linear combination (p,) of the coefficients by `spreads`."""
         return max((float(combination @ spread @ combination) for spread in self.spreads), default=0.0)
 
     def half(self, combination: Array) -> float:
-        """The part of the correction that may be wrong, and how far other explanations are away."""
+        """Half width by the possibly wrong share of the correction, and by other explanations."""
         apart = float(np.max(np.abs(self.others @ combination), initial=0.0))
         return hypot(float(np.linalg.norm(self.changes @ combination)), apart)
 
 
 @dataclass(frozen=True, eq=False)
 class Trust:
-    """Interval parts of `theta` by source, half widths of 95 % intervals, and the bias to take off; shape (p,) each."""
+    """Uncertainty of `theta` by source, half widths of 95 % intervals, and the bias to subtract; shape (p,) each."""
 
     bias: Array
     covariance: Array
     """For the repeats part, shape (p, p)."""
     steps: Mapping[str, Array]
-    """The part of it that the steps of a channel's values make, shape (p, p) each."""
+    """Contribution of the steps of a channel's values to `covariance`, shape (p, p) each."""
     causes: tuple[Cause, ...]
-    """Of all other parts but that of the clocks."""
+    """Sources of all other parts except skew."""
     skews: Array
-    """Change of theta by the clock of each stream at its bound, shape (clocks, courses, p); (0, 0, p) for one."""
+    """Change of theta by the clock of each stream at its bound, shape (clocks, courses, p); (0, 0, p) for one clock."""
     excess: Mapping[str, float]
-    """Scatter between trials by the scatter from noise, as variance ratio, for each symbol."""
+    """Symbol -> variance between trials, relative to that of the noise."""
     within: bool
-    """True where that scatter is within cells, between repeats."""
+    """True if that scatter is within cells, between repeats; False if between all trials."""
     correction: Correction | None = None
 
     def parts(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float]:
@@ -257,7 +260,7 @@ class Trust:
         return self.budget(combination, extra_method)[:2]
 
     def budget(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float, tuple[Source, ...]]:
-        """The same, and every source behind them, largest first."""
+        """The same, and all sources behind them, largest first."""
         variance = max(0.0, float(combination @ self.covariance @ combination))
         if self.correction is not None:
             variance = max(variance, self.correction.variance(combination))
@@ -285,7 +288,7 @@ class Trust:
 
 
 def parts_of(sources: Sequence[Source]) -> Parts:
-    """The parts that a budget adds up to."""
+    """The interval parts as root sums of squares of the sources."""
 
     def of(part: str) -> float | None:
         halves = [s.half for s in sources if s.part == part and s.half is not None]
@@ -296,20 +299,20 @@ def parts_of(sources: Sequence[Source]) -> Parts:
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """A pooled fit with its segments and its trust."""
+    """A pooled fit, its segments and its uncertainty."""
 
     campaign: Campaign
-    """With corrected samples where something was found wrong with the bench."""
+    """Corrected for faults of the bench that were found."""
     segments: Segments
-    """Of it, without the forces that are found to be of the muscle beyond the straight form."""
+    """Of `campaign`, minus the forces of the muscle beyond the straight form."""
     fit: Fit
     noise: Array
-    """Of each segment [N], that the channels explain; shape (n,)."""
+    """Standard deviation of each segment by the noise of the channels [N]; shape (n,)."""
     trust: Trust
     trust_of: Callable[[Fit, NDArray[np.bool_], Array], Trust]
-    """How far another fit to some rows of the segments can be trusted, whose rows have this noise each [N]."""
+    """Uncertainty of another fit to some rows of the segments, with the noise of these rows [N]."""
     diagnosis: Diagnosis
-    """Whether the data have the form of the fit, and what was corrected where they had not."""
+    """Whether the data have the form of the fit, and what was corrected."""
 
     @property
     def expected(self) -> float:
@@ -326,7 +329,7 @@ def assess(
     Parameters
     ----------
     noise
-        Standard deviation of each segment [N] that the channels explain, shape (n,).
+        Standard deviation of each segment by the noise of the channels [N], shape (n,).
     replays
         Theta of fits to replays of `fit`.
     skews
@@ -345,7 +348,7 @@ def assess(
     seen = analytic
     if len(replays) > 1:
         seen = 0.5 * (analytic + (more * spread) ** 2)
-        if campaign.pressure_step:  # which lie where they lie in all trials: only replays show what that makes
+        if campaign.pressure_step:  # steps lie at the same values in all trials: only replays show their effect
             seen = np.maximum(seen, (more * spread) ** 2)
     between, freedom, within = _between(segments, fit, campaign.cells)
     ratio = between / np.maximum(seen, 1e-300)
@@ -374,18 +377,18 @@ def assess(
 
 
 def _covariance(fit: Fit, noise: Array) -> Array:
-    """Covariance of theta for independent segments of unlike `noise` (n,) [N]; the prior counts as rows of its rms."""
+    """Covariance of theta for independent segments of unequal `noise` (n,) [N]; the prior counts as rows of its rms."""
     even = rms_of(noise) ** 2
     uneven = (fit.design * noise[:, None] ** 2).T @ fit.design - even * (fit.design.T @ fit.design)
     return np.asarray(even * fit.inverse + fit.inverse @ uneven @ fit.inverse)
 
 
 def _between(segments: Segments, fit: Fit, cells: NDArray[np.intp]) -> tuple[Array, Array, bool]:
-    """Variance of theta from the scatter between trials, its degrees of freedom (p,), and whether within cells.
+    """Variance of theta from the scatter between trials, its degrees of freedom (p,), and whether it is within cells.
 
-    The bootstrap over trials (resampling their normal equations) in its limit of many draws: the variance of
-    inverse @ sum of the trials' scores A'r. Within a cell, scores count from their mean, with n/(n - 1). Degrees of
-    freedom as by Satterthwaite, from how unequally the trials bear on a coefficient.
+    The limit of many draws of a bootstrap over trials (resampling their normal equations): variance of inverse @ sum of
+    the trials' scores A'r. Within a cell, scores count from their mean, with n/(n - 1). Degrees of freedom by
+    Satterthwaite, from the share of each trial in a coefficient.
     """
     trials, rows = np.unique(segments.trial, return_inverse=True)
     scores, bearing = (np.zeros((len(trials), len(fit.theta))) for _ in range(2))
@@ -410,7 +413,7 @@ def _between(segments: Segments, fit: Fit, cells: NDArray[np.intp]) -> tuple[Arr
 
 
 def _pooled(fit: Fit, symbol: str, ratio: Array) -> float:
-    """Mean of `ratio` over the coefficients of a symbol that rest on samples."""
+    """Mean of `ratio` over those coefficients of a symbol that are determined by samples."""
     columns = fit.columns(symbol)
     if symbol == "F_c":
         return float(ratio[columns][0]) if fit.friction else 1.0
@@ -420,7 +423,7 @@ def _pooled(fit: Fit, symbol: str, ratio: Array) -> float:
 
 
 def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) -> Iterator[Cause]:
-    """Each channel's offset and gain off by its expanded uncertainty: half of what both ways are apart."""
+    """Effect of each channel's offset and gain at its expanded uncertainty: half the difference between both signs."""
     for channel in CHANNELS:
         for name, known in (("offset", scales.offsets), ("gain", scales.gains)):
             if by := known.get(channel, 0.0):
@@ -451,10 +454,10 @@ class Draws:
 
 
 def bootstrap(segments: Segments, fit: Fit, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
-    """`count` fits to trials drawn with replacement: within their cells, or among all.
+    """`count` fits to trials drawn with replacement, within their cells or among all.
 
-    `cells` holds the cell of each trial number in `segments.trial`. The prior of the fit stays in every draw. The
-    draws are the same each time.
+    `cells` holds the cell of each trial number in `segments.trial`. Every draw keeps the prior of the fit. The random
+    numbers are the same each time.
     """
     trials, rows = np.unique(segments.trial, return_inverse=True)
     normal = np.array([design.T @ design for design in (fit.design[rows == i] for i in range(len(trials)))])

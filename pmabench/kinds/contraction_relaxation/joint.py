@@ -1,7 +1,7 @@
 """One fit over all trials with chosen forms of the coefficients over pressure (option `forms`).
 
-As they are asked for: `constant`, `line`, `polynomial N`, `polynomial` (its order is chosen), `polygon`, straight lines
-between pressures.
+Forms: `constant`, `line`, `polynomial N`, `polynomial` (order chosen from the data), `polygon` (straight lines between
+pressures).
 
     F_L = F_ce(P) - K(P) x - B(P) x' - F_c sign(x'),   B = B_c contracting, B_r relaxing
 
@@ -44,12 +44,12 @@ _FORM = re.compile(r"(constant|line|polygon|polynomial)(?:[ :-]([0-9]+))?")
 
 
 def check(options: Mapping[str, Any]) -> None:
-    """Raise UsageError for a form that is none among the options of the reduction."""
+    """Raise UsageError for an unknown form in the options of the reduction."""
     asked(options.get("forms", ()))
 
 
 def asked(texts: Sequence[str]) -> dict[str, str]:
-    """Symbol -> form of `SYMBOL=FORM` texts; UsageError says what is wrong with one."""
+    """Symbol -> form of `SYMBOL=FORM` texts; raises UsageError for an invalid one."""
     found: dict[str, str] = {}
     for text in texts:
         symbol, _, form = (part.strip() for part in text.partition("="))
@@ -66,7 +66,7 @@ def asked(texts: Sequence[str]) -> dict[str, str]:
 
 
 def order_of(form: str) -> int | None:
-    """Order of a form that was asked for, as in `WORDS`."""
+    """Order of a requested form; see `WORDS`."""
     word, _, order = form.replace("-", " ").replace(":", " ").partition(" ")
     return int(order) if order else WORDS[word]
 
@@ -78,20 +78,20 @@ def forms_of(orders: Mapping[str, int | None], knots: Array) -> dict[str, Powers
 
 
 FALL = 6.0
-"""A higher order is taken where the corrected Akaike criterion falls by more than this, and the held-out error, too:
-lower ones have considerably less support then (Burnham and Anderson, Model Selection, 2.6)."""
+"""Fall of the corrected Akaike criterion from which on a higher order is taken, if the held-out error falls, too; lower
+orders then have considerably less support (Burnham and Anderson, Model Selection, 2.6).
+"""
 Score = dict[str, float]
-"""How well an order does: `aicc`, corrected Akaike criterion, and `held_out`, what trials are missed by that were left
-out, rms [N]."""
+"""Scores of an order: `aicc`, corrected Akaike criterion; `held_out`, rms prediction error of left-out trials [N]."""
 
 
 def choose(
     segments: Segments, orders: Mapping[str, int | None], knots: Array, noise: float
 ) -> tuple[dict[str, int | None], dict[str, dict[int, Score]]]:
-    """Orders with a number in place of each -1, and the scores of the orders of each symbol, the others as chosen.
+    """Orders with a number in place of each -1, and the scores of all orders of each symbol with the others as chosen.
 
-    From the constant up, a higher order is taken where both scores fall; symbols in turn, until none changes. At first
-    the others have the highest order: what one is short of, another does not make up for.
+    From the constant up, a higher order is taken where both scores fall, one symbol after the other, until none
+    changes. The others start at the highest order, so that their misfit does not raise the order of this one.
     """
     open_ones = [symbol for symbol, order in orders.items() if order == -1]
     most = min(MOST_ORDER, len(knots) - 1)
@@ -115,7 +115,7 @@ def choose(
 def _scores(
     segments: Segments, orders: Mapping[str, int | None], symbol: str, most: int, knots: Array, noise: float,
 ) -> dict[int, Score]:  # fmt: skip
-    """The scores of orders 0 to `most` of one symbol; trials are left out by their normal equations."""
+    """The scores of orders 0 to `most` of one symbol; trials are left out through their normal equations."""
     forms = forms_of({**orders, symbol: most}, knots)
     highest = solve(segments, knots, noise, forms)
     prior, begin = highest.prior(segments, noise), highest.columns(symbol).start
@@ -135,9 +135,9 @@ def _scores(
 
 METHOD = "joint"
 BELOW = 0.05
-"""So far below the lowest tested pressure the forms reach, as a share of it."""
+"""Range of the forms below the lowest tested pressure, as a share of it."""
 ADEQUATE = 1.1
-"""A residual this many times that of straight lines between pressures says that a form is too simple."""
+"""Ratio to the residual of straight lines between pressures from which on a form is too simple."""
 SIMPLE = "a form is too simple: its interval does not hold that"
 TOGETHER = 0.95
 """Correlation of two coefficients from which on it is reported."""
@@ -145,9 +145,9 @@ STRAIGHT = "straight lines between pressures"
 
 
 def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> Further:
-    """The joint fit where `options` ask for forms, {"forms": ["K=line", ...]}; else nothing.
+    """The joint fit if `options` has forms, {"forms": ["K=line", ...]}; else an empty `Further`.
 
-    Raises UsageError for a form that is none.
+    Raises UsageError for an unknown form.
     """
     wanted = {symbol: order_of(form) for symbol, form in asked(options.get("forms") or ()).items()}
     if not wanted:
@@ -191,7 +191,7 @@ def _forms(solved: Fit) -> str:
 
 
 def _curve(solved: Fit, trust: Trust, symbol: str, known: Sequence[Estimate]) -> Curve:
-    """The form of one symbol with its terms; it is the fit itself, and nothing scatters about it: r2 1, residual 0."""
+    """The form of one symbol with its terms; no points scatter about it, since it is the fit: r2 1, residual 0."""
     form = solved.forms[symbol]
     mine = [e for e in known if e.symbol == symbol]
     trials = tuple(dict.fromkeys(trial for e in mine for trial in e.trials))
@@ -219,7 +219,7 @@ def _enough(solved: Fit, pooled: Pooled) -> bool:
 
 
 def _adequacy(solved: Fit, pooled: Pooled) -> Finding:
-    """Whether the forms leave more than straight lines between pressures do: the residual is the test of a form."""
+    """Whether the residual is larger than that of straight lines between pressures, which tests the forms."""
     size = f"joint fit, {_forms(solved)}: residual {show(solved.rms, 'force', 2)} rms"
     comparison = f"straight lines between pressures leave {show(pooled.fit.rms, 'force', 2)}"
     noise = f"noise explains {show(pooled.expected, 'force', 2)}"
@@ -241,7 +241,7 @@ def _correlation(solved: Fit, trust: Trust, known: Sequence[Estimate]) -> dict[s
 
 
 def _together(correlation: Mapping[str, Any], known: Sequence[Estimate]) -> list[Finding]:
-    """Different coefficients at one pressure whose estimates are correlated, the worst pair of each kind."""
+    """The most correlated pair at one pressure of each two symbols, above `TOGETHER`."""
     worst: dict[tuple[str, str], tuple[float, str, str]] = {}
     for i, one in enumerate(known):
         for j in range(i):

@@ -1,4 +1,4 @@
-"""How well a contraction test knows its coefficients so far, and what further trials in each cell would add."""
+"""What is known of the coefficients during a contraction test, and what further trials in each cell would add."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from pmabench.store.analyses.results import Estimate, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
 NOISE = 1e-3
-"""Noise of a row before anything was measured, of the typical force; scatter between trials is far more."""
+"""Assumed noise of a row before any measurement, as a share of the typical force; trials scatter far more."""
 
 BY_CHANCE = 2.326
-"""A misfit is sure where chance makes it in one of 100 fits: so many standard deviations, and in two fits."""
+"""Standard deviations of a one-sided probability of 1 in 100, from which on a misfit is taken as certain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,25 +32,25 @@ class Known:
     """What is known after some trials."""
 
     outlook: predicted.Outlook
-    """Its wanted values are those with a goal."""
+    """Expected effect of trials; its wanted values are those with a goal."""
     aim: Aim
     freedom: int
     """Degrees of freedom among repeats."""
     misfit: str
-    """Why nothing may be promised: the data contradict the form of the fit; empty where they do not."""
+    """Why no goal can be promised, since the data contradict the form of the fit; empty where they do not."""
     pooled: Pooled | None
     """None before there is a fit."""
     reported: Mapping[tuple[str, float], Estimate]
     """Symbol and pressure [Pa] -> the value, as the analysis of these trials reports it."""
     as_reported: bool = True
-    """Whether values must be reported within their goals; else the design's prediction counts."""
+    """Whether reported values must reach their goals; else the design's prediction counts."""
 
     def counts(self, trials: Sequence[TrialData]) -> Array:
         """How many of the trials are in each cell of the outlook, shape (cells,)."""
         return self.outlook.counts(trials)
 
     def parts(self, name: tuple[str, float]) -> Parts:
-        """Interval parts of a value as it is reported; none where it is not."""
+        """Interval parts of a reported value; empty parts for others."""
         return self.reported[name].parts if name in self.reported else Parts()
 
     def halves(self, counts: Array) -> Array:
@@ -58,15 +58,15 @@ class Known:
         return self.aim.halves(self.outlook.design.variances(counts))
 
     def without(self, numbers: Collection[int]) -> Known:
-        """The same for the wanted values but these."""
+        """The same without some of the wanted values."""
         rows, aim = [n for n in range(len(self.outlook.names)) if n not in numbers], self.aim
         fewer = Aim(aim.goal[rows], aim.factor[rows], aim.rest[rows])
         return replace(self, outlook=self.outlook.of_values(rows), aim=fewer)
 
     @property
     def sure(self) -> bool:
-        """Whether a misfit of what was recorded is no chance of the few repeats that scatter is estimated from: by the
-        distribution of a variance that they give (its cube root is nearly normal, Wilson and Hilferty 1931).
+        """Whether a misfit is certain despite the few repeats from which scatter is estimated, by the distribution of a
+        sample variance (its cube root is nearly normal, Wilson and Hilferty 1931).
         """
         if self.pooled is None or self.freedom < FEWEST_FREEDOM:
             return False
@@ -75,7 +75,7 @@ class Known:
         return least * max(test.ratio**2, 1 + test.alike) > 1
 
     def reached(self, counts: Array) -> bool:
-        """Whether `counts` (cells,) trials reach every goal, and the values are reported so."""
+        """Whether every goal is reached by `counts` (cells,) trials and, if `as_reported`, in the reported values."""
         if not self.outlook.names or not (self.halves(counts) <= self.aim.goal).all():
             return False
         if not self.as_reported:
@@ -85,7 +85,7 @@ class Known:
 
 
 def finished(runs: Sequence[RunData]) -> list[TrialData]:
-    """The trials of the runs that count, in the order that they were done."""
+    """Finished trials of the runs in chronological order, without those that were done again."""
     return [trial for run in runs for trial in run.trials if trial.status == "finished" and not trial.again]
 
 
@@ -98,9 +98,9 @@ def of_trials(runs: Sequence[RunData], trials: Sequence[TrialData]) -> list[RunD
 def known_after(
     cells: Sequence[predicted.Cell], goals: Sequence[Goal], runs: Sequence[RunData], expected: Mapping[str, Any] | None
 ) -> Known | None:
-    """What the runs know of the coefficients with a goal; from what is `expected` where nothing can be fitted yet.
+    """Knowledge of the coefficients with a goal from the runs; from `expected` where nothing can be fitted yet.
 
-    None where neither says anything.
+    None where neither is possible.
     """
     campaign, _ = gather(runs) if finished(runs) else (None, [])
     pooled = None
@@ -116,7 +116,7 @@ def known_after(
 
 
 def _measured(cells: Sequence[predicted.Cell], goals: Sequence[Goal], pooled: Pooled) -> Known:
-    """What is known by a fit."""
+    """The same from a fit."""
     campaign = pooled.campaign
     estimates, _ = estimates_of(campaign, pooled)
     names = [(e.symbol, e.at.get("pressure", 0.0)) for e in estimates]
@@ -171,10 +171,10 @@ def _with_goals(
 
 
 def missed_by(before: Known, fitted: Sequence[TrialData], runs: Sequence[RunData]) -> float:
-    """Mean square of what a fit misses trials by that had no part in it, over what noise and scatter explain.
+    """Mean square prediction error of a fit for the trials of `runs`, relative to noise and scatter.
 
-    `before` is by the trials `fitted`; the others are in `runs`. 1.0 where samples were corrected for the fit: what is
-    recorded would not follow it then, and the fit to all of them is the test.
+    `before` comes from the trials `fitted`, which are not in `runs`. 1.0 where samples were corrected for the fit:
+    recorded samples would not agree with it, and only the fit to all of them is a test.
     """
     campaign, _ = gather(runs)
     if campaign is None or before.pooled is None or before.pooled.diagnosis.state != "sound":

@@ -1,4 +1,4 @@
-"""One trial of contraction and relaxation: x_inf, tau, K and F_ce as they are known so far."""
+"""One trial of contraction and relaxation: x_inf, tau, K and F_ce as known so far."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pmabench.store.records import RunData, TrialData
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """x_inf and tau of the contraction; K and F_ce over the loads of this pressure so far.
+    """x_inf and tau of the contraction; K and F_ce from the loads done so far at this pressure.
 
-    Where a contraction comes to rest K x_inf = F_ce - F_c - F_L; the line over loads thus gives F_ce - F_c, and so is
-    the prediction for comparison.
+    At the end of a contraction K x_inf = F_ce - F_c - F_L, so the line over loads gives F_ce - F_c; the prediction that
+    is compared with it is reduced by F_c, too.
     """
     if "displacement" not in trial.channels or "pressure" not in trial.channels or len(trial.t) < 2:
         return [], ["pressure or displacement is not recorded"]
@@ -26,7 +26,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     step = next((s for s in steps_of(samples_of(run, trial, 0), trial, Gate.lift) if s.phase == "contract"), None)
     K_e, F_e = (expected.at(name, P) if expected else None for name in ("K", "F_ce"))
     slip = expected.F_c if expected else 0.0
-    pull = F_e - slip - load if F_e is not None else None  # what is left where the contraction comes to rest
+    pull = F_e - slip - load if F_e is not None else None  # F_ce - F_c - F_L, which is K x_inf
     doubts: list[str] = []
     if step is None:
         if pull is None or pull > slip:
@@ -76,7 +76,7 @@ def _single_step(run: RunData, trial: TrialData) -> Found:
 
 
 def _drift(trial: TrialData, start: float) -> list[str]:
-    """Whether the displacement still moves at the end of the contraction."""
+    """Warning if the displacement still moves at the end of the contraction; else empty."""
     commands = [c for c in trial.commands if c.output == "pressure"]
     first = next((i for i, c in enumerate(commands) if c.phase == "contract"), None)
     if first is None:

@@ -1,7 +1,7 @@
-"""The next trial of a contraction test, or why there is none: what `pmabench run --until` asks after each trial.
+"""The next trial of a contraction test, or why there is none; used by `pmabench run --until` after each trial.
 
-A decision depends on the record alone (trials, and the decisions before it): asked again, also by a run that goes on
-after another, the answer is the same.
+A decision depends on the record alone (trials and earlier decisions), so it is the same when repeated, also in a run
+that continues another.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ FIRST_FIT = 8
 FIT_EVERY = 4
 """Trials from one fit to the next, or a fifth of those done, if that is more; in between their effect is predicted."""
 REPEATS_FROM = 16
-"""After so many trials cells are repeated until scatter can be told from misfit."""
+"""Number of trials after which cells are repeated until scatter can be distinguished from misfit."""
 CONFIRMING = 3
-"""Trials in cells that had no part in the fit, before a goal counts as reached."""
+"""Trials that had no part in the fit and must confirm it before a goal counts as reached."""
 MISSED = 4.0
-"""Mean square of what these are missed by, over what noise and scatter explain: by chance more in 1 of 150."""
+"""Limit of their mean square prediction error relative to noise and scatter; chance exceeds it in 1 of 150."""
 CHANGE = 60.0
-"""What another load takes at the bench [s]."""
+"""Time to change the load at the bench [s]."""
 CHANGED = "plan-change"
-"""Kind of the event that holds a decision."""
+"""Kind of the event that records a decision."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class Next:
     trial: int
     """Its index."""
     like: int
-    """Index of the plan's trial in the same cell: whose steps are done."""
+    """Index of a trial of the plan in the same cell, whose steps are used."""
     role: str
     why: str
-    """In words: the value that it is for, its interval now and as predicted."""
+    """Reason in words: the value it improves, its interval now and as predicted."""
     predicted: Mapping[str, Any]
     """Symbol, pressure [Pa], half widths [SI] before and after."""
     point: Mapping[str, float] = field(default_factory=dict)
@@ -79,7 +79,7 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Trials that are worth doing after a run."""
+    """Trials worth adding after a run."""
 
     why: str
     """Why there are none: `reached`, `out of reach`, or a sentence; empty where there are some."""
@@ -87,9 +87,9 @@ class Proposal:
     """Values whose goals cannot be reached, in words."""
     steps: tuple[Step, ...] = ()
     lines: tuple[tuple[str, Mapping[str, Any]], ...] = ()
-    """Of each step why it is done, in words and as data."""
+    """Reason for each step, in words and as data."""
     cells: tuple[Cell, ...] = ()
-    """That the steps choose from."""
+    """Cells to which the steps refer."""
 
     def trials(self) -> list[int]:
         """Index of a trial of the plan in the cell of each step."""
@@ -101,16 +101,16 @@ class Chooser:
     """Decisions about the trials of one plan."""
 
     plan: Mapping[str, Any]
-    """As it is kept with the run."""
+    """As stored with the run."""
     expected: Mapping[str, Any] | None
     """`expected` of the specimen file as plain data [SI]."""
     goals: tuple[Goal, ...]
     seconds: float | None = None
-    """Longest time of all trials together, changes of load counted [s]."""
+    """Time limit for all trials together, including changes of load [s]."""
     fits: dict[tuple[str, ...], Known | Stop] = field(default_factory=dict, compare=False)
-    """What was found for trials before: fits take a second."""
+    """Cache of results by trial names: a fit takes a second."""
     targets: dict[tuple[object, ...], Array] = field(default_factory=dict, compare=False)
-    """Trials in each cell that were found to be needed for the same values, after the same trials."""
+    """Cache of the trials needed in each cell, by wanted values and fitted trials."""
 
     @property
     def refusal(self) -> str:
@@ -120,7 +120,7 @@ class Chooser:
         return ""
 
     def decide(self, runs: Sequence[RunData]) -> Next | Stop:
-        """The decision after what the runs hold, which continue one another."""
+        """The decision after the trials of `runs`, each of which continues the one before."""
         course = Course.of(self, runs)
         if course.pending is not None:
             return course.pending
@@ -152,7 +152,7 @@ class Chooser:
         return self._next(near, course, fitted, "")
 
     def propose(self, runs: Sequence[RunData], most: int) -> Proposal:
-        """At most `most` trials after those of the runs, which need not have been chosen one by one."""
+        """At most `most` further trials; those of the runs need not have been chosen one by one."""
         done = finished(runs)
         known = self._known(runs, done)
         if isinstance(known, Stop):
@@ -161,7 +161,7 @@ class Chooser:
         if known.misfit and known.sure:
             return Proposal(f"nothing is promised: {known.misfit}")
         beyond = out_of_reach(known.outlook.design, known.aim, counts)
-        if known.freedom < FEWEST_FREEDOM:  # an assumed scatter says of no goal that trials cannot reach it
+        if known.freedom < FEWEST_FREEDOM:  # with an assumed scatter, trials may reach what calibration allows
             beyond = [n for n in beyond if known.aim.rest[n] > known.aim.goal[n]]
         far = (*(self._of(known, n, counts) for n in beyond), *self._unidentified(known))
         near = known.without(beyond)
@@ -177,14 +177,14 @@ class Chooser:
         return Proposal("", far, tuple(steps), lines, cells)
 
     def _fitted(self, course: Course) -> list[TrialData]:
-        """The trials that the fit is made of."""
+        """The trials used in the fit."""
         if course.held:
             held = {trial.index for trial in course.held}
             return [trial for trial in course.done if trial.index not in held]
         return course.done[: _last_fit(len(course.done))]
 
     def _known(self, runs: Sequence[RunData], trials: Sequence[TrialData]) -> Known | Stop:
-        """What is known by these trials, or why nothing can be chosen."""
+        """Knowledge of the coefficients from these trials, or why nothing can be chosen."""
         key = tuple(trial.name for trial in trials)
         if key not in self.fits:
             self.fits[key] = self._fit(runs, trials)
@@ -202,7 +202,9 @@ class Chooser:
         return known
 
     def _misfit(self, known: Known, runs: Sequence[RunData], course: Course, fitted: int) -> Stop | None:
-        """The end where the data contradict the form: surely, in two fits; or still after as many as the sweep has."""
+        """Stop where the data contradict the form: with certainty in two fits, or still after as many trials as the
+        sweep has.
+        """
         if not known.misfit:
             return None
         lasting = len(course.done) >= sum(len(cell.trials) for cell in known.outlook.cells)
@@ -212,7 +214,7 @@ class Chooser:
         return Stop(False, f"nothing is promised: {known.misfit}") if lasting else None
 
     def _over(self, known: Known, course: Course) -> Stop | None:
-        """Why no further trial is done, apart from a goal that is reached."""
+        """Stop for a reason other than a reached goal; else None."""
         counts = known.counts(course.done)
         if len(course.held) == CONFIRMING:
             return None
@@ -226,8 +228,8 @@ class Chooser:
         return None
 
     def _within_reach(self, known: Known, course: Course) -> Known:
-        """What is known of the values whose goals further trials can reach; of all while a misfit is not sure, for the
-        correction for one widens intervals: it becomes sure, or is gone.
+        """`known` for the values whose goals further trials can reach; for all values during a misfit, since its
+        correction widens intervals until it is certain or gone.
         """
         if known.misfit:
             return known
@@ -244,7 +246,7 @@ class Chooser:
         return f"{name_of(symbol, P or None)} {has} {size} where {wanted} is wanted{fixed}"
 
     def _unidentified(self, known: Known) -> list[str]:
-        """Wanted values that no number of these trials tells, in words."""
+        """Wanted values that no number of these trials determines, in words."""
         goals = [goal for goal in self.goals if goal.symbol != SWEEP]
         return [
             f"{name_of(symbol, P or None)}: {e.note}"
@@ -255,11 +257,11 @@ class Chooser:
         ]
 
     def _far(self, known: Known, counts: Array) -> str:
-        """The value that is farthest from its goal, in words."""
+        """The value farthest from its goal, in words."""
         return self._of(known, int(np.argmax(known.halves(counts) / known.aim.goal)), counts)
 
     def _confirmed(self, before: Known, runs: Sequence[RunData], course: Course) -> Known | Stop:
-        """The end where the trials that were held out confirm it; else what is known by all trials."""
+        """Stop if the held-out trials confirm the goal or contradict the form; else the knowledge from all trials."""
         fitted = self._fitted(course)
         missed = missed_by(before, fitted, of_trials(runs, course.held))
         if missed > MISSED:
@@ -282,7 +284,7 @@ class Chooser:
         return Stop(True, f"the goal is reached {trials}")
 
     def _confirmed_counts(self, known: Known, course: Course, fitted: Sequence[TrialData]) -> Array:
-        """Trials in each cell when those that confirm a goal are done, too, shape (cells,): they narrow it as well."""
+        """Trials in each cell with those that will confirm a goal, shape (cells,): they narrow intervals as well."""
         counts, field, load = known.counts(course.done), self.field(known.outlook.cells), course.load
         target = self._target(known, fitted)
         for number in range(len(course.changes), len(course.changes) + CONFIRMING):
@@ -318,7 +320,7 @@ class Chooser:
         )
 
     def field(self, cells: Sequence[Cell]) -> Field:
-        """The cells as the choice sees them."""
+        """The cells in the form that `choose` needs."""
         places = tuple((cell.load, cell.pressure) for cell in cells)
         wanted = {cell_key(t["point"]) for t in self.plan["trials"] if t["reference"]}
         reference = next((n for n, cell in enumerate(cells) if cell.key in wanted), None)
@@ -333,26 +335,26 @@ class Chooser:
 
 @dataclass(frozen=True)
 class Course:
-    """What was decided and done so far."""
+    """Decisions and trials so far."""
 
     changes: tuple[Mapping[str, Any], ...]
     """The decisions whose trials came to an end, in their order."""
     done: list[TrialData]
     """Trials that are finished."""
     pending: Next | None
-    """The last decision, where its trial did not come to an end."""
+    """The last decision, if its trial did not come to an end."""
     held: list[TrialData]
-    """The last trials that are to confirm that a goal is reached."""
+    """The last trials, held out to confirm that a goal is reached."""
     used: frozenset[int]
-    """Indices that are taken."""
+    """Trial indices in use."""
     load: float | None
-    """[N], of the last trial."""
+    """Load of the last trial [N]."""
     spent: float
-    """[s]"""
+    """Time used [s]."""
 
     @classmethod
     def of(cls, chooser: Chooser, runs: Sequence[RunData]) -> Course:
-        """From the record of runs that continue one another."""
+        """From the records of runs that continue one another."""
         changes: dict[int, Mapping[str, Any]] = {}
         for run in runs:
             for event in run.events:
@@ -385,7 +387,7 @@ class Course:
 
 
 def _last_fit(done: int) -> int:
-    """After how many of `done` trials the last fit was made; 0 before the first."""
+    """Number of trials in the last fit when `done` trials are finished; 0 before the first."""
     number, after = 0, FIRST_FIT
     while after <= done:
         number, after = after, after + max(FIT_EVERY, after // 5)
@@ -404,7 +406,7 @@ ROLES = {
 
 
 def described(known: Known, choice: Choice) -> tuple[str, Mapping[str, Any]]:
-    """Why a trial is done, in words and as data."""
+    """Reason for a trial, in words and as data."""
     name, value = known.outlook.names[choice.worst], float(known.outlook.values[choice.worst])
     cell = known.outlook.cells[choice.cell]
     change = f"{name_of(name[0], name[1] or None)}, {_size(choice.before, value)} to {_size(choice.after, value)}"

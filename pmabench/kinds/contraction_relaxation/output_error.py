@@ -1,18 +1,18 @@
-"""The pooled coefficients polished by output error: simulated against measured contraction (option `polish`).
+"""Output error: the pooled coefficients refined by comparing simulated and measured contraction (option `polish`).
 
-Each stretch of consecutive segments, in which the muscle moves one way, is simulated from a free start, driven by the
-measured pressure and force. Rows are the means of segments. Their errors are correlated, for the muscle filters the
-noise of pressure and force; so rows are whitened by their covariance. Gauss-Newton, begun at the pooled fit: maximum
-likelihood where noise is all that differs (Ljung, System Identification, 7.4). Knows segments; no trial point, no
-interval, no protocol.
+Each stretch of consecutive segments in which the muscle moves in one direction is simulated from a free start, with the
+measured pressure and force as inputs. Rows are the means of segments. Their errors are correlated, since the muscle
+filters the noise of pressure and force; so rows are whitened by their covariance. Gauss-Newton from the pooled fit:
+maximum likelihood if noise is the only difference (Ljung, System Identification, 7.4). Works on segments; knows no
+trial point, interval or protocol.
 
-What the muscle does over a stretch is a linear answer to the force that drives it:
+Over a stretch the motion
 
     M x'' + B(P) x' + K(P) x = f,   f = F_ce(P) - F_c sign(x') - F_L
 
-with the pressure that was measured is linear in f and in the start. From sample to sample the coefficients are held at
-their value for the mean pressure, and the step is exact for them (matrix exponential). Many stretches are worked on
-side by side.
+at the measured pressure is linear in the force f and in the start. Between samples the coefficients are constant, at
+their value for the mean pressure, and the step is exact for them (matrix exponential). Many stretches are computed in
+parallel, as columns.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array
 
 ROOM = 4_000_000
-"""Most numbers in the answers of stretches that are worked on together."""
+"""Most numbers in the response arrays of stretches that are computed together, to bound the memory."""
 SHORTEST = 2
 """Fewest segments of a stretch."""
 
@@ -55,7 +55,7 @@ class Stretch:
     """One stretch of n segments with w samples in all; steps lie between samples, shape (w - 1,)."""
 
     rows: slice
-    """Its segments."""
+    """Its rows in the segments."""
     way: float
     mean: Array
     """Simulated contraction [m], mean over each segment, from the measured start; shape (n,)."""
@@ -74,10 +74,12 @@ class Stretch:
     cell: bool
     """The force was measured."""
     samples: int
-    """Of a segment."""
+    """Samples per segment."""
 
     def covariance(self, noise: Noise, least: float = 0.0) -> Array:
-        """Of the means [m^2], from white noise of the channels, shape (n, n); `least` [N] of the drive at a sample."""
+        """Covariance of the means [m^2], shape (n, n), from white noise of the channels; noise of the force is at least
+        `least` [N].
+        """
         pressure = np.abs(self.slope) * noise.pressure
         force = noise.force if self.cell else 0.0
         shaken = np.zeros((len(self.mean), len(self.slope)))
@@ -89,7 +91,7 @@ class Stretch:
 
 
 def answers(segments: Segments, fit: Coefficients) -> Iterator[Stretch]:
-    """Every stretch of at least `SHORTEST` segments, the longest first."""
+    """All stretches of at least `SHORTEST` segments, the longest first."""
     pieces = sorted(_pieces(segments), key=lambda piece: piece.stop - piece.start, reverse=True)
     s = segments.v.shape[1]
     while pieces:
@@ -100,7 +102,7 @@ def answers(segments: Segments, fit: Coefficients) -> Iterator[Stretch]:
 
 
 def _pieces(segments: Segments) -> Iterator[slice]:
-    """Rows of consecutive segments of one trial that go one way without a gap."""
+    """Rows of consecutive segments of one trial in one direction without a gap."""
     if not len(segments):
         return
     apart = ~segments.followed | (np.diff(segments.way) != 0)
@@ -111,7 +113,7 @@ def _pieces(segments: Segments) -> Iterator[slice]:
 
 
 def _together(segments: Segments, fit: Coefficients, pieces: list[slice]) -> Iterator[Stretch]:
-    """Stretches side by side, one in each column; the shorter ones go on as they end."""
+    """Stretches as columns; shorter ones are padded with their last segment, and the result is cut to length."""
     s, m = segments.v.shape[1], len(pieces)
     most = pieces[0].stop - pieces[0].start
     index = np.stack([np.minimum(np.arange(p.start, p.start + most), p.stop - 1) for p in pieces], axis=1)
@@ -143,7 +145,7 @@ def _together(segments: Segments, fit: Coefficients, pieces: list[slice]) -> Ite
 
 
 def _coefficients(fit: Coefficients, P: Array, way: Array) -> tuple[Array, Array, Array]:
-    """F_ce [N], K [N/m] and the B [N.s/m] of the way that each column goes."""
+    """F_ce [N], K [N/m] and B [N.s/m] for the direction of each column."""
     B = np.where(way > 0, fit.values("B_c", P), fit.values("B_r", P))
     return fit.values("F_ce", P), np.maximum(fit.values("K", P), LEAST), np.maximum(B, LEAST)
 
@@ -157,7 +159,8 @@ def _slope(fit: Coefficients, P: Array, x: Array, way: Array, v_step: Array) -> 
 
 
 def _steps(K: Array, B: Array, mass: Array, dt: float) -> tuple[Array, Array]:
-    """From sample to sample the state x, and with a mass v, goes to A @ state + g f, exactly for a constant force f.
+    """Exact state transition from sample to sample, state -> A @ state + g f, for a constant force f; state: x, and v
+    with a mass.
 
     K, B have shape (steps, stretches), A (steps, k, k, stretches) and g (steps, k, stretches), with k = 1 or 2.
     """
@@ -175,7 +178,7 @@ def _steps(K: Array, B: Array, mass: Array, dt: float) -> tuple[Array, Array]:
 
 
 def _run(A: Array, g: Array, drive: Array, state: Array) -> Array:
-    """Contraction [m] at the samples under the force of each step [N], from a state (k, stretches) on."""
+    """Contraction [m] at the samples from an initial state (k, stretches) under the force of each step [N]."""
     found = np.empty((len(drive) + 1, drive.shape[1]))
     found[0] = state[0]
     for i, push in enumerate(g * drive[:, None]):
@@ -185,10 +188,10 @@ def _run(A: Array, g: Array, drive: Array, state: Array) -> Array:
 
 
 def _answer(A: Array, g: Array, n: int, s: int) -> tuple[Array, Array]:
-    """Change of the mean contraction of n segments of s samples each by the force on a step, and by the start.
+    """Derivative of the mean contraction of n segments of s samples by the force on each step, and by the start.
 
-    Shapes (steps, n, stretches) [m/N] and (k, n, stretches). Backwards in time (adjoint): what a sample's state is
-    worth to each mean.
+    Shapes (steps, n, stretches) [m/N] and (k, n, stretches). Computed backwards in time (adjoint): `worth` is the
+    derivative of each mean by the state at a sample.
     """
     steps, k, m = g.shape
     worth, found = np.zeros((k, n, m)), np.empty((steps, n, m))
@@ -201,30 +204,29 @@ def _answer(A: Array, g: Array, n: int, s: int) -> tuple[Array, Array]:
 
 
 MOST_STEPS = 25
-"""Steps of Gauss-Newton after which it counts as not converged."""
+"""Most Gauss-Newton steps before the fit counts as not converged."""
 WHOLE = 6
-"""After so many the steps are halved: weights that follow the fit can make it swing about its end."""
+"""Number of steps after which they are halved: since the weights follow the fit, it may oscillate about its end."""
 SETTLED = 1e-4
-"""Mean square of a step in units of the covariance, that of the residual, at which it has converged: 1 % of a standard
-deviation."""
+"""Mean square of a step, relative to the covariance, at which it has converged: 1 % of a standard deviation."""
 HALVINGS = 4
-"""How often a step that makes it worse is halved."""
+"""How often a step that increases the cost is halved."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Polished(Fit):
-    """A fit by output error; rows of `design` and `residual` are whitened, in units of `unit` for what noise makes."""
+    """A fit by output error; `design` and `residual` are whitened and scaled so that noise alone gives rms `unit`."""
 
     unit: float
-    """[N], what noise leaves of a segment in the pooled fit."""
+    """Noise of a segment in the pooled fit [N]."""
     noise: Noise
-    """Of the channels, for the whitening."""
+    """Noise of the channels, for the whitening."""
     starts: int
-    """Free start values of stretches; they take as many degrees of freedom."""
+    """Number of free start values, subtracted from the degrees of freedom."""
     misses: Array
-    """Mean measured less simulated contraction of each segment [m], shape (n,); nan for one in no stretch."""
+    """Mean measured minus simulated contraction of each segment [m], shape (n,); nan for a segment in no stretch."""
     expected: Array
-    """Standard deviation of it that noise makes [m], shape (n,)."""
+    """Standard deviation of `misses` by noise alone [m], shape (n,)."""
     begun: Fit
     """The pooled fit."""
     steps: int = 0
@@ -232,28 +234,28 @@ class Polished(Fit):
 
     @property
     def cost(self) -> float:
-        """Sum of the squared rows, in units of what noise makes."""
+        """Sum of squared rows, relative to noise."""
         return float(self.residual @ self.residual) / self.unit**2
 
     @property
     def rms(self) -> float:
-        """See `Fit`; `unit` where noise explains it."""
+        """See `Fit.rms`; equals `unit` if noise explains the residual."""
         count = int(np.isfinite(self.misses).sum())
         free = max(1.0, count - self.starts - float(np.sum(levers(self.design, self.inverse))))
         return float(np.sqrt(self.residual @ self.residual / free))
 
     def again(self, segments: Segments, noise: float) -> Polished:
-        """See `Fit`: one step from here, which is enough for what changes little; rows are those of before it."""
+        """See `Fit.again`: one Gauss-Newton step, enough for small changes; rows are those before the step."""
         there = linear(segments, self)
         return there.moved(there.newton(segments))
 
     def coarser(self, segments: Segments, knots: Array, noise: float) -> Fit:
-        """See `Fit`."""
+        """See `Fit.coarser`."""
         coarse = replace(self, theta=self.at_knots(knots), knots=knots, halves=NONE)
         return coarse.again(segments, noise).again(segments, noise)
 
     def scatter(self, segments: Segments, noise: Noise) -> Array:
-        """See `Fit`."""
+        """See `Fit.scatter`."""
         found = np.zeros((len(self.theta), len(self.theta)))
         for one in answers(segments, self):
             white = np.linalg.inv(_root(one, self, segments))
@@ -262,25 +264,25 @@ class Polished(Fit):
         return np.asarray(self.inverse @ found @ self.inverse)
 
     def shared(self, segments: Segments, noise: Noise) -> Array:
-        """See `Fit`: nothing, rows are whitened."""
+        """See `Fit.shared`: 0, since whitened rows are independent."""
         return np.zeros((len(self.theta), len(self.theta)))
 
     def change(self, columns: Array) -> Array:
-        """See `Fit`: as much as of the pooled fit, whose equation of motion is the same."""
+        """See `Fit.change`: that of the pooled fit, which has the same equation of motion."""
         return self.begun.change(columns)
 
     def newton(self, segments: Segments) -> Array:
-        """The step of Gauss and Newton from here, shape (p,)."""
+        """Gauss-Newton step from here, shape (p,)."""
         prior = self.prior(segments, self.unit)
         return np.asarray(self.inverse @ (self.design.T @ self.residual - prior.T @ (prior @ self.theta)))
 
     def moved(self, by: Array) -> Polished:
-        """The same with `by` (p,) added to theta; rows are those of before."""
+        """The same with `by` (p,) added to theta; rows are not recomputed."""
         return replace(self, theta=self.theta + by)
 
 
 def polish(segments: Segments, fit: Fit, noise: Noise, unit: float) -> Polished:
-    """The fit by output error that is begun at `fit`; `noise` of the channels, `unit` [N] as in `Polished`."""
+    """The output-error fit starting from `fit`; `noise` of the channels, `unit` [N] as in `Polished`."""
     begun = Polished(
         fit.theta, fit.inverse, fit.design, fit.residual, fit.friction, fit.knots, fit.halves,
         fit.added,
@@ -302,7 +304,7 @@ def polish(segments: Segments, fit: Fit, noise: Noise, unit: float) -> Polished:
 
 
 def linear(segments: Segments, fit: Polished) -> Polished:
-    """`fit` with rows, and what belongs to them, of these segments at its theta."""
+    """`fit` linearised at its theta for these segments: whitened rows and what depends on them."""
     n, p = len(segments), len(fit.theta)
     design, residual = np.zeros((n, p)), np.zeros(n)
     misses, expected = np.full(n, np.nan), np.full(n, np.nan)
@@ -330,7 +332,7 @@ def linear(segments: Segments, fit: Polished) -> Polished:
 
 
 def _root(one: Stretch, fit: Polished, segments: Segments) -> Array:
-    """Lower triangular root of the covariance of a stretch's means [m], shape (n, n)."""
+    """Cholesky factor of the covariance of a stretch's means [m], shape (n, n)."""
     least = FLOOR * sizes_of(segments)[0] * np.sqrt(one.samples)
     covariance = one.covariance(fit.noise, least)
     covariance += 1e-9 * np.mean(np.diag(covariance)) * np.eye(len(one.mean))
@@ -355,7 +357,7 @@ def _regressors(one: Stretch, fit: Polished) -> Array:
 
 METHOD = "output-error"
 MISFIT = 2.0
-"""Whitened rows this many times what noise makes put the model's form in doubt."""
+"""Ratio of the whitened rms to noise from which on the model's form is a doubt."""
 FEW = 0.1
 """Share of the coefficients that may move by more than their interval before it is a doubt."""
 FEWEST = 10
@@ -365,9 +367,9 @@ MOST_NAMED = 4
 
 
 def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], options: Mapping[str, Any]) -> Further:
-    """The pooled fit polished by output error where `options` ask, {"polish": True}; else nothing.
+    """The pooled fit refined by output error if `options` has {"polish": True}; else an empty `Further`.
 
-    `estimates` are those of the pooled fit. A polish that does not converge gives no value, and says so.
+    `estimates` are those of the pooled fit. Without convergence there are no estimates, and a finding says so.
     """
     if not options.get("polish"):
         return Further()
@@ -406,7 +408,7 @@ def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], o
 
 
 def _residual(facts: Mapping[str, Any]) -> Finding:
-    """What is left, in m and in N, and whether noise explains it."""
+    """The residual in m and in N, and whether noise explains it."""
     left, noise = show(facts["residual_rms"], "length", 2), show(facts["expected_rms"], "length", 2)
     force, shaken = show(facts["residual_rms_force"], "force", 2), show(facts["expected_rms_force"], "force", 2)
     size = (
@@ -420,7 +422,7 @@ def _residual(facts: Mapping[str, Any]) -> Finding:
 
 
 def _compared(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Finding]:
-    """Coefficients that the polish moves by more than their interval, and those that it leaves open."""
+    """Coefficients that change by more than their interval, and those that output error does not determine."""
     there = {(e.symbol, tuple(e.at.items())): e for e in after}
     known, moved, lost = 0, list[tuple[float, Estimate, Estimate]](), list[str]()
     for a in before:
@@ -441,7 +443,7 @@ def _compared(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator
 
 
 def _moved(moved: list[tuple[float, Estimate, Estimate]], known: int) -> Iterator[Finding]:
-    """Estimates of both methods that differ, and by how many half widths of the first; of `known` ones in all."""
+    """Estimates that differ between both methods by more than a half width of the first; `known`: number compared."""
     if not known:
         return
     if not moved:

@@ -1,8 +1,8 @@
 """Paper 1's reduction of single steps: S and D over pressure, in both conventions of F_ce, each as a separate method.
 
 S = (F_ce - L) / x_max, D = tau S (paper 1 section 3); K is the paper's S, B_c and B_r its D. F_ce comes from the braid
-(eqs. 5-10), at x = 0 or at x_max: the plan names the first of the two. Next to them `measured-pressure`, which
-does not take the pressure for a step. D of relaxation carries the pressure *before* the release: a reduction only.
+(eqs. 5-10), at x = 0 or at x_max: the plan names the one that comes first. For comparison `measured-pressure`, which
+does not assume a pressure step. D of relaxation is given at the pressure *before* the release; reduction only.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ VENTED = (
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """K [N/m], B_c, B_r [N.s/m] at every pressure by two conventions of F_ce, polynomials, model against test.
+    """K [N/m], B_c, B_r [N.s/m] at every pressure by two conventions of F_ce, polynomials, model compared with tests.
 
-    Geometry, convention and orders are in the plan's `reduction`; runs whose plan says otherwise are dropped.
+    Geometry, convention and orders are in the plan's `reduction`; runs whose plan has other ones are dropped.
     """
     settings = dict(_plan_of(runs[0]) or {}) | dict(options or {})
     braid, chosen, orders = _asked(runs[0], settings)
@@ -98,7 +98,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _steps_of(campaign: Campaign, dropped: list[Dropped]) -> list[Step]:
-    """The steps that can be read; trials whose step cannot are added to those dropped."""
+    """The steps that can be read; other trials are added to `dropped`."""
     steps: list[Step] = []
     for samples, trial in zip(campaign.samples, campaign.trials, strict=True):
         step = read(samples, trial)
@@ -122,7 +122,7 @@ def _plan_of(run: RunData) -> Any:
 
 
 def _asked(run: RunData, settings: Mapping[str, Any]) -> tuple[Braid, str, dict[str, int]]:
-    """Geometry, convention and orders; InvalidFile where the plan does not hold them as `check` writes them."""
+    """Geometry, convention and orders; InvalidFile where the plan lacks them or has them in another form."""
     try:
         braid, chosen = Braid.of(settings), str(settings.get("F_ce_at", "x0"))
         orders = {str(symbol): int(order) for symbol, order in dict(settings.get("orders") or {}).items()}
@@ -179,7 +179,7 @@ def _by_paper(
 def _estimate(
     campaign: Campaign, symbol: str, group: Sequence[Step], values: Sequence[float], at: str, note: str = ""
 ) -> Estimate:
-    """Mean over the repeats and loads of a group, with what these say of its interval."""
+    """Mean over the repeats and loads of a group, with their scatter as repeats part."""
     mean, half, _ = mean_over(values, [s.load for s in group])
     note = sentences(note, GIVEN, OTHER if at == "xmax" else "", ONCE if half is None else "")
     where, names = {"pressure": group[0].pressure}, tuple(campaign.name(s.trial) for s in group)
@@ -198,19 +198,23 @@ def _calibrated(e: Estimate, group: Sequence[Step], braid: Braid, at: str, scale
 
 
 def _sampled(campaign: Campaign, e: Estimate, tau: float) -> Estimate:
-    """With what the sampling leaves open of tau, half a period at both of its ends, as method part."""
+    """The estimate with a method part for the sampling: half a period at either end of tau."""
     part = abs(e.value or 0.0) * hypot(0.5, 0.5) / campaign.rate / tau
     return replace(e, parts=replace(e.parts, method=part))
 
 
 def _against(e: Estimate, driven: Sequence[Estimate]) -> Estimate:
-    """With the distance to the fit with the measured pressure as bias, not taken off, and in the method part."""
+    """The estimate with its difference to the fit with measured pressure as bias, not subtracted, and in the method
+    part.
+    """
     other = next((d for d in driven if d.symbol == e.symbol and d.at == e.at and d.value is not None), None)
     return e if other is None or e.value is None else with_bias(e, other)
 
 
 def _driven(campaign: Campaign, up: Sequence[Sequence[Step]], braid: Braid) -> list[Estimate]:
-    """K and B_c with the measured pressure, F_ce at x = 0; repeats are fitted apart, their scatter is the interval."""
+    """K and B_c by the measured pressure, F_ce at x = 0; repeats are fitted separately, their scatter gives the
+    interval.
+    """
     tested = np.array([group[0].pressure for group in up])
     members = sorted({s.trial for group in up for s in group})
     samples = {n: campaign.samples[n] for n in members}
@@ -261,7 +265,9 @@ def _vented(driven: Sequence[Estimate], down: Sequence[Sequence[Step]]) -> list[
 def _curves(
     estimates: Sequence[Estimate], orders: Mapping[str, int]
 ) -> tuple[list[Curve], list[Finding], list[dict[str, Any]]]:
-    """A line and a polynomial in z through each coefficient of each method; none that is negative on its domain."""
+    """A line and a polynomial in z through each coefficient of each method, only those that are positive on their
+    domain.
+    """
     curves: list[Curve] = []
     findings: list[Finding] = []
     compared: list[dict[str, Any]] = []
@@ -308,8 +314,8 @@ def _sound(known: Sequence[Estimate], order: int, normalised: bool) -> Curve | N
 
 
 def _said(campaign: Campaign, steps: Sequence[Step], estimates: Sequence[Estimate], chosen: str) -> Iterator[Finding]:
-    """The convention of F_ce, how far paper 1's way lies from the fit with the measured pressure in the one convention
-    that both have, and steps that had not come to rest.
+    """The convention of F_ce, the difference between paper 1's method and the fit with measured pressure in the
+    convention that both have, and steps that had not come to rest.
     """
     text = (
         f"F_ce at {'x = 0' if chosen == 'x0' else 'x_max'} comes first, as the protocol says; the other convention "

@@ -1,10 +1,10 @@
-"""Single steps as paper 1 reads them: stroke, time constant, stiffness from the braid; K and B_c with F_ce known.
+"""Single steps as in paper 1: stroke, time constant, stiffness from the braid; K and B_c with F_ce known.
 
 With one load F_ce and K x cannot be separated: every solution of F_L = F_ce - K x - B x' can be scaled. So F_ce is
-taken from elsewhere, and K and B are fitted to all contractions at once as in `pooled`. Knows samples and geometry; no
-interval.
+given, and K and B are fitted to all contractions at once as in `pooled`. Uses samples and geometry; no intervals.
 
-And paper 1's closed form against the test it was fitted to: accuracy at rest, residual over time, overlays, figure.
+Also paper 1's closed form compared with the tests it was fitted to: accuracy at rest, residual over time, overlays,
+figure.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ from pmabench.store.records import Array, TrialData
 def fit_known_force(
     samples: Sequence[Samples], rate: float, tested: Array, force: Callable[[Array], Array]
 ) -> dict[float, tuple[float, float]]:
-    """K [N/m] and B_c [N.s/m] at the tested pressures [Pa] where samples move near them, from contractions alone.
+    """K [N/m] and B_c [N.s/m] at those tested pressures [Pa] near which samples move, from contractions alone.
 
-    `force` gives F_ce [N] at pressures [Pa]. Friction, which always points one way here, is held for less F_ce.
+    `force` gives F_ce [N] at pressures [Pa]. Friction, which has one direction here, acts like a smaller F_ce and is
+    not separated.
     """
     knots = first_knots(tested, np.empty(0))
     segments = cut(samples, rate, Gate()).within(knots)
@@ -61,16 +62,16 @@ def fit_known_force(
 SHARE = 1 - exp(-1)
 """Share of the stroke that is reached after one time constant, 0.63212."""
 SETTLED = 0.2
-"""The ends of a stroke are means over this last share of a hold."""
+"""The end of a stroke is the mean over this last share of the hold."""
 STILL = 2e-3
-"""Share of the stroke that may still be moved within that time."""
+"""Share of the stroke that may still be moved within the last part of the hold."""
 LEAST_STROKE = 0.2e-3
-"""Steps that move less are not read [m]."""
+"""Smaller steps are not evaluated [m]."""
 
 
 @dataclass(frozen=True)
 class Braid:
-    """What F_ce is computed from [m, rad]: F = pi r0^2 P (a (1 - x / L0)^2 - b) (paper 1 eqs. 5-10)."""
+    """Geometry for F_ce [m, rad]: F = pi r0^2 P (a (1 - x / L0)^2 - b) (paper 1 eqs. 5-10)."""
 
     radius: float
     nominal_length: float
@@ -88,13 +89,13 @@ class Braid:
         return braid_force(P, x / self.nominal_length, self.radius * one, self.braid_angle * one, one)[0]
 
     def stiffness(self, P: float, x_max: float, load: float, at: str) -> float:
-        """S = (F_ce - L) / x_max [N/m], F_ce at x = 0 (`x0`) or at x_max (`xmax`); 0 or less: no pull is left."""
+        """S = (F_ce - L) / x_max [N/m], F_ce at x = 0 (`x0`) or at x_max (`xmax`); 0 or less where no force is left."""
         return (float(self.force(P, x_max if at == "xmax" else 0.0)) - load) / x_max
 
 
 @dataclass(frozen=True)
 class Step:
-    """One trial, read. `way` is +1 from 0 to `pressure`, -1 from there to 0 [Pa, commanded]."""
+    """One evaluated trial. `way` is +1 from 0 to `pressure`, -1 from there to 0 [Pa, commanded]."""
 
     trial: int
     way: int
@@ -103,17 +104,17 @@ class Step:
     """Pressure measured at the end of the contraction, or before the release [Pa]."""
     load: float
     stroke: float
-    """x_max of a contraction, what a relaxation gives back [m]."""
+    """x_max of a contraction, or the distance moved back in a relaxation [m]."""
     t_d: float
     """From the command to the first motion [s]."""
     tau: float
     """From the first motion to 63.2 % of the stroke [s]."""
     creeps: float
-    """Share of the stroke that it still moves in the last part of the hold."""
+    """Motion in the last part of the hold, as a share of the stroke."""
 
 
 def read(samples: Samples, trial: TrialData) -> Step | str:
-    """The trial's step, or why there is none."""
+    """The trial's step, or the reason why there is none."""
     high, start = trial.point.get("pressure", 0.0), trial.point.get("from", 0.0)
     way = 1 if high > start else -1
     phase = "contract" if way > 0 else "relax"
@@ -201,7 +202,9 @@ def compare(
 def _accuracies(
     campaign: Campaign, steps: Sequence[Step], K: Curve, stiff: Sequence[Estimate], braid: Braid, at: str
 ) -> tuple[list[Estimate], list[Estimate]]:
-    """Accuracy at rest as paper 1, 1 - |x_s - x_e| / x_e: of the fit, and with each inner pressure left out of it."""
+    """Accuracy at rest as in paper 1, 1 - |x_s - x_e| / x_e: of the fit, and at each inner pressure by a fit without
+    it.
+    """
     fitted: list[Estimate] = []
     left_out: list[Estimate] = []
     for e in stiff:
@@ -264,7 +267,7 @@ CLOSED_FORM = "closed form of single steps with the polynomials of the first met
 
 
 def step_overlays(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """Steps up and steps down apart: each has its own damping."""
+    """Overlays of steps up and steps down in separate figures, since their damping differs."""
     ways = [[t for t in traces if t.name.startswith(f"step-{way}-")] for way in ("to", "from")]
     titles = ("Contraction, measured and closed form", "Relaxation, measured and closed form")
     return [p for mine, title in zip(ways, titles, strict=True) for p in overlays(mine, analysis, CLOSED_FORM, title)]

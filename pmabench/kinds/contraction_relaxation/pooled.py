@@ -1,9 +1,9 @@
-"""The pooled fit: one least squares over all segments of a campaign; knows no trial, no interval, no protocol.
+"""The pooled fit: one least squares over all segments of a campaign; knows no trial, interval or protocol.
 
     F_L = F_ce(P) - K(P) x - B(P) x' - F_c sign(x'),   B = B_c contracting, B_r relaxing
 
-(paper 0, with Coulomb friction), every coefficient a polygon over pressure: its values at knots, with straight
-lines between. Linear in all of them.
+(paper 0, with Coulomb friction), every coefficient piecewise linear over pressure: unknowns are its values at knots.
+Linear in all unknowns.
 """
 
 from __future__ import annotations
@@ -21,25 +21,27 @@ from pmabench.store.records import Array
 
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")
 BEND = 0.2
-"""How far a knot may lie off the line between its neighbours, as a share of the coefficient's size: a weak prior
-(one standard deviation) that counts only where the samples say next to nothing."""
+"""Standard deviation of a weak prior: distance of a knot from the line between its neighbours, as a share of the
+coefficient's size. It matters only where samples say next to nothing.
+"""
 EXCESS = 1.5
 """A stretch between knots gets one more knot where its mean square residual is this many times that of the noise."""
 GAIN = 0.03
-"""Least relative fall of the sum of squares for which one more knot is kept."""
+"""Least relative fall of the sum of squares for which an added knot is kept."""
 CHANCE = 8.0
-"""The same in units of what its coefficients explain by chance, for runs of few segments: the best place is taken."""
+"""The same in units of the fall expected by chance, which matters for few segments, since the best place is taken."""
 FEWEST_KNOTS = 3
-"""A fit whose stretches are not halved has at least so many."""
+"""Fewest knots without those that only halve a stretch."""
 MOST_KNOTS = 8
 """Most knots that are added."""
 PLACES = 5
-"""Places in a stretch that are tried for a knot, twice: the second time between the neighbours of the best."""
+"""Places tried for a knot in a stretch, twice: the second time between the neighbours of the best."""
 FLOOR = 1e-4
-"""Least noise, as a share of the typical force."""
+"""Smallest noise, as a share of the typical force."""
 ROUNDED, RESOLVED = 1e12, 1e-12
-"""Condition of a normal matrix from which on rounding counts, and the least eigenvalue then, as a share of the largest:
-it changes forces by less than `FLOOR`."""
+"""Condition of a normal matrix from which on rounding matters, and the smallest eigenvalue then kept, relative to the
+largest: it changes forces by less than `FLOOR`.
+"""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Powers:
 
     @property
     def name(self) -> str:
-        """The form in words."""
+        """Name of the form for reports."""
         return ("constant", "a line")[self.order] if self.order < 2 else f"a polynomial of order {self.order}"
 
     def powers(self, P: Array) -> Array:
@@ -62,7 +64,7 @@ class Powers:
         return ((P[..., None] - self.centre) / self.scale) ** np.arange(self.order + 1)
 
     def sums(self, P: Array, by: Array) -> Array:
-        """Sums over the second axis of the powers at P (n, w) [Pa] times `by` (n, w); shape (n, order + 1)."""
+        """Sums over the second axis of by (n, w) times the powers of z at P (n, w) [Pa]; shape (n, order + 1)."""
         z, columns = (P - self.centre) / self.scale, []
         for _ in range(self.order + 1):
             columns.append(by.sum(axis=1))
@@ -71,13 +73,13 @@ class Powers:
 
 
 POLYGONS: Mapping[str, Powers] = {}
-"""Forms of a fit in which every coefficient is a polygon: straight lines between its knots."""
+"""Forms of a fit in which every coefficient is piecewise linear between the knots."""
 NONE = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A solved least squares of segments.
+    """Solution of the least squares over segments.
 
     `theta` (p,) holds the unknowns of F_ce [N], K [N/m], B_c, B_r [N.s/m], then F_c [N]: of each coefficient its values
     at the `knots`, or the terms of its polynomial.
@@ -88,29 +90,29 @@ class Fit:
     """Inverse of the normal matrix, shape (p, p); times the squared noise it is the covariance."""
     design: Array
     residual: Array
-    """[N], one per segment."""
+    """Residual of each segment [N]."""
     friction: bool
-    """False: all segments go one way, and F_c cannot be separated from F_ce."""
+    """False where all segments go in one direction, so that F_c cannot be separated from F_ce."""
     knots: Array
     """[Pa]"""
     halves: Array = field(default_factory=lambda: NONE)
-    """Those of them [Pa] that only halve a stretch."""
+    """The knots [Pa] that only halve a stretch."""
     added: Array = field(default_factory=lambda: NONE)
-    """Those of them [Pa] that were put where the residual needed one."""
+    """The knots [Pa] that were added because of the residual."""
     forms: Mapping[str, Powers] = field(default_factory=dict)
     """Coefficients that are polynomials; the others are straight lines between the knots."""
     least: float = 0.0
-    """Pressure [Pa] from which on the forms hold: segments that come below it are left out."""
+    """Lowest pressure [Pa] for which the forms hold: segments below it are left out."""
 
     def columns(self, symbol: str) -> slice:
-        """Places of the unknowns of one of `SYMBOLS` or F_c in `theta`."""
+        """Slice of `theta` with the unknowns of one of `SYMBOLS` or F_c."""
         sizes = [self.forms[name].order + 1 if name in self.forms else len(self.knots) for name in SYMBOLS]
         place = (*SYMBOLS, symbol).index(symbol)
         start = sum(sizes[:place])
         return slice(start, start + [*sizes, 1][place])
 
     def row(self, symbol: str, P: float) -> Array:
-        """What theta is to be multiplied by for a coefficient at P [Pa], shape (p,)."""
+        """Row (p,) whose product with theta is a coefficient at P [Pa]."""
         found, mine = np.zeros(len(self.theta)), self.columns(symbol)
         if symbol in self.forms:
             found[mine] = self.forms[symbol].powers(np.array(P))
@@ -134,7 +136,7 @@ class Fit:
         return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
 
     def damping(self, segments: Segments) -> Array:
-        """B of the way that each segment goes [N.s/m], shape (n,)."""
+        """B for the direction of each segment [N.s/m], shape (n,)."""
         P = segments.pressure
         return np.where(segments.way > 0, self.values("B_c", P), self.values("B_r", P))
 
@@ -148,23 +150,23 @@ class Fit:
         return replace(self, theta=self.theta + change, residual=self.residual + by - self.design @ change)
 
     def again(self, segments: Segments, noise: float) -> Fit:
-        """The same fit to other segments, whose residual should be `noise` [N]."""
+        """The same fit to other segments, with expected noise [N]."""
         if self.least:
             segments = segments.where(above(segments, self.least))
         found = solve(segments, self.knots, noise, self.forms)
         return replace(found, halves=self.halves, added=self.added, least=self.least)
 
     def followed(self, gain: float, offset: float) -> Fit:
-        """The same where pressure reads (1 + gain) times as much, plus `offset` [Pa]: a bend that a knot was put at
-        is then read elsewhere, and the knot goes with it; tested pressures stay where they are.
+        """The same for a pressure that reads (1 + gain) times as much plus `offset` [Pa]: added knots move, since the
+        bend they describe is then read elsewhere; knots at tested pressures do not.
         """
         followed = [at * (1 + gain) + offset for at in (self.knots, self.added)]
         knots = np.where(np.isin(self.knots, self.added), followed[0], self.knots)
         return replace(self, knots=knots if (np.diff(knots) > 0).all() else self.knots, added=followed[1])
 
     def bends(self, segments: Segments, noise: float) -> Array:
-        """What straight lines leave of a bend in each unknown, shape (p,): a third of what it changes to halve no
-        stretch (Richardson), for their errors go with length^2.
+        """Error of each unknown because coefficients are curved between knots, shape (p,): a third of the change by
+        leaving out the halving knots (Richardson), since the error is proportional to length^2.
         """
         kept = np.setdiff1d(self.knots, self.halves)
         if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
@@ -181,7 +183,7 @@ class Fit:
         return solve(segments, knots, noise)
 
     def change(self, columns: Array) -> Array:
-        """Change of theta by forces [N] at the segments that the form does not have; (n, m) gives (p, m)."""
+        """Change of theta by additional forces [N] at the segments; (n, m) gives (p, m)."""
         return np.asarray(self.inverse @ (self.design.T @ columns))
 
     def scatter(self, segments: Segments, noise: Noise) -> Array:
@@ -191,7 +193,7 @@ class Fit:
         return np.asarray(alone + self.shared(segments, noise))
 
     def shared(self, segments: Segments, noise: Noise) -> Array:
-        """What of `scatter` comes from samples that neighbouring segments share, shape (p, p)."""
+        """Part of `scatter` from samples that neighbouring segments share, shape (p, p)."""
         _, after = noise_covariance(segments, self, noise)
         cross = (self.design[1:] * after[:, None]).T @ self.design[:-1]
         return np.asarray(self.inverse @ (cross + cross.T) @ self.inverse)
@@ -203,29 +205,29 @@ class Fit:
 
     @cached_property
     def rms(self) -> float:
-        """Root mean square residual [N], with the degrees of freedom that the fit took."""
+        """Root mean square residual [N], corrected for the degrees of freedom of the fit."""
         free = max(1.0, len(self.residual) - float(np.sum(levers(self.design, self.inverse))))
         return float(np.sqrt(self.residual @ self.residual / free))
 
 
 def levers(design: Array, inverse: Array) -> Array:
-    """Variance of the prediction of each row by a fit, over that of one row; shape (n,)."""
+    """Leverage: variance of the prediction of each row by a fit, relative to that of one row; shape (n,)."""
     return np.asarray(np.sum(design @ inverse * design, axis=1))
 
 
 def above(segments: Segments, least: float) -> NDArray[np.bool_]:
-    """Which segments lie above a pressure [Pa], shape (n,)."""
+    """Which segments lie entirely above a pressure [Pa], shape (n,)."""
     return np.asarray(segments.P.min(axis=1) >= least)
 
 
 def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
-    """Left neighbour among the knots, and the share of the way from there to the right one; lines go on at the ends."""
+    """Index of the knot to the left, and fraction of the way to the next; the end lines continue beyond the knots."""
     left = np.searchsorted(knots[1:-1], P, side="right")
     return left, (P - knots[left]) / np.diff(knots)[left]
 
 
 def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
-    """Sums over the second axis of the hat functions of k knots `at` places (n, w) times `by` (n, w); shape (n, k)."""
+    """Sums over the second axis of by (n, w) times the hat functions of k knots, `at` from `place`; shape (n, k)."""
     left, share = at
     rows = np.arange(len(left))[:, None] * k + left
     total = np.bincount(rows.ravel(), (by * (1 - share)).ravel(), len(left) * k).astype(np.float64)
@@ -234,7 +236,7 @@ def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
 
 
 def sums_of(segments: Segments, knots: Array) -> dict[str, Array]:
-    """What each coefficient at the knots is multiplied by, by its size, each of shape (n, k)."""
+    """Coefficient -> its regressors for values at the knots, shape (n, k) each."""
     weights, k = np.broadcast_to(segments.weights, segments.P.shape), len(knots)
     left, share = at = place(segments.P, knots)
     first, s = segments.reach, segments.v.shape[1]  # of the pressures in the middle, `P_mid`
@@ -258,7 +260,7 @@ def design_of(segments: Segments, knots: Array, forms: Mapping[str, Powers] = PO
 
 
 def solve(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Fit:
-    """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
+    """Least squares with the weak prior; `noise` [N] is the expected noise of a segment."""
     design = design_of(segments, knots, forms)
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
     if not friction:
@@ -270,7 +272,7 @@ def solve(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Po
 
 
 def least_squares(design: Array, force: Array, prior: Array) -> Array:
-    """Theta of least squares with rows of a prior, by way of no normal matrix."""
+    """Theta of least squares with rows of a prior, without forming the normal matrix."""
     both = np.vstack([design, prior])
     return np.asarray(np.linalg.lstsq(both, np.concatenate((force, np.zeros(len(prior)))), rcond=None)[0])
 
@@ -278,7 +280,7 @@ def least_squares(design: Array, force: Array, prior: Array) -> Array:
 def without_each(
     design: Array, force: Array, prior: Array, groups: Iterable[NDArray[np.bool_]]
 ) -> Iterator[tuple[Array, Array]]:
-    """Inverse and theta of least squares with a prior, without each group of rows in turn."""
+    """Inverse and theta of least squares with a prior, leaving out each group of rows in turn."""
     normal, right = design.T @ design + prior.T @ prior, design.T @ force
     for rows in groups:
         mine = design[rows]
@@ -289,8 +291,8 @@ def without_each(
 def inverse_of(normal: Array) -> Array:
     """Inverse of a normal matrix, scaled to its diagonal first.
 
-    What the samples and the prior say less of than rounding leaves is drawn to 0 by `RESOLVED`, as by a prior: a few
-    trials at one pressure leave a combination of unknowns free, and without it rounding would decide on all of them.
+    Combinations of unknowns that samples and prior determine less than rounding errors do are drawn to 0 by `RESOLVED`:
+    a few trials at one pressure leave a combination free, and rounding would then affect all unknowns.
     """
     scale = np.sqrt(np.diag(normal))
     scaled = normal / np.outer(scale, scale)
@@ -302,7 +304,7 @@ def inverse_of(normal: Array) -> Array:
 
 
 def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Array:
-    """Rows that draw each knot weakly to the line between its neighbours, and everything very weakly to 0."""
+    """Prior rows: each knot weakly to the line between its neighbours, and every unknown very weakly to 0."""
     sizes, bends = sizes_of(segments), bent(knots) if len(forms) < len(SYMBOLS) else NONE
     noise = max(noise, FLOOR * sizes[0])
     counts = [forms[symbol].order + 1 if symbol in forms else len(knots) for symbol in SYMBOLS]
@@ -316,7 +318,7 @@ def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str,
 
 
 def bent(knots: Array) -> Array:
-    """Rows that give how far each inner knot lies off the line between its neighbours, shape (k - 2, k)."""
+    """Rows for the distance of each inner knot from the line between its neighbours, shape (k - 2, k)."""
     k = len(knots)
     rows, j = np.zeros((k - 2, k)), np.arange(k - 2)
     share = (knots[1:-1] - knots[:-2]) / (knots[2:] - knots[:-2])
@@ -337,8 +339,8 @@ def expected_noise(segments: Segments, fit: Fit, noise: Noise) -> Array:
 
 
 def noise_covariance(segments: Segments, fit: Fit, noise: Noise, late: Noise = ON_TIME) -> tuple[Array, Array]:
-    """Of the residuals, as in `segments`: from the noise of the cell or, where none measures, in M x''; of the
-    pressure, by the slope of F_ce - K x; of the displacement, by K and in the velocity by B.
+    """Variance and covariance of the residuals as in `segments.covariance`: noise of the cell, or of M x'' without a
+    cell; of the pressure, by the slope of F_ce - K x; of the displacement, by K, and by B in the velocity.
     """
     K = fit.values("K", segments.pressure)
     return covariance(segments, force_by_pressure(segments, fit), K, fit.damping(segments), noise, late)
@@ -353,10 +355,10 @@ def force_by_pressure(segments: Segments, fit: Fit) -> Array:
 
 
 def first_knots(tested: Array, commanded: Array) -> Array:
-    """The tested and the commanded pressures [Pa], those half way between, and two below the least tested one.
+    """Tested and commanded pressures [Pa], the middles between them, and two below the lowest tested one.
 
-    Commanded pressures below the tested ones count as far down as the tested ones lie apart; below a single tested
-    pressure, down to its half.
+    Commanded pressures below the tested ones count as far down as the smallest distance of tested ones; below a single
+    tested pressure, down to half of it.
     """
     tested = np.unique(tested)
     gap = float(np.min(np.diff(tested))) if len(tested) > 1 else 0.5 * float(tested[0])
@@ -374,10 +376,11 @@ def first_knots(tested: Array, commanded: Array) -> Array:
 def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
     """The pooled fit with knots added where the residual needs them, and the noise of each segment [N], shape (n,).
 
-    `knots` [Pa] as `first_knots` gives them, every other one half way between its neighbours.
+    `knots` [Pa] as from `first_knots`, every other one half way between its neighbours.
 
-    A coefficient that bends sharply between two knots leaves a residual there; a knot in the worst such stretch, where
-    the sum of squares is least, is kept if that falls by more than `GAIN`, and by far more than by chance.
+    A coefficient that bends sharply between two knots leaves a residual there. One knot is added in the worst such
+    stretch where the sum of squares becomes least, and kept if that falls by more than `GAIN` and far more than by
+    chance.
     """
     floor = FLOOR * float(np.sqrt(np.mean(segments.force**2)))
     solved = solve(segments, knots, floor)
@@ -402,7 +405,7 @@ def rms_of(values: Array) -> float:
 
 
 def _with_knot(segments: Segments, solved: Fit, stretch: tuple[float, float], expected: float) -> Fit:
-    """The fit with one more knot in the stretch [Pa]: at the best of some places, then at the best near that one."""
+    """The fit with one more knot in the stretch [Pa]: the best of some places, then the best near that one."""
     low, high = stretch
     found: list[tuple[float, Fit]] = []
     number = int(np.searchsorted(solved.knots, low))

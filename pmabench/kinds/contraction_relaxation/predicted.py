@@ -1,6 +1,6 @@
 """What further trials would add: rows of the fit from a simulated trial in each cell of a plan.
 
-The muscle is that of `expected` in a specimen file, or a fit. Knows the plan as it is kept with a run, and no run.
+The muscle is that of `expected` in a specimen file, or a fit. Works on the plan as stored with a run; knows no run.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from pmabench.store.records import Array, TrialData
 RATE = 250.0
 """Samples a second of simulated trials [Hz]; a segment is 40 ms."""
 LONGEST_HOLD = 1.2
-"""All motion is over so long after a step of the pressure [s]."""
+"""Longest simulated hold after a pressure step, when all motion is over [s]."""
 LAG, DEAD_TIME = 0.1, 0.02
-"""Of the simulated regulator [s]: those of proportional valves on small muscles."""
+"""Time constant and dead time of the simulated regulator [s], typical of proportional valves on small muscles."""
 MARGIN = 2.0
 """A load that F_ce exceeds by fewer times the Coulomb friction than this may not be lifted."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One load and pressure of a plan, and what is commanded there [SI]."""
+    """One load and pressure of a plan, with its commands [SI]."""
 
     load: float
     mass: float
@@ -54,7 +54,7 @@ class Cell:
 
     @property
     def key(self) -> tuple[float, float]:
-        """Load [N] and pressure [Pa], as trials are sorted into cells."""
+        """Load [N] and pressure [Pa] as key of the cell."""
         return cell_key({"load": self.load, "pressure": self.pressure})
 
 
@@ -84,7 +84,7 @@ def cells_of(plan: Mapping[str, Any]) -> list[Cell]:
 
 
 def _held(steps: Sequence[Mapping[str, Any]]) -> list[tuple[float, float]]:
-    """Pressures [Pa] and how long each is held [s], from no pressure on."""
+    """Commanded pressures [Pa] and how long each is held [s], starting at 0."""
     held = [(0.0, 0.0)]
     for step in steps:
         if step["step"] == "set" and step["output"] == "pressure":
@@ -138,16 +138,16 @@ def simulated_trials(fit: Fit, cells: Sequence[Cell]) -> Segments:
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """A plan's cells as the fit will see them."""
+    """A plan's cells and how well they determine the coefficients."""
 
     cells: tuple[Cell, ...]
     """Those that are expected to move."""
     names: tuple[tuple[str, float], ...]
     """Symbol and pressure [Pa] of each value that all trials of the plan together determine."""
     values: Array
-    """[SI], shape (m,)."""
+    """Expected values [SI], shape (m,)."""
     design: Design
-    """Its wanted combinations are those values."""
+    """Rows of the fit per cell; its wanted combinations are those values."""
 
     def of_values(self, kept: Sequence[int]) -> Outlook:
         """The same for some of the values."""
@@ -156,13 +156,13 @@ class Outlook:
         return replace(self, names=tuple(self.names[n] for n in rows), values=self.values[rows], design=design)
 
     def without(self, keys: Set[tuple[float, float]]) -> Outlook:
-        """The same without the cells of these keys."""
+        """The same without the cells with these keys."""
         kept = [number for number, cell in enumerate(self.cells) if cell.key not in keys]
         design = replace(self.design, cells=self.design.cells[kept])
         return replace(self, cells=tuple(self.cells[n] for n in kept), design=design)
 
     def counts(self, trials: Sequence[TrialData]) -> Array:
-        """How many of the trials are in each cell, shape (cells,)."""
+        """Number of trials in each cell, shape (cells,)."""
         done = Counter(cell_key(trial.point) for trial in trials)
         return np.array([done[cell.key] for cell in self.cells], float)
 
@@ -173,11 +173,11 @@ def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
     Parameters
     ----------
     fit
-        The muscle, by a fit or `as_expected`.
+        The muscle, from a fit or `as_expected`.
     noise
         Standard deviation of a row [N].
 
-    Trials count as scattered by `SCATTER`.
+    Scatter between trials is assumed as `SCATTER`.
     """
     lifts = [
         float(fit.values("F_ce", np.array([cell.pressure]))[0]) - cell.load > MARGIN * fit.coulomb for cell in cells
@@ -206,8 +206,8 @@ def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
 
 
 def scattered(fit: Fit, share: float) -> Array:
-    """Covariance of the unknowns from trial to trial, shape (p, p): a trial differs by a constant force, and by K, B_c
-    and B_r as a whole, each with the standard deviation `share` of its size.
+    """Covariance of the unknowns from trial to trial, shape (p, p): a constant force, and K, B_c and B_r as a whole,
+    each with a standard deviation of `share` of its size.
     """
     directions = np.zeros((len(fit.theta), len(SYMBOLS)))
     for place, symbol in enumerate(SYMBOLS):
@@ -218,7 +218,7 @@ def scattered(fit: Fit, share: float) -> Array:
 
 
 def _size(names: Sequence[tuple[str, float]], values: Array) -> Array:
-    """The size of each value, at least the median of its symbol; shape (m,)."""
+    """Size of each value, at least the median of its symbol; shape (m,)."""
     symbols = np.array([symbol for symbol, _ in names])
     median = {symbol: float(np.median(np.abs(values[symbols == symbol]))) for symbol in set(symbols.tolist())}
     return np.maximum(np.abs(values), [median[symbol] for symbol in symbols.tolist()])
@@ -245,16 +245,16 @@ def row_noise(fit: Fit, cells: Sequence[Cell], noise: Noise, rate: float) -> flo
 
 
 def intervals_of_plan(plan: Mapping[str, Any], expected: Mapping[str, Any], noise: Noise) -> list[Predicted]:
-    """The 95 % intervals that a whole plan is expected to give for F_ce, K, B_c, B_r over pressure and for F_c.
+    """The 95 % intervals expected from a whole plan for F_ce, K, B_c, B_r over pressure and for F_c.
 
-    By C = N^-1 (sum S_i) N^-1 of `pmabench.analysis.next_trial`, with a scatter between trials of 2 %: what the noise
-    and the scatter make; calibration, drift and what the muscle does beyond the form come on top. Values that the plan
-    does not determine (no motion near their pressure) are left out.
+    By C = N^-1 (sum S_i) N^-1 of `pmabench.analysis.next_trial`, with a scatter between trials of 2 %. Only noise and
+    scatter; calibration, drift and departures of the muscle from the form come in addition. Values that the plan does
+    not determine (no motion near their pressure) are left out.
 
     Parameters
     ----------
     plan
-        As `Plan.to_dict` gives it, of kind contraction-relaxation.
+        From `Plan.to_dict`, of kind contraction-relaxation.
     expected
         `expected` of the specimen file as plain data: `F_c` [N], `points` with `pressure` [Pa], `F_ce` [N], `K` [N/m],
         `B_c`, `B_r` [N.s/m].

@@ -23,11 +23,11 @@ LOWEST = 100e3
 """Paper 1 declares its S and D invalid below this pressure [Pa]."""
 
 NEUTRAL = acos(1 / sqrt(3))
-"""From this braid angle on a muscle extends [rad]."""
+"""Braid angle at which the muscle force changes sign: above it a muscle extends [rad]."""
 
 
 class ContractionAxes(Strict):
-    """What is swept: explicit loads, and the pressures contracted to."""
+    """What is swept: loads, and the target pressures of the contraction."""
 
     load: Annotated[list[Load], Field(min_length=1)]
     pressure: PressureAxis
@@ -40,9 +40,9 @@ class Contract(Strict):
 
 
 class Relax(Strict):
-    """Relaxation in steps: a vent straight to 0 says nothing about B_r at high pressure.
+    """Relaxation in steps, since a vent straight to 0 shows nothing of B_r at high pressure.
 
-    Without `by` and `hold` in one step to 0, for the reduction of paper 1 only.
+    Without `by` and `hold` it is one step to 0, for the reduction of paper 1 only.
     """
 
     by: Pressure | None = None
@@ -60,11 +60,13 @@ class Orders(Strict):
 
 
 class Reduction(Strict):
-    """How paper 1 makes S = K and D = B of single steps: F_ce from the braid, S = (F_ce - L) / x_max, D = tau S."""
+    """Paper 1's reduction of single steps, S = K and D = B: F_ce from the braid, S = (F_ce - L) / x_max, D = tau S."""
 
     method: Literal["paper-1"]
     F_ce_at: Literal["x0", "xmax"] = "x0"
-    """Where F_ce is taken: before the contraction, or at its end as paper 1 does. Never mix the two."""
+    """Where F_ce is taken: before the contraction, or at its end as in paper 1. S of one convention is not valid in the
+    other.
+    """
     orders: Orders = Orders()
 
 
@@ -77,7 +79,7 @@ class ContractionTrial(Strict):
 
 
 class ReferenceTrial(Strict):
-    """The same trial again and again, to show drift."""
+    """One trial that is repeated during the run to show drift."""
 
     load: Load
     pressure: Pressure
@@ -96,7 +98,7 @@ class ContractionRelaxation(ProtocolHead):
     reference_trial: ReferenceTrial | None = None
     trial: ContractionTrial
     layout: Literal["horizontal", "vertical"] = "horizontal"
-    """A muscle that hangs is loaded by half of its own weight, the `mass` of its specimen file."""
+    """Vertical: half the weight of the muscle adds to the load, from the `mass` in the specimen file."""
     reduction: Reduction | None = None
 
     def compile(self, c: Compilation) -> Plan:
@@ -139,7 +141,8 @@ class ContractionRelaxation(ProtocolHead):
     def _single_steps(self, c: Compilation, reduction: Reduction) -> Plan:
         """The plan of paper 1: from 0 to each pressure, and from each pressure to 0, each as a separate trial.
 
-        A trial begins at 0 or is pressurised before it, whatever came before: it can be repeated or resumed alone.
+        A trial starts from 0 or is pressurised first, whatever came before, so that it can be repeated or resumed
+        alone.
         """
         trial, relax = self.trial, self.trial.relax
         c.positive(relax.hold_at_end, ("trial", "relax", "hold_at_end"))
@@ -192,7 +195,9 @@ class ContractionRelaxation(ProtocolHead):
         return c.plan("contraction-relaxation", settings)
 
     def _reduction(self, c: Compilation, reduction: Reduction) -> dict[str, Any]:
-        """What the reduction needs to know besides the samples [SI]; faults where the specimen file lacks it."""
+        """Settings that the reduction needs in addition to the samples [SI]; a problem is reported where the specimen
+        file lacks one.
+        """
         specimen = c.mounted.specimen_file
         if specimen.braid_angle is None:
             message = 'needs "braid_angle" in the specimen file: F_ce is computed from it, for instance "braid_angle:'
@@ -209,7 +214,7 @@ class ContractionRelaxation(ProtocolHead):
         }
 
     def _loaded(self, c: Compilation, point: Point) -> dict[str, float]:
-        """Put the load of a point on; F_L [N] with half the weight of a muscle that hangs, and the moving mass [kg]."""
+        """Add a point's load to the plan; F_L [N], with half the weight of a vertical muscle, and moving mass [kg]."""
         values = c.load(point.values["load"], point.places["load"])
         own = 0.0
         if self.layout == "vertical":
@@ -224,7 +229,7 @@ class ContractionRelaxation(ProtocolHead):
         return values
 
     def _down(self, c: Compilation, pressure: float) -> list[float]:
-        """The pressures of the relaxation between the first and the last [Pa]."""
+        """Intermediate pressures of the relaxation, descending [Pa]."""
         relax = self.trial.relax
         if relax.by is None or relax.by <= 0 or relax.then >= pressure:
             return []

@@ -1,7 +1,7 @@
-"""Reduction of contraction-relaxation runs: K, B_c, B_r, F_ce and F_c over pressure, by two methods side by side.
+"""Reduction of contraction-relaxation runs: K, B_c, B_r, F_ce and F_c over pressure, by two methods.
 
-`measured-pressure` (primary) is the pooled fit of `pooled`, driven by the pressure that was measured;
-`step-exponential` is the papers' way. Knows the samples and the plan's commands; not how the bench is built.
+`measured-pressure` (primary) is the pooled fit of `pooled`, with the measured pressure as input; `step-exponential` is
+the papers' method. Uses the samples and the plan's commands; knows nothing of the bench.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import simulated, skew
 from pmabench.analysis.shared.samples import NotUsable, Samples
-from pmabench.analysis.shared.trials import reference_findings
+from pmabench.analysis.shared.trials import grouped, reference_findings, session_of
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials, output_error
+from pmabench.kinds.contraction_relaxation import RESULTS, checks, days, exponentials, output_error
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_sensors
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
+from pmabench.kinds.contraction_relaxation.gauge import Late, gathered
 from pmabench.kinds.contraction_relaxation.intervals import (
     Cause,
     Pooled,
@@ -52,21 +53,22 @@ KIND = "contraction-relaxation"
 REPLAYS = 10
 """Replays of the fitted muscle, for the bias of the estimator and its scatter."""
 AFTER = 0.15
-"""Time that a replay goes on after the last segment of a stroke [s]."""
+"""Time that a replay continues after the last segment of a stroke [s]."""
 OF_THE_FORM = (*SYMBOLS, "F_c", "f_b")
-"""Symbols whose values assume it; times are read off the samples."""
+"""Symbols whose values depend on the form of the model; times are read directly from the samples."""
 ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """K [N/m], B_c, B_r [N.s/m], F_ce [N] at every pressure, F_c [N], dead times [s], with curves over pressure.
 
-    M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (paper 0), fitted to all trials at once over short
-    moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential for comparison.
+    M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (paper 0), fitted to all trials at once over short moving
+    segments with the measured pressure; for comparison K by regression over loads and B = K tau of an exponential.
 
-    `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for K by one parameter; `forms` = ["K=line", ...] as in `joint`; `bootstrap`,
-    how many draws over trials; `regulator`: dead time and lags of the pressure [s]; `polish`: by output error, too.
+    `options`: `speed` (least speed of the segments [m/s]), `replays` (number), `static` = {"intercept" [N], "slope"
+    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `forms` = ["K=line", ...] as in `joint`;
+    `bootstrap`, number of draws over trials; `regulator`: dead time and lags of the pressure [s]; `polish`: also output
+    error.
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -78,21 +80,23 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs)}
     if campaign is None or pooled is None:
         return _without_fit(runs, campaign, dropped, reason, {**facts, "trials_used": 0})
+    recorded, late = gathered(campaign, pooled.diagnosis)
     campaign, diagnosis = pooled.campaign, pooled.diagnosis
     estimates, curves = estimates_of(campaign, pooled)
     joint = compare(campaign, pooled, options)
     polished = output_error.compare(campaign, pooled, estimates, options)
-    stepwise = exponentials.compare(campaign, pooled, estimates, options)
+    stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
     resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
-    response, described = regulator(campaign) if options.get("regulator") else ([], [])
+    sensor = Late.of(recorded, diagnosis, "displacement")
+    response, described = regulator(recorded, late, sensor) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     asked = (("joint", joint.facts), ("output_error", polished.facts), ("bootstrap", resampled))
     others = (joint, polished, stepwise)
     every = (*estimates, *(e for other in others for e in other.estimates))
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
-    return Analysis.of(
+    analysis = Analysis.of(
         KIND,
         runs,
         results=RESULTS,
@@ -116,6 +120,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
+    sessions = list(grouped(runs, session_of).values()) if diagnosis.reason else []
+    alone = [reduce(one, options) for one in sessions] if len(sessions) > 1 else []
+    return days.of_each(analysis, alone, ORDERS) or analysis
 
 
 def _without_fit(
@@ -130,7 +137,7 @@ def _without_fit(
 def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estimate]:
     """The estimates without the values whose form the data contradict; other methods follow the first one.
 
-    Methods that have no correction for a property of the muscle are left out where the fit needed one.
+    Where the fit needed a correction for a property of the muscle, methods without that correction give no value.
     """
     reasons: dict[tuple[str, float | None], str] = {}
     hidden = diagnosis.hides(estimates)
@@ -151,7 +158,7 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
 
 
 def segments_like(campaign: Campaign, options: Mapping[str, Any]) -> tuple[Array, Cut]:
-    """First knots of the fit [Pa], and what cuts samples into segments within their reach."""
+    """First knots of the fit [Pa], and the function that cuts samples into segments within their range."""
     gate = Gate(speed=float(options.get("speed", Gate.speed)))
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
     knots = first_knots(np.array(campaign.tested), commanded)
@@ -161,7 +168,7 @@ def segments_like(campaign: Campaign, options: Mapping[str, Any]) -> tuple[Array
 def _replays(
     campaign: Campaign, segments_of: Cut, work: simulated.Stretches, fit: Fit, count: int
 ) -> Iterator[Segments]:
-    """Segments of replays of a fitted muscle along the stretches; NotUsable where it does not move."""
+    """Segments of `count` replays of a fitted muscle; NotUsable where it does not move."""
     if not count:
         return
     run = simulated.run(fit, work.P, work.dt, work.load, work.mass, work.x)
@@ -176,8 +183,8 @@ def _replays(
 
 
 def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
-    """The pooled fit of the corrected campaign with its trust; None where nothing moves, NotUsable where the fit itself
-    would not move.
+    """The pooled fit of the corrected campaign with its uncertainty; None where nothing moves; NotUsable where the
+    fitted muscle does not move in the replays.
     """
     knots, segments_of = segments_like(recorded, options)
     as_recorded = segments_of(recorded.samples)
@@ -187,21 +194,21 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     spread, test = diagnosis.spread, diagnosis.reported.test
     campaign, segments, solved = test.campaign, test.segments, test.fit
     noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
-    slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # what rests show of it is corrected
+    slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # its correction covers that
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
     rests = {channel: Rest.of(campaign, channel) for channel in rested}
     stepless = replace(campaign, samples=_stepless(campaign))
     work = simulated.stretches(_moving(stepless, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:
-        """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
+        """Theta of a fit that starts at the first knots: shifted clocks may need added knots elsewhere."""
         return fit(late, knots, campaign.noise)[0].at_knots(solved.knots)
 
     def trusted(
         other: Fit, rows: NDArray[np.bool_], seen: Array, unit: float, again: Callable[[Segments], Array]
     ) -> Trust:
-        """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each, `unit` [N] the
-        one that the correction is fitted again with.
+        """Uncertainty of a fit to these rows of the segments; `seen` [N] is the noise of each row, `unit` [N] that for
+        repeating the correction; `again` fits shifted segments.
         """
         mine = segments.where(rows)
         again_seen = _replays(campaign, segments_of, work, other, int(options.get("replays", REPLAYS)))
@@ -236,7 +243,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
 
 
 def _stepless(campaign: Campaign) -> tuple[Samples, ...]:
-    """The samples with the pressure as it may have been between its steps, where noise does not fill these."""
+    """The samples with the pressure interpolated between its steps, where noise does not fill these."""
     step = campaign.pressure_step
     found = list(campaign.samples)
     for i, one in enumerate(found if step else ()):
@@ -247,7 +254,7 @@ def _stepless(campaign: Campaign) -> tuple[Samples, ...]:
 
 
 def _skews(campaign: Campaign, segments_of: Cut, again: Callable[[Segments], Array], solved: Fit) -> Array:
-    """Change of theta by the clock of each stream at its bound, both ways; shape (clocks, courses, p)."""
+    """Change of theta by the clock of each stream at its bound, with both signs; shape (clocks, courses, p)."""
 
     def changed(channels: tuple[str, ...], by: Array) -> Array:
         late = [moved(samples, channels, float(one)) for samples, one in zip(campaign.samples, by, strict=True)]
@@ -260,7 +267,7 @@ def _skews(campaign: Campaign, segments_of: Cut, again: Callable[[Segments], Arr
 
 
 def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice]]:
-    """The strokes that have segments, each up to a moment after its last one."""
+    """The strokes that have segments, each cut `AFTER` its last segment."""
     pieces = []
     for number in np.unique(segments.trial):
         samples, trial = campaign.samples[number], campaign.trials[number]

@@ -1,10 +1,10 @@
-"""Trials cut into short gated segments, the rows of the pooled fit, and what white noise of the channels makes of them.
+"""Trials cut into short segments of motion, the rows of the pooled fit, and the effect of white noise on them.
 
-A segment is a stretch of about 40 ms in which the muscle moves one way, faster than a gate, off its support, without a
-flagged sample. Averages over it stand for the equation of motion in weak form.
+A segment is a stretch of about 40 ms in which the muscle moves in one direction, faster than a limit, off its support,
+without a flagged sample. Averages over it give the equation of motion in weak form.
 
-Neighbours share samples: the displacement at the end of one segment is that at the begin of the next, with the other
-sign in the velocity, so that much of its noise cancels in a stretch; means that overlap go the same way.
+Neighbours share samples: the displacement at the end of one segment is that at the start of the next, with opposite
+sign in the velocity, so that much of its noise cancels along a stretch; overlapping means behave in the same way.
 
 A `Campaign` holds the trials of all runs that can be reduced together, with their noise. Fits nothing.
 """
@@ -26,29 +26,29 @@ from pmabench.store.records import Array, RunData, TrialData
 
 CHANNELS = ("pressure", "displacement", "force")
 FIELDS = ("P", "x", "force")
-"""Of `Samples`, in the same order."""
+"""Fields of `Samples`, in the order of `CHANNELS`."""
 ASSUMED_MASS = 0.5
-"""Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
+"""Moving mass [kg] of a trial that gives none; it matters only without a force cell."""
 FEWEST_STILL = 8
 """Fewest samples at rest from which noise is estimated."""
 FEW, COUNTS = 256, 65536
-"""Samples that usually show the step of a converter, and most steps that it has, with 16 bits."""
+"""Samples that usually show the step of a converter, and the largest number of its steps (16 bits)."""
 LEVELS = 20
-"""Fewest values of a channel whose least distance is taken for the step of its converter."""
+"""Fewest different values of a channel for taking their smallest distance as the step of its converter."""
 
 
 @dataclass(frozen=True)
 class Gate:
-    """What counts as a segment."""
+    """Conditions for a segment."""
 
     length: float = 0.04
     """[s]"""
     reach: float = 0.008
     """Half the window of the velocity x' = (x(t + reach) - x(t - reach)) / (2 reach) [s]."""
     speed: float = 2e-3
-    """Least |x'| [m/s]; above the speeds at which stiction passes into sliding friction."""
+    """Least |x'| [m/s], above the speeds at which stiction turns into sliding friction."""
     lift: float = 50e-6
-    """Least contraction that counts as off the support [m]."""
+    """Least contraction that counts as lifted off the support [m]."""
 
     def samples(self, rate: float) -> tuple[int, int]:
         """Samples of a segment and of the reach, at `rate` [Hz]."""
@@ -59,10 +59,10 @@ class Gate:
 class Segments:
     """Segments of a whole campaign, one per row.
 
-    `P` [Pa] and `x` [m] have shape (n, w) and are averaged with `weights` (w,): the mean over the segment, smoothed as
-    the velocity is. `P_mid`, `v` [m/s] and `F_mid`, F_L as a cell measured it or the weight [N], have shape (n, s) and
-    are averaged evenly. The others have shape (n,): `force` is the mean F_L [N], smoothed alike, with M x'' added where
-    F_L is a weight and no cell measures it, `mass` that M [kg], 0 with a cell; `way` is +1 contracting, -1 relaxing;
+    `P` [Pa] and `x` [m] have shape (n, w) and are averaged with `weights` (w,): the mean over the segment, smoothed
+    like the velocity. `P_mid`, `v` [m/s] and `F_mid`, F_L from the cell or the weight [N], have shape (n, s) and are
+    averaged evenly. The others have shape (n,): `force` is the mean F_L [N], smoothed in the same way, plus M x'' where
+    F_L is a weight and there is no cell; `mass` is that M [kg], 0 with a cell; `way` is +1 contracting, -1 relaxing;
     `trial` the number of the trial, `t` its first time [s]. `dt` is the sampling period [s].
     """
 
@@ -94,12 +94,12 @@ class Segments:
 
     @property
     def reach(self) -> int:
-        """How many samples `P` and `x` reach beyond the segment itself at either end."""
+        """Number of samples by which `P` and `x` extend beyond the segment at either end."""
         return int(self.x.shape[1] - self.v.shape[1]) // 2
 
     @property
     def followed(self) -> NDArray[np.bool_]:
-        """Whether the next segment begins where each ends, in the same trial; shape (n - 1,)."""
+        """Whether the next segment starts directly after each one, in the same trial; shape (n - 1,)."""
         late = np.abs(np.diff(self.t) - self.v.shape[1] * self.dt)
         return np.asarray((np.diff(self.trial) == 0) & (late < 0.5 * self.dt))
 
@@ -109,7 +109,7 @@ class Segments:
         return replace(self, **{name: values[rows] for name, values in by_row.items()})
 
     def within(self, knots: Array) -> Segments:
-        """Those within the reach of a fit with these knots [Pa]."""
+        """Those in the pressure range of a fit with these knots [Pa]."""
         low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
         rows = (self.P.min(axis=1) >= low) & (self.P.max(axis=1) <= high)
         return self if rows.all() else self.where(rows)
@@ -126,18 +126,18 @@ class Segments:
         return replace(self, force=force, F_mid=np.where(cell[:, None], self.F_mid * (1 + gain) + each, self.F_mid))
 
     def pulled(self, by: Array) -> Segments:
-        """The same segments with `by` (n,) [N] added to F_L, by a cell or a weight."""
+        """The segments with `by` (n,) [N] added to F_L."""
         return replace(self, force=self.force + by, F_mid=self.F_mid + by[:, None])
 
 
 Cut = Callable[[Sequence[Samples]], Segments]
-"""What makes segments of samples."""
+"""Function that cuts samples into segments."""
 
 
 def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
-    """A trial's samples; a channel that the record calls late by `sensor_lag` is taken that much later.
+    """A trial's samples; a channel with a `sensor_lag` in the record is shifted earlier by it.
 
-    One that is read less often than it is recorded, and held in between, is taken on straight lines.
+    A channel that is read less often than it is recorded, and held in between, is interpolated.
     """
 
     def channel(name: str) -> Array:
@@ -152,10 +152,10 @@ def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
 
 
 def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
-    """The samples if the clock of `channels` were `by` [s] ahead of that of the others.
+    """The samples for a clock of `channels` that is `by` [s] ahead of the others.
 
-    Segments are cut by the displacement, so that stays where it is: the others move the other way instead. No sample
-    becomes unusable by it, so that the same segments come of both: next to a hole values stay as they are.
+    Segments are cut by the displacement, so for it the others are shifted the opposite way. Next to a gap values are
+    not shifted, so that no sample becomes unusable and the segments stay the same.
     """
 
     def later(values: Array, by: float) -> Array:
@@ -202,8 +202,8 @@ def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
 
 
 def _taken(samples: Samples, n: int, m: int, weights: Array, gate: Gate) -> tuple[NDArray[Any], ...]:
-    """Columns of `Segments` of one stretch, in the order of their declaration: segments of `n` samples, which a
-    velocity over `m` samples to both sides allows.
+    """Columns of `Segments` for one stretch, in the order of their declaration; segments have `n` samples, the velocity
+    is taken over `m` samples to both sides.
     """
     v = velocity(samples.t, samples.x, m)
     start, way = _places(samples, v, n, m, gate)
@@ -224,7 +224,7 @@ def _taken(samples: Samples, n: int, m: int, weights: Array, gate: Gate) -> tupl
 
 
 def _places(samples: Samples, v: Array, n: int, m: int, gate: Gate) -> tuple[NDArray[np.intp], Array]:
-    """Where segments begin and which way they go, shape (segments,) each, by the velocity `v` of all samples."""
+    """Start and direction of the segments, shape (segments,) each, from the velocity `v` of all samples."""
     usable = samples.ok & (samples.x > gate.lift)
     starts, ways = [np.empty(0, np.intp)], [np.empty(0)]
     inside = np.zeros(len(v) + 2, bool)
@@ -242,12 +242,12 @@ def _places(samples: Samples, v: Array, n: int, m: int, gate: Gate) -> tuple[NDA
 def noise_seen(
     stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None
 ) -> tuple[Noise, Noise]:
-    """Noise of each channel, and what the steps of its values alone make of that (their width over the root of 12).
+    """Noise of each channel, and the part that the steps of its values alone make (step / sqrt(12)).
 
-    The noise is the median over the stretches, each looked at in its rows `still`, where nothing moves; of these the
-    longest run of usable samples counts. It is never less than that of the steps, which is not seen at rest.
-    `every` is for channels whose own samples come at every k-th row only and are interpolated between: a mean of n
-    rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
+    The noise is the median over the stretches, each in its rows `still` where nothing moves, over the longest run of
+    usable samples. It is at least that of the steps, which rest does not show. `every` gives k for channels with a new
+    value only in every k-th row, interpolated in between: a mean of n rows then has n / k values, so their noise counts
+    as white noise sqrt(k) times as large.
     """
 
     def typical(name: str) -> tuple[float, float]:
@@ -265,10 +265,9 @@ def noise_seen(
 
 
 def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: int, least: Noise) -> Noise:
-    """White noise that makes means of `over` samples scatter as they do in the rows `still`; not below `least`.
+    """White noise for which means of `over` samples scatter as in the rows `still`; at least `least`.
 
-    More than `noise_seen` where noise is smooth from sample to sample, as that of a filter or between interpolated
-    samples.
+    It is larger than `noise_seen` where noise is smooth from sample to sample, as after a filter or interpolation.
     """
 
     def typical(name: str) -> float:
@@ -279,7 +278,9 @@ def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: i
 
 
 def _at_rest(stretches: Sequence[Samples], still: Sequence[slice], name: str) -> Iterator[tuple[Samples, Array, Array]]:
-    """Each stretch that has a channel, all samples of that, and its longest usable run in the rows `still`."""
+    """Stretch, its samples of a channel, and their longest usable run in the rows `still`; for stretches with that
+    channel.
+    """
     for samples, rows in zip(stretches, still, strict=True):
         column = getattr(samples, name)
         if column is not None:
@@ -301,9 +302,9 @@ def _unbroken(ok: NDArray[np.bool_], rows: slice) -> slice:
 
 
 def _step(column: Array) -> float:
-    """Smallest step between values: that of a coarse converter, next to nothing where noise fills it.
+    """Smallest difference between values: the step of a coarse converter, nearly 0 where noise fills it.
 
-    0 for fewer than `LEVELS` values: a quantity that jumps says nothing of its converter.
+    0 for fewer than `LEVELS` values, since a quantity that jumps does not show its converter.
     """
     values = _levels(column)
     steps = np.diff(values)
@@ -313,8 +314,8 @@ def _step(column: Array) -> float:
 
 
 def _levels(column: Array) -> Array:
-    """The values of a channel, rising, some perhaps more than once: counts of a converter by their numbers, which takes
-    less time than to sort them.
+    """Sorted values of a channel, with or without duplicates. Values on a regular grid are sorted by index, which is
+    faster.
     """
     few, low = np.diff(np.sort(column[:FEW])), column.min()
     step = few[few > 0].min(initial=np.inf)
@@ -328,7 +329,7 @@ def _levels(column: Array) -> Array:
 
 
 ON_TIME = Noise()
-"""Samples that a device stamps by its own clock: how far that is off is no noise."""
+"""For samples with time stamps of the device's own clock: an error of that clock is no noise."""
 
 
 def covariance(
@@ -336,13 +337,14 @@ def covariance(
 ) -> tuple[Array, Array]:
     """Variance of each row [N^2], shape (n,), and covariance of each with the next, shape (n - 1,).
 
-    `late` is the standard deviation of the time of single samples of each channel [s], which is noise while it moves.
+    `late` is the standard deviation of the time of single samples of each channel [s], which acts as noise while it
+    changes.
 
-    A row is F_L + M x'' + K x + B x' - F_ce. `slope` is its change by the pressure [N/Pa], with K [N/m] and B [N.s/m]
-    at each segment, shape (n,).
+    A row is F_L + M x'' + K x + B x' - F_ce. `slope` is its derivative by the pressure [N/Pa], with K [N/m] and B
+    [N.s/m] at each segment, shape (n,).
     """
     s, m, dt = segments.v.shape[1], segments.reach, segments.dt
-    # shares of the samples from start - m - 1 on; the next segment begins s later
+    # weights of the samples from start - m - 1 on; the next segment starts s later
     mean, speed, gained = (np.zeros(2 * s) for _ in range(3))
     mean[1 : s + 2 * m + 1] = segments.weights
     speed[2 * m + 1 : s + 2 * m + 1] += 1 / (2 * m * s * dt)
@@ -363,17 +365,19 @@ def covariance(
 
 
 def _rate(values: Array, dt: float) -> Array:
-    """Change of a channel over each segment per second, shape (n,), of `values` (n, w)."""
+    """Mean rate of a channel over each segment [1/s], shape (n,), from `values` (n, w)."""
     return np.asarray((values[:, -1] - values[:, 0]) / (max(1, values.shape[1] - 1) * dt))
 
 
 FILLED = 1.75
-"""Noise over that of the steps alone from which on it fills them: 0.4 steps, where means are off by 0.013 of one."""
+"""Ratio of noise to that of the steps alone from which on it fills them: 0.4 steps, where the error of means is 0.013
+steps.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """The usable trials of all runs, numbered through; `cells` holds each trial's cell (load, pressure)."""
+    """The usable trials of all runs, numbered consecutively; `cells` holds each trial's cell (load, pressure)."""
 
     runs: tuple[RunData, ...]
     trials: tuple[TrialData, ...]
@@ -381,26 +385,26 @@ class Campaign:
     cells: NDArray[np.intp]
     rate: float
     cell: bool
-    """A load cell was recorded."""
+    """Whether all trials have a force cell."""
     noise: Noise
     steps: Noise
-    """The part of the noise that the steps of the channels' values make."""
+    """The part of the noise due to the steps of the channels' values."""
     noise_of_means: Noise
-    """The noise that means over a segment show, where that is larger: smooth noise, as of filters."""
+    """White noise with the scatter of means over a segment, where larger: smooth noise, for instance after filters."""
     between: Mapping[str, float]
-    """Channel -> time between new values, of one that is read less often than it is recorded [s]; 0 for others."""
+    """Channel -> time between new values [s] where it is read less often than recorded; 0 for others."""
 
     @property
     def pressure_step(self) -> float:
-        """Step of the pressure's values [Pa], 0 where noise fills it: then means over segments do not see it."""
+        """Step of the pressure's values [Pa]; 0 where noise fills it, so that means over segments do not show it."""
         step = self.steps.pressure
         return sqrt(12.0) * step if FILLED * step >= self.noise.pressure else 0.0
 
     @property
     def late(self) -> Noise:
-        """How much the times of single samples scatter [s]: those of devices that are polled, by the computer's stamps.
+        """Scatter of the times of single samples [s], for devices that are polled and stamped by the computer.
 
-        They are late by the time of an answer, which scatters by as much as it is on the mean, or more.
+        They are late by the response time, whose scatter is at least as large as its mean.
         """
         found = {}
         for channel in self.channels:
@@ -425,7 +429,7 @@ class Campaign:
 
     @property
     def tested(self) -> tuple[float, ...]:
-        """Pressures of the trials [Pa], rising."""
+        """Pressures of the trials [Pa], ascending."""
         return tuple(sorted({trial.point["pressure"] for trial in self.trials}))
 
 
@@ -454,7 +458,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
 
 
 def _every(runs: Sequence[RunData], between: Mapping[str, float]) -> dict[str, int]:
-    """Field of `Samples` -> how many rows lie between two samples that it comes from: of a slower stream, or held."""
+    """Field of `Samples` -> rows from one new value to the next, in a slower stream or a held channel; 1 for others."""
     found: dict[str, int] = {}
     for name, channel in zip(FIELDS, CHANNELS, strict=True):
         infos = [(run.rate, run.channels[channel].rate) for run in runs if channel in run.channels]
@@ -467,7 +471,7 @@ SOME = 10
 
 
 def _between(trials: Sequence[TrialData], channel: str) -> float:
-    """As `Campaign.between`, from some trials: where hardly anything happens a held value is not seen to be one."""
+    """As `Campaign.between`, from some trials; where almost nothing changes, a held value is not recognised."""
     some = [trial for trial in trials[:: 1 + len(trials) // SOME] if channel in trial.channels]
     return max((between_new(trial.t, trial.channels[channel])[1] for trial in some), default=0.0)
 
@@ -502,12 +506,12 @@ def strokes(trial: TrialData) -> list[slice]:
 
 
 def resting(samples: Samples, trial: TrialData) -> NDArray[np.bool_]:
-    """Which samples are usable and come before the first command of the pressure, shape (n,)."""
+    """Which samples are usable and before the first pressure command, shape (n,)."""
     first = min((c.t for c in trial.commands if c.output == "pressure"), default=-np.inf)
     return np.asarray(samples.ok & (samples.t < first))
 
 
 def settled(trial: TrialData, number: int = 0) -> slice:
-    """The last fifth of the hold at pressure, or of that after a later command; empty where there is none."""
+    """The last fifth of the hold after pressure command `number`; empty where there is none."""
     rows = strokes(trial)[number : number + 1]
     return slice(rows[0].stop - max(8, (rows[0].stop - rows[0].start) // 5), rows[0].stop) if rows else slice(0, 0)

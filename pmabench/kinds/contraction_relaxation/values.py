@@ -1,6 +1,6 @@
-"""Coefficients at the tested pressures, out of a solved fit; what they say of quantities that other tests measure.
+"""Coefficients at the tested pressures from a solved fit, and what they predict for quantities of other tests.
 
-And polynomials through coefficients at several pressures, with intervals in parts.
+Also polynomials through coefficients at several pressures, with interval parts.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FEWEST = 3
 WIDE = 0.25
 """A coefficient whose repeats part is wider than this share of its size is not identifiable."""
 NUMERICS = 2e-4
-"""The method part is no smaller than this share of a coefficient: replays are integrated, too."""
+"""Smallest method part as a share of a coefficient, since replays are integrated numerically."""
 QUANTITY = {
     "F_ce": ("N", "force"),
     "K": ("N/m", "stiffness"),
@@ -45,7 +45,7 @@ NOWHERE: Mapping[str, float] = {}
 
 @dataclass(frozen=True)
 class Further:
-    """Results of a method next to the primary one."""
+    """Results of a method in addition to the primary one."""
 
     estimates: tuple[Estimate, ...] = ()
     curves: tuple[Curve, ...] = ()
@@ -55,22 +55,24 @@ class Further:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A fit and what follows from it."""
+    """A fit and what is needed to evaluate it."""
 
     campaign: Campaign
     segments: Segments
     fit: Fit
     knots: Array
-    """Pressures [Pa], tested ones among them, half way between which the samples near one of them end."""
+    """Pressures [Pa], including tested ones; samples near one of them reach half way to the next."""
     trust: Trust
     method: str
     note: str = ""
     stiffness_is: Callable[[float], str] = lambda P: ""
-    """Pressure [Pa] -> which K it is, in words; empty where there is one only."""
+    """Pressure [Pa] -> which K it is, in words; empty where there is only one."""
 
 
 def values(solution: Solution) -> list[Estimate]:
-    """F_ce [N], K [N/m], B_c, B_r [N.s/m] at every tested pressure and F_c [N], or why there is none."""
+    """F_ce [N], K [N/m], B_c, B_r [N.s/m] at every tested pressure, and F_c [N]; None with a note where there is no
+    value.
+    """
     found = [_at(solution, symbol, P) for symbol in SYMBOLS for P in solution.campaign.tested]
     stiff = {e.at["pressure"] for e in found if e.symbol == "K" and e.value is not None}
     found = [
@@ -95,9 +97,9 @@ def name_of(symbol: str, P: float | None) -> str:
 
 
 def with_bias(e: Estimate, known: Estimate) -> Estimate:
-    """With the distance to the value by measured pressure as bias, which is not taken off, and in the method part.
+    """With the difference to the value by measured pressure as bias, not subtracted, and in the method part.
 
-    So is what the interval of that value holds, but for the calibration, which both share.
+    The method part also includes the interval of that value, except the calibration part, which both share.
     """
     bias = (e.value or 0.0) - (known.value or 0.0)
     of_known = replace(known.parts, calibration=None).combined or 0.0
@@ -106,7 +108,7 @@ def with_bias(e: Estimate, known: Estimate) -> Estimate:
 
 
 def biases(estimates: Sequence[Estimate], symbols: Sequence[str]) -> list[str]:
-    """The bias of each symbol, as a share of the value without it, in words."""
+    """Range of the bias of each symbol, as a share of the value without it, in words."""
     shares = {
         symbol: [
             100 * e.bias / (e.value - e.bias)
@@ -119,7 +121,9 @@ def biases(estimates: Sequence[Estimate], symbols: Sequence[str]) -> list[str]:
 
 
 def near(segments: Segments, knots: Array, symbol: str, P: float) -> NDArray[np.bool_]:
-    """Segments that determine a coefficient at P [Pa], shape (n,): up to half way to the next knots, B one way only."""
+    """Segments that determine a coefficient at P [Pa], shape (n,): half way to the next knots, for B in one direction
+    only.
+    """
     others = knots[np.abs(knots - P) > 1e-6 * P]
     found = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(others - P)))
     return np.asarray(found & ((segments.way > 0) == (symbol == "B_c")) if symbol in ("B_c", "B_r") else found)
@@ -133,7 +137,9 @@ def _blank(solution: Solution, symbol: str, rows: NDArray[np.bool_], at: Mapping
 
 
 def _given(solution: Solution, blank: Estimate, row: Array, known: tuple[Parts, float, tuple[Source, ...]]) -> Estimate:
-    """A combination of the unknowns with its parts, bias and budget; without a value where the clocks allow none."""
+    """A linear combination of the unknowns with its parts, bias and budget; no value where the clock error is too
+    large.
+    """
     parts, bias, budget = known
     value = float(row @ solution.fit.theta) - bias
     found = replace(blank, value=value, parts=parts, bias=bias, corrected=True, budget=budget)
@@ -141,7 +147,7 @@ def _given(solution: Solution, blank: Estimate, row: Array, known: tuple[Parts, 
 
 
 def _at(solution: Solution, symbol: str, P: float) -> Estimate:
-    """One coefficient at one pressure [Pa], or why there is none."""
+    """One coefficient at one pressure [Pa]; without a value and with a note where it is not identifiable."""
     solved = solution.fit
     rows = near(solution.segments, solution.knots, symbol, P)
     blank = _blank(solution, symbol, rows, {"pressure": P})
@@ -158,13 +164,13 @@ def _at(solution: Solution, symbol: str, P: float) -> Estimate:
 
 
 ASKED = {METHOD: "", "joint": "joint fit", "output-error": "output-error fit"}
-"""Method -> its words; all but the first are there only where somebody asked for them."""
+"""Method -> name in sentences; all but the first exist only on request."""
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """By the primary method and by those that were asked for; B is the mean of both directions, as others see it.
+    """Offers by the primary method and those on request; B is the mean of both directions, as in other tests.
 
-    Where the muscle is bent, K is that of one contraction, and no straight line gives the force.
+    With a bent force-contraction curve, K holds at one contraction only, and no straight line gives the force.
     """
     places = {one["pressure"]: one["contraction"] for one in analysis.facts.get("form", {}).get("K_at", ())}
     reached: dict[int, float] = {}
@@ -191,47 +197,47 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
 
 
 def _without_load(F_ce: Estimate, K: Estimate) -> Estimate:
-    """X = F_ce / K [m], where contractions without load are among the tests."""
+    """X = F_ce / K [m], the contraction without load, where such contractions are among the tests."""
     stiffness, x = K.value or np.inf, (F_ce.value or 0.0) / (K.value or np.inf)
     found = weighted([(F_ce, 1 / stiffness), (K, -x / stiffness)], "x")
     return replace(found, value=x, unit="m", quantity="length")
 
 
 def by_paper_1(analysis: Analysis) -> Iterator[Offer]:
-    """K of the way that the protocol names, the first: its F_ce is geometry, and its B_r carries another pressure."""
+    """K of the convention that the protocol puts first; F_ce comes from geometry, B_r belongs to another pressure."""
     first = next((e.method for e in analysis.estimates if e.symbol == "K"), "")
     yield everywhere("K", at_pressures(analysis, "K", first), "paper 1's way")
 
 
 TERMS = ("intercept", "slope", "quadratic")
 MOST_ORDER = 6
-"""Highest order that is chosen where none is given."""
+"""Highest order that is tried where none is given."""
 EXACT = 1e-9
-"""Residual below this share of the largest value counts as none when orders are compared."""
+"""Residual, as a share of the largest value, below which it counts as zero when orders are compared."""
 FORMS = {1: "line", 2: "quadratic"}
 FLOOR = 5e-3
-"""Least error by which a point of a curve is weighted, as a share of the largest value: no point outweighs all."""
+"""Smallest error for the weight of a point of a curve, as a share of the largest value, so that no point dominates."""
 POWERS = (("", ""), ("/Pa", " per pressure"), ("/Pa2", " per pressure squared"))
-"""What the powers of a curve over pressure add to the unit and to the quantity of a coefficient."""
+"""Suffixes of unit and quantity for the powers of a curve over pressure."""
 
 
 @dataclass(frozen=True)
 class Polynomial:
-    """Least squares y = sum c_i P^i: coefficients, and the rows that give them from y, shape (order + 1, n)."""
+    """Least squares y = sum c_i P^i: coefficients, and the matrix that gives them from y, shape (order + 1, n)."""
 
     terms: Array
     rows: Array
     r2: float
     rms: float
-    """Of the residual, with n - order - 1 degrees of freedom."""
+    """Rms residual, with n - order - 1 degrees of freedom."""
     scatter: Array | None
     """Half width of each term from the residual by Student's t; None without a degree of freedom."""
 
 
 def polynomial(P: Array, y: Array, half: Array, order: int, normal: tuple[float, float] | None = None) -> Polynomial:
-    """Fit over pressures P (n,) [Pa]; points weigh as their half widths (n,) say, none better than `FLOOR`.
+    """Fit over pressures P (n,) [Pa], weighted by the half widths (n,) with at least `FLOOR`.
 
-    The terms are those of P, with `normal` = (centre, scale) [Pa] those of z = (P - centre) / scale.
+    The terms are powers of P, or with `normal` = (centre, scale) [Pa] of z = (P - centre) / scale.
     """
     centre, scale = normal or (0.0, float(np.max(np.abs(P))))
     weight = 1.0 / np.hypot(half, FLOOR * float(np.max(np.abs(y))))
@@ -258,7 +264,7 @@ def normal_of(P: Array) -> tuple[float, float]:
 
 
 def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
-    """Order -> corrected Akaike criterion, and rms of what each point is missed by when it is left out [unit of y].
+    """Order -> corrected Akaike criterion, and rms error of each point predicted by the others [unit of y].
 
     Orders from 1 to `MOST_ORDER` for which the criterion is defined: at least order + 4 points.
     """
@@ -278,14 +284,12 @@ def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
 
 
 def aicc(power: float, n: int, p: int) -> float:
-    """Corrected Akaike criterion of p unknowns, that of the noise among them, which leave a mean square `power` of n
-    values.
-    """
+    """Corrected Akaike criterion for p unknowns, including the noise; `power`: mean square residual of n values."""
     return n * log(power) + 2 * p + 2 * p * (p + 1) / max(1, n - p - 1)
 
 
 def least(terms: Array, ends: tuple[float, float]) -> float:
-    """Least value of a polynomial between `ends`; `terms` from the constant up."""
+    """Smallest value of a polynomial between `ends`; `terms` from the constant up."""
     turns = np.roots((terms[1:] * np.arange(1, len(terms)))[::-1])
     inside = [float(t.real) for t in turns if abs(t.imag) < 1e-9 and ends[0] < t.real < ends[1]]
     return float(np.min(np.polyval(terms[::-1], [*ends, *inside])))
@@ -301,9 +305,9 @@ def curve(
 ) -> Curve | None:
     """A polynomial over the estimates' pressures; None with fewer than `order` + 1 of them.
 
-    With `trust` and the `places` of the estimates in its fit, correlations between them count; else they are taken as
-    independent. The scatter of the points about the curve is the method part. `normalised`: the terms are those of
-    z = (P - centre) / scale, with the unit of the coefficient (paper 1 eqs. 17-20).
+    With `trust` and `places`, the indices of the estimates in its fit, correlations between them count; else they are
+    taken as independent. The scatter of the points about the curve is the method part. `normalised`: the terms are
+    those of z = (P - centre) / scale, with the unit of the coefficient (paper 1 eqs. 17-20).
     """
     if len(estimates) < order + 1:
         return None
@@ -338,7 +342,7 @@ def curve(
 def _parts_of(
     found: Polynomial, power: int, estimates: Sequence[Estimate], trust: Trust | None, places: Sequence[int]
 ) -> tuple[Parts, float | None]:
-    """The interval of one term in parts, and its bias where it comes from a fit."""
+    """Interval parts of one term, and its bias where it comes from a fit."""
     scatter = 0.0 if found.scatter is None else float(found.scatter[power])
     if trust is None:
         return _independent(estimates, found.rows[power], scatter), None

@@ -1,7 +1,7 @@
 """The length of a muscle without load over pressure.
 
 - `points`: pressure and contraction of each trial, the curve over pressure; `reduction`
-- protocol files: `protocol`; words and figures: `figures`; one trial on the display: `reduction`
+- protocol files: `protocol`; sentences and figures: `figures`; one trial on the display: `reduction`
 """
 
 from pmabench.base.kind import Commanded, Imported, Kind, Result

@@ -1,4 +1,4 @@
-"""Words and the figure of free contraction: length over pressure from both sides, sigmoid, formula of paper 2."""
+"""Sentences and the figure of free contraction: length over pressure from both sides, sigmoid, formula of paper 2."""
 
 from __future__ import annotations
 
@@ -24,18 +24,20 @@ if TYPE_CHECKING:
 CURVE = 121
 """Points of a drawn curve."""
 DRIFTS = 0.002
-"""What it would still change by after a hold, as a share of the largest contraction, that is doubted."""
+"""Change still to come after a hold, as a share of the largest contraction, from which on it is a doubt."""
 LEFT = 0.005
-"""Contraction left at rest without pressure, as a share of the largest one, that is doubted."""
+"""Contraction remaining at rest without pressure, as a share of the largest one, from which on it is a doubt."""
 LARGEST = 0.35
-"""Contraction that paper 2 takes for the largest [1]."""
+"""Largest contraction in paper 2 [1]."""
 BARELY = 1.01
-"""Measured pressures that are above the highest of a formula by no more than this factor count as that."""
+"""A measured pressure above a formula's range by at most this factor is evaluated at its end."""
 CM = 1e-2
 
 
 def half_pressure(P: Array, x: Array) -> float | None:
-    """Where x first comes to half of its value at the highest pressure, by monotone cubics [Pa]; None if nowhere."""
+    """Lowest pressure at which x reaches half of its value at the highest pressure, by monotone cubics [Pa]; None if
+    never.
+    """
     if len(P) < 3 or not bool((np.diff(P) > 0).all()) or not x[-1] > 0:
         return None
     half = 0.5 * x[-1]
@@ -47,7 +49,7 @@ def half_pressure(P: Array, x: Array) -> float | None:
 
 
 def paper_length(P: Array, length: float) -> Array | None:
-    """Paper 2's length [m] at P [Pa] for a nominal length [m]; None where it does not hold."""
+    """Paper 2's length [m] at P [Pa] for a nominal length [m]; None outside its range."""
     model = MODELS["sigmoid-length"]
     known = {p.name: p for p in model.parameters}
     nominal, most = known["nominal_length"], known["pressure"].high
@@ -59,7 +61,7 @@ def paper_length(P: Array, length: float) -> Array | None:
 
 
 def of_points(points: Sequence[Point]) -> list[Finding]:
-    """What catches the eye in the lengths themselves."""
+    """Findings on the lengths themselves."""
     if not points:
         return []
     largest = max(abs(point.x) for point in points)
@@ -100,7 +102,7 @@ def of_points(points: Sequence[Point]) -> list[Finding]:
 
 
 def of_fit(fit: ModelFit | None, why: str, other: str) -> list[Finding]:
-    """How well the sigmoid does; `other` says why it is not the form of these lengths."""
+    """How well the sigmoid fits; `other` is the reason why it is not the form of these lengths."""
     if fit is None:
         return [Finding("note", why)]
     if not fit.converged:
@@ -113,7 +115,7 @@ def of_fit(fit: ModelFit | None, why: str, other: str) -> list[Finding]:
 
 
 def of_paper(points: Sequence[Point], length: float) -> list[Finding]:
-    """Paper 2's formula for this nominal length compared with what was measured: the shape, not the millimetre."""
+    """Comparison with paper 2's formula for this nominal length: of the shape, not of millimetres."""
     P, x = curve_of(points)
     grid = _grid(P)
     paper, along = paper_length(P, length), paper_length(grid, length)
@@ -136,7 +138,7 @@ def of_paper(points: Sequence[Point], length: float) -> list[Finding]:
 
 
 def rounding(length: float) -> float:
-    """Half a unit in the last printed digits of a, added up, at a nominal length [m]."""
+    """Sum of half a unit in the last printed digit of each part of a, at a nominal length [m]."""
     L0 = length / CM
     return 0.5e-4 * (L0 + L0**2 + L0**3) * CM
 
@@ -193,7 +195,7 @@ def _lengths(trace: Trace, simulated: bool) -> Picture:
 
 
 def drawing_of(data: Panel, labels: dict[str, str]) -> Figure:
-    """Marks of both sides, or of the mean where there are none, and the curves there are."""
+    """Markers of both sides, or of the mean for one side, and the curves."""
     figure = blank(HALF, 2.75)
     axes = figure.add_subplot(grid(figure, 1, 1, left=0.6)[0])
     P = data.columns["pressure"]

@@ -1,7 +1,7 @@
 """The trials of free contraction at rest, the repeats of each set-point, and the curve of contraction over pressure.
 
-Each trial has a pressure and a contraction; along the curve it is carried to the commanded pressure.
-Knows samples, commands and a fitted sigmoid, no coefficient.
+Each trial has a pressure and a contraction, which is moved along the curve to the commanded pressure. Uses samples,
+commands and a fitted sigmoid; gives no coefficient.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
 LAST = 0.2
-"""Share of each rest at its end whose mean counts."""
+"""Last share of each rest over which the mean is taken."""
 FEWEST = 5
-"""Samples that it needs."""
+"""Fewest samples of that mean."""
 CHANNELS = ("displacement", "pressure")
 UNUSABLE_SHARE = 0.5
 CLEAR = 6.0
-"""A contraction counts where it is larger than so many standard deviations of its noise."""
+"""A contraction is significant above this many standard deviations of its noise."""
 NOTHING = 1.0
 """Set-points up to this are 0 [Pa]."""
 VENTED = 3.0
-"""At set-point 0, a mean pressure within so many of its standard deviations is that of a muscle that is vented."""
+"""At set-point 0 the muscle counts as vented if the mean pressure is within this many of its standard deviations."""
 SCATTERED = 3.0
-"""So many times the variance of their noise the pressures of one set-point must have, to differ at all."""
+"""Pressures of one set-point count as different where their variance is this many times that of their noise."""
 Shape = Callable[[Array], Array]
 """Contraction [m] over pressure [Pa]."""
 
@@ -67,7 +67,7 @@ class Rest:
     x: float
     """Contraction [m]."""
     start: float
-    """Contraction at rest without pressure, before [m]."""
+    """Contraction at rest without pressure, before the trial [m]."""
     hold: Held
     """Contraction along the second half of the hold [m]."""
     noise: float
@@ -75,9 +75,9 @@ class Rest:
     last: Array
     """Samples whose mean is x [m]."""
     changes: Array
-    """Of the pressure from sample to sample along the second half of the hold, where there is one [Pa]."""
+    """Nonzero changes of the pressure from sample to sample in the second half of the hold [Pa]."""
     coarse: float = 0.0
-    """By how much the steps in which they are read may move x [m]."""
+    """Possible error of `x` because the displacement is read in steps [m]."""
 
     @property
     def side(self) -> float:
@@ -92,7 +92,7 @@ class Point:
     set: float
     """[Pa]."""
     whole: tuple[tuple[Rest, ...], ...]
-    """Of each repeat, the trials of all sides."""
+    """For each repeat, the trials from all sides."""
 
     @property
     def rests(self) -> tuple[Rest, ...]:
@@ -101,7 +101,7 @@ class Point:
 
     @cached_property
     def pressure(self) -> float:
-        """Measured, the mean [Pa]."""
+        """Mean measured pressure [Pa]."""
         return float(self._of("pressure").mean())
 
     @cached_property
@@ -127,12 +127,12 @@ class Point:
 
     @cached_property
     def left(self) -> Left:
-        """What x would still change by [m]."""
+        """Change of `x` still to come [m]."""
         return left([rest.hold for rest in self.rests])
 
     @cached_property
     def apart(self) -> Left:
-        """What `gaps` would still change by [m]."""
+        """Change of `gaps` still to come [m]."""
         sides = [left([rest.hold for rest in self.rests if rest.side == side]) for side in (1.0, -1.0)]
         return Left(sides[0].size - sides[1].size, sum(one.most for one in sides), any(one.seen for one in sides))
 
@@ -143,7 +143,9 @@ class Point:
 
     @property
     def coarse(self) -> float:
-        """What the steps in which the displacement is read make of x, at the most: all repeats meet the same [m]."""
+        """Largest error of `x` because the displacement is read in steps; not reduced by repeats, which meet the same
+        steps [m].
+        """
         return max(rest.coarse for rest in self.rests)
 
     def reached(self, side: float) -> float:
@@ -152,9 +154,9 @@ class Point:
         return float(np.mean(values)) if values else float("nan")
 
     def at(self, pressure: float, shape: Shape) -> Point:
-        """With the contraction of each trial as it would be at `pressure` [Pa], by a curve.
+        """The point with the contraction of each trial moved along a curve to `pressure` [Pa].
 
-        Each for itself: where the curve is bent, as a root is near 0, the mean contraction is not that at the mean
+        Each trial separately: where the curve is bent, like a root near 0, the mean contraction is not that at the mean
         pressure.
         """
         further = float(shape(np.array([pressure]))[0]) - shape(self._of("pressure"))
@@ -162,15 +164,15 @@ class Point:
         return self.changed(lambda rest: replace(rest, x=rest.x + by[rest], pressure=pressure))
 
     def bent(self, shape: Shape) -> float:
-        """What the mean contraction is off where noise of the pressures is taken through a bent curve [m]."""
+        """Error of the mean contraction due to noise of the pressure where the curve is bent [m]."""
         P, noise = self._of("pressure"), self._of("pressure_noise")
         below, at, above = (shape(np.maximum(P + way * noise, 0.0)) for way in (-1.0, 0.0, 1.0))
         return float(np.mean(np.abs(above + below - 2 * at)))
 
     def without_noise(self) -> Point:
-        """The pressures of the trials nearer to their mean, by the share of their scatter that is noise of the samples.
+        """The point with the pressures of the trials drawn to their mean by the share of their scatter that is noise.
 
-        Of a muscle that is vented nothing but noise is read: its pressure is 0.
+        A vented muscle shows only noise; its pressure is set to 0.
         """
         P, noise = self._of("pressure"), self._of("pressure_noise")
         if self.set <= NOTHING and abs(self.pressure) <= VENTED * self.pressure_noise:
@@ -182,11 +184,11 @@ class Point:
         return self.changed(lambda rest: replace(rest, pressure=self.pressure + real * (rest.pressure - self.pressure)))
 
     def _of(self, name: str) -> Array:
-        """A number of each trial."""
+        """One attribute of each trial."""
         return np.array([getattr(rest, name) for rest in self.rests])
 
     def changed(self, change: Callable[[Rest], Rest]) -> Point:
-        """With each trial changed."""
+        """The point with a function applied to each trial."""
         return Point(self.set, tuple(tuple(map(change, repeat)) for repeat in self.whole))
 
 
@@ -219,9 +221,10 @@ def measure(run: RunData, trial: TrialData) -> Rest:
 
 
 def _as_read(rests: Sequence[Rest]) -> list[Rest]:
-    """With what the steps in which a run is read make of each x: one trial may show too few of them.
+    """The rests with `coarse` and `pressure_noise` from all trials of their run, since one trial may show too few
+    steps.
 
-    The mean of a pressure that is read less often than it is recorded has the noise of few values.
+    The mean of a pressure that is read less often than recorded has the noise of few values.
     """
     found = []
     for mine in grouped(rests, lambda rest: rest.run.id).values():
@@ -242,24 +245,24 @@ def _usable(rest: Rest, channel: str) -> Array:
 
 
 def _between_changes(y: Array) -> Array:
-    """Samples (n,) from the first change to the last: values that are held there are so for their whole time."""
+    """Samples (n,) from the first change to the last, between which values are held for their whole time."""
     changed = np.flatnonzero(np.diff(y)) + 1
     return y[changed[0] : changed[-1]] if len(changed) else y[:0]
 
 
 def noise_by(changes: Array) -> float:
-    """Standard deviation of values at rest by their changes (n,) from one to the next; 0 without any."""
+    """Standard deviation of values at rest from their changes (n,) from one to the next; 0 without any."""
     return float(np.sqrt(0.5 * np.mean(changes**2))) if len(changes) else 0.0
 
 
 def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
-    """The pressures, rising, and the trials that cannot be used."""
+    """The points by ascending pressure, and the trials that cannot be used."""
     every, dropped = measured_trials(runs, measure)
     every, points = _as_read(every), []
     for pressure, rests in sorted(grouped(every, lambda rest: round(rest.trial.point["pressure"])).items()):
         by: dict[object, dict[float, Rest]] = {}
         order, sides = Counter[object](), {rest.side for rest in rests}
-        for rest in rests:  # trials of one file are repeats too, where nothing else tells them apart
+        for rest in rests:  # in one file, trials without distinct numbers are repeats, too
             side = rest.run.id, rest.trial.repeat, rest.side
             by.setdefault((rest.run.id, rest.trial.repeat, order[side]), {})[rest.side] = rest
             order[side] += 1
@@ -271,16 +274,18 @@ def points_of(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
 
 
 UNEQUAL = 0.25
-"""Share of half the width between both sides by which their mean may be off: friction, and a curve, are not the same
-both ways."""
+"""Share of half the gap between both sides by which their mean may be off, since friction and curve differ between
+directions.
+"""
 BENDS = {True: 0.2, False: 1.0}
-"""What the way from the measured pressure to the commanded one may be off, as a share: along a sigmoid that fits, and
-along a curve through the points only."""
+"""Possible error of the correction from measured to commanded pressure, as a share: along a sigmoid that fits (True),
+or along a curve through the points only (False).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One commanded pressure: its trials at the pressure that was measured, and as they would be at the commanded."""
+    """One commanded pressure: trials at the measured pressure (`point`) and moved to the commanded one (`there`)."""
 
     point: Point
     there: Point
@@ -288,9 +293,9 @@ class Level:
     fits: bool
     """Whether `shape` is a sigmoid that fits."""
     zero: float
-    """By which the zero of the pressure is open [Pa]."""
+    """Uncertainty of the zero of the pressure [Pa]."""
     apart: float
-    """What the difference of both sides changes by on the way to one pressure, where no form says the curve [m]."""
+    """Change of the gap between both sides by the correction to one pressure, without a fitted form [m]."""
 
     @classmethod
     def of(cls, point: Point, shape: Shape, zero: float, *, fits: bool) -> Level:
@@ -300,14 +305,14 @@ class Level:
         return cls(point.at(point.pressure, shape), there, shape, fits, zero, apart)
 
     def rise(self, by: float) -> float:
-        """Change of the contraction by the pressure, a change of which by `by` [Pa] is looked at [m/Pa]."""
+        """Slope of the contraction over pressure, by differences of `by` [Pa], the steeper side [m/Pa]."""
         P = max(self.point.pressure, 0.0)
         x = self.shape(np.array([max(P - by, 0.0), P, P + by]))
         return float(np.abs(np.diff(x)).max()) / by
 
     @property
     def method(self) -> float:
-        """What the way to the commanded pressure, noise and zero of the measured one may do to the contraction [m]."""
+        """Method part of the contraction [m]: correction to the commanded pressure; noise, zero of the measured one."""
         way = hypot(BENDS[self.fits] * (self.there.x - self.point.x), UNEQUAL * self.apart / 2)
         return hypot(way, *(by * self.rise(by) for by in (2 * self.point.pressure_noise, self.zero) if by > 0))
 
@@ -318,7 +323,7 @@ def curve_of(points: Sequence[Point]) -> tuple[Array, Array]:
 
 
 def highest(model: Model) -> float:
-    """Pressure up to which a model holds [Pa]."""
+    """Highest pressure of a model's range [Pa]."""
     return next(p.high for p in model.parameters if p.name == "pressure")
 
 
@@ -333,9 +338,10 @@ def sigmoid(fit: ModelFit) -> Shape:
 
 
 def through(points: Sequence[Point], fit: ModelFit | None) -> Shape:
-    """The sigmoid, where there is one, and what the points are off it by monotone cubics over the root of the pressure.
+    """The sigmoid, if any, plus the remainder of the points interpolated by monotone cubics over the root of the
+    pressure.
 
-    On a root the curve begins: without pressure it is steep.
+    The root, because the curve is steep where it starts without pressure.
     """
     base = np.zeros_like if fit is None else sigmoid(fit)
     P, x = curve_of([point.at(point.pressure, base) for point in points])
@@ -353,10 +359,10 @@ def through(points: Sequence[Point], fit: ModelFit | None) -> Shape:
 
 
 def one_way(points: Sequence[Point]) -> Array:
-    """By how much friction keeps the contraction of each point (n,) short where both sides came from one [m].
+    """Contraction that friction holds back at each point (n,) where both sides were approached from one direction [m].
 
-    Nothing is above the highest pressure: where friction shows at the pressure next to it, and not there, both sides
-    came from below. Nothing is below a muscle that is vented: what is left of a contraction is no mean of both ways.
+    No pressure is above the highest: where friction shows at the next lower pressure and not there, both sides were
+    reached from below. No pressure is below vented: the remaining contraction is not a mean of both directions.
     """
     short = np.zeros(len(points))
     if len(points) < 2 or not all(len(point.gaps) for point in (points[0], *points[-2:])):
@@ -370,16 +376,16 @@ def one_way(points: Sequence[Point]) -> Array:
 
 
 def _clear(point: Point) -> float:
-    """Difference of both sides of a point that anything but friction may make [m]."""
+    """Gap between both sides of a point that may have other causes than friction [m]."""
     noise = CLEAR * max(rest.noise for rest in point.rests)
     starts = float(np.ptp([rest.start for rest in point.rests]))
     return max(noise, spread(point.gaps) or 0.0, OF_TWO * point.coarse, point.apart.most, starts)
 
 
 def zero_of(points: Sequence[Point]) -> float:
-    """What the zero of the pressure may be by what is read at set-point 0 [Pa]; 0 where that is noise.
+    """Possible zero error of the pressure from readings at set-point 0 [Pa]; 0 where these are noise.
 
-    No gauge pressure is below 0: the zero is at most the least that was read.
+    No gauge pressure is below 0, so the zero is at most the lowest reading.
     """
     first = points[0] if points else None
     if first is None or first.set > NOTHING:
@@ -389,6 +395,6 @@ def zero_of(points: Sequence[Point]) -> float:
 
 
 def zeroed(points: Sequence[Point], zero: float) -> list[Point]:
-    """The points with pressures from another zero [Pa]."""
+    """The points with a zero subtracted from their pressures [Pa]."""
     moved = [point.changed(lambda rest: replace(rest, pressure=rest.pressure - zero)) for point in points]
     return [moved[0].without_noise(), *moved[1:]]

@@ -1,4 +1,4 @@
-"""Free contraction: the length that a contractor without load comes to, over pressure (paper 2, eqs. 1-2)."""
+"""Free contraction: length of a muscle without load, over pressure (paper 2, eqs. 1-2)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
 from pmabench.protocol.sweep import PressureAxis, Sweep, expand
 
 LEAST = 0.5
-"""Shortest rest and hold: less is no rest [s]."""
+"""Shortest rest and hold that can count as rest [s]."""
 NOTHING = 1.0
-"""Pressures nearer to each other than this are one [Pa]."""
+"""Pressures closer than this count as equal [Pa]."""
 SIDES = {"from-below": (0,), "from-both-sides": (-1, 1)}
 """Approach -> the sides from which a pressure is reached: from 0, and from the highest pressure of the sweep."""
 
@@ -32,11 +32,11 @@ class FreeTrial(Strict):
     """One trial: rest at 0 kPa, the pressure, and back."""
 
     rate: PressureRate
-    """Of the ramps of pressure."""
+    """Rate of the pressure ramps."""
     rest: Time
     """Time at 0 kPa before each pressure."""
     hold: Time
-    """Time at the pressure; the length is the mean over its last fifth."""
+    """Hold at the pressure; the length is the mean over the last fifth."""
     approach: Literal["from-below", "from-both-sides"] = "from-both-sides"
 
 
@@ -50,10 +50,10 @@ class FreeContraction(ProtocolHead):
     sweep: Sweep[FreeAxes]
     trial: FreeTrial
     compare: Literal["paper-2", "nothing"] = "paper-2"
-    """Paper 2's formula for the length of a contractor of this nominal length; it holds from 15 to 40 cm, to 5 bar."""
+    """Paper 2's formula for the length of a muscle of this nominal length; valid for 15 to 40 cm, up to 5 bar."""
 
     def compile(self, c: Compilation) -> Plan:
-        """The plan: without load, per pressure a rest at 0, the pressure reached from below or above, and back."""
+        """The plan, without load: per pressure a rest at 0, the pressure reached from below or above, and back."""
         trial = self.trial
         c.positive(trial.rate, ("trial", "rate"))
         for name in ("rest", "hold"):
@@ -80,7 +80,7 @@ class FreeContraction(ProtocolHead):
         return c.plan("free-contraction", {"nominal_length": length, "compare": self.compare})
 
     def _check_prediction(self, c: Compilation, points: list[tuple[float, Location]]) -> None:
-        """Check that paper 2's formula holds for this length and these pressures, and that nothing would trip."""
+        """Check that length and pressures lie in the range of paper 2's formula, and that no limit would trip."""
         from pmabench.model.library import MODELS  # slow to import
 
         model = MODELS["sigmoid-length"]
@@ -111,9 +111,9 @@ class FreeContraction(ProtocolHead):
 
 
 def _steps(of: FreeTrial, pressure: float, top: float | None, index: int) -> list[Step]:
-    """One trial; `top` [Pa] is where it comes from when it comes from above.
+    """One trial; `top` [Pa] is the pressure from which it comes down, None for an approach from below.
 
-    All of it is recorded, so that each trial begins and ends at the same place, whichever were done before it.
+    All of it is recorded, so that each trial begins and ends in the same state, whatever was done before.
     """
     first = pressure if top is None else top
     fill = [Ramp("fill", "pressure", 0.0, first, of.rate)] if first > NOTHING else []

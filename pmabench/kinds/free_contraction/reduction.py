@@ -1,8 +1,7 @@
-"""Reduction of free contraction: length over pressure, the sigmoid a to e through it, compared with paper 2's formula.
+"""Reduction of free contraction: length over pressure, sigmoid a to e fitted to it, compared with paper 2's formula.
 
-Knows the samples at rest of each trial; words and figure are in `figures`.
-
-What one trial says by itself, for the display.
+Uses the samples at rest of each trial; sentences and figure are in `figures`. Also the values of one trial, for the
+display.
 """
 
 from __future__ import annotations
@@ -60,37 +59,38 @@ ONE_WAY = "friction where both sides came from one"
 NO_GAP = "reached from below both times: what friction keeps it short by does not show. Use that of another pressure"
 PART = {ZERO: "drift", PRESSURE: "calibration"}
 FLOOR = 5e-4
-"""Error of a length at the least, as a share of the largest contraction."""
+"""Smallest error of a length, as a share of the largest contraction."""
 NEAR = 0.5
-"""As a share of the pressure of the knee, how near to it a length must be."""
+"""Distance from the knee within which a tested pressure must lie, as a share of the knee's pressure."""
 FURTHEST = 3.0
-"""Errors by which a length may be off the sigmoid."""
+"""Largest distance of a length from the sigmoid, in its errors."""
 PRESSED = 1e3
-"""Change of pressure by which the slope of the sigmoid is found [Pa]."""
+"""Pressure difference for the slope of the sigmoid [Pa]."""
 STEEPER = 1.4
-"""What a scale does to a to e goes beyond the first order by so much: the curve is steep where it begins."""
+"""Factor on the first-order effect of a scale on a to e, since the curve is steep where it starts."""
 OPEN = 1.2
-"""Factor on the zero of a pressure of which nothing says whether it is one."""
+"""Factor on the uncertain zero of a pressure."""
 OF_NOISE = 3.0
-"""Standard deviations of its noise by which the least pressure may be beyond its declared uncertainty."""
+"""Standard deviations of its noise by which the lowest pressure may exceed the declared uncertainty."""
 ROUNDS = 4
-"""Fits at most, each with what the one before makes of the pressures of single trials ..."""
+"""Most fits; each uses the corrections to the pressures of single trials from the one before ..."""
 SETTLED = 1e-7
 """... until that changes no length by more than this [m]."""
 BENT = 0.5
-"""Standard deviations of a contraction, below which what noise of the pressure does to it needs no fit."""
+"""Effect of pressure noise, in standard deviations of a contraction, below which no separate fit is made."""
 BETWEEN = 0.25
-"""Share of the way between two pressures by which a curve through points may be off between them."""
+"""Possible error of a curve through points between two pressures, as a share of their difference."""
 FINE = 2001
 """Points of a curve on which a pressure is looked up."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """L [m] at each pressure [Pa], a, b [m], c [Pa], d, e [1] of paper 2's eq. 1, pressure of half the contraction,
-    and the largest contraction.
+    """L [m] at each pressure [Pa], a, b [m], c [Pa], d, e [1] of paper 2's eq. 1, pressure of half the contraction, and
+    the largest contraction.
 
-    L = L0 - x: the nominal length less the contraction at rest, the mean of both sides from which it was reached; their
-    difference is hysteresis. `options`: `nominal_length` [m], `compare` (`paper-2` or `nothing`); else the plan's.
+    L = L0 - x: nominal length minus contraction at rest, the mean of both sides from which it was reached; their
+    difference is hysteresis. `options`: `nominal_length` [m], `compare` (`paper-2` or `nothing`), in place of the
+    plan's.
     """
     settings = {**(runs[0].plan.get("settings") or {} if runs else {}), **(options or {})}
     length, compare = float(settings.get("nominal_length", np.nan)), settings.get("compare") == "paper-2"
@@ -143,7 +143,7 @@ def _lengths(levels: Sequence[Level], length: float, scales: Scales) -> list[Est
     found = [*lengths, *gaps, *([_half(levels, scales)] if len(levels) > 2 else [])]
     if not levels or not 0 < length < np.inf:
         return found
-    # as a share of the nominal length, which is taken as exact
+    # relative to the nominal length, which is taken as exact
     top, e = max(zip(levels, lengths, strict=True), key=lambda one: one[0].there.x)
     largest = replace(e, symbol="eps_max", value=top.there.x / length, unit="1", quantity="ratio")
     return [*found, replace(largest, parts=e.parts.times(1 / length))]
@@ -152,7 +152,7 @@ def _lengths(levels: Sequence[Level], length: float, scales: Scales) -> list[Est
 def _free(
     symbol: str, value: float, quantity: str, at: Mapping[str, float], parts: Parts, n: int, points: Sequence[Point]
 ) -> Estimate:
-    """A result of the lengths themselves at these points."""
+    """An estimate from the lengths at these points."""
     names = tuple(rest.trial.name for point in points for rest in point.rests)
     note = "" if parts.repeats is not None else "no repeats part: one repeat only"
     return Estimate(symbol, value, UNITS[quantity], quantity, FREE, at, parts, n, note=note, trials=names)
@@ -180,10 +180,11 @@ def _half(levels: Sequence[Level], scales: Scales) -> Estimate:
 def _fit(
     points: Sequence[Point], length: float, off: Array | float = 0.0, *, profiles: bool = False
 ) -> tuple[ModelFit | None, str]:
-    """The sigmoid with fitted a to e through the means, `off` (n,) [m] added to x; or why it cannot be fitted.
+    """The sigmoid a to e fitted to the mean lengths, with `off` (n,) [m] added to x; or the reason why it cannot be
+    fitted.
 
-    The mean contraction of trials is that at their mean pressure by the sigmoid itself (`Point.at`), fitted anew.
-    Intervals are those of `profiles`, where they are wanted.
+    Trials are moved to their mean pressure along the sigmoid itself (`Point.at`), and the fit is repeated. With
+    `profiles`, intervals are profile intervals.
     """
     model = MODELS[FORM]
     P, x = curve_of(points)
@@ -211,7 +212,7 @@ def _fit(
 
 
 def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: float) -> list[Estimate]:
-    """The values with what motion after the holds, and contraction left without pressure, may do to them."""
+    """The values, widened or withheld for motion after the holds and contraction remaining without pressure."""
     if not points:
         return []
     largest = max(abs(point.x) for point in points)
@@ -224,7 +225,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
     zero += " a zero or a mount that moved, or creep. Look for the cause, rest longer, and measure again"
     by_set = {point.set: point for point in points}
     friction = max((float(np.max(np.abs(point.gaps))) for point in points if len(point.gaps)), default=0.0)
-    # what friction holds back at 0 kPa is half the gap there, and the mean of both directions is free of it
+    # at 0 kPa friction holds back half the gap, and L counts from the mean of both directions, which is free of it
     steepest, back = max(points, key=lambda point: point.x), one_way(points)
     found = []
     for e in estimates:
@@ -248,16 +249,16 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
 
 
 def _pressure_over_x(points: Sequence[Point]) -> float:
-    """Change of pressure over that of contraction where half of the largest contraction is reached [Pa/m]."""
+    """dP/dx where half of the largest contraction is reached [Pa/m]."""
     P, x = curve_of(points)
     after = int(np.clip(np.argmax(x >= 0.5 * x[-1]), 1, len(x) - 1))
     return abs(float((P[after] - P[after - 1]) / max(abs(x[after] - x[after - 1]), 1e-9)))
 
 
 def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
-    """Why the sigmoid is not the form of these lengths, with numbers; empty where nothing speaks against it.
+    """Reason why the sigmoid is not the form of these lengths, with numbers; empty where it may be.
 
-    A length may be off by three times its error: what repeats scatter by, pooled, and at least `FLOOR` of the largest
+    A length may be off by three times its error: the pooled scatter of repeats, and at least `FLOOR` of the largest
     contraction.
     """
     freedom = sum(len(point.repeats) - 1 for point in points)
@@ -276,7 +277,7 @@ def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
 
 
 def _unseen(points: Sequence[Point], fit: ModelFit) -> str:
-    """Why the knee of the sigmoid is not seen, with numbers; empty where a pressure is near it."""
+    """Reason why the knee of the sigmoid is not determined, with numbers; empty where a tested pressure is near it."""
     knee = fit.values["c"]
     if any(abs(point.pressure - knee) <= NEAR * knee for point in points):
         return ""
@@ -288,11 +289,12 @@ def _unseen(points: Sequence[Point], fit: ModelFit) -> str:
 def _with_zero(
     points: list[Point], length: float, scales: Scales
 ) -> tuple[list[Point], ModelFit | None, str, float, list[Finding]]:
-    """The points with the pressures from their zero, the sigmoid or why there is none, and what of a zero is open [Pa].
+    """The points with corrected pressure zero, the sigmoid or why there is none, and the remaining uncertainty of the
+    zero [Pa].
 
-    The least that is read at set-point 0 is a zero of the sensor, or the pressure of a regulator that does not vent.
-    Beyond a declared uncertainty it is the latter, below zero the former; else the lengths say which; else it is open,
-    which a declared uncertainty holds.
+    The lowest reading at set-point 0 is a zero error of the sensor, or the pressure of a regulator that does not vent.
+    Beyond a declared uncertainty it is taken as a pressure; else, if negative, as the zero. Otherwise the fit decides;
+    where it cannot, a declared uncertainty covers it, and without one the zero is left uncertain.
     """
     fit, why = _fit(points, length, profiles=True)
     zero, declared = zero_of(points), scales.offsets.get("pressure", 0.0)
@@ -315,10 +317,10 @@ def _with_zero(
 
 
 def _shifted(points: Sequence[Point], length: float, shape: Shape, zero: float) -> dict[str, ModelFit]:
-    """The sigmoid through what the points would be with one cause less, of those that are seen.
+    """The sigmoid fitted to the points with one error source removed, for each one that is significant.
 
-    Less what is left without pressure; where they would come to after the hold; less what noise of the pressures makes
-    of a bent curve; without what friction holds back where both sides came from one; with pressures from another zero.
+    Contraction remaining without pressure; motion after the hold; noise of the pressure where the curve is bent;
+    friction where both sides came from one direction; another zero of the pressure.
     """
     starts = np.array([np.mean([rest.start for rest in point.rests]) for point in points])
     noise = max(rest.noise for point in points for rest in point.rests)
@@ -337,7 +339,7 @@ def _shifted(points: Sequence[Point], length: float, shape: Shape, zero: float) 
 
 
 def _leverage(fit: ModelFit) -> tuple[Array, Shape]:
-    """Change of a to e by that of each length, shape (5, n), and the fitted length over pressure."""
+    """Derivative of a to e by each length, shape (5, n), and the function of the fitted length over pressure."""
 
     def computed(P: Array) -> Array:
         return np.asarray(fit.model.evaluate({**fit.fixed, "pressure": P, **fit.values})["length"])
@@ -351,11 +353,11 @@ def _leverage(fit: ModelFit) -> tuple[Array, Shape]:
 
 
 def _errors(fit: ModelFit, points: Sequence[Point], length: float) -> tuple[dict[str, dict[str, Array]], Array, Array]:
-    """What moves a to e, shape (5,) each: scales of the channels, scatter, and the steps of the displacement.
+    """Effects on a to e, shape (5,) each: scales of the channels, scatter, and the steps of the displacement.
 
-    By a relative change (`gain`) or an offset of 1 [SI] of each channel. Half widths by the scatter of the repeats and
-    the noise of the pressure at each length, which grow with the contraction: where few lengths make a coefficient,
-    their errors are not those of all residuals. Half widths by the steps.
+    Scales: by a relative change (`gain`) or an offset of 1 [SI] of each channel. Scatter: half widths from the repeats
+    and the noise of the pressure at each length, which grow with the contraction; a coefficient that depends on few
+    lengths does not have the mean error of all residuals. Steps: half widths.
     """
     leverage, computed = _leverage(fit)
     P, x = fit.columns["pressure"], length - fit.measured
@@ -379,9 +381,9 @@ def _coefficients(
     fit: ModelFit | None, why: str, other: str, shifted: Mapping[str, ModelFit], points: Sequence[Point],
     length: float, scales: Scales,
 ) -> list[Estimate]:  # fmt: skip
-    """The coefficients a to e, those without an interval as not identifiable, withheld for the reason `other`.
+    """The coefficients a to e; not identifiable ones without an interval; withheld for the reason `other` if given.
 
-    What they differ by from those of `shifted` is in the interval, and what a scale does to them (`_errors`).
+    The interval includes the differences to those of `shifted` and the effects of `_errors`.
     """
     quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
     none = np.zeros(len(UNKNOWN))
@@ -408,8 +410,8 @@ def _coefficients(
 def offers(analysis: Analysis) -> Iterator[Offer]:
     """x, the contraction without load, at the measured pressures and between them.
 
-    Where it was reached from both sides, friction drops out of their mean once both have moved: a muscle that has
-    contracted by no more than the friction is worth still rests where it began.
+    If it was reached from both sides, friction cancels in their mean once both have moved; a muscle whose contraction
+    is below the effect of friction still rests at its start.
     """
     by = {symbol: [e for e in analysis.estimates if (e.symbol, e.method) == (symbol, FREE)] for symbol in ("L", "x_H")}
     length, widths = analysis.facts.get("nominal_length"), [abs(e.value or 0.0) for e in by["x_H"]]
@@ -444,7 +446,7 @@ def contraction_of(run: RunData, trial: TrialData) -> float:
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Contraction at rest, and what was left without pressure before it."""
+    """Contraction at rest, and contraction remaining without pressure before it."""
     try:
         rest = measure(run, trial)
     except NotUsable as reason:

@@ -1,7 +1,8 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
-- `reduction`, with the rubber, and the first loop of a rested muscle; of one pressure and stroke (`cell`) the
-  `coefficients` and what puts them in doubt, with the most `creep` that cycles allow
+- `reduction`, with the rubber, and the first loop of a rested muscle
+- `cell`: one pressure and stroke; `coefficients`: its values and doubts about them; `creep`: the most creep that its
+  cycles allow
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -54,7 +55,7 @@ METHODS = {
 }
 POINT = (("lower", "lowest end"), ("upper", "highest end"), ("speed", "speed"), ("cycles", "pairs"),
          ("pressure", "held"))  # fmt: skip
-"""How the operating point is read off the commands of an import."""
+"""How the operating point is taken from the commands of an import."""
 KIND = Kind(
     name="isobaric-ramp",
     title="Isobaric ramps",

@@ -1,6 +1,6 @@
-"""The loops of one pressure and stroke at all their speeds: lines over the speed, mean curve, and what they show.
+"""The loops of one pressure and stroke at all speeds: lines over the speed, mean curve, findings.
 
-Knows no coefficient: those of the mean curve and of the gap are in `coefficients`.
+Gives no coefficient: those of the mean curve and of the gap are in `coefficients`.
 """
 
 from __future__ import annotations
@@ -26,27 +26,28 @@ from pmabench.store.records import Array, RunData, TrialData
 CURVE, RAW, LOCAL = OF_MEAN = "mean-curve", "mean-curve, turns left in", "mean-curve, local"
 GAP, MEAN_GAP, OPEN = "loop-gap", "loop-gap, mean over the stroke", "loop-gap, open loop"
 WINDOW = 0.06
-"""Half width of the cubic through the mean curve for force and slope at a place, as a share of the stroke."""
+"""Half width of the range of a local cubic through the mean curve, as a share of the stroke."""
 OPENED = 0.7
-"""Share of the stroke, about its middle, in which turns have faded."""
+"""Share of the stroke, about its middle, in which the transitions after the turns have decayed."""
 BENT = 0.02
-"""Rms of the mean curve about a straight line, as a share of its range, that is worth a sentence."""
+"""Rms distance of the mean curve from a straight line, as a share of its range, from which on it counts as bent."""
 UNEVEN = 0.05
-"""Share of the gap that unequal pressure of the branches may be worth before it is doubted."""
+"""Effect of unequal pressure in the two branches, as a share of the gap, from which on it is a doubt."""
 LEFT_OF_TURNS = 0.4
-"""Share of what taking off the turns changes that may still be in a value: they need not fade as an exponential.
+"""Share of the correction for turns that may remain as an error, since turns need not decay exponentially.
 
-Those of a Bouc-Wen muscle left four tenths. Where a loop does not show them, as something else in its gap is larger,
-all may be wrong.
+For a Bouc-Wen muscle four tenths remained. Where a loop does not show its turns, because something else in the gap is
+larger, the whole correction may be wrong.
 """
 SLOW_TURNS = 0.2
-"""Share of the hysteresis that may fade over most of the stroke: the gap does not show it, and it adds to the slope.
-In a fluidic muscle, described by stops of several widths, a fifth of it has a reach of 16 mm."""
+"""Share of the hysteresis that may decay over most of the stroke: the gap does not show it, and it adds to the slope.
+In a fluidic muscle, described by friction elements of several lengths, a fifth of it has a length of 16 mm.
+"""
 SLOW_REACH = 0.75
-"""Share of the stroke over which that fades: on a shorter way the gap shows it, on a longer one it adds less."""
+"""Length of that decay as a share of the stroke: a shorter one shows in the gap, a longer one adds less."""
 BETWEEN = "displacement and force"
 PLACES = 5
-"""Places along the stroke at which force and stiffness are given."""
+"""Number of places along the stroke at which force and stiffness are given."""
 NO_REPEATS = "no repeats part: too few loops"
 ONE_SPEED = "one speed only: hysteresis and damping cannot be separated"
 
@@ -61,13 +62,13 @@ class Member:
 
     @property
     def speed(self) -> float:
-        """As it was asked for [m/s]."""
+        """Speed as commanded [m/s]; else as measured."""
         return float(self.trial.point.get("speed", self.loop.speed))
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """All trials of one pressure and stroke; `x` [m] is what of the grid all of them reach, shape (n,)."""
+    """All trials of one pressure and stroke; `x` [m] is the part of the grid that all of them reach, shape (n,)."""
 
     at: Mapping[str, float]
     members: Sequence[Member]
@@ -77,13 +78,13 @@ class Cell:
 
     @classmethod
     def of(cls, at: Mapping[str, float], members: Sequence[Member]) -> Cell:
-        """Crop the loops to what all of them reach."""
+        """The trials with their loops cropped to the common part of the grid."""
         x = members[0].loop.x
         for member in members[1:]:
             x = x[np.isin(np.round(x, 9), np.round(member.loop.x, 9))]
         known = [member for member in members if member.loop.turns is not None]
         slowest = min(known, key=lambda m: m.speed).loop.turns if known else None
-        # hysteresis knows no rate: where the turns do not show they are those of the slowest loop
+        # hysteresis is rate-independent: a loop that does not show its turns gets those of the slowest loop
         loops = [m.loop if m.loop.turns is not None else replace(m.loop, turns=slowest) for m in members]
         if len(x):
             loops = [loop.cropped(x) for loop in loops]
@@ -98,12 +99,12 @@ class Cell:
 
     @property
     def middle(self) -> float:
-        """[m]."""
+        """Middle of the stroke [m]."""
         return float(0.5 * (self.x[0] + self.x[-1]))
 
     @property
     def opened(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Places on the grid from -1 to 1, and in which of them turns have faded."""
+        """Position on the grid, scaled to -1 ... 1, and where the turns have decayed."""
         place = (self.x - self.middle) / (0.5 * np.ptp(self.x))
         return place, np.abs(place) < OPENED
 
@@ -115,7 +116,7 @@ class Cell:
 
     @property
     def stroke(self) -> float:
-        """[m]."""
+        """Length of the stroke [m]."""
         lower, upper = self.ends
         return float(upper - lower)
 
@@ -143,12 +144,12 @@ class Cell:
 
     @cached_property
     def gap(self) -> Line:
-        """Of the gap at mid stroke [N] over speed."""
+        """The line of the gap at mid stroke [N] over speed."""
         return self.over_speed(lambda loop: loop.middle_gap)
 
     @cached_property
     def curve(self) -> Array:
-        """Mean curve at speed 0 (at the only speed, where there is one) [N], shape (n,)."""
+        """Mean curve extrapolated to speed 0, or at the only speed [N], shape (n,)."""
         speeds = np.array([member.speed for member in self.members])
         means = np.array([member.loop.mean.mean(axis=0) for member in self.members])
         if self.one_speed:
@@ -157,12 +158,12 @@ class Cell:
         return np.asarray(np.linalg.lstsq(design, means, rcond=None)[0][0])
 
     def force_at(self, x: float) -> float:
-        """Of the mean curve [N] at a contraction [m]."""
+        """Force of the mean curve [N] at a contraction [m]."""
         return local(self.x, self.curve, x)[0]
 
     @property
     def bent(self) -> bool:
-        """Whether the mean curve is no straight line."""
+        """Whether the mean curve deviates from a straight line."""
         return is_bent(self.x, self.curve)
 
     @cached_property
@@ -172,7 +173,9 @@ class Cell:
 
     @property
     def change(self) -> float:
-        """How far the slope anywhere on a bent mean curve is from that of the straight line [N/m]; 0 for no bend."""
+        """Largest difference of a local slope of a bent mean curve to that of the straight line [N/m]; 0 if it is not
+        bent.
+        """
         if not self.bent:
             return 0.0
         slopes = {place: local(self.x, self.curve, place)[1] for place in self.places}
@@ -185,7 +188,9 @@ class Cell:
 
     @cached_property
     def many_slopes(self) -> str:
-        """Why no one stiffness describes the stroke: its slopes differ as much as their mean; empty where one does."""
+        """Reason why one stiffness does not describe the stroke: its slopes differ by as much as their mean; else
+        empty.
+        """
         if self.change < abs(self.straight):
             return ""
         slopes = [-local(self.x, self.curve, place)[1] for place in self.places]
@@ -194,13 +199,13 @@ class Cell:
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """The lowest and the highest [m/s]."""
+        """Lowest and highest speed [m/s]."""
         speeds = [member.speed for member in self.members]
         return min(speeds), max(speeds)
 
     @cached_property
     def turns_of_each(self) -> bool:
-        """Whether each loop shows how it turns, so that none has the turns of another (`of`)."""
+        """Whether each loop shows its own turns, so that none was replaced by those of another (see `of`)."""
         turns = {member.loop.turns for member in self.members}
         return None not in turns and len(turns) == len(self.members)
 
@@ -215,28 +220,32 @@ class Cell:
     # -- estimates ------------------------------------------------------------------------------------------------
 
     def over_pressure(self, near: Cell | None, of: Callable[[Cell], float]) -> float | None:
-        """Change of a number of the cell with the pressure [per Pa]; None without another pressure at its middle."""
+        """Derivative by pressure [per Pa] of a number of the cell, from the cell `near`; None unless that reaches the
+        middle.
+        """
         if near is None or not near.x[0] <= self.middle <= near.x[-1]:
             return None
         change = (of(near) - of(self)) / (near.pressure - self.pressure)
         return change if isfinite(change) else None
 
     def over_x(self, place: float) -> tuple[float, float]:
-        """Change of the force [N/m] and of the stiffness [N/m2] of the mean curve with the contraction."""
+        """Derivative of the force [N/m] and of the stiffness [N/m2] by the contraction, on the mean curve."""
         _, bend, slope, _ = np.polyfit(self.x - place, self.curve, 3)
         return float(slope), -2 * float(bend)
 
     def part(
         self, scales: Scales, gains: Mapping[str, float], offsets: Mapping[str, float], over_P: float | None
     ) -> float | None:
-        """The calibration part of a value that changes by `over_P` [per Pa] with the pressure for which it is given."""
+        """Calibration part of a value whose derivative by the nominal pressure is `over_P` [per Pa]."""
         return scales.part_at(self.pressure, over_P if self.pressure > 0 else None, gains, offsets)
 
     def estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
         parts: Parts, note: str, n: int | None = None,
     ) -> Estimate:  # fmt: skip
-        """A coefficient of all trials, or where `n` is given of those of its speed; none where clocks forbid it."""
+        """An estimate from all trials or, with `n`, from those of its speed; without value where the clock error is too
+        large.
+        """
         trials = tuple(member.trial.name for member in self.members if "speed" not in at or n is None
                        or member.speed == at["speed"])  # fmt: skip
         if value is not None and parts.repeats is None:
@@ -245,7 +254,7 @@ class Cell:
         return skew.settled(found, BETWEEN, self.skew)
 
     def of_turns(self, of: Callable[[Array], float]) -> float:
-        """What the turns may still make of a number of the mean curve [as the number]."""
+        """Possible remaining error because of the turns in a number `of` the mean curve, in its unit."""
         found = [0.0]
         for loop in (m.loop for m in self.members):
             if loop.possible is not None:
@@ -255,14 +264,16 @@ class Cell:
         return max(found)
 
     def window_error(self, place: float) -> tuple[float, float]:
-        """What the width of the cubic, and turns that fade fast or slowly, make of force [N] and slope [N/m]."""
+        """Errors of local force [N] and slope [N/m] because of the width of the cubic, and of turns that decay fast or
+        slowly.
+        """
         wide, narrow = local(self.x, self.curve, place), local(self.x, self.curve, place, WINDOW / 2)
         turns = [self.of_turns(lambda curve, i=i: local(self.x, curve, place)[i]) for i in (0, 1)]  # type: ignore[misc]
         slow = self.slow_turns(place)
         return hypot(2 * (wide[0] - narrow[0]), turns[0], slow[0]), hypot(2 * (wide[1] - narrow[1]), turns[1], slow[1])
 
     def slow_turns(self, place: float) -> tuple[float, float]:
-        """What hysteresis that fades over most of the stroke adds to force [N] and slope [N/m]; 0 without turns."""
+        """Force [N] and slope [N/m] that hysteresis with a decay over most of the stroke adds; 0 without turns."""
         if all(m.loop.turns is None for m in self.members):
             return 0.0, 0.0
         reach = SLOW_REACH * float(self.x[-1] - self.x[0])
@@ -270,14 +281,14 @@ class Cell:
         return slope * abs(place - self.middle), slope
 
     def force_per_pressure(self, dF_dP: float | None) -> float:
-        """|dF/dP| [N/Pa]; where it is not known, by a force that is proportional to the pressure."""
+        """|dF/dP| [N/Pa]; if unknown, that of a force proportional to the pressure."""
         by_force = abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
         return by_force if dF_dP is None else abs(dF_dP)
 
     # -- the rest -------------------------------------------------------------------------------------------------
 
     def findings(self) -> list[Finding]:
-        """What catches the eye."""
+        """Wrong sign, single speed, and unequal pressure in the branches."""
         where, found = show(self.pressure, "pressure"), []
         if self.straight >= 0:
             text = f"at {where} the force rises with contraction: a sign is wrong in displacement or force"
@@ -327,13 +338,13 @@ class Cell:
 
 
 def is_bent(x: Array, curve: Array) -> bool:
-    """Whether a curve [N] over `x` [m], shapes (n,), is no straight line."""
+    """Whether a curve [N] over `x` [m], shapes (n,), deviates from a straight line."""
     left = curve - np.polyval(np.polyfit(x, curve, 1), x)
     return bool(np.sqrt(np.mean(left**2)) > BENT * np.ptp(curve))
 
 
 def each_local(x: Array, curves: Array, place: float, window: float = WINDOW) -> tuple[Array, Array]:
-    """Value and slope at a place of each of `curves`, shape (m, n), by a cubic through the points about it."""
+    """Value and slope at a place of each of `curves`, shape (m, n), by a cubic through the points near it."""
     reach = window * float(x[-1] - x[0])
     centre = min(max(place, float(x[0]) + reach), float(x[-1]) - reach)
     near = np.abs(x - centre) <= reach * (1 + 1e-9)
@@ -342,6 +353,6 @@ def each_local(x: Array, curves: Array, place: float, window: float = WINDOW) ->
 
 
 def local(x: Array, curve: Array, place: float, window: float = WINDOW) -> tuple[float, float]:
-    """The same of one curve, shape (n,)."""
+    """`each_local` for one curve, shape (n,)."""
     value, slope = each_local(x, curve[None, :], place, window)
     return float(value[0]), float(slope[0])

@@ -1,6 +1,7 @@
-"""What one pressure and stroke gives: K, F_ce, force and stiffness by the mean curve; H, F_c, B and work by the gap.
+"""Coefficients of one pressure and stroke: K, F_ce, force and stiffness from the mean curve; H, F_c, B and work from
+the gap.
 
-A late force, backlash, a drift and creep make their intervals wider, or withhold them (`judged`).
+A late force, backlash, drift and creep widen their intervals or withhold them (`judged`).
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ IN_A_RAMP = "one speed only: nothing shows what creeps in less than a ramp, and 
 def of_curve(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
     """K and F_ce of the mean curve, its force and stiffness along the stroke.
 
-    Calibration, to first order: forces ~ F, K ~ F/x; both are given for a contraction and a pressure that may
-    be off, too. `near`: the cell of the pressure next to this one, None without another pressure.
+    Calibration to first order: forces ~ F, K ~ F/x, and the error of the contraction and pressure for which they are
+    given. `near`: the cell of the next pressure, None without another pressure.
     """
     x = cell.x
     lower, upper = cell.ends
@@ -97,7 +98,7 @@ def of_curve(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
 
 
 GUESSED = 1.5
-"""dF/dP may be so many times F/P, which is taken where one pressure was tested."""
+"""Factor by which dF/dP may exceed F/P, which is used where only one pressure was tested."""
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 SHRINKS = (
     "a gap that shrinks as the speed rises is no damping: what creeps in about the time of a ramp, or a friction that "
@@ -109,9 +110,10 @@ _Row = tuple[str, tuple[str, str], Callable[[Loop], Array], tuple[str, ...], flo
 
 
 def of_gap(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
-    """Gap and work, for a contraction and a pressure that may be off; `near` as of the mean curve.
+    """Gap and work; `near` as in `of_curve`.
 
-    Calibration, to first order: forces ~ F, work ~ F x.
+    Calibration to first order: forces ~ F, work ~ F x, and the error of the contraction and pressure for which they are
+    given.
     """
     K, dF_dP = abs(cell.straight), cell.over_pressure(near, lambda cell: cell.force_at(cell.middle))
     uneven = _uneven(cell, dF_dP)
@@ -120,16 +122,16 @@ def of_gap(cell: Cell, scales: Scales, near: Cell | None) -> list[Estimate]:
 
 
 def _work(cell: Cell, scales: Scales, K: float, uneven: float, near: Cell | None) -> Iterator[Estimate]:
-    """Gap and work at each speed, and the share of the work that comes back; `uneven` as `_uneven` gives it."""
+    """Gap and work at each speed, and the share of the work that is recovered; `uneven` is the result of `_uneven`."""
     stroke, newton, joule = cell.stroke, ("N", "force"), ("J", "work")
     for speed in sorted({member.speed for member in cell.members}):
         mine = [member for member in cell.members if member.speed == speed]
         here, note = {**cell.at, "speed": speed}, CYCLES if len(mine) == 1 else ""
         late = 2 * K * speed * cell.skew
         work = ("force", "displacement")
-        # between the two samples at a turn the force jumps by the gap, somewhere on the way between them
+        # at a turn the force changes by the gap, somewhere between two samples
         corners = max(2 * abs(float(m.loop.middle_gap.mean())) * speed / m.run.rate for m in mine)
-        # and what is gone on the way to a turn and back between two samples is not seen: half of it at either end
+        # motion to a turn and back between two samples is not recorded: at most half a sample at either end
         unseen = max(abs(float(m.loop.given.mean())) / stroke * speed / m.run.rate for m in mine)
         rows: tuple[_Row, ...] = (
             ("H", newton, lambda loop: loop.middle_gap, ("force",), uneven, late),
@@ -145,7 +147,7 @@ def _work(cell: Cell, scales: Scales, K: float, uneven: float, near: Cell | None
             yield cell.estimate(symbol, value, kind, GAP, here, parts, note, len(mine))
         each = [m.loop.given + m.loop.lost for m in mine]
         taken = float(np.mean([np.mean(one) for one in each]))
-        if min(float(np.min(one)) for one in each) > 0:  # unpressed, it may take up nothing
+        if min(float(np.min(one)) for one in each) > 0:  # without pressure it may take up no work
             value, half = mean_of_cycles([m.loop.given / one for m, one in zip(mine, each, strict=True)])
             part = scales.part({}, {"force": stroke * (1 - value) / taken})
             parts = Parts(half, (uneven * stroke + corners) / taken, part, late * stroke / taken)
@@ -154,13 +156,15 @@ def _work(cell: Cell, scales: Scales, K: float, uneven: float, near: Cell | None
 
 
 def _gap_lines(cell: Cell, scales: Scales, K: float, uneven: float, rising: float, near: Cell | None) -> list[Estimate]:
-    """Hysteresis at speed 0, and what rises with speed; `rising` [N.s/m] is what unequal pressure makes of that."""
+    """Hysteresis at speed 0, and damping from the slope over speed; `rising` [N.s/m] is the slope due to unequal
+    pressure.
+    """
     newton, damping = ("N", "force"), ("N.s/m", "damping")
     still = {**cell.at, "speed": 0.0}
     found, few = [], TWO_SPEEDS if len({member.speed for member in cell.members}) == 2 else ""
     ways: dict[str, Callable[[Loop], Array]]
     ways = {GAP: lambda loop: loop.middle_gap, MEAN_GAP: lambda loop: loop.mean_gap}
-    if cell.turns_of_each:  # one open gap for all cycles of a loop
+    if cell.turns_of_each:  # one asymptotic gap for all cycles of a loop
         ways[OPEN] = lambda loop: np.full(1, 2 * loop.turns.h if loop.turns is not None else np.nan)
     for method, of in ways.items():
         line = cell.over_speed(of)
@@ -195,13 +199,13 @@ def _halved(half: float | None) -> float | None:
 
 
 def _uneven(cell: Cell, dF_dP: float | None) -> float:
-    """What of the gap unequal pressure of the two branches may be worth [N]."""
+    """Part of the gap that unequal pressure in the two branches may cause [N]."""
     apart = max((abs(m.loop.apart) for m in cell.members if not isnan(m.loop.apart)), default=0.0)
     return apart * cell.force_per_pressure(dF_dP)
 
 
 def _rising(cell: Cell, dF_dP: float | None) -> float:
-    """How fast what unequal pressure of the branches may be worth rises with the speed [N.s/m]."""
+    """Increase with speed of the gap that unequal pressure in the branches may cause [N.s/m]."""
     known = [(m.speed, m.loop.apart) for m in cell.members if not isnan(m.loop.apart)]
     if cell.one_speed or len({speed for speed, _ in known}) < 2:
         return 0.0
@@ -219,17 +223,19 @@ CREEPS = (
     "makes part of it, and of the slope of the mean curve. Ramp more slowly, and more quickly, until neither changes"
 )
 UNIFORM = 0.5
-"""Share of what the gap shrinks by at mid stroke that it shrinks less by near the ends: three quarters or all by creep,
-none by friction."""
+"""Limit for attributing a shrinking gap to creep: how much less it shrinks near the ends, as a share of mid stroke.
+Creep gives three quarters to all, friction none.
+"""
 FALLS = 0.05
-"""Share of the friction at rest that may fade unseen as the speed rises: two speeds show no more than a line."""
+"""Share of the friction at rest that may decrease with speed unnoticed, since two speeds only give a line."""
 FADING = 8
-"""Speeds that are tried over which it fades as an exponential, from half the lowest to half the highest: on a longer
-way its fall is a line, and part of B."""
+"""Number of speed constants that are tried for an exponential decrease, from half the lowest speed to half the highest:
+with a larger one it is a line, and part of B.
+"""
 
 
 def judged(cell: Cell, found: list[Estimate], creep: Creep | None) -> list[Estimate]:
-    """The values with what may be wrong of them in their intervals, or withheld."""
+    """The estimates, widened or withheld for possible errors."""
     if cell.upside_down:
         return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
     late, falls = _late(cell), _falls(cell)
@@ -241,16 +247,18 @@ def judged(cell: Cell, found: list[Estimate], creep: Creep | None) -> list[Estim
 def _doubts(
     cell: Cell, e: Estimate, late: Doubt, creep: Creep | None, falls: tuple[float, float, bool], level: Doubt
 ) -> list[Doubt]:
-    """What a late force, backlash, a drift and so on do to an estimate `e`; the other arguments are of its cell."""
-    K, stroke = abs(cell.straight), cell.stroke  # K turns times into forces
+    """Effects of a late force, backlash, drift, creep and friction on an estimate `e`; the other arguments are of its
+    cell.
+    """
+    K, stroke = abs(cell.straight), cell.stroke  # K converts a time times a speed into a force
     slowest, still = cell.speeds[0], e.at.get("speed") == 0
     gap = 2 * K * (e.at.get("speed", 0.0) or slowest) * late.half
-    # the zero of a displacement with play is anywhere within it: half of it either way, and turns show a part of it
+    # with backlash the zero of a displacement is uncertain by half of it either way; the turns show part of it
     play = gap / 3 if late.seen else 0.0
     uneven = 0.5 * max(m.loop.uneven_drift for m in cell.members)
     whole = max(m.loop.whole_drift for m in cell.members)
     given = float(np.mean([np.mean(m.loop.given) for m in cell.members])) / stroke
-    # a displacement with play reads a stroke that is shorter by it, with a gap of K times the play
+    # backlash makes the measured stroke shorter by it, with a gap of K times the backlash
     widest = max(float(np.max(np.abs(m.loop.middle_gap))) for m in cell.members) / max(K, 1e-9)
     unread = min((1.0 if late.seen else 0.5) * slowest * late.half, widest)  # unseen, any part is as likely
     taken = max(float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in cell.members])), 1e-9)
@@ -268,7 +276,7 @@ def _doubts(
             "F_ce": float(np.interp(place, cell.x, creep.force)), "B": creep.damping,
             "H": creep.gap if still else 0.0,
         }.get(e.symbol, 0.0)  # fmt: skip
-        # values at a place have wide intervals, and any that is wider without creep holds it, too
+        # local values have wide intervals; those that are wider without creep cover it, too
         withheld = e.method in (CURVE, RAW) and by_creep > (e.parts.combined or 0.0)
         reason = creep.reason if withheld else ""
         found.append(Doubt("creep", "method", by_creep, creep.seen, reason))
@@ -279,7 +287,7 @@ def _doubts(
 
 
 def _late(cell: Cell) -> Doubt:
-    """Time by which the force may come late [s], by turns of the slowest loops, or where turns fade over time."""
+    """Possible delay of the force [s], by the turns of the slowest loops, or by turns that grow longer with speed."""
     slowest, _ = cell.speeds
     known = [m.loop.late for m in cell.members if m.speed == slowest]
     worst, half = max(known, key=lambda one: (one.seen, one.half)), float(np.mean([one.half for one in known]))
@@ -299,7 +307,7 @@ def _late(cell: Cell) -> Doubt:
 
 
 def _without_creep(cell: Cell, found: list[Estimate]) -> list[Estimate]:
-    """Without what the mean curve gives, where creep makes part of the gap and of its slope."""
+    """The estimates with those of the mean curve withheld where creep makes part of the gap and of its slope."""
     shrinks = any(e.symbol == "F_c" and SHRINKS in e.note for e in found)
     if not (shrinks and _shrinks_by_creep(cell)):
         return found
@@ -307,11 +315,11 @@ def _without_creep(cell: Cell, found: list[Estimate]) -> list[Estimate]:
 
 
 def _shrinks_by_creep(cell: Cell) -> bool:
-    """Whether a gap that shrinks as the speed rises does so at mid stroke, and less near the ends.
+    """Whether a gap that shrinks with speed does so more at mid stroke than near the ends.
 
-    What creeps makes a gap that is 0 at both turns, and a mean curve that is too steep. Friction that falls with
-    the speed takes as much of the gap everywhere. It is alike in both directions, whatever it changes with, and
-    a displacement that lags or has play moves the mean curve as a whole: they leave K as it is.
+    Creep gives a gap that is 0 at both turns, and too steep a mean curve. Friction that decreases with speed reduces
+    the gap equally everywhere. Friction is the same in both directions, whatever it depends on, and a displacement with
+    lag or backlash shifts the whole mean curve: neither changes K.
     """
     place, inner = cell.opened
     dome = cell.over_speed(lambda loop: np.polyfit(place[inner], loop.gap[:, inner].T, 2)[0])
@@ -319,9 +327,10 @@ def _shrinks_by_creep(cell: Cell) -> bool:
 
 
 def _falls(cell: Cell) -> tuple[float, float, bool]:
-    """What a friction that falls with the speed does to F_c [N] and B [N.s/m], as far as the gaps allow; if it is seen.
+    """Errors of F_c [N] and B [N.s/m] because of friction that decreases with speed, as far as the gaps allow it;
+    whether it is significant.
 
-    F_c is that of a muscle in motion: it is off by the start of a line through the most of c exp(-v/u) that is allowed.
+    F_c is for motion. Its error is the start of a line fitted to the largest possible c exp(-v/u).
     """
     gaps = [member.loop.middle_gap / 2 for member in cell.members]
     speeds = np.repeat([member.speed for member in cell.members], [len(one) for one in gaps])

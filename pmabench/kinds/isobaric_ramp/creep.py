@@ -1,9 +1,9 @@
-"""Creep that no gap shows, because damping hides it there or because it is slower than the ramps: what it adds to K.
+"""Creep that the gap does not show, because damping hides it or because it is slower than the ramps: its part in K.
 
-A spring K_1 whose far end e follows the contraction, e' = (x - e)/tau, pulls by -K_1 (x - e). In ramps much faster than
-tau it is a spring like any other, and what still shows is small: e goes from where the muscle rested to the middle of
-the stroke, so that the force drifts from cycle to cycle; slower ramps are less steep; and the gap has a dome that fades
-as the speed rises. Each of them bounds K_1 for each tau, by least squares over the cycles of all trials.
+Model: a spring K_1 whose far end e follows the contraction, e' = (x - e)/tau, with force -K_1 (x - e). In ramps much
+faster than tau it acts like any spring. Small signs remain: e moves from the rest position to the middle of the stroke,
+so that the force drifts from cycle to cycle; slower ramps are less steep; and the gap has a parabolic part that
+decreases with speed. Each bounds K_1 for each tau, by least squares over the cycles of all trials.
 """
 
 from __future__ import annotations
@@ -24,36 +24,36 @@ from pmabench.store.records import Array
 TRIED = 24
 """Time constants that are tried."""
 LONGEST = 2.0
-"""The largest, as a share of how long a cell is tested: what takes longer is a spring like any other in all of it."""
+"""Largest time constant, relative to the test time of a cell: slower creep acts like a spring throughout."""
 FASTEST = 0.5
-"""The least, as a share of the shortest ramp; that ramp itself where one speed shows no faster ones."""
+"""Smallest time constant, relative to the shortest ramp; 1 where there is one speed only."""
 OTHERS = 2.0
-"""In one cell of a test the muscle may creep so many times as much as in another, as a share of the stiffness."""
+"""Factor by which the relative creep may differ between cells of a test."""
 LATE = 0.1
-"""A trial may begin so much before the ramp before it is over by its rate [s]."""
+"""Overlap with the preceding ramp that is allowed before a trial counts as having a different clock [s]."""
 FORCE, STIFFNESS, DOME = range(3)
 
 
 @dataclass(frozen=True)
 class Creep:
-    """The most that creep of any time constant may add to a cell, as far as the cycles allow."""
+    """Largest effect of creep of any time constant in a cell, as far as the cycles allow it."""
 
     stiffness: float
     """[N/m]"""
     force: Array
-    """To the mean curve [N], either way, shape (n,)."""
+    """Change of the mean curve [N], either sign, shape (n,)."""
     gap: float
-    """At speed 0 [N]."""
+    """Gap at speed 0 [N]."""
     damping: float
     """[N.s/m], either way."""
     time: float
-    """Time constant of the stiffest [s]."""
+    """Time constant with the largest stiffness [s]."""
     seen: bool
-    """Whether one is significant."""
+    """Whether creep with any time constant is significant."""
 
     @property
     def reason(self) -> str:
-        """What was found, and what to do."""
+        """Sentence: what was found, and what to do."""
         return (
             "the force drifts from cycle to cycle, or the mean curve is less steep where ramps are slower, as where a "
             f"muscle creeps: K may hold {show(self.stiffness, 'stiffness', 2)} of that, in about "
@@ -64,25 +64,25 @@ class Creep:
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """A spring of 1 N/m in one cell with each of the time constants, shape (k,), and what the cycles allow of it."""
+    """Springs of 1 N/m with each of the time constants, shape (k,), in one cell, and what the cycles allow."""
 
     counts: NDArray[np.bool_]
-    """Whether it is neither too fast nor too slow for the cell."""
+    """Whether the time constant is in the range of the cell."""
     most: Array
-    """K_1 [N/m]; inf where the cycles do not show it."""
+    """Largest K_1 [N/m]; inf where the cycles give no bound."""
     stiffness: Array
     force: Array
-    """Shape (k, n)."""
+    """Force on the mean curve, shape (k, n)."""
     gap: Array
     damping: Array
     seen: bool
 
 
 def creeps_of(cells: Sequence[Cell]) -> list[Creep | None]:
-    """What creep may be in each cell; None where its cycles do not show it, as one alone.
+    """Possible creep in each cell; None where its cycles give no bound, such as a single one.
 
-    A cell that is tested after others moves about the same middle, to which the end of the spring has come. What they
-    allow, as a share of the stiffness, holds for it too, but for a factor.
+    A cell tested after others moves about the same middle, which the end of the spring has already reached. The bound
+    of the other cells, relative to the stiffness, is used for it, too, times a factor.
     """
     if not cells:
         return []
@@ -94,7 +94,9 @@ def creeps_of(cells: Sequence[Cell]) -> list[Creep | None]:
 
 
 def _creep(cell: Cell, one: _Tried, times: Array, least: Array) -> Creep | None:
-    """`least` is the lowest share of the stiffness that any cell allows, shape (k,)."""
+    """The largest creep of a cell; `least`, shape (k,), is the smallest relative bound of all cells. None without a
+    bound.
+    """
     most = one.most if one.seen else np.minimum(one.most, OTHERS * least * abs(cell.straight))
     known = one.counts & np.isfinite(most)
     if not known.any():
@@ -107,7 +109,7 @@ def _creep(cell: Cell, one: _Tried, times: Array, least: Array) -> Creep | None:
 
 
 def _span(cell: Cell) -> tuple[float, float]:
-    """The least and the largest time constant [s] that are tried for a cell."""
+    """Smallest and largest time constant [s] for a cell."""
     begun = {member.run.id: float(member.trial.t[0]) for member in reversed(cell.members)}
     lasts = max(float(member.loop.moments[-1, 2]) - begun[member.run.id] for member in cell.members)
     return (1.0 if cell.one_speed else FASTEST) * cell.stroke / cell.speeds[1], LONGEST * lasts
@@ -123,7 +125,7 @@ def _tried(cell: Cell, times: Array, fastest: float, slowest: float) -> _Tried:
         asked = _columns(cell, time > longest)
         springs = [(sign, bound_of(columns, units[sign][k], shown[sign][0], sign == FORCE)) for sign, columns in asked]
         known = [(sign, spring) for sign, spring in springs if spring is not None]
-        # one of each sign: its first
+        # of each kind of sign the first
         together = joined(dict(reversed(known)).values())
         most[k] = min((spring.most for spring in [*(one for _, one in known), *together]), default=np.inf)
         seen |= any(sign != DOME and counts[k] and spring.seen for sign, spring in known)
@@ -135,10 +137,10 @@ def _tried(cell: Cell, times: Array, fastest: float, slowest: float) -> _Tried:
 
 
 def _columns(cell: Cell, slow: bool) -> Iterator[tuple[int, Sequence[Array]]]:
-    """A sign and what else may change it, shape (cycles,) each.
+    """A sign of creep and other regressors for it, shape (cycles,) each.
 
-    Each trial has a force of its own. The stiffness may also rise with the speed, by a pressure that moves; two speeds
-    cannot distinguish that from creep. The dome is a parabola where creep is slower than any ramp (`slow`).
+    Each trial has its own mean force. The stiffness may also increase with speed because of a varying pressure; two
+    speeds cannot separate that from creep. The gap is a parabola where creep is slower than all ramps (`slow`).
     """
     cycles = [len(member.loop.lost) for member in cell.members]
     speeds = np.repeat([member.speed for member in cell.members], cycles)
@@ -152,11 +154,11 @@ def _columns(cell: Cell, slow: bool) -> Iterator[tuple[int, Sequence[Array]]]:
 
 
 def _path(member: Member) -> tuple[Array, Array]:
-    """Times [s] and contractions [m] between which the free end moves in straight lines, until the trial is over."""
+    """Times [s] and contractions [m] of the corners of the motion, up to the end of the trial."""
     knots: list[tuple[float, float]] = []
     for trial in member.run.trials:
         if knots and len(trial.t) and trial.t[0] < knots[-1][0] - LATE:
-            knots = []  # a clock of its own
+            knots = []  # this trial has another clock
         ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp"]
         for c, next_one in zip(ramps, [*ramps[1:], None], strict=True):
             later = float(trial.t[-1]) if next_one is None else next_one.t
@@ -168,9 +170,9 @@ def _path(member: Member) -> tuple[Array, Array]:
 
 
 def _behind(path: tuple[Array, Array], times: Array, at: Array) -> Array:
-    """How far the end of each spring is behind, x - e [m], at moments [s]: exact, and 0 where the path begins.
+    """Lag x - e [m] of each spring at times `at` [s]; exact, 0 at the start of the path.
 
-    `times`, shape (k,), are the time constants; shape (k, *shape of `at`).
+    `times`, shape (k,), are the time constants; the result has shape (k, *shape of `at`).
     """
     t, x = path
     dt, way = np.diff(t), np.diff(x)
@@ -188,7 +190,7 @@ def _behind(path: tuple[Array, Array], times: Array, at: Array) -> Array:
 
 
 def _pulls(cell: Cell, member: Member, times: Array) -> tuple[Array, Array]:
-    """Both branches of a spring of 1 N/m with each time constant, as those of a loop [N], shape (k, cycles, n)."""
+    """Force on both branches of a spring of 1 N/m with each time constant [N], shape (k, cycles, n) each."""
     path, loop = _path(member), member.loop
     lower, upper = loop.ends
     begins, turns = loop.moments[:, :1], loop.moments[:, 1:2]
@@ -197,7 +199,9 @@ def _pulls(cell: Cell, member: Member, times: Array) -> tuple[Array, Array]:
 
 
 def _signs(cell: Cell, loops: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
-    """Mean force [N], stiffness [N/m] and dome of the gap [N] of the cycles of all loops, shape (k, cycles)."""
+    """Mean force [N], stiffness [N/m] and parabolic part of the gap [N] in the cycles of all loops, shape (k, cycles)
+    each.
+    """
     place, inner = cell.opened
     means = np.concatenate([0.5 * (contracting + expanding) for contracting, expanding in loops], axis=1)
     gaps = np.concatenate([expanding - contracting for contracting, expanding in loops], axis=1)[..., inner]
@@ -208,23 +212,25 @@ def _signs(cell: Cell, loops: Sequence[tuple[Array, Array]]) -> tuple[Array, Arr
 
 
 ONE_SIDE = 0.95
-"""Probability below the most: only that side is open."""
+"""One-sided probability for the upper bound."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A size, and its standard error times Student's t for `ONE_SIDE` and for `SURE`; what is left [square]."""
+    """A size, its standard error times Student's t for `ONE_SIDE` (`open`) and `SURE`, and the residual sum of squares
+    `left`.
+    """
 
     size: float
     open: float
     sure: float
     left: float = 0.0
     likely: float = 1.0
-    """Another form is as likely that leaves up to so many times as much."""
+    """Forms with a residual up to this factor larger are equally likely."""
 
     @property
     def most(self) -> float:
-        """The largest size that is allowed; what is seen the other way may hide as much."""
+        """Largest size that is allowed; a significant negative size may hide as much."""
         return max(self.size, 0.0) + self.open if self.size > -self.sure else self.open - self.size
 
     @property
@@ -234,10 +240,10 @@ class Bound:
 
 
 def bound_of(columns: Sequence[Array], unit: Array, shown: Array, exact: bool = False) -> Bound | None:
-    """How many times `unit` is in what is `shown`, next to `columns`, shape (n,) each; None if unknown.
+    """Multiple of `unit` in `shown`, fitted together with `columns`, shape (n,) each; None if not determined.
 
-    Without `exact` that is where as many are shown as are asked for, so that nothing says how sure they are: with it
-    it may be as much again, and is not significant.
+    `exact`: also where there are as many values as unknowns, so without an error estimate: the size may then be twice
+    as large, and is not significant.
     """
     design = np.column_stack([*columns, unit])
     freedom = len(shown) - design.shape[1]
@@ -253,7 +259,7 @@ def bound_of(columns: Sequence[Array], unit: Array, shown: Array, exact: bool = 
 
 
 def joined(bounds: Collection[Bound]) -> Iterator[Bound]:
-    """The mean of several by the squares of their errors."""
+    """The mean of several bounds, weighted by the inverse squares of their errors; nothing for fewer than two."""
     if len(bounds) > 1 and min(bound.open for bound in bounds) > 0:
         weights = np.array([bound.open**-2 for bound in bounds])
         mean = float(weights @ [bound.size for bound in bounds] / weights.sum())

@@ -1,6 +1,6 @@
-"""Figures of slow ramps at constant pressure: loops, mean curves, gap, the rubber's force; draws by `time_plots`.
+"""Figures of slow ramps at constant pressure: loops, mean curves, gap, force of the rubber; drawn by `time_plots`.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: values of one trial, for the display.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
 PANELS, SPEEDS = 6, 4
-"""Most panels, and loops of a panel."""
+"""Most panels of a figure, and loops of a panel."""
 
 
 def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """The loops of each pressure, its speeds in colours, and the mean curve through them."""
+    """The loops at each pressure, colours by speed, with the mean curve."""
     able = [t for t in traces if has(t, "displacement", "force")]
     single = [t for t in able if t.figure == "isobaric"]
     groups = grouped(single, lambda trace: trace.name.rpartition("-")[0].removeprefix("isobaric-"))

@@ -1,4 +1,4 @@
-"""Slow displacement ramps both ways at constant pressure: the isobaric loop, and at 0 kPa the traction of the rubber.
+"""Slow displacement ramps both ways at constant pressure: the isobaric loop, and at 0 kPa the tension of the rubber.
 
 Paper 3, tests at fixed pressure and traction at 0 bar gauge.
 """
@@ -23,7 +23,7 @@ BELOW_0 = "without pressure the muscle pulls only where it is stretched: it must
 
 
 class RampAxes(Strict):
-    """What is swept; the two ends of the stroke only where they differ between pressures."""
+    """What is swept; the ends of the stroke only if they differ between pressures."""
 
     pressure: PressureAxis
     speed: SpeedAxis
@@ -32,7 +32,7 @@ class RampAxes(Strict):
 
 
 class MinorLoop(Strict):
-    """A loop within the stroke after the last cycle: how the hysteresis turns shows where it is small."""
+    """A small loop within the stroke after the last cycle; it shows how the hysteresis reverses."""
 
     lower: Length
     upper: Length
@@ -40,24 +40,24 @@ class MinorLoop(Strict):
 
 
 class RampTrial(Strict):
-    """One loop: cycles of a ramp from `lower` to `upper` contraction and one back."""
+    """One loop: cycles of a ramp from `lower` to `upper` contraction and back."""
 
     lower: Length | None = None
     """Contraction at which it starts; below 0 stretched."""
     upper: Length | None = None
     cycles: Annotated[int, Field(ge=2, le=1000)]
     discard: Annotated[int, Field(ge=0)] = 1
-    """Cycles at the start that do not enter the reduction."""
+    """Cycles at the start that the reduction leaves out."""
     dwell: Time = 0.0
     """Rest at both ends of each ramp."""
     turn: Length
-    """Stretch at both ends that is left out: there one branch turns into the other."""
+    """Length at both ends that is left out, where one branch turns into the other."""
     settle: Time
     """Time at pressure before the first motion."""
     approach: Speed
     """Speed from 0 to the lower end and back."""
     minor: MinorLoop | None = None
-    """For the surface of a muscle with hysteresis; the reduction of this kind of test leaves it out."""
+    """For a surface model with hysteresis; the reduction of this kind of test leaves it out."""
 
 
 class IsobaricRamp(ProtocolHead):
@@ -71,7 +71,7 @@ class IsobaricRamp(ProtocolHead):
     trial: RampTrial
 
     def compile(self, c: Compilation) -> Plan:
-        """The plan: per pressure pressurise and go to the lower end; per speed one recorded loop from there."""
+        """The plan: per pressure, pressurise and move to the lower end; then one recorded loop per speed."""
         trial = self.trial
         for name in ("turn", "settle", "approach"):
             c.positive(getattr(trial, name), ("trial", name))
@@ -123,7 +123,7 @@ class IsobaricRamp(ProtocolHead):
         return [Ramp("minor", "displacement", begin, end, speed) for begin, end in pairwise(places)]
 
     def _ends(self, c: Compilation, point: Point) -> tuple[float, float] | None:
-        """The two ends of the stroke [m], checked; None where there are none."""
+        """Both ends of the stroke [m], checked; None if one is missing."""
         ends: dict[str, float] = {}
         places: dict[str, Location] = {}
         for name in ("lower", "upper"):

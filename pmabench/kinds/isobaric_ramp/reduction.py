@@ -1,11 +1,11 @@
 """Reduction of isobaric ramps: mean curve, K, F_ce, loop gap and work; at 0 kPa the rubber's force.
 
-The first loop of a rested muscle has more hysteresis than the loops after it: the gap of the first cycle minus that of
-the cycles that count, over the gap at speed 0; damping is in both gaps, and no longer in their difference.
+The first loop of a rested muscle has more hysteresis than later ones: gap of the first cycle minus that of the cycles
+that count, divided by the gap at speed 0; damping is in both gaps and cancels.
 
-A, B1 and B2 can be separated only where data come close to the pole at -B2; the curve itself is known long before.
+A, B1 and B2 of the rubber can be separated only where data come close to the pole at -B2; the curve itself needs less.
 
-Knows the samples and the protocol's settings. One trial is measured in `ramp_loop`.
+Uses the samples and the protocol's settings. One trial is evaluated in `ramp_loop`.
 """
 
 from __future__ import annotations
@@ -37,13 +37,15 @@ from pmabench.store.records import Array, RunData, TrialData
 
 SYMBOL = "h_1"
 LONG = 600.0
-"""Rest [s] from which a muscle counts as rested; how fast one recovers is not published."""
+"""Shortest rest [s] of a rested muscle; no published data on the recovery time are known."""
 FEWEST_LATER = 3
-"""Cycles that count, whose gaps are what the first one is compared with."""
+"""Fewest later cycles for the comparison with the first one."""
 MIDDLE = 0.05
 """Half width of the middle of the stroke, as a share of it."""
 FADED = 0.25
-"""Share of what the first gap is wider by, by which later gaps may change; share of H that its half width may be."""
+"""Largest change of the later gaps, as a share of the excess of the first; and largest half width of H, as a share of
+it.
+"""
 ONE_CYCLE = (
     "one cycle does not show whether the muscle creeps, and K holds what does: count two cycles and more"
     " (trial.cycles, `discard`)"
@@ -57,16 +59,16 @@ class Wider:
 
     trial: str
     rest: float
-    """[s]"""
+    """Rest before the trial [s]."""
     gap: float
-    """What its gap is wider by."""
+    """Excess of its gap over the later ones."""
     scatter: float
     open: float
-    """Drift and creep that were another in the first cycle, and what the later cycles still fade by."""
+    """Different drift and creep in the first cycle, and the remaining change of the later cycles."""
 
 
 def first_cycle(runs: Sequence[RunData], cells: Sequence[Cell], options: Mapping[str, Any]) -> Iterator[Estimate]:
-    """The coefficient of each cell that holds the first loops of a run; none where no rest before them is recorded."""
+    """The estimate for each cell that has a first loop of a run; none where no rest before it is recorded."""
 
     def begin(trial: TrialData) -> float:
         return float(trial.t[0]) if len(trial.t) else np.inf
@@ -77,7 +79,7 @@ def first_cycle(runs: Sequence[RunData], cells: Sequence[Cell], options: Mapping
             continue
         found = [_wider(member, options) for member in members]
         known = [one for one in found if isinstance(one, Wider)]
-        # whether the gap at speed 0 is known well enough to be what another one is a share of
+        # whether the gap at speed 0 is certain enough as a reference
         sure = cell.gap.half_start is not None and cell.gap.half_start < FADED * cell.gap.start
         lacks = ONE_SPEED if cell.one_speed else "" if sure else NO_HYSTERESIS
         if len(known) < len(found) or lacks:
@@ -94,7 +96,7 @@ def _rest(run: RunData) -> float:
 
 
 def _wider(member: Member, options: Mapping[str, Any]) -> Wider | str:
-    """What the first gap of a trial is wider by, or why that is not known."""
+    """Excess of the first gap of a trial, or the reason why it is unknown."""
     run = member.run
     rest, first = _rest(run), int(settings_of(run, options).get("discard", 1))
     if rest < LONG:
@@ -116,11 +118,11 @@ def _wider(member: Member, options: Mapping[str, Any]) -> Wider | str:
 
 
 def _at_middle(loop: Loop) -> tuple[Array, float]:
-    """The gap of each cycle at mid stroke, and what was taken off the first of them as drift or creep [N].
+    """The gap of each cycle at mid stroke, and its correction for drift or creep in the first one [N].
 
-    Half of what the mean of both branches grows by until the next cycle. Of the first cycle a part of that is friction
-    that fades on the way, so that all of it is left open. The ends of a first stroke are no guide: there it is not yet
-    known which way friction acts.
+    The correction is half the increase of the mean of both branches until the next cycle. In the first cycle part of
+    that is friction that still changes, so all of it counts as uncertain. The ends of a first stroke are no reference,
+    since the direction of friction there is not yet defined.
     """
     near = np.abs(loop.x - 0.5 * (loop.ends[0] + loop.ends[1])) <= MIDDLE * (loop.ends[1] - loop.ends[0])
     contracting, expanding = (branch[:, near].mean(axis=1) for branch in (loop.contracting, loop.expanding))
@@ -148,22 +150,22 @@ WIDE = 0.25
 """A coefficient is withheld where its interval is wider than this share of it."""
 PLACES = 4
 STARTS = ((0.1, 0.01), (0.2, 0.02), (0.4, 0.1), (0.9, 0.5))
-"""B1, and B2 beyond the lowest contraction, from which the fit starts."""
+"""Start values of B1, and of B2 minus the lowest contraction."""
 FEWEST = 10
-"""Points of the mean curve."""
+"""Fewest points of the mean curve."""
 SHORT = "needs a stretch that comes close to the pole at -B2, and a longer range"
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What least squares say."""
+    """Result of the least squares."""
 
     terms: Array
     """A [N], B1 and B2 [1], shape (3,)."""
     rms: float
-    """Of what is left [N]."""
+    """Rms residual [N]."""
     misfit: Array
-    """Half widths that a misfit of that size makes of the terms, shape (3,)."""
+    """Half widths of the terms for a misfit of that size, shape (3,)."""
 
 
 def rubber_force(eps: Array, A: float, B1: float, B2: float) -> Array:
@@ -176,9 +178,9 @@ def rubber_force(eps: Array, A: float, B1: float, B2: float) -> Array:
 def fit(eps: Array, F: Array) -> Fit:
     """Least squares of F_e(eps) = A eps (eps - B1)/(eps + B2) through forces F [N] at eps [1], shapes (n,).
 
-    A follows linearly for each B1 and B2, so that only these are searched, from several starts; B2 beyond the lowest
-    contraction, where the pole would lie inside the data. What is left of a smooth curve does not average out: the
-    half widths are those of one point alone.
+    A follows linearly for each B1 and B2, so only these are searched, from several starts; the pole -B2 stays below the
+    lowest contraction, outside the data. The residual of a smooth curve does not average out, so half widths are those
+    of a single point.
     """
     lowest = max(0.0, -float(eps.min()))
     size = max(float(np.max(np.abs(F))), 1e-12)
@@ -207,7 +209,7 @@ def fit(eps: Array, F: Array) -> Fit:
 
 
 def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], list[Trace]]:
-    """A, B1, B2 and the force along the stretch from the loops without pressure."""
+    """A, B1, B2 and the force along the stroke from loops without pressure."""
     length = _length(cell)
     if length is None:
         return [], [Finding("note", "no rubber term: the record gives no nominal length of the specimen")], []
@@ -217,7 +219,7 @@ def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], l
     whole = fit(eps, cell.curve)
     terms, rms = whole.terms, whole.rms
     A, B1, B2 = (float(value) for value in terms)
-    # whether the search ended at the end of what it may try
+    # whether the search stopped at one of its bounds
     at_bound = B1 > 0.999 or B1 < 2e-3 or B2 > 1.99 or B2 < -float(eps.min()) + 2e-5
     each = [[fit(eps, curve).terms for curve in member.loop.mean] for member in cell.members]
     trials = tuple(member.trial.name for member in cell.members)
@@ -268,10 +270,10 @@ UNPRESSED = 1.0
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Mean curve F(x), K [N/m], F_ce [N], gap H [N] and work [J] of slow ramps at constant pressure (paper 3).
 
-    The gap is the force while expanding minus that while contracting at mid stroke: above 0 where the contracting
-    branch is the lower one. H = 2 F_c + (B_c + B_r) v, a line over the speed v: its start is true hysteresis. The mean
-    of both branches is taken to speed 0 in the same way. K is minus its slope. At 0 kPa it is the rubber's force, and
-    F_e = A eps (eps - B1)/(eps + B2) is fitted to it (paper 3 eq. 8).
+    The gap is the force while expanding minus that while contracting at mid stroke, positive where the contracting
+    branch is the lower one. H = 2 F_c + (B_c + B_r) v is a line over the speed v, whose start is the static hysteresis.
+    The mean of both branches is extrapolated to speed 0 in the same way; K is minus its slope. At 0 kPa it is the
+    rubber's force, to which F_e = A eps (eps - B1)/(eps + B2) is fitted (paper 3 eq. 8).
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `turn` [m] (left out at both ends; else
     the plan's setting, else a twentieth of the stroke).
@@ -307,7 +309,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _cells(members: Sequence[Member]) -> list[Cell]:
-    """The trials of one pressure and stroke together, by rising pressure."""
+    """The trials of one pressure and stroke together, by ascending pressure."""
     ends = ("pressure", "lower", "upper")
     groups = grouped(members, lambda one: tuple(round(one.trial.point.get(name, 0.0), 9) for name in ends))
     pressures = [key[0] for key in groups]
@@ -318,13 +320,13 @@ def _cells(members: Sequence[Member]) -> list[Cell]:
 
 
 def _next_to(cell: Cell, cells: Sequence[Cell]) -> Cell | None:
-    """The cell of the nearest other pressure; None without one that reaches the middle of this one's stroke."""
+    """The cell of the nearest other pressure that covers the middle of this one's stroke; None without one."""
     others = [c for c in cells if c.pressure != cell.pressure and c.x[0] <= cell.middle <= c.x[-1]]
     return min(others, key=lambda c: abs(c.pressure - cell.pressure), default=None)
 
 
 def _sentences(cells: Sequence[Cell]) -> list[Finding]:
-    """Which branch is the lower one, and where one K does not say all."""
+    """Which branch is the lower one, and where a single K is not enough."""
     if wrong := ", ".join(show(cell.pressure, "pressure") for cell in cells if cell.upside_down):
         text = (
             f"at {wrong} the force is larger while contracting than while expanding: no muscle gives work back like "
@@ -362,7 +364,8 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
 
 
 def _along(P: float, known: Sequence[tuple[float, Estimate]], course: Trace | None = None) -> Offer:
-    """F along the mean curve of a pressure [Pa], `course`, with an interval between those of its places; K, of places.
+    """F along the mean curve `course` of a pressure [Pa], with intervals interpolated between places; without `course`
+    K.
 
     Between the places K is taken as a bent curve.
     """
@@ -378,7 +381,7 @@ def _along(P: float, known: Sequence[tuple[float, Estimate]], course: Trace | No
 
 
 def _of_stroke(P: float, K: Estimate, course: Trace) -> Offer:
-    """K of a straight mean curve: that at its middle, and elsewhere as far off as a parabola through it says."""
+    """K of a straight mean curve: that at its middle; elsewhere with the difference by a parabola as method part."""
     x, F = course.columns["displacement"], course.columns["force"]
     bend = 2 * abs(float(np.polyfit(x, F, 2)[0]))
 

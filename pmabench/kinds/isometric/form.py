@@ -1,6 +1,6 @@
-"""What keeps isometric samples from one line: late sensors, branches that are sampled unevenly, a cell that drifts.
+"""Departures of isometric samples from one line: late sensors, unevenly sampled branches, a drifting cell.
 
-Each is sized by what does not depend on the line, as a force that it adds to the samples; knows no estimate.
+Each is estimated without the line, as a force that it adds to the samples; gives no estimate.
 """
 
 from __future__ import annotations
@@ -20,26 +20,27 @@ from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array, RunData
 
 BLOCKS = 200
-"""Means that the course of the pressure in a test is taken from."""
+"""Number of means that describe the course of the pressure in a test."""
 TURN = 0.05
-"""Share of the range of the pressures about its turns that belongs to neither branch: there it is held, or a loop is
-not open yet."""
+"""Share of the pressure range near its turns that belongs to neither branch: there the pressure is held, or the loop
+has not opened yet.
+"""
 LEAST_LEG = 0.2
-"""Share of that range from which on the pressure rises or falls."""
+"""Smallest change of the pressure, as a share of that range, that counts as rising or falling."""
 FEWEST = 10
-"""Samples that a branch, or a rest, needs."""
+"""Fewest samples of a branch or a rest."""
 WITHOUT = 0.02
-"""Share of the highest pressure below which there is none."""
+"""Share of the highest pressure below which the muscle counts as vented."""
 SETTLING = 0.3
 """Share of the rest after the ramps in which a muscle may still settle."""
 SURE = 6.0
-"""Standard errors of the end of a line from which on a change of it is seen."""
+"""Standard errors at the end of a line from which on its change is significant."""
 UNEVEN = 0.005
-"""Share of the highest force from which on it is reported that branches are not sampled alike."""
+"""Change of the line, as a share of the highest force, from which on uneven sampling of the branches is reported."""
 BEYOND = 1.1
-"""By so much more than without its turns a loop may turn the line: they reach farther than is left out."""
+"""Factor on the change of the line by the branches, since turns extend further than the part left out."""
 STRETCHED = 1e-4
-"""A muscle that is longer than its nominal length by this pulls without pressure [m]."""
+"""Length above the nominal one from which on a muscle has tension without pressure [m]."""
 LATE, DRIFT = "time between force and pressure", "drift of the force cell"
 BRANCHES = "rising and falling pressure sampled unlike each other"
 Terms = tuple[float, float]
@@ -48,20 +49,20 @@ Terms = tuple[float, float]
 
 @dataclass(frozen=True)
 class Departures:
-    """What the tests of one contraction may hold besides their line."""
+    """Possible errors in the tests of one contraction, apart from its line."""
 
     late: Terms
-    """Change of the line by what the record leaves open of the sensors' lags."""
+    """Change of the line by the uncertainty of the sensors' lags."""
     drift: Terms
-    """Change of the line by the drift of the cell that the rests show."""
+    """Change of the line by the drift of the cell between the rests."""
     gone: float
-    """What the cell reads more at rest after the ramps than before [N], the mean of the tests."""
+    """Change of the cell's reading at rest from before to after the ramps [N], mean of the tests."""
     noise: float
-    """Of the force [N]."""
+    """Noise of the force [N]."""
     even: Terms
-    """Change of the line where the rising and the falling branch count alike; none where there is one branch only."""
+    """Change of the line if rising and falling branch had equal weight; 0 where there is one branch only."""
     uneven: float
-    """Its largest size along the line as a share of the highest force; 0 where noise makes as much."""
+    """Largest size of that change along the line, as a share of the highest force; 0 within noise."""
 
     @property
     def seen(self) -> bool:
@@ -69,7 +70,7 @@ class Departures:
         return abs(self.gone) > self.noise
 
     def doubts(self, e: Estimate) -> list[Doubt]:
-        """Their effects on m or c, as far as the choices in its method part do not hold them."""
+        """Effects on m or c, beyond what its method part already covers."""
         of = "mc".index(e.symbol)
         beyond = max(0.0, BEYOND * abs(self.even[of]) - (e.parts.method or 0.0))
         return [
@@ -79,12 +80,12 @@ class Departures:
         ]
 
     def lines(self, line: Terms) -> list[Terms]:
-        """Lines that each of them allows in place of `line`."""
+        """Alternative lines, one per departure."""
         m, c = line
         return [(m + more, c + higher) for more, higher in (self.late, self.drift, self.even)]
 
     def findings(self, where: str, m: float) -> list[Finding]:
-        """A drift that is seen, and branches that make another slope than `m` [N/Pa] where they count alike."""
+        """A significant drift, and a slope other than `m` [N/Pa] if both branches had equal weight."""
         found = []
         if self.seen:
             text = (
@@ -105,7 +106,7 @@ class Departures:
 
 
 def departures(tests: Sequence[Test], used: Used, line: Terms) -> Departures:
-    """Of the tests at one contraction, with the line through their `used` samples."""
+    """The departures of tests at one contraction, with the line through their `used` samples."""
     parts = [(test, used(test)) for test in tests]
     gone = [gone_since(test) for test in tests]
     drift = [
@@ -123,12 +124,12 @@ def departures(tests: Sequence[Test], used: Used, line: Terms) -> Departures:
 
 
 def _open(run: RunData) -> float:
-    """By how much the force may be late against the pressure, or early [s], as far as the record says."""
+    """Largest uncertainty of the lag between force and pressure [s], from the record."""
     return max(lag_open(run, name) for name in ("force", "pressure"))
 
 
 def _change(parts: Sequence[tuple[Test, Mask]], forces: Sequence[Array]) -> Terms:
-    """What `forces` [N], for each test of the shape of its samples, add to the line: least squares is linear in F."""
+    """Line through `forces` [N] (one array per test): least squares is linear in F, so it is the change of the line."""
     P = np.concatenate([test.P[mask] for test, mask in parts])
     line = line_of(P, np.concatenate([F[mask] for (_, mask), F in zip(parts, forces, strict=True)]))
     return (line.m, line.c) if line is not None else (0.0, 0.0)
@@ -147,14 +148,14 @@ def _rate(test: Test) -> Array:
 
 
 def legs(test: Test) -> Array:
-    """1 for samples of a rising branch, -1 of a falling one, 0 about the turns between them; shape (n,)."""
+    """1 for samples of a rising branch, -1 of a falling one, 0 near the turns between them; shape (n,)."""
     t, P = _blocks(test.t, test.P)
     span = float(np.ptp(P))
     turns, way = [0], 0
     for i in range(1, len(P)):
         gone = P[i] - P[turns[-1]]
         if gone * way > 0:
-            turns[-1] = i  # farther on the same way
+            turns[-1] = i  # further in the same direction
         elif abs(gone) > LEAST_LEG * span:
             turns, way = [*turns, i], int(np.sign(gone))
     found = np.zeros(len(test.t))
@@ -166,9 +167,9 @@ def legs(test: Test) -> Array:
 
 
 def _even(parts: Sequence[tuple[Test, Mask]], line: Terms) -> tuple[Terms, float]:
-    """The mean of the lines through all rising and through all falling samples, less `line`; its share of the force.
+    """Mean of the lines through all rising and all falling samples, minus `line`; and its largest share of the force.
 
-    There each branch counts alike. The line through all samples leans towards the branch with more of them.
+    This weights both branches equally. The line through all samples leans towards the branch with more of them.
     """
     P, F = (np.concatenate([getattr(test, name)[mask] for test, mask in parts]) for name in ("P", "F"))
     way = np.concatenate([legs(test)[mask] for test, mask in parts])
@@ -184,9 +185,10 @@ def _even(parts: Sequence[tuple[Test, Mask]], line: Terms) -> tuple[Terms, float
 
 
 def gone_since(test: Test) -> tuple[float, float, float] | None:
-    """What the cell reads more at rest after the ramps than before [N], at most, and the middles of these times [s].
+    """Change of the cell's reading at rest from before to after the ramps [N], enlarged by two standard errors, and the
+    middle times of these rests [s].
 
-    At rest there is no pressure, and the muscle pulls nothing. None where a rest is missing, or it is stretched.
+    At rest there is no pressure and no muscle force. None where a rest is missing or the muscle is stretched.
     """
     trial, F = test.trial, test.trial.channels["force"]
     good = trial.usable & np.isfinite(trial.channels["pressure"]) & np.isfinite(F)

@@ -1,6 +1,6 @@
-"""Isometric tests: the straight line F = m P + c at each contraction, by a rule that was written down beforehand.
+"""Isometric tests: the straight line F = m P + c at each contraction, by a rule that is fixed in advance.
 
-Knows trials with pressure and force at a set contraction; not where they come from.
+Uses trials with pressure and force at a set contraction, from any source.
 """
 
 from __future__ import annotations
@@ -27,27 +27,28 @@ from pmabench.store.records import RunData
 
 NO_METHOD = "no method part: it is one of the choices in that of the first method"
 RANGE = (0.025, 0.05, 0.1, 0.5)
-"""Shares of the largest force that an analyst may as well have taken as the threshold where no rule names others; the
-last one, the upper half, is tried always: on a straight line it changes nothing."""
+"""Alternative thresholds as shares of the largest force, where no rule names others; the last one, the upper half, is
+always tried: it does not change a straight line.
+"""
 AT_REST = 0.02
 """Share of the pressures, and of the largest force, within which a muscle may be slack."""
 NOISE = 5.0
-"""So many standard deviations of the noise above what it reads slack, a force is one of the muscle."""
+"""Standard deviations of noise above the slack reading from which on a force is of the muscle."""
 SENSITIVE = 0.05
-"""Relative change of the slope over the thresholds that is doubted."""
+"""Relative change of the slope between thresholds from which on it is a doubt."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Slope m [N/Pa] and intercept c [N] of F = m P + c at each contraction [m].
 
-    All usable samples with force above `force_above` [N] in the wanted `phases`, the tests of one contraction pooled
-    into one least-squares line (samples count alike). The repeats part is Student's t on the scatter of the sessions'
-    mean slopes, with one session on that of the tests: samples within a test are no repeats. The thresholds of
-    `also_at` [N] are shown as methods of their own, since a threshold on the fitted quantity bends the fit; the largest
-    change that one of them, the upper half of the force, equal weights of the sessions or of rising and falling
-    pressure make is the method part, with what the sensors' lags may be off.
+    All usable samples with force above `force_above` [N] in the wanted `phases`; the tests of one contraction pooled
+    into one least-squares line (equal weight of samples). The repeats part is Student's t on the scatter of the
+    sessions' mean slopes, for one session on that of the tests: samples within a test are no repeats. Thresholds
+    `also_at` [N] are shown as separate methods, since a threshold on the fitted quantity biases the fit. The method
+    part is the largest change by one of them, by the upper half of the force, or by equal weights of the sessions or of
+    rising and falling pressure; and the uncertainty of the sensors' lags.
 
-    `options` (else the rule of the import map, else the values given here): `force_above` (what a slack muscle reads),
+    `options` (else the rule of the import map, else these defaults): `force_above` (reading of a slack muscle),
     `also_at` (`RANGE` of the largest force above `force_above`), `phases` [] (all).
     """
     runs = [on_time_run(run, "pressure", "force") for run in runs]
@@ -104,7 +105,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _above_slack(runs: Sequence[RunData], phases: Sequence[str]) -> float:
-    """Force [N] that a slack muscle does not read: what is read at the least pressures, if little, and its noise."""
+    """Force [N] above the reading of a slack muscle: reading at the lowest pressures, if small, plus its noise."""
     found = [0.0]
     for run in runs:
         for trial in run.trials:
@@ -118,7 +119,7 @@ def _above_slack(runs: Sequence[RunData], phases: Sequence[str]) -> float:
 
 
 def _fits(tests: Sequence[Test], above: float, asked: Sequence[float]) -> dict[float, Pooled]:
-    """The line above each threshold of force [N]: the rule's, those asked for, and shares of the largest force."""
+    """Threshold of force [N] -> line above it: the rule's, those asked for, and shares of the largest force."""
     largest = max(float(test.F.max()) for test in tests)
     also = [above + share * (largest - above) for share in (RANGE[-1:] if asked else RANGE)]
     fits = {least: pool(tests, lambda test, least=least: test.F > least) for least in (above, *asked, *also)}  # type: ignore[misc]
@@ -126,7 +127,7 @@ def _fits(tests: Sequence[Test], above: float, asked: Sequence[float]) -> dict[f
 
 
 def _facts(contraction: float, tests: Sequence[Test], fits: Mapping[float, Pooled], above: float) -> dict[str, Any]:
-    """What is kept of the lines of one contraction."""
+    """Details of the lines of one contraction, for the record."""
     line, each = fits[above].line, zip(fits[above].names, fits[above].each, strict=True)
     return {
         "contraction": contraction,
@@ -186,7 +187,7 @@ def _trace(contraction: float, tests: Sequence[Test], line: Line, above: float) 
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """F along each line; nothing where the map took one phase only, which holds one direction."""
+    """F along each line; nothing where the map selected one phase only, which has friction of one direction."""
     if len((analysis.facts.get("rule") or {}).get("phases") or ()) == 1:
         return
     for cell in analysis.facts.get("cells", ()):
@@ -197,7 +198,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
 
 
 def _along(x: float, like: Estimate, rows: Sequence[Sequence[float]]) -> Offer:
-    """F at one contraction [m], between the first and the last pressure of `rows`, as `forces_of` makes them."""
+    """F at one contraction [m] between the first and the last pressure of `rows`, the result of `forces_of`."""
     F = replace(like, symbol="F", unit="N", quantity="force", coordinate="", budget=())
     known = [(P, replace(F, value=value, parts=Parts(*parts))) for P, value, *parts in rows]
 

@@ -1,9 +1,9 @@
 """Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
 
 - `reduction`, made of `curve` (force over pressure at one contraction, and where it begins), `sections` (all
-  contractions at one pressure), `braid` (S over contraction), `flow` (volume by a mass flow meter); whether the tests
-  have the form that is assumed, and zeros that show at rest: `form`
-- protocol files: `protocol`; words and figures: `figures`; one trial on the display: `reduction`
+  contractions at one pressure), `braid` (S over contraction), `flow` (volume by a mass flow meter)
+- `form`: whether the tests have the assumed form, and zero errors that show at rest
+- protocol files: `protocol`; sentences and figures: `figures`; one trial on the display: `reduction`
 """
 
 from pmabench.base.kind import Commanded, Imported, Kind, Result
@@ -60,7 +60,7 @@ METHODS = {
     ),
 }
 PHASES = (("up to the highest", "fill"), ("down from the highest", "empty"), ("any", "rest"))
-"""Which command of an import, and what its phase is called; the last is for all others."""
+"""Command of an import -> name of its phase; the last entry is for all other commands."""
 KIND = Kind(
     name="isometric-pressurisation",
     title="Isometric pressurisation",

@@ -1,7 +1,8 @@
-"""S(eps) of the modified Daerden model from slopes of force over pressure: D0, theta0 and alpha, and what is open.
+"""S(eps) of the modified Daerden model fitted to slopes of force over pressure: D0, theta0, alpha and their
+uncertainty.
 
-S = (pi/4) D0^2 [3 (1 - eps)^alpha / tan^2 theta0 - 1 / sin^2 theta0] (paper 3 eq. 9). For a given alpha it is a line in
-(1 - eps)^alpha, so only alpha is searched; no start values.
+S = (pi/4) D0^2 [3 (1 - eps)^alpha / tan^2 theta0 - 1 / sin^2 theta0] (paper 3 eq. 9). For a given alpha it is linear in
+(1 - eps)^alpha, so only alpha is searched, without start values.
 """
 
 from __future__ import annotations
@@ -26,17 +27,17 @@ from pmabench.store.records import Array
 SECTION = "daerden-section"
 QUANTITY = {"D_0": ("length", "m"), "theta_0": ("angle", "rad"), "alpha": ("count", "1")}
 ALPHAS = (1.0, 5.0)
-"""Where alpha is looked for: the domain of the model."""
+"""Search range of alpha: the domain of the model."""
 FLOOR = 2e-3
 """Floor of the error of a slope, as a share of the largest: nothing on a bench is known better."""
 NAMES = ("D_0", "theta_0", "alpha")
 OPEN = 0.25
 """A parameter whose 95 % interval is wider than this share of its value is not separable from the others."""
 FURTHEST = 3.0
-"""Errors by which a slope may be off the curve."""
+"""Largest distance of a slope from the curve, in its errors."""
 STEP = 1e-6
 NONE = 1e30
-"""Sum of squares that counts where no braid has an alpha: the search cannot do with infinity."""
+"""Sum of squares where no braid has this alpha: the search cannot handle infinity."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Slopes:
 
     @property
     def weight(self) -> Array:
-        """One over the error, at least `FLOOR` of the largest slope."""
+        """Inverse of the error, which is at least `FLOOR` of the largest slope."""
         return np.asarray(1.0 / np.hypot(self.error, FLOOR * np.abs(self.S).max()))
 
 
@@ -76,7 +77,7 @@ class Section:
 
     @property
     def freedom(self) -> int:
-        """Slopes less free parameters."""
+        """Number of slopes minus free parameters."""
         return len(self.slopes.S) - len(self.free)
 
     @property
@@ -101,14 +102,14 @@ class Section:
 
     @cached_property
     def condition(self) -> float:
-        """Condition number of the weighted Jacobian by relative parameters with columns of length one."""
+        """Condition number of the weighted Jacobian with columns of unit length."""
         scaled = self._jacobian(self.slopes.eps) * self.slopes.weight[:, None]
         scaled = scaled / np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
         return float(np.linalg.cond(scaled))
 
     @property
     def _variance(self) -> float:
-        """Of weighted slopes: what the residuals show, at least what the slopes' own errors are."""
+        """Variance of weighted slopes: from the residuals, at least from the slopes' own errors."""
         return max(self.power / self.freedom, float(np.mean((self.slopes.error * self.slopes.weight) ** 2)))
 
     @cached_property
@@ -138,7 +139,7 @@ class Section:
 
     @cached_property
     def as_good(self) -> list[Array]:
-        """The sets of parameters at the ends of the range of alpha that fits as well (profile, 95 %)."""
+        """Parameters at both ends of the range of alpha with an equally good fit (profile, 95 %)."""
         if "alpha" not in self.free or self.freedom < 1:
             return []
         most = self.power + float(student.ppf(0.975, self.freedom)) ** 2 * self._variance
@@ -157,7 +158,7 @@ class Section:
 
     @property
     def open(self) -> tuple[str, ...]:
-        """Free parameters that the slopes do not determine: their interval is too wide, or there is none."""
+        """Free parameters that the slopes do not determine: interval too wide, or none."""
         halves = {name: self.half(name) for name in self.free}
         return tuple(n for n, half in halves.items() if half is None or half > OPEN * abs(getattr(self, n)))
 
@@ -165,7 +166,7 @@ class Section:
 def fit(
     slopes: Slopes, *, D_0: float | None = None, theta_0: float | None = None, alpha: float | None = None
 ) -> Section | None:
-    """The section through slopes with the parameters that are not given free; None where none can be found."""
+    """The curve through slopes, with all parameters free that are not given; None if there is none."""
     given = {name: value for name, value in zip(NAMES, (D_0, theta_0, alpha), strict=True) if value is not None}
     free = tuple(name for name in NAMES if name not in given)
     if len(slopes.S) < max(1, len(free)) or len(np.unique(np.round(slopes.eps, 6))) < len(free):
@@ -188,7 +189,7 @@ def fit(
 
 
 def _at_alpha(slopes: Slopes, alpha: float, given: dict[str, float], free: tuple[str, ...]) -> Section | None:
-    """Least squares of D0 and theta0 at an alpha; None where no braid has them."""
+    """Least squares of D0 and theta0 at a given alpha; None where the result is no braid."""
     w, g = slopes.weight, (1 - slopes.eps) ** alpha
     D_0, theta_0 = given.get("D_0", 0.0), given.get("theta_0", 0.0)
     if "D_0" in free and "theta_0" in free:  # S = C1 g - C2, C1 = 3 C2 cos^2 theta0
@@ -215,7 +216,7 @@ def _at_alpha(slopes: Slopes, alpha: float, given: dict[str, float], free: tuple
 
 
 def sections_of(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, Section]:
-    """S(eps) by method: all three free, and with what the specimen tells; empty where the length is not known."""
+    """S(eps) by method: all parameters free, or some from the specimen; empty without a nominal length."""
     usable = [(cell, cell.pooled) for cell in cells if cell.pooled is not None]
     if "nominal_length" not in given or not usable:
         return {}
@@ -235,10 +236,10 @@ def sections_of(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, Se
 
 
 def section_estimates(sections: Mapping[str, Section], scales: Scales, given: Mapping[str, float]) -> list[Estimate]:
-    """The free parameters of each way; no value where the slopes do not determine it.
+    """The free parameters of each method; without value where the slopes do not determine them.
 
-    Calibration: the section is fitted again to what it is where the gains of force or pressure, the zero or the gain of
-    the displacement are off by their uncertainty.
+    Calibration: the fit is repeated with the gain of force or pressure, and the zero or gain of the displacement, off
+    by its uncertainty.
     """
     found = []
     for method, one in sections.items():
@@ -258,7 +259,7 @@ def section_estimates(sections: Mapping[str, Section], scales: Scales, given: Ma
 
 
 def _sections_again(one: Section, scales: Scales, length: float) -> list[Section]:
-    """A section fitted to its slopes with each scale off by its uncertainty; none where the record gives none."""
+    """Fits to the same slopes with each scale off by its uncertainty; empty where the record gives none."""
     slopes = one.slopes
     known = {name: getattr(one, name) for name in NAMES if name not in one.free}
     gain = hypot(scales.gains.get("force", 0.0), scales.gains.get("pressure", 0.0))

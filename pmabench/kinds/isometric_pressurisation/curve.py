@@ -1,6 +1,6 @@
 """Force over pressure at one contraction: both branches in bins, the straight part, and where the force begins.
 
-Knows the tests of one contraction; no line over contractions.
+Works on the tests of one contraction, without a model over contractions.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from pmabench.store.records import Array, RunData, TrialData
 PHASES = ("fill", "empty")
 BINS = 50
 SHIFTS = 20
-"""Places of the bins that are tried so that no hold of a staircase is cut."""
+"""Number of bin offsets that are tried so that no bin edge lies in a hold of a staircase."""
 WITHIN = 0.02
-"""How far the straight part may leave its line, and how much of the force lies below it, as a share of the span."""
+"""Largest distance of the straight part from its line, and force below its start, as a share of the span."""
 SHORTEST = 0.5
-"""Least share of the bins with force that a straight part has."""
+"""Smallest straight part, as a share of the bins with force."""
 FEWEST_BINS, FEWEST_HOLDS = 5, 3
 REST = 1.0
-"""How long before and after the ramps the force is at rest [s]."""
+"""Rest before and after the ramps that is evaluated [s]."""
 BRIDGED = 3.5
-"""Bins so many of their widths apart are near each other."""
+"""Gap between bins, in their widths, across which values are interpolated."""
 BEYOND = 1.3
-"""What a bend that is not taken off adds to an interval, by what a parabola makes of it."""
+"""Factor on the change by a parabola, for a bend that is not corrected."""
 FURTHEST = 10.0
-"""A displacement beyond this is none [m]."""
+"""A larger displacement reading is invalid [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +47,9 @@ class Mean:
     fill: Array
     """Mean force while the pressure rises [N]; NaN where there is no sample."""
     empty: Array
-    """While it falls."""
+    """Mean force while it falls [N]."""
     held: bool = False
-    """Whether the pressure was a staircase, of which the holds count."""
+    """Whether the pressure was a staircase, of which only the holds count."""
 
     @property
     def each(self) -> Array:
@@ -64,7 +64,7 @@ class Mean:
         return np.asarray(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
 
     def of(self, rows: Mask) -> Mean:
-        """That of some of the tests."""
+        """The same for some of the tests."""
         return Mean(self.P, self.fill[rows], self.empty[rows], self.held)
 
     @property
@@ -78,19 +78,19 @@ class Mean:
 
     @property
     def turned(self) -> tuple[Array, Array]:
-        """Pressures [Pa], and what of the middle of the loop the mean of both branches has too much there [N].
+        """Pressures [Pa], and excess of the mean of both branches over the middle of the fully open loop there [N].
 
-        Half of the difference between the gap there, where the loop has not opened or closed yet, and that of the
-        middle half of the pressures. The mean is that of the branch just left: too high at the lower end, too low at
+        Half the difference between the gap, where the loop has not opened or closed yet, and that of the middle half of
+        the pressures. There both branches are near the one just left: the mean is too high at the lower end, too low at
         the upper one.
         """
         P, gap, usual = self.opened
         return P, np.copysign(0.5 * np.abs(gap - usual), 0.5 * (self.P[0] + self.P[-1]) - P)
 
     def gaps(self, low: float) -> Array:
-        """Force while emptying minus while filling of each test, mean over the pressures from `low` [Pa] on [N].
+        """Force while emptying minus while filling of each test, mean over the pressures above `low` [Pa] [N].
 
-        The highest pressure of a staircase, one hold for both directions, does not count.
+        The highest pressure of a staircase, one hold for both directions, is left out.
         """
         gap = self.empty - self.fill
         high = self.P[np.isfinite(gap).any(axis=0)].max(initial=0.0)
@@ -100,7 +100,7 @@ class Mean:
 
 
 def pulling(test: Test) -> Mask:
-    """Samples in which the muscle pulls: at rest without force its end may be moved."""
+    """Samples in which the muscle pulls; without force its end may be moved."""
     return np.asarray(test.F > WITHIN * float(test.F.max()))
 
 
@@ -119,7 +119,7 @@ def mean_of(tests: Sequence[Test]) -> Mean:
 
 
 def _edges(P: Array, *, held: bool) -> Array:
-    """Edges of the bins [Pa]: none within a hold of a staircase, as far as that can be."""
+    """Edges of the bins [Pa], for a staircase placed outside its holds as far as possible."""
     edges = np.linspace(P.min(), P.max(), BINS + 1)
     if not held:
         return edges
@@ -141,12 +141,12 @@ def _binned(place: Array, P: Array, F: Array, middle: Array) -> Array:
 
 
 def straight_from(mean: Mean) -> tuple[float | None, float]:
-    """The pressure from which on F(P) is a straight line [Pa], and the largest distance from that line [N].
+    """Pressure from which on F(P) is a straight line [Pa], and the largest distance from that line [N].
 
-    The rule: above the pressures at which the force is within `WITHIN` of its span from its least value, the lowest
-    pressure from which on no bin is further than `WITHIN` of the span from the line through all of them, if at least
-    `SHORTEST` of these bins are left. None where there is none; the distance is then that of the shortest part. Of a
-    staircase fewer do, and its lowest hold need not be without force.
+    Of the pressures at which the force is more than `WITHIN` of its span above its least value, the lowest from which
+    on no bin is further than `WITHIN` of the span from the line through all of them, if at least `SHORTEST` of these
+    bins remain. None without one; the distance is then that of the shortest part. For a staircase fewer bins are
+    enough, and its lowest hold may already have force.
     """
     known = np.isfinite(mean.force)
     P, F = mean.P[known], mean.force[known]
@@ -179,7 +179,7 @@ class Cell:
     tests: Sequence[Test]
     mean: Mean
     low: float | None
-    """From where on F(P) is straight [Pa]."""
+    """Start of the straight part of F(P) [Pa]; None if there is none."""
     off: float
     pooled: Pooled | None
     upper: Line | None = None
@@ -210,7 +210,7 @@ class Cell:
 
 
 def _at_pressure(P: float, at: Array, F: Array) -> float:
-    """F at P on straight lines between bins that are near each other, half a bin beyond them at most; NaN elsewhere."""
+    """F at P, interpolated between bins that are not too far apart, at most half a bin beyond them; NaN elsewhere."""
     known = np.isfinite(F)
     width = float(at[1] - at[0])
     if known.sum() < 2 or not at[known][0] - 0.51 * width <= P <= at[known][-1] + 0.51 * width:
@@ -224,7 +224,7 @@ def _at_pressure(P: float, at: Array, F: Array) -> float:
 
 
 def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
-    """What the tests at one contraction [m] say together."""
+    """Evaluation of all tests at one contraction [m]."""
     mean = mean_of(tests)
     side = np.array([test.trial.point.get("side", 0.0) for test in tests])
     parts = [straight_from(mean.of(side == one)) for one in np.unique(side)]
@@ -240,13 +240,13 @@ def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
 
 THRESHOLD, ONE_TEST = "force-threshold", "no repeats part: one test only"
 LEAST = 0.2
-"""Change of the force that counts as one, where there is less noise [N]."""
+"""Smallest change of the force that counts as onset [N]."""
 AROUND = 0.25
-"""The pressure at a moment is that of a line through the samples so far to both sides [s]."""
+"""Range to both sides of a moment over which a line is fitted to the pressure [s]."""
 STEPS = 2.0
-"""By so many times its noise the pressure leaves that line where it goes, or is read, in steps."""
+"""Deviation of the pressure from that line, in its noise, from which on it changes, or is read, in steps."""
 TIMES = 3.0
-"""Another threshold of the force, as a multiple: noise hides how it begins, and that it begins late grows with it."""
+"""Factor of an alternative threshold: noise hides the onset, and the delay by that grows with the threshold."""
 OF_ONSET = (
     "method: half the difference of filling and emptying, with half a sample, or of the two sides; and what a "
     "threshold three times as large makes of it"
@@ -260,16 +260,16 @@ class Begin:
     pressure: float
     """[Pa]."""
     step: float
-    """Half of the step in which the pressure passes there [Pa]; 0 where it has none."""
+    """Half of the pressure step there [Pa]; 0 without steps."""
 
 
 def begins(trial: TrialData, times: float = 1.0) -> tuple[Begin | None, Begin | None]:
-    """Pressure at which the force leaves its level of rest while filling, and reaches it while emptying.
+    """Pressure at which the force leaves its rest level while filling, and reaches it while emptying.
 
     The rule is that of `onset`: the first sample that leaves the level of the rest before the ramp by six times its
-    noise, at least 0.2 N or a thousandth of the largest force, followed back along the line through the next samples.
-    While emptying the same backwards in time, from the rest after the ramp. `times` as large a threshold is another
-    choice that an analyst could have made.
+    noise, at least 0.2 N or a thousandth of the largest force, extrapolated back along the line through the next
+    samples. Emptying is evaluated backwards in time from the rest after the ramp. `times` is a factor on the threshold,
+    to test the effect of another choice.
     """
     ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.phase in PHASES and c.data.get("rate")}
     use = trial.usable & np.isfinite(trial.channels["force"]) & np.isfinite(trial.channels["pressure"])
@@ -287,7 +287,7 @@ def begins(trial: TrialData, times: float = 1.0) -> tuple[Begin | None, Begin | 
 
 
 def _at(t: Array, P: Array, moment: float | None) -> Begin | None:
-    """Pressure at a moment; a step of size J in the middle of a line leaves it by J/4 rms."""
+    """Pressure at a moment, and its step, if any: one of size J at the middle leaves a residual of J/4 rms."""
     if moment is None:
         return None
     near = np.abs(t - moment) <= AROUND
@@ -300,14 +300,14 @@ def _at(t: Array, P: Array, moment: float | None) -> Begin | None:
 
 
 def begin_estimates(cell: Cell, scales: Scales) -> list[Estimate]:
-    """The pressure at which the force begins, by its onset and by the line at force 0 [Pa]."""
+    """The pressure at which the force begins [Pa], by its onset and by extrapolation of the straight part."""
     late = cell.rate * skew.apart([test.run for test in cell.tests], ("pressure", "force"))
     found = [_by_onset(cell, scales, late), _by_line(cell, scales, late)]
     return [one for one in found if one is not None]
 
 
 def _estimate(cell: Cell, value: float, method: str, parts: Parts, n: int, how: str) -> Estimate:
-    """Of p_0 at one contraction; `how` says how its method part came about."""
+    """Estimate of p_0 at one contraction; `how` explains its method part."""
     at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
     note = sentences("" if n > 1 else ONE_TEST, how)
     return Estimate("p_0", value, "Pa", "pressure", method, at, parts, n, note=note, trials=names)
@@ -319,7 +319,7 @@ def _both(pairs: Sequence[tuple[Begin | None, Begin | None]]) -> Array:
 
 
 def _by_onset(cell: Cell, scales: Scales, late: float) -> Estimate | None:
-    """By the threshold of the force, the mean of filling and emptying."""
+    """By the threshold of the force, mean of filling and emptying."""
     each = {test: (a, b) for test in cell.tests for a, b in [begins(test.trial)] if a and b}
     if not each:
         return None
@@ -331,7 +331,7 @@ def _by_onset(cell: Cell, scales: Scales, late: float) -> Estimate | None:
     half = max(half, 0.5 * float(np.ptp([both[side == one].mean() for one in np.unique(side)])))
     later = _both([begins(test.trial, TIMES) for test in each]) - both.mean(axis=1)
     later = later[np.isfinite(later)]
-    # at the level before the step noise may hide a force
+    # the force may begin unnoticed at the level before the step
     step = BEYOND * float(np.mean([0.5 * (a.step + b.step) for a, b in each.values()]))
     half = sqrt(half**2 + (float(later.mean()) if len(later) else 0.0) ** 2 + step**2)
     parts = Parts(spread(values), half, scales.part({"pressure": value}, {"pressure": 1.0}), late)
@@ -340,7 +340,7 @@ def _by_onset(cell: Cell, scales: Scales, late: float) -> Estimate | None:
 
 
 def _by_line(cell: Cell, scales: Scales, late: float) -> Estimate | None:
-    """By the line through the straight part, at force 0."""
+    """By the line through the straight part, at zero force."""
     if cell.pooled is None or cell.pooled.line.m <= 0 or cell.low is None:
         return None
     line = cell.pooled.line
@@ -354,7 +354,7 @@ def _by_line(cell: Cell, scales: Scales, late: float) -> Estimate | None:
 
 
 def _bent_zero(cell: Cell, value: float) -> float:
-    """Where a parabola through the straight part is 0 [Pa], from where the line is: as good a choice as the line."""
+    """Zero of a parabola through the straight part [Pa], on the side of `value`, the zero of the line."""
     known = np.isfinite(cell.mean.force) & (cell.mean.P >= (cell.low or 0.0))
     P, F = cell.mean.P[known] - value, cell.mean.force[known]
     bend, slope, start = np.polyfit(P, F, 2)

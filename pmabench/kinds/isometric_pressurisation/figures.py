@@ -1,4 +1,4 @@
-"""Words and figures of isometric pressurisation; computes no estimate."""
+"""Sentences and figures of isometric pressurisation; computes no estimate."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 CURVE = 60
 """Points of a drawn curve."""
 MOVED = 0.01
-"""A change of the force by the moving of the driven end that is doubted, as a share of its span."""
+"""Change of the force because the driven end moves, as a share of its span, from which on it is a doubt."""
 BENT = 0.05
 """A distance from the line over contractions that is reported, as a share of the span of the forces."""
 NEAR = 0.01
-"""Contractions so near to 0 count as 0, as a share of the nominal length."""
+"""Contractions that count as 0, as a share of the nominal length."""
 
 
 def of_cells(cells: Sequence[Cell]) -> list[Finding]:
-    """One line for each contraction: the straight part, its residual, both branches; doubts where there is none."""
+    """For each contraction the straight part, its residual and both branches; doubts where there is none."""
     found = []
     for cell in cells:
         where = f"contraction {show(cell.contraction, 'length', 4)}"
@@ -49,7 +49,7 @@ def of_cells(cells: Sequence[Cell]) -> list[Finding]:
 
 
 def _moved(cell: Cell, where: str) -> Iterator[Finding]:
-    """Whether the driven end gave way while the force rose."""
+    """A doubt if the driven end gave way while the force rose."""
     pulled = [test.x[np.isfinite(test.x) & pulling(test)] for test in cell.tests]
     most = max((float(np.ptp(x)) for x in pulled if len(x)), default=0.0)
     off = cell.place - cell.contraction
@@ -80,7 +80,7 @@ def of_threshold(begun: Sequence[Estimate], given: Mapping[str, Any]) -> list[Fi
 
 
 def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Finding]:
-    """S(eps): what was found, how well, and what these slopes do not determine."""
+    """S(eps): the result, its quality, and parameters that these slopes do not determine."""
     if "nominal_length" not in given:
         return [Finding("doubt", "S(eps) is not reported: the specimen has no nominal length")]
     if not sections:
@@ -104,7 +104,7 @@ def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> li
 
 
 def _open(one: Section) -> str:
-    """Which parameters are open, and between which values."""
+    """Parameters that are not determined, and their ranges."""
     text = f"{', '.join(one.open)} cannot be determined separately from these contractions"
     if one.freedom < 1:
         return f"{text}: as many parameters as slopes. Measure at more contractions"
@@ -136,7 +136,7 @@ def of_across(found: Sequence[Across]) -> list[Finding]:
 
 
 def of_corrected(force: Corrected | None, given: Mapping[str, Any]) -> list[Finding]:
-    """How well paper 2's corrected force does with what the specimen tells."""
+    """Fit of paper 2's corrected force with the specimen's geometry."""
     if force is None:
         lacks = [name for name in ("inner_diameter", "braid_angle") if name not in given]
         if not lacks:
@@ -149,7 +149,7 @@ def of_corrected(force: Corrected | None, given: Mapping[str, Any]) -> list[Find
 
 
 def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """Per contraction: what the straight part is, and the slope of each branch."""
+    """For each contraction: the straight part, and the slope of each branch."""
     rows = []
     for cell in cells:
         low, pooled = cell.low, cell.pooled
@@ -237,7 +237,7 @@ COLUMNS = ("contraction", "slope", "half", "curve", "low", "high")
 
 
 def sections(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """One figure for each trace with slopes first and the curve after them."""
+    """One figure for each trace: slopes and the curve."""
     return [_section(trace, analysis.simulated) for trace in traces if has(trace, *COLUMNS)]
 
 

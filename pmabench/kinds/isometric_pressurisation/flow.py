@@ -1,8 +1,8 @@
 """Volume of the muscle from the mass flow while it is pressurised at a set contraction (paper 3).
 
-V = r T m/ΔP_abs - V_dead, m = ∫ q dt over the ramp and the rest at its top: slow, so that the air takes the room's
-temperature. The zero of the meter is its mean while the pressure rests, before the ramp and after it, on a straight
-line between; 0.5 % of the range would be 3.5 % of the mass. Knows the samples of a trial and the plan, no force.
+V = r T m/ΔP_abs - V_dead, m = ∫ q dt over the ramp and the rest at its top; slow, so that the air has room temperature.
+The zero of the meter is interpolated between its means at rest before and after the ramp; a zero error of 0.5 % of the
+range would be 3.5 % of the mass. Uses the samples of a trial and the plan, not the force.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ METHOD, MEAN = "mass flow, filling", "mass flow, mean while filling"
 R_AIR = 287.0
 """Gas constant of air [J/(kg K)] (paper 3)."""
 ANR = 1.185e-3 / 60
-"""One litre a minute of air at 20 degC, 1 bar and 65 % humidity, ANR (ISO 8778) [kg/s]."""
+"""Mass flow of one litre a minute of air at 20 degC, 1 bar and 65 % humidity, ANR (ISO 8778) [kg/s]."""
 SETTLED = 0.5
-"""Share of each rest at its end whose mean counts: before that the regulator and the meter come to rest."""
+"""Last share of each rest that is averaged, after regulator and meter have settled."""
 PARTS = (0.15, 0.55, 0.95)
 """Shares of the ramp's pressure between which two volumes are compared."""
 FEWEST = 20
 SEEN = 5.0
-"""Standard errors from which on a difference is seen."""
+"""Standard errors from which on a difference is significant."""
 SAME_FLOW = 1e-9
-"""Flows nearer to each other than this share of all flows are one."""
+"""Flows closer than this share of the range count as equal."""
 PILED = 0.25
-"""Share of samples at exactly one end of all values from which on the meter shows nothing beyond that end."""
+"""Share of samples at exactly one end of all values from which on the meter counts as saturated there."""
 ONE_WAY = (
     "at rest the meter shows the least value that it can show: its zero is not seen, and it is in the volume over the "
     "whole ramp. Give the uncertainty of its zero in the calibration of the channel, or use a meter for both directions"
@@ -55,7 +55,7 @@ ONE = "one ramp: the repeats part is the noise of the meter, and repeated tests 
 
 @dataclass(frozen=True, eq=False)
 class Filling:
-    """What one ramp let in, with the zero of the meter taken off; volumes hold the dead one."""
+    """Evaluation of one ramp after correction of the meter's zero; volumes include the dead volume."""
 
     trial: TrialData
     P: Array
@@ -64,33 +64,33 @@ class Filling:
     volume: float
     """r T m/ΔP while filling [m3]."""
     emptied: float
-    """The same while emptying: a leak and a wrong zero make it smaller where they make the other larger [m3]."""
+    """The same while emptying [m3]; a leak or a zero error has the opposite effect on it."""
     low: float
     high: float
     """Volumes by the lower and the upper half of the ramp [m3]."""
     zero: tuple[float, float]
-    """Before and after [kg/s]."""
+    """Zero of the meter before and after [kg/s]."""
     noise: float
     """Standard error of `volume` from the noise of the meter, its zero included [m3]."""
     drift: float
-    """What the change of the zero from before to after makes of `volume`, at most [m3]."""
+    """Largest error of `volume` due to the change of the zero from before to after [m3]."""
     unseen: float
-    """What a zero that is 1 kg/s off makes of `volume` [m3 s/kg] where the meter shows nothing below zero, else 0."""
+    """Derivative of `volume` by the zero error [m3 s/kg] where the meter shows nothing below zero, else 0."""
     dark: float
-    """Share of the ramp in which the meter shows no more than at rest [1]."""
+    """Share of the ramp in which the meter reads the same as at rest [1]."""
     coarse: float
-    """What the steps in which the flow is read may make of `volume` [m3]."""
+    """Error of `volume` because the flow is read in steps [m3]."""
 
     @property
     def both_ways(self) -> bool:
-        """Whether the meter sees air that leaves."""
+        """Whether the meter measures outflow."""
         return self.emptied > 0.5 * self.volume
 
 
 def measured(trial: TrialData, rT: float, most: float = inf) -> Filling:
-    """One trial; `NotUsable` where it has no flow, no whole ramps or no rests, with r T [J/kg].
+    """One trial with r T [J/kg]; `NotUsable` where flow, a whole ramp or a rest is missing.
 
-    `most` is the end of the meter's range [kg/s]: a quiet meter with coarse steps stays at one value as a cut one does.
+    `most` is the end of the range [kg/s], by which a saturated meter differs from a quiet one with coarse steps.
     """
     samples.refuse_incomplete(trial, FLOW, "pressure")
     commands = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
@@ -143,12 +143,12 @@ def measured(trial: TrialData, rT: float, most: float = inf) -> Filling:
 
 
 def _piled(q: Array, end: float) -> bool:
-    """Whether many samples are exactly at the end of all values."""
+    """Whether many samples are exactly at `end`."""
     return float(np.mean(q == end)) > PILED
 
 
 def _dark(q: Array, rest: Array) -> float:
-    """Share of the flows `q` along the ramp that are exactly what the meter keeps to at rest."""
+    """Share of the flows `q` along the ramp that equal the reading at rest; raises `NotUsable` if it is too large."""
     still = float(np.median(rest))
     share = float(np.mean(q == still)) if float(np.mean(rest == still)) > PILED else 0.0
     if share > UNUSABLE_SHARE:
@@ -171,7 +171,7 @@ def _halves(P: Array, mass: Array, bottom: float, top: float) -> list[float]:
 def by_flow(
     runs: Sequence[RunData], scales: Scales
 ) -> tuple[list[Estimate], list[Finding], list[Trace], list[Dropped]]:
-    """V [m3] and the mean flow [kg/s] at each contraction, where the plan says that a meter is there."""
+    """V [m3] and mean flow [kg/s] at each contraction, if the plan has a meter."""
     found: list[Filling] = []
     dropped: list[Dropped] = []
     given: Mapping[str, Any] = {}
@@ -209,7 +209,7 @@ def _estimates(x: float, group: Sequence[Filling], given: Mapping[str, Any], sca
     scatter = spread([one.volume for one in group]) or 0.0
     air = whole * float(given["temperature_half"]) / float(given["temperature"])
     method = hypot(float(given["dead_half"]), air, whole * float(given["gain_half"]))
-    # a known vessel has shown the gains of meter and pressure at once
+    # a known vessel already covers the gains of meter and pressure
     calibration = 0.0 if given["gain_half"] else scales.part({FLOW: whole, "pressure": -whole})
     how: dict[str, Any] = {"at": {"contraction": x}, "n": len(group), "trials": tuple(one.trial.name for one in group)}
     how["note"] = ONE if len(group) == 1 else ""
@@ -223,26 +223,26 @@ def _estimates(x: float, group: Sequence[Filling], given: Mapping[str, Any], sca
     if unseen and FLOW not in scales.offsets:
         return [withhold(one, ONE_WAY) for one in (V, q)]
     doubts.append(Doubt("zero of the meter, not seen", "calibration", unseen * scales.offsets.get(FLOW, 0.0), False))
-    # the same shares of the mean flow: air that the meter does not show, or shows and is not there, is in both
+    # missing or false flow has the same relative effect on the mean flow
     of_flow = [replace(one, half=abs((q.value or 0.0) / whole) * one.half) for one in doubts]
     return [weighed(V, doubts), weighed(q, of_flow)]
 
 
 def _middle(P: Array) -> Array:
-    """The rows of a ramp between the shares of pressure that count."""
+    """Rows of a ramp between the shares of pressure that are evaluated."""
     share = (P - P.min()) / np.ptp(P)
     return np.asarray((share >= PARTS[0]) & (share <= PARTS[-1]))
 
 
 def _doubts(group: Sequence[Filling]) -> list[Doubt]:
-    """What departs from a tight muscle whose volume does not depend on the pressure, and from a steady zero."""
+    """Leak, volume that depends on pressure, and zero errors of the meter."""
     noise = sqrt(float(np.mean([one.noise**2 for one in group])) / len(group))
     apart = float(np.mean([one.high - one.low for one in group]))
     more = (
         f"the upper half of the ramp gives {show(apart, 'volume', 3)} more than the lower: the volume depends on the "
         "pressure, air leaks, or the zero of the meter is wrong. Look for the leak, and take a longer zero"
     )
-    # the flow of half of the ramp has the same error of the zero, over half of the mass
+    # half the ramp has the same zero error of the flow, for half of the mass
     found = [
         Doubt("dependence on pressure", "method", abs(apart) / 2, abs(apart) > 3 * SEEN * noise, more),
         Doubt("zero of the meter", "drift", max(one.drift for one in group), seen=False),
@@ -261,7 +261,7 @@ def _doubts(group: Sequence[Filling]) -> list[Doubt]:
 
 
 def _words(x: float, group: Sequence[Filling]) -> Finding:
-    """Flow in litres, the zero, and the three volumes of one contraction."""
+    """Flow in litres per minute, the zero, and the three volumes at one contraction."""
     flow = float(np.mean([one.q[_middle(one.P)].mean() for one in group])) / ANR
     before, after = (float(np.mean([one.zero[i] for one in group])) / ANR for i in (0, 1))
     low, high, back = (float(np.mean([getattr(one, name) for one in group])) for name in ("low", "high", "emptied"))

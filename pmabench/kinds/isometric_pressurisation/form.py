@@ -1,9 +1,9 @@
-"""Whether isometric tests have the form that their values assume: nothing drifts, slips, gives way or is late.
+"""Whether isometric tests have the assumed form: no drift, slip, yielding end or late force.
 
-Each departure is sized by what does not depend on the values themselves, and taken off the forces at that size: what
-the values then differ by is its effect. Zeros of cell and gauge are taken off where nothing but a zero reads so at
-rest, else left open: a muscle shorter than its nominal length pulls nothing without pressure, and no gauge pressure is
-below 0. Knows cells of tests; computes no estimate.
+Each departure is sized by quantities that do not depend on the values, and subtracted from the forces at that size; the
+change of the values is its effect. A zero error of cell or gauge is subtracted where nothing else explains the reading
+at rest, and otherwise left as uncertainty: a muscle shorter than its nominal length has no force without pressure, and
+no gauge pressure is below 0. Works on cells of tests; computes no estimate.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
 
 FALSE_ALARMS = 0.005
-"""Share of sound runs in which a drift or a slip is called seen, each."""
+"""Share of correct runs in which a drift or a slip is called significant, for each of the two."""
 SWINGS = 0.3
 """Time after a ramp in which the force may still settle [s]."""
 AROUND = 1.0
-"""Of the end of the ramp up, in which a late force shows [s]."""
+"""Range around the end of the ramp up in which a late force shows [s]."""
 SMOOTH = 0.2
 """Pressure and force are means over this time before one is compared with the slope of the other [s]."""
 WITHOUT = 0.02
-"""Share of the highest pressure below which there is none."""
+"""Share of the highest pressure below which the muscle counts as vented."""
 STRETCHED = 1e-4
 """A muscle that is longer than its nominal length by this is stretched [m]."""
 DRIFTS = 6.0
-"""The zero of the cell differs from file to file where it does by so many times the noise of one sample."""
+"""Difference of the cell's zero between files, in the noise of one sample, from which on it is significant."""
 DRIFT = "drift of the force cell"
 YIELDS = 1e-5
-"""Change of the displacement below which nothing gives way [m]."""
+"""Smallest change of the displacement that counts as a yielding end [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """One way in which the tests may not be what they seem."""
+    """A possible error of the tests."""
 
     name: str
     part: str
     """Field of `Parts`."""
     force: Callable[[Test], Array]
-    """What it adds to the force of a test at the largest size that the tests allow [N], shape of its samples."""
+    """Force that it adds to a test at the largest possible size [N], shape of the test's samples."""
     seen: bool
     reason: str
     moves: bool = False
@@ -60,17 +60,17 @@ class Departure:
 
 
 def departures(cells: Sequence[Cell]) -> list[Departure]:
-    """Those that these tests let one size: a drift of the cell, a slip of a mount, a driven end that gives way."""
+    """Departures that these tests can size: drift of the cell, slip of a mount, yielding driven end."""
     K = _stiffness(cells)
     drift, slope = _drift(cells)
     return [one for one in (drift, _slip(cells, K, slope), _gives_way(cells, K)) if one is not None]
 
 
 def late(cells: Sequence[Cell]) -> tuple[float, float]:
-    """By how much the force comes after the pressure [s], and its standard error, by the ends of the ramps up.
+    """Delay of the force behind the pressure [s] and its standard error, from the ends of the ramps up.
 
     F = a + m (P - delay dP/dt): while the pressure rises the force is low, and it catches up when the ramp ends, where
-    hysteresis stays as it is. NaN where there are too few samples. Creep looks alike.
+    hysteresis does not change. NaN where there are too few samples. Creep has the same effect.
     """
     found = []
     for test in (test for cell in cells if cell.pooled is not None for test in cell.tests):
@@ -111,7 +111,7 @@ def _stiffness(cells: Sequence[Cell]) -> dict[float, tuple[Array, Array]]:
 
 
 Row = tuple[Test, tuple[object, ...], Cell, Array]
-"""A test, what repeats of it share, its cell, and its mean of both branches in each bin [N]."""
+"""A test, the key that its repeats share, its cell, and its mean of both branches in each bin [N]."""
 
 
 def _rows(cells: Sequence[Cell]) -> list[Row]:
@@ -124,7 +124,7 @@ def _rows(cells: Sequence[Cell]) -> list[Row]:
 
 
 def _off(values: Array, groups: Sequence[object]) -> Array:
-    """Values less the mean of their group, along the first axis."""
+    """Values minus the mean of their group, along the first axis."""
     names = {name: place for place, name in enumerate(dict.fromkeys(groups))}
     group = np.array([names[name] for name in groups])
     count = np.bincount(group)
@@ -149,7 +149,7 @@ def scatter_of(cells: Sequence[Cell]) -> float | None:
 
 
 def at_rest(test: Test, channel: str = "force") -> list[tuple[int, float, float]]:
-    """Before (0) and after (1) the ramps, without pressure: the middle of that time [s], what a channel reads [SI]."""
+    """Rests before (0) and after (1) the ramps, without pressure: which one, its middle time [s], mean reading [SI]."""
     trial, found = test.trial, []
     ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.data.get("rate")}
     if not {"fill", "empty"} <= set(ramps):
@@ -164,14 +164,16 @@ def at_rest(test: Test, channel: str = "force") -> list[tuple[int, float, float]
 
 
 def gone_since(test: Test) -> float | None:
-    """What the cell reads more after the ramps than before [N]; None of a muscle that may pull without pressure."""
+    """Change of the cell's reading from before to after the ramps [N]; None for a muscle that may pull without
+    pressure.
+    """
     reads = {which: read for which, _, read in at_rest(test)}
     return reads[1] - reads[0] if len(reads) == 2 and test.trial.point["contraction"] > -STRETCHED else None
 
 
 def _zeros(ordered: Sequence[Row]) -> Departure | None:
-    """Of tests that are a file each: the zero of the cell in each, as a muscle that is not stretched pulls nothing
-    without pressure.
+    """For tests in one file each: the zero of the cell in each file, since a muscle that is not stretched pulls nothing
+    without pressure; None with fewer than two.
     """
     able = [(test, at_rest(test)) for test, _, cell, _ in ordered if cell.contraction > -STRETCHED]
     zeros = {test: float(np.mean([read for _, _, read in rests])) for test, rests in able if rests}
@@ -195,7 +197,9 @@ def _zeros(ordered: Sequence[Row]) -> Departure | None:
 
 
 def _drift(cells: Sequence[Cell]) -> tuple[Departure | None, float]:
-    """A drift of the zero of the cell, by what it reads at rest before and after the ramps; and its slope [N/s]."""
+    """Drift of the cell's zero from its readings at rest before and after the ramps, if they allow it; and its slope
+    [N/s].
+    """
     times, readings, groups = [], [], []
     ordered = _rows(cells)
     for test, group, _, _ in ordered:
@@ -229,7 +233,9 @@ def _drift(cells: Sequence[Cell]) -> tuple[Departure | None, float]:
 
 
 def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: float) -> Departure | None:
-    """A mount that gave way before one of the tests: from then on the forces of repeats differ by K times a length."""
+    """A mount that slipped before one of the tests: later forces of repeats differ by K times a length. None if not
+    significant.
+    """
     rows = [row for row in _rows(cells) if row[2].contraction in K and row[2].low is not None]
     pulls, stiff = [], []
     for test, _, cell, each in rows:
@@ -278,7 +284,7 @@ def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: flo
 
 
 def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> Departure | None:
-    """A driven end that the displacement shows to move while the muscle pulls."""
+    """A driven end whose displacement moves while the muscle pulls; None if it does not."""
     at = {test.name: cell.contraction for cell in cells if cell.contraction in K for test in cell.tests}
     moves = [0.0]
     for cell in cells:
@@ -304,7 +310,7 @@ def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> De
 
 
 USED = 0.5
-"""Share of the declared uncertainty of a zero from which on what is seen at rest is better known."""
+"""Share of a zero's declared uncertainty from which on the reading at rest is the better estimate."""
 CELL, GAUGE = "zero of the force cell", "zero of the gauge"
 CHANNELS = {"force": "force cell", "pressure": "gauge"}
 AT_NOMINAL = (
@@ -318,9 +324,10 @@ NOT_VENTED = (
 
 
 def zeroed(groups: Groups, scales: Scales) -> tuple[Groups, list[Departure], list[Finding]]:
-    """The tests with forces and pressures from their zeros; what may be a zero or real; what is to be said.
+    """The tests with forces and pressures corrected for their zeros; readings that may be a zero or real; findings.
 
-    A zero is that of a session. One within noise, or that uses up little of its calibration's uncertainty, stays.
+    Zeros are per session. One that is within noise, or small compared with the calibration's uncertainty, is not
+    corrected.
     """
     known = {name: scales.offsets.get(name, 0.0) for name in CHANNELS}
     every = [test for tests in groups.values() for test in tests]
@@ -344,14 +351,14 @@ def zeroed(groups: Groups, scales: Scales) -> tuple[Groups, list[Departure], lis
 
 
 def _beyond(tests: Sequence[Test], least: float) -> list[Test]:
-    """The tests at more than a contraction [m]."""
+    """The tests at contractions above `least` [m]."""
     return [test for test in tests if test.trial.point["contraction"] > least]
 
 
 def _level(tests: Sequence[Test], name: str, known: float) -> float:
-    """What a channel reads in all rests of some tests [SI], the nearest to 0 where it changes.
+    """Reading of a channel in all rests of some tests [SI]; the one nearest to 0 if it varies.
 
-    0 where that is within noise or `known`, or is not seen before and after the ramps: then it may be hysteresis.
+    0 where it is within noise or `known`, or does not occur both before and after the ramps: then it may be hysteresis.
     """
     rests = [(which, read) for test in tests for which, _, read in at_rest(test, name)]
     reads = [read for _, read in rests]
@@ -363,14 +370,14 @@ def _level(tests: Sequence[Test], name: str, known: float) -> float:
 
 
 def _slope(test: Test) -> Array:
-    """DF/dP of a test [N/Pa] at its samples, one where it pulls and 0 where it does not."""
+    """dF/dP of a test [N/Pa] at its samples: one value where it pulls, 0 elsewhere."""
     rows = pulling(test)
     line = line_of(test.P[rows], test.F[rows])
     return np.where(rows, line.m if line else 0.0, 0.0)
 
 
 def _moved(test: Test, taken: dict[str, dict[str, float]]) -> Test:
-    """A test with its zeros taken off."""
+    """A test with its zeros subtracted."""
     F, P = (taken[name][session_of(test.run)] for name in ("force", "pressure"))
     if not F and not P:
         return test
@@ -380,7 +387,7 @@ def _moved(test: Test, taken: dict[str, dict[str, float]]) -> Test:
 
 
 def _said(name: str, zero: float, known: float) -> Finding:
-    """That a zero was taken off, and whether it is beyond what its calibration says."""
+    """Finding that a zero was subtracted, and whether it exceeds its calibration."""
     text = f"at rest without pressure the {CHANNELS[name]} reads {show(zero, name, 2)}: taken as its zero and taken off"
     if not 0 < known < abs(zero):
         return Finding("note", f"{text}. Take the zero before the tests")

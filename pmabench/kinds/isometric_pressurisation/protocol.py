@@ -1,4 +1,4 @@
-"""Isometric pressurisation: the driven end is held, the pressure goes slowly up and down (papers 2, 3, 4).
+"""Isometric pressurisation: the driven end is fixed, the pressure goes slowly up and down (papers 2, 3, 4).
 
 Paper 3's fixed-position test gives S(eps) and the rubber's force, papers 2 and 4 the pressure at which force begins.
 """
@@ -23,9 +23,9 @@ from pmabench.protocol.sweep import Point, Sweep, expand
 FEWEST_SAMPLES = 200
 """Samples that one slow ramp must have."""
 REST = 1.0
-"""Rest before and after the ramps, the level from which the force begins [s]."""
+"""Rest before and after the ramps, which gives the level from which the force begins [s]."""
 SHORTEST_TOP = 2.0
-"""Rest at the top in which the air takes the wall's temperature, where its mass is measured [s]."""
+"""Shortest rest at the top for a measurement of mass: the air reaches the wall's temperature [s]."""
 ROOM = (250.0, 350.0)
 """Temperatures of a room [K]."""
 SIDES = {"straight": (0,), "from-both-sides": (-1, 1)}
@@ -33,7 +33,7 @@ SIDES = {"straight": (0,), "from-both-sides": (-1, 1)}
 
 
 def _length_or_share(value: object) -> tuple[str, float]:
-    """`("length", m)` for `"10 mm"`, `("ratio", 1)` for `"5 %"` of the nominal length."""
+    """`("length", m)` for `"10 mm"`, `("ratio", share)` for `"5 %"` of the nominal length."""
     try:
         return "ratio", parse_quantity(value, "ratio")
     except ValueError:
@@ -73,19 +73,19 @@ class IsometricAxes(Strict):
 
 
 class Move(Strict):
-    """How the driven end goes from the nominal length to a contraction and back."""
+    """Motion of the driven end from the nominal length to a contraction and back."""
 
     pressure: Pressure
-    """Pressure meanwhile, so that the muscle does not buckle."""
+    """Pressure during the motion, so that the muscle does not buckle."""
     speed: Speed
     approach: Literal["straight", "from-both-sides"] = "straight"
-    """From both sides each contraction is done twice, reached from below and from above: friction drops out."""
+    """From both sides: each contraction is tested twice, from below and from above, so that friction cancels."""
     beyond: Length = 0.0
-    """How far beyond it goes before it comes back, from both sides."""
+    """Overtravel beyond the contraction before it is reached, from both sides."""
 
 
 class MinorLoop(Strict):
-    """A loop of pressure within the ramp, after it: how the hysteresis turns shows where it is small."""
+    """A small loop of pressure within the range of the ramp, after it; it shows how the hysteresis reverses."""
 
     lower: Pressure
     upper: Pressure
@@ -101,27 +101,27 @@ class Pressurise(Strict):
     hold: Time
     """Time at the top."""
     minor: MinorLoop | None = None
-    """For the surface of a muscle with hysteresis; the reduction of this kind of test leaves it out."""
+    """For a surface model with hysteresis; the reduction of this kind of test leaves it out."""
 
 
 class Vessel(Strict):
-    """A vessel of known volume that this test was done with in place of the muscle."""
+    """A vessel of known volume that was tested in place of the muscle."""
 
     volume: Volume
     uncertainty: Volume
-    """Of it (95 %), with that of `found`."""
+    """Of `volume` (95 %), including that of `found`."""
     found: Volume
     """The volume that the test gave."""
 
 
 class Flow(Strict):
-    """A mass flow meter before the muscle, whose record gives its volume."""
+    """A mass flow meter in front of the muscle, for its volume."""
 
     dead: Dead
     zero: Time = 5.0
-    """Rest before the ramps and after them, for the zero of the meter."""
+    """Rest before and after the ramps, for the zero of the meter."""
     temperature: Temperature = 293.15
-    """Of the air in the muscle, that of the room."""
+    """Temperature of the air in the muscle, equal to that of the room."""
     temperature_uncertainty: Temperature = 3.0
     vessel: Vessel | None = None
 
@@ -131,7 +131,7 @@ class IsometricTrial(Strict):
 
     move: Move
     settle: Time
-    """Time at rest at the contraction, besides one second before the ramp and one after it."""
+    """Rest at the contraction, in addition to one second before and after the ramp."""
     pressurise: Pressurise
     flow: Flow | None = None
 
@@ -148,7 +148,7 @@ class IsometricPressurisation(ProtocolHead):
     trial: IsometricTrial
 
     def compile(self, c: Compilation) -> Plan:
-        """The plan: per contraction move there, and there up and down with the pressure."""
+        """The plan: per contraction move there, and ramp the pressure up and down."""
         self._checked(c)
         points = expand(self.sweep, c.document)
         sides = SIDES[self.trial.move.approach]
@@ -169,7 +169,7 @@ class IsometricPressurisation(ProtocolHead):
         return c.plan(self.kind, settings)
 
     def _flow(self, c: Compilation) -> dict[str, object]:
-        """What the reduction needs to make a volume of the flow; nothing without a meter."""
+        """Settings for the volume by flow in the reduction; empty without a meter."""
         flow, where = self.trial.flow, ("trial", "flow")
         if flow is None:
             return {}
@@ -195,7 +195,7 @@ class IsometricPressurisation(ProtocolHead):
         return {"flow": {**dead, **air, "gain": gain, "gain_half": half}}
 
     def _checked(self, c: Compilation) -> None:
-        """Check what holds for every trial."""
+        """Checks that apply to every trial."""
         move, ramp = self.trial.move, self.trial.pressurise
         of_ramp = ("trial", "pressurise")
         c.positive(move.speed, ("trial", "move", "speed"))
@@ -221,7 +221,7 @@ class IsometricPressurisation(ProtocolHead):
         not_too_fast(c, move.speed, ("trial", "move", "speed"), "it moves")
 
     def _contraction(self, c: Compilation, point: Point) -> float:
-        """Where the driven end goes [m], inside the stroke with what it goes beyond."""
+        """Position of the driven end [m], checked against the stroke including the overtravel."""
         kind, value = point.values["contraction"]
         x = value * c.mounted.specimen_file.nominal_length if kind == "ratio" else value
         beyond = abs(self.trial.move.beyond)
@@ -230,7 +230,7 @@ class IsometricPressurisation(ProtocolHead):
         return float(x)
 
     def _bearable(self, c: Compilation, x: float, where: Location) -> None:
-        """Check the force predicted at the top, from what is believed of the specimen, against actuator and trip."""
+        """Check the force predicted at the highest pressure against actuator and trip."""
         expected, actuator = c.mounted.specimen_file.expected, c.mounted.bench_file.actuator
         if expected is None:
             return
@@ -257,7 +257,7 @@ def _minor(ramp: Pressurise) -> list[Step]:
 def _steps(of: IsometricTrial, x: float, side: int, index: int) -> list[Step]:
     """One trial: from the nominal length to x [m], from `side`; one slow ramp up and down; and back.
 
-    All of it is recorded, so that each trial begins and ends at the same place, whichever were done before it.
+    All of it is recorded, so that each trial begins and ends in the same state, whatever was done before.
     """
     ramp, move = of.pressurise, of.move
     places = [0.0, x + side * move.beyond, x] if side else [0.0, x]

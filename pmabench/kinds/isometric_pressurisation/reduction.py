@@ -1,9 +1,7 @@
 """Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
 
-Lines at one contraction, and where the force begins, come from `curve`, S(eps) from `braid`, what several contractions
-say at one pressure from `sections`; words and figures in `figures`.
-
-What one trial says by itself, for the display.
+`curve`: lines at one contraction, and where the force begins; `braid`: S(eps); `sections`: several contractions at one
+pressure; `figures`: sentences and figures. Also the values of one trial, for the display.
 """
 
 from __future__ import annotations
@@ -37,24 +35,24 @@ TURN = "turn of the loop"
 CHANNELS = ("pressure", "force")
 ONE_REPEAT = "no repeats part: one repeat only"
 PULLED = 5 * curve.LEAST
-"""A muscle whose force changes less is slack [N]."""
+"""Smallest change of the force of a muscle that is not slack [N]."""
 LATE = 0.25
-"""A delay of the force that is worth more than this share of the loop is not left to an interval."""
+"""Effect of a delay of the force on the loop, as a share of its width, from which on the width is withheld."""
 MOST_DRIFT = 0.5
-"""A drift of the cell that makes more than this share of the loop is not left to an interval."""
+"""The same for a drift of the cell."""
 SEEN = 4.0
-"""Standard errors from which on a delay is seen."""
+"""Standard errors from which on a delay is significant."""
 SENSELESS = 1e9
-"""Pressures [Pa] and forces [N] beyond this are none."""
+"""Pressures [Pa] and forces [N] above this are invalid."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Slope m [N/Pa], intercept c [N], H [N] and p_0 [Pa] at each contraction [m]; D0 [m], theta0 [rad], alpha [1].
 
-    F = m P + c: m is S(eps) of paper 3 and c its rubber force, from all samples of the straight part
-    (`straight_from`) of both ramps. p_0 is the pressure at which the force begins, by its onset (papers 2 and 4) and
-    as -c / m. At each multiple of 50 kPa F_ce and K of the three-element model follow from the forces over
-    contractions (paper 0), and the blocked force F_b from the tests at no contraction.
+    F = m P + c: m is S(eps) of paper 3 and c its rubber force, from all samples of the straight part (`straight_from`)
+    of both ramps. p_0 is the pressure at which the force begins, by its onset (papers 2 and 4) and as -c / m. At each
+    multiple of 50 kPa, F_ce and K of the three-element model from the forces over contractions (paper 0), and the
+    blocked force F_b from the tests at zero contraction.
 
     `options`: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; else those of the specimen.
     """
@@ -102,7 +100,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What tests say, without what departures from their form may do to it."""
+    """Results of the tests, before effects of departures from their form."""
 
     cells: Sequence[Cell]
     across: Sequence[sections.Across]
@@ -135,7 +133,7 @@ def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
 
 
 def _placed(estimates: Sequence[Estimate], cells: Sequence[Cell], scales: Scales) -> list[Estimate]:
-    """The lines F = m P + c with what the place at which the muscle is held may be off, by their neighbours' slopes."""
+    """The lines F = m P + c with the uncertainty of the muscle's position, from their change over contraction."""
     known = [(c.contraction, float(c.place.mean()), c.pooled.line) for c in cells if c.pooled is not None]
     x = np.array([place for _, place, _ in known])
     if len(x) < 2 or np.diff(x).min() < sections.APART:
@@ -168,14 +166,14 @@ def _curves(cells: Sequence[Cell], estimates: Sequence[Estimate]) -> list[Curve]
 def _weighed(
     found: _Found, groups: Groups, given: Mapping[str, Any], scales: Scales, opened: Sequence[form.Departure]
 ) -> list[Estimate]:
-    """The values with what departures from the form of the tests may do to them, or withheld."""
+    """The estimates, widened or withheld for departures from the form of the tests."""
     doubts: dict[Key, list[Doubt]] = {_key(e): [] for e in found.estimates}
     values = {_key(e): e.value for e in found.estimates}
     for one in [*form.departures(found.cells), *opened]:
         without = {x: [replace(test, F=test.F - one.force(test)) for test in tests] for x, tests in groups.items()}
         changed = {_key(e): e.value for e in _found(without, given, scales).estimates}
         for e in found.estimates:
-            # the onset is read off the samples themselves: what moves the muscle moves it like the line's
+            # the onset is read from the samples themselves: the effect of a moving muscle is that on the line
             key = (e.symbol, METHOD, "", _key(e)[3]) if e.method == THRESHOLD and one.moves else _key(e)
             value, other = values.get(key), changed.get(key)
             if e.value is not None and value is not None and other is not None:
@@ -187,7 +185,7 @@ def _weighed(
             doubts[symbol, SECTIONS, "", line.pressure].append(line.bend.doubt(symbol))
     cells = {cell.contraction: cell for cell in found.cells}
     nearest, scatter = min(cells, key=abs, default=None), form.scatter_of(found.cells)
-    # the turns of each contraction that has a straight part, and of the one nearest to 0, whose force is F_b
+    # the turns at each contraction with a straight part, and at the one nearest to 0, which gives F_b
     turns = {x: c.mean.turned for x, c in cells.items() if c.pooled is not None or x == nearest}
     turned = [one for one in turns.values() if len(one[0])]
     delay, error = form.late(found.cells)
@@ -213,7 +211,7 @@ def _weighed(
 
 
 def _turned(e: Estimate, cell: Cell) -> Doubt:
-    """What the turns of the loop make of the line, or of where it has no force as far as a parabola does not tell."""
+    """Effect of the loop's turns on the line, or on its zero, there beyond the method part."""
     P, off = cell.mean.turned
     rows = P >= (cell.low or 0.0)
     m, c = (np.polyfit(P[rows], off[rows], 1) if rows.sum() > 1 else np.zeros(2)).tolist()
@@ -227,12 +225,12 @@ Key = tuple[str, str, str, float | None]
 
 
 def _key(e: Estimate) -> Key:
-    """What identifies an estimate: symbol, method, coordinate, pressure or contraction."""
+    """Key of an estimate: symbol, method, coordinate, and the first coordinate of its point."""
     return e.symbol, e.method, e.coordinate, next(iter(e.at.values()), None)
 
 
 def _late(H: Estimate, cell: Cell, delay: float, error: float) -> Doubt:
-    """What a force that comes after the pressure is worth of the loop width [N]: it opens the loop by itself."""
+    """Effect of a late force on the loop width [N]: a delay opens the loop."""
     per_second = 2 * cell.rate * abs(cell.pooled.line.m if cell.pooled is not None else 0.0)
     worth = show(per_second * abs(delay), "force", 2)
     reason = (
@@ -244,21 +242,21 @@ def _late(H: Estimate, cell: Cell, delay: float, error: float) -> Doubt:
 
 
 def _drifted(H: Estimate, cell: Cell, most: float) -> Doubt:
-    """What a drift of the zero of the cell within the tests may open or close of the loop [N]: a step all of it.
+    """Effect of a drift of the cell's zero within the tests on the loop width [N]: all of it, in case it was a step.
 
-    `most` is what the zero may be off as the record says [N]: what remains beyond it at rest is the muscle's.
+    `most` is the uncertainty of the zero from the record [N]; a larger change at rest is attributed to the muscle.
     """
     gone = float(np.mean([np.clip(form.gone_since(test) or 0.0, -most, most) for test in cell.tests]))
     reason = (
         f"the force cell drifts: at rest it reads {show(abs(gone), 'force', 2)} {'more' if gone > 0 else 'less'} after "
         "the ramps than before. Let it warm up, and measure again, or declare the `expanded_uncertainty` of the force"
     )
-    seen = abs(gone) > max(noise_of(test.F) for test in cell.tests)  # of one sample; at rest it is a mean of many
+    seen = abs(gone) > max(noise_of(test.F) for test in cell.tests)  # noise of one sample; rests are means of many
     return Doubt(form.DRIFT, "drift", abs(gone), seen, reason, MOST_DRIFT)
 
 
 def lack(test: Test) -> str:
-    """Why a trial tells nothing; empty where it does."""
+    """Reason why a trial gives no result; else empty."""
     if not all(np.count_nonzero(test.phase == index) > 1 for index in range(len(PHASES))):
         return "it lacks one of the two ramps"
     if max(np.abs(test.P).max(), np.abs(test.F).max()) > SENSELESS:
@@ -272,11 +270,11 @@ def lack(test: Test) -> str:
 
 
 def _width(cell: Cell, scales: Scales) -> Estimate:
-    """Force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
+    """Loop width: force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
     gaps = by_repeat(cell.tests, cell.gaps)
     at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
     commands = [c for test in cell.tests for c in test.trial.commands if c.output == "pressure" and c.phase in PHASES]
-    if not cell.mean.held and any(not c.data.get("rate") for c in commands):  # it goes up or down in a step
+    if not cell.mean.held and any(not c.data.get("rate") for c in commands):  # the pressure changes in a step
         why = "a loop on the way from one pressure to the next is as wide as the force is late: ramp, or hold at five"
         return Estimate("H", None, "N", "force", METHOD, at, n=len(gaps), note=why, trials=names)
     apart = 2 * cell.rate * skew.apart([test.run for test in cell.tests], CHANNELS)
@@ -333,7 +331,7 @@ def _corrected_estimate(force: sections.Corrected | None, scales: Scales) -> lis
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """F between the contractions that were tested, K, the blocked force; where the force begins as x without load."""
+    """F between the tested contractions, K, blocked force; contraction without load from where the force begins."""
     F_ce, K = (at_pressures(analysis, symbol, SECTIONS) for symbol in ("F_ce", "K"))
     furthest = max((e.at["contraction"] for e in analysis.estimates if "contraction" in e.at), default=0.0)
     yield straight(F_ce, K, lambda P: furthest)
@@ -345,14 +343,14 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
         places = [e.at["contraction"] for e, _ in begun]
         points: dict[Place, Estimate] = {}
         for (e, P), x, slope in zip(begun, places, np.gradient(places, pressures), strict=True):
-            # a muscle at the pressure p_0 has no force at the contraction of the test
+            # at the pressure p_0 a muscle at this contraction has no force
             parts = e.parts.times(float(slope))
             points[P, None] = replace(e, symbol="x", value=x, unit="m", quantity="length", parts=parts)
         yield exactly("x", points)
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Slope of force over pressure, the pressure at which the force begins, the gap of the ramps, force at the top."""
+    """Slope of force over pressure, pressure at which the force begins, gap between the ramps, force at the top."""
     test, reason = as_test(run, trial, PHASES)
     reason = reason if test is None else lack(test)
     if test is None or reason:

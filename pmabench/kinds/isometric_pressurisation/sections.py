@@ -1,6 +1,6 @@
 """Isometric tests of several contractions together: F_ce and K at a pressure, blocked force, corrected threshold.
 
-Knows the mean curves of each contraction, not how they came about; the mean of filling and emptying counts.
+Works on the mean curves (of filling and emptying) at each contraction.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from pmabench.store.records import Array
 GRID = 50e3
 """Pressures at which F_ce and K are given are multiples of this [Pa]."""
 PULLS = 0.02
-"""Share of the largest force of all that a muscle must pull with to be in a line over contractions."""
+"""Least force, as a share of the largest of all, for a muscle to be used in a line over contractions."""
 APART = 1e-5
-"""Contractions that were measured nearer to each other make no line [m]."""
+"""Contractions closer than this cannot make a line [m]."""
 CLEAR = 4.0
-"""A bend is seen where it is so many times its standard error."""
+"""Standard errors from which on a bend is significant."""
 FURTHEST_THRESHOLD = 2e5
 UNLIKE = 0.02
-"""Residual of the corrected force from which on the muscle is another, as a share of the largest force."""
+"""Residual of the corrected force, as a share of the largest force, from which on the muscle does not follow it."""
 CORRECTED_TO = 5e5
 """Highest pressure of the corrected force [Pa] (paper 2)."""
 
@@ -51,7 +51,7 @@ class Across:
     off: float
     """Largest distance of a contraction's mean from the line [N]."""
     span: float
-    """Largest less least force of the contractions [N]."""
+    """Range of the mean forces at the contractions [N]."""
     between: tuple[float, ...]
     """-dF/dx between neighbouring contractions [N/m]."""
     names: tuple[str, ...]
@@ -60,15 +60,17 @@ class Across:
 
 @dataclass(frozen=True)
 class Bend:
-    """What a parabola over the contractions differs by from the line: as good a choice, better where it is seen."""
+    """Difference between a parabola and the line over the contractions: an equally good choice, or a better one if
+    significant.
+    """
 
     start: float
-    """Of F_ce [N]."""
+    """Difference in F_ce [N]."""
     slope: float
-    """Of K at either end of the contractions, the larger one [N/m]."""
+    """Larger difference in K at the ends of the contractions [N/m]."""
     seen: bool
     F_ce: float
-    """By the line [N]."""
+    """From the line [N]."""
 
     @classmethod
     def of(cls, x: Array, F: Array, line: Line) -> Bend:
@@ -87,7 +89,7 @@ class Bend:
         return cls(at_0 - line.start, slope, bool(abs(bend) > CLEAR * error), line.start)
 
     def doubt(self, symbol: str) -> Doubt:
-        """Of `F_ce` or `K`: the force is carried to no contraction, and K is that at any place of the stroke."""
+        """Effect on `F_ce`, which is extrapolated to zero contraction, or `K`, which applies to the whole stroke."""
         if symbol == "K":
             return Doubt("bend over the contraction", "method", self.slope if self.seen else 0.0, self.seen)
         reason = (
@@ -98,7 +100,7 @@ class Bend:
 
 
 def across(cells: Sequence[Cell]) -> list[Across]:
-    """F_ce and K at each pressure of the grid that at least three contractions pull at."""
+    """F_ce and K at each pressure of the grid at which at least three contractions have force."""
     found: list[Across] = []
     if not cells:
         return found
@@ -139,16 +141,16 @@ def _wider(line: Line, x: Array, F: Array, sessions: Sequence[str]) -> Line:
 
 @dataclass(frozen=True)
 class Corrected:
-    """Paper 2's force with the dead band fitted, the rest from the specimen."""
+    """Paper 2's force with a fitted dead band; other parameters from the specimen."""
 
     p_0: float
     """[Pa]."""
     repeats: tuple[float, ...]
-    """The same of the tests of each repeat alone."""
+    """The same for each repeat alone; empty with one repeat."""
     rms: float
     """Residual [N]."""
     rms_without_q: float
-    """With q = 1 and a dead band fitted for that case [N]."""
+    """Residual with q = 1 and a dead band fitted for that case [N]."""
     largest: float
     """Largest mean force [N]."""
 
@@ -174,7 +176,7 @@ def corrected(cells: Sequence[Cell], length: float, diameter: float, braid_angle
         return None
 
     def model(P: Array, eps: Array, p_0: float, *, plain: bool) -> Array:
-        # With q = 1 a contraction eps acts as eps / q does in the model.
+        # With q = 1 a contraction eps has the effect of eps / q in the model.
         acting = eps / (1 + np.exp(-P / 1e5)) if plain else eps
         radius, angle, threshold = np.array([diameter / 2, braid_angle, p_0])
         return corrected_force(P, acting, radius, angle, threshold)["force"]
@@ -198,9 +200,10 @@ def corrected(cells: Sequence[Cell], length: float, diameter: float, braid_angle
 
 
 def given_of(specimen: object) -> Mapping[str, float]:
-    """What a manifest's specimen gives: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; numbers only.
+    """`nominal_length`, `inner_diameter` [m] and `braid_angle` [rad] of a manifest's specimen, those that are numbers >
+    0.
 
-    The diameter of muscles side by side is that of one muscle with the force of all.
+    For muscles side by side, the diameter of a single muscle with the force of all.
     """
     entries = specimen if isinstance(specimen, Mapping) else {}
     values = {name: entries.get(name) for name in ("nominal_length", "inner_diameter", "braid_angle")}
@@ -213,15 +216,15 @@ def given_of(specimen: object) -> Mapping[str, float]:
 BLOCKED = "blocked"
 FIGURE = "characteristic"
 NEAR = 0.01
-"""Contractions so near to 0 count as 0, as a share of the nominal length."""
+"""Contractions that count as 0, as a share of the nominal length."""
 LENGTH = 0.25
-"""Nominal length that is taken for that where none is given [m]."""
+"""Nominal length for that if none is given [m]."""
 EXACT = 1e-4
-"""Contractions nearer to 0 are 0 [m]."""
+"""Contractions below this are exactly 0 for the correction [m]."""
 MOST = 5.0
-"""The contraction on the other side may be so many times further away."""
+"""Largest distance of the contraction on the other side of 0, relative to that of the blocked test."""
 STEP = 0.02
-"""Half width of the line that tells dF/dP, as a share of the range of pressures."""
+"""Half width of the line for dF/dP, as a share of the range of pressures."""
 
 
 def pressures(cells: Sequence[Cell]) -> Array:
@@ -231,12 +234,12 @@ def pressures(cells: Sequence[Cell]) -> Array:
 
 
 def blocked_estimates(cells: Sequence[Cell], given: Mapping[str, float], scales: Scales) -> list[Estimate]:
-    """F_b [N] at each pressure, where tests at no contraction are among the cells.
+    """F_b [N] at each pressure, if there are tests at zero contraction.
 
-    Where contractions on both sides of 0 were tested: on a parabola through three of them, and what a line would give
-    is in the method part. Else that is K times what the muscle was off its nominal length; and what a bend between the
-    means over pressure may hide. Calibration, to first order: gains and offsets of force, of pressure by dF/dP, of
-    displacement by K.
+    With contractions on both sides of 0, the force is interpolated by a parabola through three of them, and the
+    difference to a line is the method part. Otherwise the method part is K times the distance from the nominal length.
+    It also includes a possible bend between the means over pressure. Calibration to first order: gains and offsets of
+    force, of pressure by dF/dP, of displacement by K.
     """
     near = NEAR * given.get("nominal_length", LENGTH)
     blocked = min(cells, key=lambda cell: abs(cell.contraction), default=None)
@@ -278,9 +281,11 @@ def blocked_estimates(cells: Sequence[Cell], given: Mapping[str, float], scales:
 
 
 def _between(cells: Sequence[Cell], blocked: Cell, P: float) -> tuple[float, float] | None:
-    """What a parabola with the nearest contractions adds to the force of `blocked`, and what a line is off it [N].
+    """Correction of the force of `blocked` to zero contraction by a parabola with the nearest contractions, and its
+    difference to a line [N].
 
-    None where `blocked` is at 0, or no other side was tested; with two contractions it is the line.
+    None where `blocked` is at 0, or nothing on the other side was tested; with two contractions the correction is by a
+    line.
     """
     known = {float(cell.place.mean()): float(np.mean(F)) for cell in cells if np.isfinite(F := cell.force_at(P)).all()}
     x_0 = float(blocked.place.mean())
@@ -300,18 +305,18 @@ def _between(cells: Sequence[Cell], blocked: Cell, P: float) -> tuple[float, flo
 
 
 def _slope(cell: Cell, P: float) -> float:
-    """DF/dP of the mean curve about a pressure [N/Pa]."""
+    """dF/dP of the mean curve near a pressure [N/Pa]."""
     known = np.isfinite(cell.mean.force)
     at, F = cell.mean.P[known], cell.mean.force[known]
     width = max(STEP * float(np.ptp(at)), 1.5 * float(cell.mean.P[1] - cell.mean.P[0]))
     near = np.abs(at - P) <= width
-    if near.sum() < 2:  # holds of a staircase are further apart
+    if near.sum() < 2:  # holds of a staircase have larger distances
         near = np.isin(np.arange(len(at)), np.argsort(np.abs(at - P))[:2])
     return float(np.polyfit(at[near], F[near], 1)[0]) if near.sum() > 1 else 0.0
 
 
 def _bend(cell: Cell, P: float) -> float:
-    """What a bend of F(P) at a pressure changes of the means next to it [N]: an eighth of their second difference."""
+    """Error of the means near a pressure because of the curvature of F(P) [N]: an eighth of their second difference."""
     at, F = cell.mean.P, cell.mean.force
     i = int(np.clip(np.searchsorted(at, P), 1, len(at) - 2))
     near = F[max(0, i - 2) : i + 3]

@@ -1,6 +1,6 @@
-"""Steps and sines of a joint's angle in closed loop: both muscles pull, as stiff as the protocol wants it.
+"""Steps and sines of a joint's angle in closed loop: both muscles pull, with the stiffness from the protocol.
 
-Both pressures over the angle, for the feed-forward, are by the model of its muscles, or by a measured map.
+The feed-forward, both pressures over the angle, comes from a model of the muscles or a measured map.
 """
 
 from __future__ import annotations
@@ -35,20 +35,21 @@ from pmabench.store.records import Array
 ROWS = 91
 """Angles in the table."""
 SMALL = 1e-3
-"""Torque by which the change of the pressures with the torque is found [N m]; they are linear in it."""
+"""Torque for the derivative of the pressures by torque [N m]; they are linear in it."""
 FEWEST = 7
 """Angles that a map needs."""
 ORDER = 5
-"""Of the polynomials through the map over the angle."""
+"""Order of the polynomials through the map over the angle."""
 Table = dict[str, list[float]]
 
 
 def by_model(
     model: Mapping[str, float], ends: tuple[float, float], stiffness: float, limits: tuple[float, float]
 ) -> Table:
-    """Pressures without a torque and their change by one, by `joint-inverse` of the library with these inputs.
+    """Pressures at zero torque and their derivative by torque, from `joint-inverse` of the library.
 
-    `ends` of the angle [rad], `stiffness` [N m/rad], `limits` of the pressures [Pa]. Raises ValueError in words.
+    `ends` of the angle [rad], `stiffness` [N m/rad], `limits` of the pressures [Pa]. Raises ValueError with a message
+    for the user.
     """
     from pmabench.model.library import MODELS
 
@@ -62,9 +63,10 @@ def by_model(
 
 
 def by_map(folder: Path, ends: tuple[float, float], stiffness: float, limits: tuple[float, float]) -> Table:
-    """The same by an analysis of kind joint-torque: tau = tau_0 + s_1 P_1 - s_2 P_2 with polynomials over the angle.
+    """The same from an analysis of kind joint-torque: tau = tau_0 + s_1 P_1 - s_2 P_2 with polynomials over the angle.
 
-    Stiffness is minus the slope of that at constant pressures. Raises ValueError in words where the map does not reach.
+    Stiffness is minus its slope at constant pressures. Raises ValueError with a message where the map does not cover
+    the angles.
     """
     from pmabench.store.analyses.folder import read_analysis
 
@@ -120,7 +122,7 @@ SLACK = 5.0
 
 
 class StepAxes(Strict):
-    """What is swept: angles to go to, and the gain of the integral action; with `frequency` sines of that amplitude."""
+    """What is swept: goal angles and the gain of the integral action; with `frequency`, sines of that amplitude."""
 
     goal: AngleAxis
     integral: Annotated[list[AngularIntegralGain], Field(min_length=1)]
@@ -128,7 +130,7 @@ class StepAxes(Strict):
 
 
 class JointModel(Strict):
-    """Muscles and pulley of which the feed-forward is made, as in the model `joint-inverse`."""
+    """Muscles and pulley for the feed-forward, as in the model `joint-inverse`."""
 
     pulley_radius: Length
     preload: Ratio
@@ -142,32 +144,32 @@ class JointModel(Strict):
 
 
 class StepController(Strict):
-    """How the joint is held."""
+    """Stiffness, limits and reference of the joint's controller."""
 
     stiffness: TorsionalStiffness
-    """Of the joint, by co-contraction."""
+    """Stiffness of the joint by co-contraction."""
     output: tuple[Pressure, Pressure]
-    """Least and greatest pressure."""
+    """Lowest and highest pressure."""
     reference_lag: Time
-    """Time constant of each of the two lags through which the reference goes to the goal."""
+    """Time constant of each of the two lags of the reference."""
 
 
 class StepTrial(Strict):
-    """From angle 0 to the goal, or a sine about 0."""
+    """One step from angle 0 to the goal, or a sine about 0."""
 
     settle: Time
     """Time at the pressures of angle 0 before the loop closes."""
     approach: Annotated[list[Angle], Field(max_length=50)] = []
-    """Angles to go to before the baseline, `dwell` at each: muscles remember which way they came."""
+    """Angles to visit before the baseline, `dwell` at each, since muscles have hysteresis."""
     dwell: Time = 1.0
     baseline: Time
     """Time in the loop at angle 0 before the step."""
     hold: Time
     """Time from the step on; of a sine the time that it lasts."""
     window: tuple[Time, Time]
-    """Part of the hold in which the end error is taken; of a sine the part that is looked at."""
+    """Part of the hold for the end error; of a sine the part that is evaluated."""
     band: Angle
-    """About the goal; within it the joint counts as settled."""
+    """Distance from the goal within which the joint counts as settled."""
     rest: Time
     """Time without pressure between two trials."""
 
@@ -180,7 +182,7 @@ class JointStep(ProtocolHead):
     sweep: Sweep[StepAxes]
     model: JointModel | None = None
     map: Annotated[str, Field(max_length=400)] | None = None
-    """Folder of an analysis of kind joint-torque, in place of `model`."""
+    """Folder of an analysis of kind joint-torque, instead of `model`."""
     controller: StepController
     trial: StepTrial
 
@@ -223,7 +225,7 @@ class JointStep(ProtocolHead):
         return c.plan("joint-step", {**settings, "stiffness": controller.stiffness})
 
     def _sound(self, c: Compilation) -> None:
-        """Check everything that does not depend on the point."""
+        """Checks that do not depend on the point."""
         trial = self.trial
         if (self.model is None) == (self.map is None):
             c.fault(("kind",), "needs one of model and map: what the pressures are computed from")

@@ -1,4 +1,4 @@
-"""From steps and sines of a joint in closed loop to errors, times, gain and phase, each with an interval."""
+"""Reduction of steps and sines of a joint in closed loop: errors, times, gain and phase, each with an interval."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, 
 from pmabench.store.records import Array, RunData, TrialData
 
 BEFORE = 0.3
-"""So long before the step its origin is taken [s]."""
+"""Time before the step over which its origin is averaged [s]."""
 FEWEST = 5
 """Samples before the step; an angle that is polled at 20 Hz has 6."""
 FEWEST_CYCLES = 3
 LEAP = 10.0
-"""A leap is larger than so many standard deviations of the noise."""
+"""Smallest leap of the angle, in standard deviations of the noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """What both have in common; `t` counts from the step, or from the begin of the sine [s]."""
+    """Common part of steps and sines; `t` counts from the step, or from the start of the sine [s]."""
 
     run: RunData
     trial: TrialData
@@ -64,11 +64,11 @@ class Stepped(Course):
     values: Mapping[str, float | None]
     """e_th [rad], t_s and t_r [s], OS_th [rad]; None where the angle does not get there."""
     unsure: Mapping[str, float]
-    """What sampling, noise, the filter of the angle and its clock leave open of each."""
+    """Half width of each due to sampling, noise, the filter of the angle and its clock."""
     calibration: Mapping[str, float] | None
-    """What the uncertainties of the angle's offset and gain do to each; None where they are not known."""
+    """Effect of the uncertainties of the angle's offset and gain on each; None where they are unknown."""
     moves: float
-    """How far it creeps or swings in the window of e_th [rad]; 0 for not."""
+    """Creep or swing of the angle in the window of e_th [rad]; 0 if not significant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,16 +100,16 @@ def _rows(trial: TrialData) -> NDArray[np.bool_]:
 
 
 def refuse_leaps(t: Array, angle: Array) -> None:
-    """Raise `NotUsable` where the angle leaps from one sample to the next, as no joint with a mass turns.
+    """Raise `NotUsable` where the angle leaps from one sample to the next, which no joint with a mass can do.
 
-    A leap is what is left of a sample's change after the speed before and after it, above noise, steps of the encoder
-    and what the motion bends elsewhere. Samples may be missing: a change is as long as the time that it takes.
+    A leap is the change of a sample beyond the speed before and after it, above noise, steps of the encoder and what
+    the motion shows nearby. Samples may be missing, so changes are taken over their actual time.
     """
     took, at = np.diff(t), 0.5 * (t[1:] + t[:-1])
     speed = np.diff(angle) / took
     if len(speed) < 5:
         return
-    near = (0, 1, 3, 4)  # of five changes, those about the middle one
+    near = (0, 1, 3, 4)  # of five changes, those around the middle one
     when, fast = (np.array([one[k : len(one) - 4 + k] for k in near]) for one in (at, speed))
     middle = when.mean(axis=0)
     slope = np.sum((when - middle) * fast, axis=0) / np.sum((when - middle) ** 2, axis=0)
@@ -142,7 +142,7 @@ def _stepped(
     window = (float(settings["window"][0]), float(settings["window"][1]))
 
     def measured(more: float = 0.0, gain: float = 0.0, later: float = 0.0) -> tuple[Response, dict[str, float | None]]:
-        """With an angle that is `more` [rad] and a share `gain` larger, of a sensor with a filter `later` [s]."""
+        """With an angle `more` [rad] and a share `gain` larger, and an additional filter of the sensor, `later` [s]."""
         start, x = sign * (origin * (1 + gain) + more), sign * (angle[after] * (1 + gain) + more)
         size = sign * goal - start
         r = respond(
@@ -159,7 +159,7 @@ def _stepped(
     except ValueError as error:
         raise NotUsable(str(error)) from error
     seen, size = response.unsure, sign * (goal - origin)
-    # the first sample within the band is late, too
+    # the filter also delays the first sample within the band
     settles = max(filtered["t_s"], open_ + 0.5 * float(np.median(np.diff(t))))
     unsure = {
         "e_th": max(seen.error, seen.creep),
@@ -167,7 +167,7 @@ def _stepped(
         "t_r": hypot(seen.rise, filtered["t_r"]),
         "OS_th": hypot(seen.overshoot * size, filtered["OS_th"]),
     }
-    since = np.clip(t / max(float(law["reference_lag"]), 1e-9), 0.0, 700.0)  # in lags, of which there are two
+    since = np.clip(t / max(float(law["reference_lag"]), 1e-9), 0.0, 700.0)  # in lags of the reference
     reference = goal * (1 - (1 + since) * np.exp(-since))
     saturated = float(law.get("saturated", 0.0))
     moves = response.wander if seen.creep or response.cycle is not None else 0.0
@@ -206,7 +206,7 @@ STEPPED = {"e_th": ("rad", "angle"), "t_s": ("s", "time"), "t_r": ("s", "time"),
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """End error e_th [rad], settling and rise time [s] and overshoot [rad] of steps; gain, phase and error of sines.
 
-    `options`: `window` [s], `band` [rad] and `begin` [s], else the plan's.
+    `options`: `window` [s], `band` [rad] and `begin` [s], in place of the plan's.
     """
     courses, dropped = measured_trials(runs, lambda run, trial: course_of(run, trial, options or {}))
     cells = grouped(courses, lambda one: point_of(one.trial))
@@ -251,7 +251,7 @@ def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], band: float) ->
 
 def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in sines)
-    # phases of cycles are compared about their common direction: one near -180 deg may turn up as +180
+    # phases are compared about their common direction, since one near -180 deg may appear as +180 deg
     middle = complex(np.mean(np.concatenate([one.answers for one in sines])))
     phases = [np.angle(one.answers / middle) + np.angle(middle) for one in sines]
     turned = 2 * pi * at["frequency"] * max(late(one.run, "angle") for one in sines)

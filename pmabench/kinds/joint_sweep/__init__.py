@@ -1,4 +1,4 @@
-"""Slow sweeps of a joint's angle with the pressures of its two muscles held: torque, stiffness, gap and loop area.
+"""Slow sweeps of a joint's angle with constant pressures of its two muscles: torque, stiffness, gap and loop area.
 
 - `reduction`, made of `sweep` (one trial)
 - protocol files: `protocol`; figures and one trial on the display: `figures`

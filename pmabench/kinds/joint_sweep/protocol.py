@@ -1,4 +1,4 @@
-"""Slow sweeps of a joint's angle both ways, with both muscles held at their pressures by regulators."""
+"""Slow sweeps of a joint's angle both ways, with both muscles held at constant pressure by regulators."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class SweepAxes(Strict):
 
 
 class SweepTrial(Strict):
-    """One loop: cycles of a ramp of the angle from `lower` to `upper` and one back."""
+    """One loop: cycles of a ramp of the angle from `lower` to `upper` and back."""
 
     lower: Angle
     upper: Angle
     cycles: Annotated[int, Field(ge=2, le=1000)]
     discard: Annotated[int, Field(ge=0)] = 1
-    """Cycles at the start that do not enter the reduction."""
+    """Cycles at the start that the reduction leaves out."""
     settle: Time
     """Time at pressure before the first motion."""
     approach: AngularSpeed

@@ -1,4 +1,4 @@
-"""From sweeps of a joint to its torque, stiffness, gap and loop area, each with an interval."""
+"""Reduction of sweeps of a joint: torque, stiffness, gap and loop area, each with an interval."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from pmabench.store.records import RunData, TrialData
 KIND = "joint-sweep"
 BRANCHES, LOOP, MEAN = "branches, 3 w cut", "loop", "mean curve"
 NEAR = 0.02
-"""The slope of the mean curve at a place is the steepest within this share of the sweep."""
+"""Range around a place, as a share of the sweep, in which the steepest slope of the mean curve is taken for it."""
 SURE = 4.0
-"""Standard errors from which on pressures differ between the directions."""
+"""Standard errors from which on a difference of the pressures between the directions is significant."""
 PLAY = "play under the torque"
 PLACES = 5
-"""Places along the sweep at which the mean curve is given."""
+"""Number of places along the sweep at which the mean curve is given."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """Stiffness K_th [N m/rad], gap H_tau [N m], loop area W [J] and torque tau [N m] of sweeps at held pressures.
+    """Stiffness K_th [N m/rad], gap H_tau [N m], loop area W [J] and torque tau [N m] of sweeps at constant pressures.
 
-    The stiffness is minus the slope of the torque at mid sweep (joints-endurance of muscles against each other: a small
-    sweep gives the slope of the hysteresis instead, three times as much). A sweep that is too small is refused with the
+    The stiffness is minus the slope of the torque at mid sweep (joints-endurance, antagonistic muscles: a small sweep
+    gives the slope of the hysteresis instead, three times as much). A sweep that is too small is refused with the
     reason. `options`: `discard` (cycles at the start; else the plan's setting, else 1).
     """
     options = options or {}
@@ -63,7 +63,7 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
 
 
 def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
-    """The trials that can be used; none of a point at which half of the loops have another form."""
+    """The usable trials, without those of a point where at least as many loops have another form."""
     off: dict[tuple[float, ...], list[str]] = {}
 
     def measured(run: RunData, trial: TrialData) -> Sweep:
@@ -100,7 +100,7 @@ def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[
 
 
 def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales) -> Iterator[Estimate]:
-    """Everything of one operating point; a pressure that is off changes the stiffness."""
+    """All estimates of one operating point; a wrong pressure changes the stiffness."""
     kept, seconds = [one.kept for one in members], [one.second for one in members]
     made = partial(joint.estimate, trials=tuple(one.trial.name for one in members), kept=kept, scales=scales)
     K = float(np.mean([one.stiffness.mean() for one in members]))
@@ -114,7 +114,7 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     steeper = [steeper_by(s) if s else 0.0 for s in seconds]
     flat = Doubt(PLAY, "method", max(flatter_by(one) for one in members), False)
     yield weighed(found, [joint.way(kept, K), _second(members, steeper), flat])
-    # how far the fitted open gap is from that at mid sweep, and what the turns leave in the mean curve [N.m]
+    # difference of the fitted open gap to that at mid sweep, and remainder of the turns in the mean curve [N.m]
     fits = [(one.loop, one.loop.turns) for one in members]
     unclosed = max(abs(2 * t.h - float(loop.middle_gap.mean())) if t else 0.0 for loop, t in fits)
     unclosed = max(unclosed, *(2 * s.w * more if s else 0.0 for s, more in zip(seconds, steeper, strict=True)))
@@ -131,7 +131,7 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
         curves = [np.array([np.interp(place, one.loop.x, cycle) for cycle in one.loop.mean]) for one in members]
         where = {**at, "angle": round(float(place), 7)}
         off = max(float(np.interp(place, m.loop.x, left)) for m, left in zip(members, of_turns, strict=True))
-        # torque is no more than what both muscles pull: a share of it for each pressure that is off
+        # bound of the torque of both muscles, of which a pressure error changes a share
         whole = max(abs(float(np.mean(curve))) for curve in curves) + pulls
         steepest = float(steep[np.abs(x - place) <= NEAR * np.ptp(x)].max()) + off / fades
         found = made("tau", TORQUE, MEAN, curves, 0.1 * off, where, by_pressure=whole * share,
@@ -141,7 +141,7 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
 
 
 def _of_gap(members: Sequence[Sweep], K: float, per_pressure: float) -> list[Doubt]:
-    """What a torque that comes late, backlash, a drift and pressures do to a gap [N m]; `per_pressure` [N m/Pa]."""
+    """Effects of a late torque, backlash, drift and pressures on a gap [N m]; `per_pressure` [N m/Pa]."""
     late = max((one.loop.late for one in members), key=lambda doubt: (doubt.seen, doubt.half))
     gap = 2 * abs(K) * max(one.loop.speed for one in members) * late.half
     apart = np.concatenate([one.apart for one in members])
@@ -158,7 +158,7 @@ def _of_gap(members: Sequence[Sweep], K: float, per_pressure: float) -> list[Dou
 
 
 def _second(members: Sequence[Sweep], each: Sequence[float]) -> Doubt:
-    """What a second turn does to a value, by member."""
+    """Effect of a second turn on a value, from its effect in `each` member."""
     half = abs(float(np.mean(each)))
     ways = [one.second.w for one in members if one.second is not None]
     way = show(float(np.mean(ways)), "angle", 2) if ways else ""

@@ -1,4 +1,4 @@
-"""One sweep of a joint: its loop, the stiffness of its cycles, and what its record says against them."""
+"""One sweep of a joint: its loop, the stiffness of its cycles, and what its record shows against them."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 TURN = 0.02
-"""Share of the sweep that is left out at each end before anything is looked at."""
+"""Share of the sweep that is left out at each end in the first evaluation."""
 HALF_SWEEP = 4.0
-"""Least half sweep, in w: of a shorter one a branch would not be itself at mid sweep."""
+"""Smallest half sweep, in w: after a shorter one the turn has not decayed at mid sweep."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """One usable trial: its loop, the stiffness of its cycles [N m/rad], and by how much the turns matter there."""
+    """One usable trial: its loop, the stiffness of its cycles [N m/rad], and the effect of the turns on it."""
 
     run: RunData
     trial: TrialData
     loop: Loop
     stiffness: Array
     taken_off: float
-    """What taking off the rest of the turns changed [N m/rad]."""
+    """Change of the stiffness by the correction for the rest of the turns [N m/rad]."""
     second: Turns | None
-    """What else of the torque turns over after a turn, on a longer way; None where that does not show."""
+    """Slower transition of the torque after a turn; None if not significant."""
     kept: Kept
     flank: float
-    """Step of the torque where it changes its sign, as play makes it [N m]; 0 where none shows."""
+    """Step of the torque at its change of sign, because of backlash [N m]; 0 if not significant."""
     apart: Array
-    """Pressures while the angle falls less those while it rises [Pa], shape (cycles, 2)."""
+    """Pressures while the angle falls minus while it rises [Pa], shape (cycles, 2)."""
 
 
 class OffForm(NotUsable):
@@ -45,13 +45,13 @@ class OffForm(NotUsable):
 
 
 def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:
-    """One trial measured; raises `NotUsable`, for a sweep that is too small with what would be enough."""
+    """Evaluation of one trial; raises `NotUsable`, with the sufficient size for a sweep that is too small."""
     low, high = (trial.point.get(name) for name in ("lowest_angle", "highest_angle"))
     if low is None or high is None:
         raise NotUsable("its plan names no lowest and highest angle, so its turns are not known")
     loop = measure(run, trial, int(settings_of(run, options).get("discard", 1)), TURN * (high - low), AXES)
     half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
-    noise = float(np.sqrt(0.5 * np.mean(np.diff(loop.gap, axis=1) ** 2)))  # of a point, as neighbours differ
+    noise = float(np.sqrt(0.5 * np.mean(np.diff(loop.gap, axis=1) ** 2)))  # of one point, by its neighbours
     if why := why_no_turns(loop.turns, half, gap, noise):
         raise OffForm(why)
     if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
@@ -68,15 +68,15 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
 
 
 def flatter_by(one: Sweep) -> float:
-    """What a step of the torque where it changes its sign takes off the stiffness at mid sweep [N m/rad]."""
+    """Decrease of the stiffness at mid sweep by a step of the torque at its change of sign [N m/rad]."""
     x = one.loop.x - one.loop.x.mean()
     return abs(one.flank * float(np.polyfit(x, np.sign(one.loop.mean.mean(axis=0)), 3)[2]))
 
 
 def _by_commands(run: RunData, trial: TrialData, cycles: int) -> tuple[Kept, Array]:
-    """How far pressures and angle are from their commands; pressures while falling less while rising, (cycles, 2).
+    """Deviation of pressures and angle from their commands; pressures while falling minus while rising, (cycles, 2).
 
-    Of the last `cycles`. A drive that follows late is as far behind on one way as on the other.
+    Over the last `cycles`. A lag of the drive cancels between both directions.
     """
     moves = [c for c in trial.commands if c.output == AXES.moved and c.phase in (AXES.rises, AXES.falls)]
     angle, *pressures = (on_time(run, trial, name) for name in (AXES.moved, *MUSCLES))
@@ -93,18 +93,18 @@ def _by_commands(run: RunData, trial: TrialData, cycles: int) -> tuple[Kept, Arr
 
 
 SHORTER, LONGER = 0.4, 1.3
-"""Widths of the turns that are tried next to a second one, in those that were found without it."""
+"""Widths of the first turn that are tried together with a second one, relative to that found without it."""
 SLOWER = 1.5
-"""A second way is at least so many times the first."""
+"""Smallest ratio of the second width to the first."""
 TRIED = 24
 SURE = 4.0
-"""Standard deviations by which the second turn must describe the gap better than a parabola does."""
+"""Standard deviations by which a second turn must describe the gap better than a parabola."""
 
 
 def second_of(loop: Loop) -> Turns | None:
-    """What in the gap turns over on a longer way, too: a second hysteresis, or what creeps.
+    """A slower transition in the gap after turns: a second hysteresis, or creep; None if not significant.
 
-    A gap that depends on the angle, or on pressures that do, has another form: a parabola and a slope.
+    A gap that depends on the angle, or on pressures that depend on it, has another form: a parabola and a slope.
     """
     if loop.turns is None:
         return None
@@ -126,13 +126,15 @@ def second_of(loop: Loop) -> Turns | None:
 
 
 def steeper_by(second: Turns) -> float:
-    """What a second turn adds to the stiffness at mid sweep [N m/rad]."""
+    """Increase of the stiffness at mid sweep by a second turn [N m/rad]."""
     half = 0.5 * (second.upper - second.lower)
     return 2 * second.h / second.w * float(np.exp(-half / second.w) / (1 + np.exp(-2 * half / second.w)))
 
 
 def _slopes(loop: Loop, *, keep: bool = False) -> Array:
-    """Stiffness of each cycle [N m/rad], the mean of its two branches; with `keep` the rest of the turns stays in."""
+    """Stiffness of each cycle [N m/rad], mean of its branches; with `keep` without correction for the rest of the
+    turns.
+    """
     x, turns, (lower, upper) = loop.x, loop.turns, loop.ends
     cut, rising, falling = 0.0 if turns is None else CUT * turns.w, np.zeros_like(x), np.zeros_like(x)
     if turns is not None and not keep:

@@ -1,6 +1,6 @@
 """Isometric torque of a joint over its angle for pairs of pressures: maps of torque and stiffness.
 
-- `reduction`: all of a pair of pressures, made of `staircase` (one trial) and `plane` (torque over the pressures)
+- `reduction`: all trials of a pair of pressures, made of `staircase` (one trial) and `plane` (torque over pressures)
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

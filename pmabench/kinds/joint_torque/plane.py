@@ -18,14 +18,14 @@ from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
 
 SURE = 0.9995
-"""Probability of Student's t beyond which a torque changes from cycle to cycle in all trials alike."""
+"""Probability of Student's t beyond which a common change of the torque from cycle to cycle is significant."""
 FEWEST_TRIALS = 4
 LASTING = 0.15
-"""By a larger share the change of the later half of a cycle may not differ from that of the earlier half."""
+"""Largest relative difference of that change between both halves of a cycle for which it counts as a drift."""
 
 
 def _by_cycle(one: Staircase) -> Array:
-    """Change of the torque from cycle to cycle by time, of angles reached from below and from above [N m/s]."""
+    """Rate of change of the torque from cycle to cycle, at angles reached from below and from above [N m/s]."""
     torques = one.rests.torques
     lasts = float(np.ptp(one.trial.t)) / len(torques)
     return np.asarray(np.median((torques[-1] - torques[0]) / (len(torques) - 1), axis=1) / lasts)
@@ -33,16 +33,16 @@ def _by_cycle(one: Staircase) -> Array:
 
 @dataclass(frozen=True)
 class Drift:
-    """Drift of the zero of the torque: it changes from cycle to cycle in all trials alike, and between them, too."""
+    """Drift of the torque's zero: the same change from cycle to cycle in all trials, which also acts between them."""
 
     rate: float
-    """[N m/s]; 0 where trials differ too much to tell."""
+    """[N m/s]; 0 if not significant."""
     since: Mapping[str, float]
-    """Name of a trial -> time from the begin of its run [s]."""
+    """Name of a trial -> time from the start of its run [s]."""
 
     @classmethod
     def of(cls, members: Sequence[Staircase]) -> Drift:
-        """Of all trials; what creeps after the way to the first angle changes less and less, a zero does not."""
+        """From all trials; creep after the move to the first angle slows down, a drift of the zero does not."""
         begins = {one.run.id: one.run.trials[0].t[0] for one in members}
         since = {one.trial.name: float(one.trial.t.mean() - begins[one.run.id]) for one in members}
         each = np.array([_by_cycle(one) for one in members]).reshape(-1, 2)
@@ -58,7 +58,7 @@ class Drift:
         return self.rate * float(np.mean([self.since[name] for name in e.trials]))
 
     def weigh(self, e: Estimate, half: float, scale: float | None = None) -> Estimate:
-        """The estimate with the effect of the drift on it, `half`, in its interval."""
+        """The estimate, widened or withheld for `half`, the effect of the drift on it."""
         if self.rate == 0:
             return e
         whole = show(abs(self.rate) * max(self.since.values()), "torque", 2)
@@ -70,11 +70,11 @@ class Drift:
 
 
 LEVELS = 3
-"""Of each pressure: with two of them a muscle that is slack at one is not seen, for a plane fits whatever it does."""
+"""Fewest levels of each pressure: with two, any torque fits a plane, even with a slack muscle."""
 FEWEST = 5
-"""Pairs of pressures, so that two are left to contradict the plane."""
+"""Fewest pairs of pressures, two more than the plane has terms."""
 OFF = 2.0
-"""A torque may be off the plane by so many half widths of its interval."""
+"""Largest distance of a torque from the plane, in half widths of its interval."""
 COEFFICIENTS = (
     ("tau_0", "N.m", "torque", 1.0),
     ("s_1", "N.m/Pa", "torque per pressure", 1.0),

@@ -1,4 +1,4 @@
-"""Torque of a joint at locked angles, from both sides, for pairs of pressures that regulators hold."""
+"""Torque of a joint at locked angles, from both sides, for pairs of regulated pressures."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ class TorqueAxes(Strict):
 
 
 class TorqueTrial(Strict):
-    """One pair of pressures: the angles one after another, rising and then falling."""
+    """One pair of pressures: the angles in rising and then in falling order."""
 
     angles: Annotated[list[Angle], Field(min_length=2, max_length=200)]
-    """Where the joint is locked, rising."""
+    """Angles at which the joint is locked, rising."""
     overrun: Angle
-    """How far beyond the first and last angle the joint turns round, so that each branch is open at every angle."""
+    """Overtravel beyond the first and last angle, so that turns have decayed at every angle."""
     cycles: Annotated[int, Field(ge=2, le=1000)] = 2
     settle: Time
     """Time at pressure before the first motion."""
     rest: Time
     """Time at each angle; its second half is averaged."""
     speed: AngularSpeed
-    """From angle to angle."""
+    """Speed between angles."""
 
 
 class JointTorque(ProtocolHead):

@@ -1,4 +1,4 @@
-"""From torques at locked angles to maps of torque and stiffness, each value with an interval."""
+"""Reduction of torques at locked angles: maps of torque and stiffness, each value with an interval."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from pmabench.store.records import Array, RunData, TrialData
 KIND = "joint-torque"
 SIDES, GAP, SLOPE = "both sides", "gap", "polynomial"
 LIKELY = 0.2
-"""Share of the largest change that is possible, which the likeliest is where the torque counts as moving."""
+"""Share of the largest possible motion above which the likeliest motion counts as significant."""
 ON = 3.0
-"""What creeps in a rest goes on with the logarithm of time: by so many times as much in the length of a trial."""
+"""Factor on the creep of a rest for the length of a trial, since creep goes with the logarithm of time."""
 LOOSE = 0.01
-"""Share of the way between angles by which both sides may be apart unseen."""
+"""Difference of the angle between both sides that is tolerated, as a share of the distance between angles."""
 Cells = dict[tuple[float, ...], list[Staircase]]
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Torque tau [N m] at each angle and pair of pressures, stiffness K_th [N m/rad], gap H_tau [N m].
 
-    Where there are three pairs of pressures or more, also torque by pressure s_1, s_2 [N m/Pa] and tau_0 [N m] at each
-    angle. `options`: `angles` [rad], else the plan's.
+    With three levels of each pressure and five pairs or more, also torque by pressure s_1, s_2 [N m/Pa] and tau_0 [N m]
+    at each angle. `options`: `angles` [rad], in place of the plan's.
     """
     staircases, dropped = measured_trials(runs, lambda run, trial: staircase_of(run, trial, options or {}))
     staircases = _with_flanks(staircases)
     scales = Scales.of(runs)
     cells: Cells = grouped(staircases, lambda one: tuple(round(one.trial.point[name], 3) for name in MUSCLES))
     estimates = list[Estimate]()
-    # change of the torque after the mean of a rest [N.m], rising and falling: the mean of all rests of all trials
+    # change of the torque after the mean of a rest [N.m], rising and falling: mean of all rests of all trials
     rests = [[held for one in staircases for held in one.rests.holds[side]] for side in (0, 1)]
     rising, falling = (left(holds) if rests[0] else Left(0.0, 0.0, False) for holds in rests)
     for pressures, members in sorted(cells.items()):
@@ -70,11 +70,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 SHOWN = 1 / 3
-"""Share of the trials that must show a step where the torque changes its sign, so that it is that of the bench."""
+"""Share of the trials that must show a step of the torque at its change of sign, to attribute it to the bench."""
 
 
 def _with_flanks(staircases: Sequence[Staircase]) -> list[Staircase]:
-    """The same with the largest step of all, where a part of them shows one: others change sign near an end only."""
+    """The trials with the largest step of all, if enough of them show one; in others the sign may change near an end
+    only.
+    """
     most = max((one.flank for one in staircases), default=0.0)
     if sum(one.flank > 0 for one in staircases) <= SHOWN * len(staircases):
         return list(staircases)
@@ -87,13 +89,13 @@ def gap_of(run: RunData, trial: TrialData) -> float:
 
 
 def _gap(one: Staircase) -> Array:
-    """The gap at the angle that is farthest from both turns [N m], shape (cycles,)."""
+    """The gap at the angle farthest from both turns [N m], shape (cycles,)."""
     middle = 0.5 * (one.trial.point["lowest_angle"] + one.trial.point["highest_angle"])
     return np.asarray(one.gap[:, int(np.argmin(np.abs(one.nominal - middle)))])
 
 
 def _near_a_turn(members: Sequence[Staircase]) -> str:
-    """Why there is no torque at an angle where a turn has not faded."""
+    """Reason why there is no torque at an angle near a turn."""
     w = max(one.turns.w for one in members if one.turns is not None)
     near = f"a turn fades on {show(w, 'angle', 3)}, and this angle is within 3 times that of one"
     return f"{near}: give an overrun of at least {show(CUT * w, 'angle', 3)}"
@@ -102,7 +104,7 @@ def _near_a_turn(members: Sequence[Staircase]) -> str:
 def _estimates(
     at: Mapping[str, float], members: Sequence[Staircase], scales: Scales, moving: tuple[Left, Left]
 ) -> Iterator[Estimate]:
-    """Everything at one pair of pressures; a pressure that is off changes the torque."""
+    """All estimates at one pair of pressures; a wrong pressure changes the torque."""
     made = partial(
         joint.estimate, trials=tuple(one.trial.name for one in members), kept=[one.kept for one in members],
         scales=scales,
@@ -112,7 +114,7 @@ def _estimates(
     whole = max(float(np.abs(m.mean).max()) for m in members) + likely * float(np.ptp(nominal))
     opened = np.all([one.open for one in members], axis=0)
     of_gap, of_torque, of_slope = _doubts(members, likely, whole / total, moving)
-    # half the change of the gap over the angles [N.m]
+    # half the range of the gap over the angles [N.m]
     uneven = max(0.5 * float(np.ptp(one.gap.mean(axis=0)[opened])) for one in members)
     yield weighed(made("H_tau", TORQUE, GAP, [_gap(one) for one in members], uneven, at), of_gap)
     slack = next((one.slack for one in members if one.slack), "")
@@ -142,7 +144,9 @@ def _estimates(
 
 
 def _of_stiffness(members: Sequence[Staircase], K: Estimate, place: int, bend: float) -> list[Doubt]:
-    """What angles, steps and play do to a stiffness at one of the open angles, which changes by `bend` [N m/rad2]."""
+    """Effects of angles, steps and backlash on a stiffness at an open angle; `bend` is its derivative by angle [N
+    m/rad2].
+    """
     kept = [one.kept for one in members]
     return [
         joint.way(kept, K.value or 0.0),
@@ -156,10 +160,11 @@ def _of_stiffness(members: Sequence[Staircase], K: Estimate, place: int, bend: f
 def _doubts(
     members: Sequence[Staircase], likely: float, per_torque: float, moving: tuple[Left, Left]
 ) -> tuple[list[Doubt], list[Doubt], Doubt]:
-    """What departs from rest and from the place that was asked for: of the gap, a torque [N m], the stiffness [1].
+    """Effects of motion at rest, backlash and wrong places: on the gap, on a torque [N m], on the stiffness (relative)
+    [1].
 
-    `likely` is the stiffness [N m/rad], `per_torque` the torque by a pressure [N m/Pa], `moving` what the torque still
-    moves by after a rest, rising and falling.
+    `likely` is the stiffness [N m/rad], `per_torque` the derivative of the torque by pressure [N m/Pa], `moving` the
+    change of the torque still to come after a rest, rising and falling.
     """
     rising, falling = moving
     moves = any(one.seen and abs(one.size) > LIKELY * one.most for one in moving)
@@ -191,16 +196,15 @@ def _doubts(
     torque = [
         Doubt("steps of the torque", "method", read, False),
         Doubt("torque at rest", "method", 0.5 * (rising.most + falling.most), moves, still),
-        Doubt("angle of both sides", "method", 0.5 * likely * loose, shown),  # which side had the zero is not known
+        Doubt("angle of both sides", "method", 0.5 * likely * loose, shown),  # side of the zero is unknown
     ]
     return gap, torque, Doubt("torque at rest", "method", ON * max(rising.most, falling.most) / step, moves, still)
 
 
 def _pooled(estimates: Sequence[Estimate], cycles: int) -> list[Estimate]:
-    """The same, with repeats no closer to each other than those of all pairs of pressures and angles together.
+    """The estimates with repeats parts not smaller than by the pooled scatter of all pairs of pressures and angles.
 
-    The scatter of two trials is small by chance once in a while; that of all is not. Where no pair was repeated, it is
-    that of the `cycles`.
+    The scatter of two trials may be small by chance. Where no pair was repeated, the scatter of the `cycles` is pooled.
     """
     known = [e for e in estimates if e.value is not None and e.parts.repeats is not None]
     least = {}

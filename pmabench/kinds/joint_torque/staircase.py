@@ -1,4 +1,4 @@
-"""One trial of isometric torques: its rests, its turns, and what its record says against them."""
+"""One trial of isometric torques: its rests, its turns, and what its record shows against them."""
 
 from __future__ import annotations
 
@@ -28,25 +28,27 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 POINTS = 81
-"""Points of the gap that show how a turn fades."""
+"""Points of the gap for the decay after a turn."""
 FEWEST_ANGLES = 7
 """Angles that a stiffness needs: its slope is that of a polynomial of order 5."""
 ORDERS = 5, 3
-"""Of the polynomial of torque over angle, and of the one that shows what the choice of an order changes."""
+"""Order of the polynomial of torque over angle, and of another one that shows the effect of this choice."""
 UNEVEN = 0.25
-"""A gap that changes by a larger share over the angles is not that of two taut muscles at all of them."""
+"""Largest change of the gap over the angles, relative to its median, if both muscles are taut at all of them."""
 LEAST_SAMPLES = 10
 DITHERED = 0.5
-"""Noise of so many steps averages the steps of a channel away."""
+"""Noise, in steps of a channel, above which the steps average out."""
 ELSEWHERE, ASIDE = 0.25, 0.02
-"""Shares of the way between angles by which the joint may be off its place, and from which on that is said."""
+"""Deviation of the joint from its place, as a share of the distance between angles: largest, and from which on it is
+reported.
+"""
 SKIPPED = 0.25
-"""Share of a rest after which the torque is to be still: before it regulators and muscles come to rest."""
+"""First share of a rest in which regulators and muscles settle; after it the torque should be constant."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rests:
-    """The later half of each rest; arrays of shape (cycles, 2, n), rising first."""
+    """Means over the later half of each rest; arrays of shape (cycles, 2, n), rising first."""
 
     angles: Array
     """[rad]."""
@@ -57,21 +59,21 @@ class Rests:
     holds: tuple[list[Held], list[Held]]
     """Torque along each rest, rising and falling [N m]."""
     noise: float
-    """Of a torque [N m]."""
+    """Standard deviation of a mean torque [N m]."""
     step: float
-    """In which the torque is read, where no noise averages that away [N m]; else 0."""
+    """Step of the torque channel if noise does not average it out [N m]; else 0."""
 
 
 @dataclass(frozen=True)
 class AfterTurns:
-    """The gap of a joint that has just turned, over the way since [N m]: open less size exp(-way/w)."""
+    """The gap after a turn, over the way since then [N m]: open - size exp(-way/w)."""
 
     size: float
     """[N m]."""
     w: float
     """[rad]."""
     play: float
-    """Way on which the torque does not change yet [rad]; below 0 where it changes at once by some."""
+    """Way without change of the torque [rad]; negative if it changes abruptly at the turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,7 @@ class Staircase:
     run: RunData
     trial: TrialData
     nominal: Array
-    """Where the joint was to be."""
+    """Commanded angles."""
     rests: Rests
     turns: Turns | None
     open: NDArray[np.bool_]
@@ -89,11 +91,11 @@ class Staircase:
     after: AfterTurns | None
     """None without turns."""
     flank: float
-    """Step of the torque where it changes its sign, as play makes it [N m]; 0 where none shows."""
+    """Step of the torque at its change of sign, because of backlash [N m]; 0 if not significant."""
 
     @cached_property
     def angles(self) -> Array:
-        """Where the joint was, as measured: means of all cycles."""
+        """Measured angles: means of all cycles."""
         return np.asarray(self.rests.angles.mean(axis=(0, 1)))
 
     @cached_property
@@ -103,7 +105,7 @@ class Staircase:
 
     @cached_property
     def left(self) -> Array:
-        """What the turns leave in the mean of both sides [N m], shape (n,)."""
+        """Remainder of the turns in the mean of both sides [N m], shape (n,)."""
         return np.zeros_like(self.angles) if self.turns is None else self.turns.of_mean(self.angles)
 
     @property
@@ -113,7 +115,7 @@ class Staircase:
 
     @cached_property
     def kept(self) -> Kept:
-        """How far pressures and angles of the rests are from their commands, a pressure at most."""
+        """Deviation of pressures and angles of the rests from their commands; of each pressure the largest."""
         scale, zero = np.polyfit(self.nominal, self.angles - self.nominal, 1)
         off = self.rests.pressures.reshape(2, -1) - [[self.trial.point[name]] for name in MUSCLES]
         return Kept(off[[0, 1], np.argmax(np.abs(off), axis=1)], float(zero), float(scale))
@@ -125,16 +127,16 @@ class Staircase:
 
     @cached_property
     def why_no_stiffness(self) -> str:
-        """Why there is no slope of torque over angle; empty where there is one."""
+        """Reason why there is no slope of torque over angle; else empty."""
         if self.open.sum() < FEWEST_ANGLES:
             return f"{self.open.sum()} angles are far enough from the turns, and a slope needs {FEWEST_ANGLES}"
         return self.slack
 
     @cached_property
     def slack(self) -> str:
-        """What the gap says of a slack muscle; empty where it says nothing.
+        """Sign of a slack muscle in the gap; empty if there is none.
 
-        A muscle that pulls on one of the two ways only makes a smaller gap, and the mean is not free of hysteresis.
+        A muscle that pulls in one direction only makes a smaller gap, and the mean then contains hysteresis.
         """
         gap = self.gap.mean(axis=0)[self.open]
         if np.ptp(gap) > UNEVEN * np.median(gap) + 4 * self.rests.noise:
@@ -143,7 +145,7 @@ class Staircase:
         return ""
 
     def _by_torque(self, order: int = ORDERS[0]) -> Array:
-        """Minus the slope of a polynomial at open angles, by the torque at each of them [1/rad]; (torques, angles)."""
+        """Minus the slope of a polynomial at open angles per torque at each angle [1/rad]; (torques, angles)."""
         x = self.angles[self.open]
         terms = np.polyfit(x - x.mean(), np.eye(len(x)), order)
         powers = np.arange(order, 0, -1)
@@ -155,12 +157,12 @@ class Staircase:
 
     @cached_property
     def rounded(self) -> Array:
-        """What the steps in which torques are read do to the stiffness at open angles [N m/rad], shape (open,)."""
+        """Error of the stiffness at open angles because torques are read in steps [N m/rad], shape (open,)."""
         return np.asarray(ROUNDED * self.rests.step * np.linalg.norm(self._by_torque(), axis=0))
 
     @cached_property
     def held_back(self) -> Array:
-        """What it does to that stiffness that the turns begin late [N m/rad], shape (open,)."""
+        """Error of that stiffness because of backlash at the turns [N m/rad], shape (open,)."""
         if self.after is None or self.turns is None or self.after.play <= 0:
             return np.zeros(int(self.open.sum()))
         x, w = self.angles[self.open], self.after.w
@@ -170,7 +172,7 @@ class Staircase:
 
     @cached_property
     def flatter(self) -> float:
-        """What a step where the torque changes its sign does to that stiffness at most [N m/rad]."""
+        """Largest error of that stiffness by the step of the torque at its change of sign [N m/rad]."""
         return float(np.max(np.abs(self.flank * np.sign(self.mean.mean(axis=0)[self.open]) @ self._by_torque())))
 
 
@@ -179,14 +181,16 @@ ROUNDED = 2 / sqrt(24)
 
 
 def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Staircase:
-    """One trial measured; raises `NotUsable` with the reason, for angles near the turns with what would be enough."""
+    """Evaluation of one trial; raises `NotUsable` with the reason, for angles near the turns with the sufficient
+    overrun.
+    """
     refuse_unusable(trial, "angle", "torque", *MUSCLES)
     nominal = np.array(settings_of(run, options)["angles"], dtype=np.float64)
     angle, torque = on_time(run, trial, "angle"), on_time(run, trial, "torque")
     rests = _rests(trial, nominal, angle, torque)
     elsewhere = _elsewhere(rests.angles, nominal)
     lowest, highest = trial.point["lowest_angle"], trial.point["highest_angle"]
-    # the turns are where the encoder reads them, which may be off the drive
+    # turns in the encoder's reading, which may differ from the drive's
     low, high = np.polyval(np.polyfit(nominal, rests.angles.mean(axis=(0, 1)), 1), [lowest, highest])
     grid, up, down = _moving(trial, angle, torque, low, high)
     known = np.isfinite(up + down)
@@ -208,7 +212,7 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
 
 
 def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> Rests:
-    """Mean angles, torques and pressures of the later half of each rest, and what else the rests say."""
+    """Mean angles, torques and pressures of the later half of each rest, and their noise."""
     channels = [angle, torque, *(trial.channels[name] for name in MUSCLES)]
     means: dict[tuple[int, int], list[list[float]]] = {}
     holds: tuple[list[Held], list[Held]] = ([], [])
@@ -239,7 +243,7 @@ def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> Res
 
 
 def _elsewhere(places: Array, nominal: Array) -> str:
-    """Where the joint was not where it was sent, empty where it nearly was; raises `NotUsable` where it was far off."""
+    """Message where the joint is off its place, empty for a small deviation; raises `NotUsable` for a large one."""
     off = np.abs(places - nominal).max(axis=(0, 1))
     worst = int(np.argmax(off))
     share = off[worst] / float(np.diff(nominal).min())
@@ -253,12 +257,12 @@ def _elsewhere(places: Array, nominal: Array) -> str:
 
 
 def ramps_of(trial: TrialData) -> list[Command]:
-    """From angle to angle, both ways."""
+    """The ramps from angle to angle, in both directions."""
     return [c for c in trial.commands if c.output == "angle" and c.kind == "ramp" and c.phase in ("rise", "fall")]
 
 
 def _moving(trial: TrialData, angle: Array, torque: Array, low: float, high: float) -> tuple[Array, Array, Array]:
-    """Angles, and the torque while the joint rises and falls over them; NaN where it does not pass."""
+    """Angles, and torques while they rise and while they fall; NaN where the motion does not cover an angle."""
     moving = {phase: np.zeros(trial.t.shape, bool) for phase in (AXES.rises, AXES.falls)}
     for ramp in ramps_of(trial):
         moving[ramp.phase] |= (trial.t >= ramp.t) & (trial.t < ends(ramp)) & trial.usable
@@ -268,13 +272,13 @@ def _moving(trial: TrialData, angle: Array, torque: Array, low: float, high: flo
 
 
 SETTLED = 0.4
-"""Ways of a turn after it that are left out: there the drive itself turns, and play is taken up."""
+"""Start of the evaluation after a turn, in w: before it the drive itself turns and backlash is taken up."""
 
 
 def _after_turns(trial: TrialData, angle: Array, torque: Array, w: float) -> AfterTurns | None:
-    """How the gap opens after the turns, which fade on about `w` [rad]; None where it does not.
+    """Growth of the gap after the turns, which decay over about `w` [rad]; None if there is none.
 
-    It grows from 0 at the turn as 1 - exp(-way/w); play, or a torque that comes late, puts that off.
+    From the turn on it is 1 - exp(-way/w); backlash, or a late torque, shifts it.
     """
     from scipy.optimize import minimize_scalar  # takes long to import
 

@@ -1,6 +1,6 @@
-"""Steps of attitude of a platform that three muscles tilt: how fast, how far beyond, how exactly, how much it switches.
+"""Steps of attitude of a platform that is tilted by three muscles: settling time, overshoot, end error, valve openings.
 
-- `reduction`: one step, what the accelerometer says about itself; then all of an attitude
+- `reduction`: one step, checks of the accelerometer; then all steps of an attitude
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

@@ -1,4 +1,4 @@
-"""Figures of steps of a platform: attitude with its reference, the three pressures, and when each valve is open.
+"""Figures of steps of a platform: attitude with its reference, the three pressures, and the open times of the valves.
 
 `measure`: the values of one trial, for the display.
 """

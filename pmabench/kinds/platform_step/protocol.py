@@ -18,14 +18,15 @@ from pmabench.protocol.plan import Control, Plan, Record
 from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
 
 REFERENCE_LAG, WIDE = 0.05, math.radians(10.0)
-"""Time constant of each of the two lags of the reference [s] for steps up to this wide [rad]; in proportion beyond: air
-leaves a muscle at 10 bar/s, and 20 deg through the lags of 10 deg go on to the trip."""
+"""Time constant of each of the two lags of the reference [s] for steps up to `WIDE` [rad]; for larger steps in
+proportion: air leaves a muscle at 10 bar/s, and 20 deg with the lags of 10 deg would overshoot to the trip.
+"""
 BACK = 1.0
-"""After the hold it goes back to level for so long [s]: vented there, it does not fall on a stop."""
+"""Time of the return to level after the hold [s]: vented at level, it does not fall onto a stop."""
 LEAST_LEVEL, LEAST_HOLD = 1.6, 1.5
 """Shortest times [s]: from a stop to level, and to see an attitude settle."""
 SLOWEST = 100.0
-"""The law steers at each sample; with fewer a second [Hz] its lags mean nothing."""
+"""Lowest sample rate [Hz]: the law acts once per sample, and with a lower rate its lags are meaningless."""
 
 
 class PlatformAxes(Strict):
@@ -36,22 +37,22 @@ class PlatformAxes(Strict):
 
 
 class PlatformTrial(Strict):
-    """One step: level, to the attitude at once, hold, back to level."""
+    """One step: level, directly to the attitude, hold, back to level."""
 
     level: Annotated[Time, Field(ge=LEAST_LEVEL, le=3600)]
     hold: Annotated[Time, Field(ge=LEAST_HOLD, le=3600)]
     chain: Literal["reference", "measured"] = "reference"
-    """Where the muscles' contractions come from: the wanted attitude, or the measured one, as paper 3 prints it."""
+    """Attitude from which the muscles' contractions are computed: the wanted one, or the measured one as in paper 3."""
     K_p: Annotated[TorsionalStiffness, AfterValidator(above_zero)] = 10.0
-    """Moment by error of the attitude."""
+    """Moment per error of the attitude."""
     K_i: Annotated[TorqueRate, Field(ge=0)] = 180.0
-    """Moment by the integral of the error: 180 N.m/rad/s."""
+    """Moment per integral of the error."""
     mean_pressure: Annotated[Pressure, AfterValidator(above_zero)] = 250e3
     """Mean of the three pressures, where their limits allow it."""
 
 
 class PlatformSteps(ProtocolHead):
-    """Protocol of kind platform."""
+    """Protocol of kind platform-step."""
 
     cannot_do_without: ClassVar[tuple[str, ...]] = (*MUSCLES, *ACCELERATIONS)
     gives: ClassVar[tuple[str, ...]] = ("t_1", "OS_q", "e_q", "n_v")
@@ -61,7 +62,7 @@ class PlatformSteps(ProtocolHead):
     trial: PlatformTrial
 
     def compile(self, c: Compilation) -> Plan:
-        """The plan: one closed loop a trial, recorded whole; the valves are shut between trials."""
+        """The plan: one closed loop per trial, all of it recorded; the valves are shut between trials."""
         bench, trial = c.mounted.bench, self.trial
         if self.sample_rate < SLOWEST:
             c.fault(("sample_rate",), f"the law steers at every sample; at least {SLOWEST:g} Hz")
@@ -90,7 +91,7 @@ class PlatformSteps(ProtocolHead):
 
     @staticmethod
     def _tilt(c: Compilation, point: Point) -> None:
-        """Tilt against its limit; both angles together tilt further than either."""
+        """Check the total tilt of both angles, which is larger than either, against its limit."""
         tilt = math.acos(math.cos(point.values["phi"]) * math.cos(point.values["psi"]))
         limit = c.mounted.bench.commanded["tilt"]
         if tilt > limit.high * (1 + 1e-9):

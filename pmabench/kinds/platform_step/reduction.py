@@ -1,7 +1,7 @@
-"""From steps of a platform's attitude to time, overshoot, end error and openings of valves, each with an interval.
+"""Reduction of steps of a platform's attitude: time, overshoot, end error and valve openings, each with an interval.
 
-The attitude is without what the accelerometer's height adds. Faults of the accelerometer are seen in its own readings:
-at rest their magnitude is g at every attitude, and nearly so in motion.
+The attitude is corrected for the accelerometer's height. Errors of the accelerometer show in its own readings: at rest
+their magnitude is g at every attitude, and nearly so in motion.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ GRAVITY = 0.003
 """Share by which gravity departs from 9.81 m/s2 between the equator and the poles."""
 SURE = 5.0
 MOVES = 1.0
-"""The motion is looked at for so long from the step on [s]."""
+"""Time after the step in which the motion is evaluated [s]."""
 LATE = 15e-3
-"""Times between axes that are shorter [s] are left to the interval: a sound accelerometer looks like up to 12 ms."""
+"""Delays between axes below this [s] only widen the interval: a sound accelerometer may show up to 12 ms."""
 KNOWN, UNSEEN = 0.2, 2e-3
-"""The accelerometer's height is known to this share, and to so much [m]: what either makes of it is in the interval."""
+"""Uncertainty of the accelerometer's height, relative and absolute [m]; its effects are in the intervals."""
 PASSES = 4
-"""The height is looked for so often at most."""
+"""Most iterations of the search for the height."""
 
 
 def _wobble(one: Course) -> float:
-    """Amplitude of what is not noise in the last second at level, without a drift, and half a count [rad]."""
+    """Amplitude of motion beyond noise in the last second at level, without drift, plus half a count [rad]."""
     level, _ = _rests(one)
     t, power = one.t[level], 0.0
     for angle in (one.phi[level], one.psi[level]):
@@ -54,7 +54,7 @@ def _norm(one: Course) -> Array:
 
 
 def _rests(one: Course) -> tuple[Array, Array]:
-    """Samples of the last second at level, and of the hold."""
+    """Which samples belong to the last second at level, and of the hold."""
     return np.asarray((one.t > -LAST) & (one.t <= 0)), np.asarray((one.t > one.hold - LAST) & (one.t <= one.hold))
 
 
@@ -66,7 +66,7 @@ def _attitude(courses: Sequence[Course]) -> Doubt:
         more = abs(float(norm[held].mean() - norm[level].mean()) / math.sin(one.size))
         error = noise_of(norm) * math.sqrt(1 / level.sum() + 1 / held.sum()) / math.sin(one.size)
         rows.append((more, error, float(norm[level].mean()) / G - 1))
-    more, error, _ = rows[int(np.argmax([row[0] for row in rows]))]  # NaN counts as the largest
+    more, error, _ = rows[int(np.argmax([row[0] for row in rows]))]  # argmax treats NaN as the largest
     off_level = float(np.mean([row[2] for row in rows]))
     scale = max(abs(off_level) - GRAVITY, 0.0)
     half = (more + 2 * error) / G + scale * max(one.size for one in courses)
@@ -80,9 +80,10 @@ def _attitude(courses: Sequence[Course]) -> Doubt:
 
 
 def _motion(courses: Sequence[Course]) -> tuple[Array, Array]:
-    """Delay of an axis [s] and height of the accelerometer [m] by |f| while it tilts, and their standard errors.
+    """Delay of an axis [s] and height of the accelerometer [m], from |f| during the motion, and their standard errors.
 
-    f is g sin(q) across and g cos(q) - h q'^2 along, and h q'' across: columns of a least squares for delay and height.
+    f is g sin(q) across and g cos(q) - h q'^2 along, and h q'' across: regressors of a least squares for delay and
+    height.
     """
     rows, columns = [], []
     for one in courses:
@@ -112,16 +113,17 @@ def _between_axes(courses: Sequence[Course]) -> Doubt:
 
 
 def _heights(courses: Sequence[Course]) -> tuple[tuple[float, float], list[Finding]]:
-    """By how much the accelerometer may be lower and higher than declared [m], and what is said of that.
+    """Range of the accelerometer's height relative to the declared one [m], and a finding if it differs.
 
-    The course needs the height, and shows it: a wrong one is looked for again with the course that follows from it.
+    The course depends on the height that it is to show, so a different height is searched again with the course that
+    follows from it.
     """
     declared = max(map(_height, (one.run for one in courses)))
     wide, found = KNOWN * declared, declared
     for _ in range(PASSES):
         terms, errors = _motion(courses)
         before, found, error = found, max(0.0, float(terms[1])), SURE * float(errors[1])
-        shows = 0 < error <= wide + UNSEEN  # noise hides it, and what does not move does not show it
+        shows = 0 < error <= wide + UNSEEN  # not with noise, or without motion
         if not shows or abs(found - before) <= 0.5 * wide + error:
             break
         courses = [course_of(one.run, one.trial, found - declared) for one in courses]
@@ -139,16 +141,16 @@ def _heights(courses: Sequence[Course]) -> tuple[tuple[float, float], list[Findi
 G = 9.81
 BAND = math.radians(1.0)
 LAST = 1.0
-"""The end error is that of the mean over so much of the end of the hold [s]."""
+"""Time at the end of the hold over which the end error is averaged [s]."""
 LEAST_LAG = 0.01
-"""Noise is smoothed at least by this lag, both ways [s]."""
+"""Smallest lag of the smoothing filter, in both directions [s]."""
 SAME = 1.5e-3
-"""Pulses that follow each other within this time [s] are one opening."""
+"""Pulses closer than this count as one opening [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A step: times from it on [s], attitude and its place along and across the step [rad], pulses."""
+    """A step: times from its start [s], attitude phi and psi [rad], pulses."""
 
     run: RunData
     trial: TrialData
@@ -160,12 +162,12 @@ class Course:
     noise: float
     """Standard deviation of the smoothed attitude [rad]."""
     pulses: tuple[tuple[float, str, float], ...]
-    """Begin from the step on [s], valve, seconds."""
+    """Start from the step on [s], valve, duration [s]."""
     law: Mapping[str, Any]
 
     @property
     def size(self) -> float:
-        """Of the step [rad]."""
+        """Size of the step [rad]."""
         return math.hypot(*self.goal)
 
     @property
@@ -184,23 +186,23 @@ class Course:
         return np.hypot(self.phi - self.goal[0], self.psi - self.goal[1])
 
     def settled(self, band: float = BAND) -> float | None:
-        """Time after which it stays within `band` [rad]; None where it is outside in the last half of the hold."""
+        """Time after which it stays within `band` [rad]; None if it is outside in the second half of the hold."""
         t, outside = self.t[self.held], self.away[self.held] > band
         last = float(t[outside][-1]) if outside.any() else 0.0
         return last if last < 0.5 * self.hold else None
 
     @property
     def overshoot(self) -> float:
-        """Furthest way beyond the goal in its direction [rad]; 0 where it does not get there."""
+        """Largest overshoot beyond the goal in its direction [rad]; 0 where it does not reach the goal."""
         return max(0.0, float(self.way[self.held].max()) - self.size)
 
     def ends(self, since: float = LAST, until: float = 0.0) -> tuple[float, float]:
-        """Mean attitude minus the goal [rad], from so long before the end of the hold [s] on."""
+        """Mean attitude minus the goal [rad], from `since` to `until` before the end of the hold [s]."""
         late = (self.t > self.hold - since) & (self.t <= self.hold - until)
         return float(self.phi[late].mean()) - self.goal[0], float(self.psi[late].mean()) - self.goal[1]
 
     def openings(self) -> dict[str, float]:
-        """Openings a second of each valve [Hz] during the hold."""
+        """Valve -> openings per second during the hold [Hz]."""
         ends, found = dict.fromkeys(VALVES, -math.inf), dict.fromkeys(VALVES, 0)
         for begin, valve, seconds in self.pulses:
             if 0 < begin <= self.hold and begin > ends[valve] + SAME:
@@ -236,10 +238,10 @@ def course_of(run: RunData, trial: TrialData, higher: float = 0.0) -> Course:
 
 
 def both_ways(values: Array, lag: float, rate: float) -> Array:
-    """Through a first-order lag [s] forwards and backwards: 1 / (1 - lag^2 s^2), without delay.
+    """Values through a first-order lag [s] forwards and backwards: 1 / (1 - lag^2 s^2), without delay.
 
-    An accelerometer at height h shows the angle minus h/g times its second rate: 1 - (h/g) s^2. With lag^2 = h/g this
-    takes that off.
+    An accelerometer at height h shows the angle minus h/g times its second derivative: 1 - (h/g) s^2. With lag^2 = h/g
+    the filter corrects that.
     """
     keep = math.exp(-1 / (rate * lag))
 
@@ -265,7 +267,7 @@ def _wanted(one: Course) -> dict[str, Array]:
 
 KIND = "platform-step"
 PEAK = 3.0
-"""The highest of many smoothed samples is up to so many of their standard deviations too high."""
+"""Standard deviations by which the maximum of many smoothed samples may be too high."""
 THINNED = 100.0
 """Samples a second of a figure [Hz]."""
 
@@ -273,7 +275,7 @@ THINNED = 100.0
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """t_1 [s], OS_q [rad], e_q [rad] and n_v [Hz] of each attitude and chain.
 
-    t_1 is withheld where one of the trials did not settle in the first half of its hold.
+    t_1 is withheld where a trial did not settle in the first half of its hold.
     """
     chains = sorted({str(settings_of(run).get("chain", "")) for run in runs})
     if len(chains) > 1:
@@ -305,9 +307,9 @@ def _estimates(
     method: str, at: Mapping[str, float], members: Sequence[Course], courses: Sequence[Course], scales: Scales,
     higher: Sequence[float],
 ) -> Iterator[Estimate]:  # fmt: skip
-    """Everything of one cell; what the accelerometer leaves open is of all `courses`, which have the same.
+    """All estimates of one cell; errors of the accelerometer come from all `courses`, which share it.
 
-    `higher`: by how much it may be lower, and higher, than declared [m].
+    `higher`: how far it may be lower, and higher, than declared [m].
     """
     others = [[course_of(one.run, one.trial, more) for one in members] for more in higher]
     offset = max(scales.offsets.get(name, 0.0) for name in ACCELERATIONS) / G
@@ -341,9 +343,9 @@ def _estimates(
 def _time(
     members: Sequence[Course], others: Sequence[Sequence[Course]], offset: float
 ) -> tuple[list[float], float, float | None, str]:
-    """Times to within 1 deg, the method and the calibration part, and why there is none.
+    """Times to stay within 1 deg, their method and calibration part, and the reason if there is none.
 
-    The interval holds the times of a band that is wider and narrower by what is not known.
+    The interval includes the times for a band that is narrower and wider by the attitude's uncertainty.
     """
 
     def times(courses: Sequence[Course], sign: int = 0) -> dict[str, float | None]:
@@ -378,7 +380,7 @@ def _trace(chain: str, one: Course) -> Trace:
 
 
 def _reference(one: Course) -> Array:
-    """What the attitude is to follow, at each sample: the goals through the law's two lags; shape (2, n) [rad]."""
+    """Reference of the attitude at each sample: the goals after the law's two lags; shape (2, n) [rad]."""
     lags = Lags(float(one.law["reference_lag"]), (float(one.phi[0]), float(one.psi[0])))
     goals = [(float(begin), (float(phi), float(psi))) for begin, phi, psi in one.law["goals"]]
     start = float(one.law["t0"])

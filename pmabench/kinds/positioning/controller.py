@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Text = Annotated[str, Field(min_length=1, max_length=400)]
 PLACE: Location = ("controller", "gains")
 RULE: Location = ("controller", "rule")
-"""Places of gains and rule in a protocol."""
+"""Places of gains and rule in a protocol file."""
 Settings = dict[str, float]
 """K_p [Pa/m], and T_i, T_d [s] where the form has them."""
 
@@ -45,12 +45,12 @@ class GainsAt(Gains):
 
 
 class Ultimate(Strict):
-    """An ultimate gain and period, from which the controller's rule makes the gains; SIMC needs the times too."""
+    """Ultimate gain and period, to which the controller's rule is applied; SIMC also needs the times."""
 
     K_u: Gain
     T_u: Time
     dead_time: Time | None = None
-    """Of the loop, with half a sample period."""
+    """Dead time of the loop, including half a sample period."""
     lags: Annotated[list[Time], Field(min_length=1, max_length=10)] | None = None
     """First-order lags of the loop."""
 
@@ -86,7 +86,7 @@ def _known_rule(name: str) -> str:
 class Controller(Strict):
     """A P, PI or PID controller in ideal form.
 
-    `gains`: one set; a list of sets over the set-point, straight lines between; `{K_u, T_u}`, to which `rule` is
+    `gains`: one set; a list of sets over the set-point, interpolated linearly; `{K_u, T_u}`, to which `rule` is
     applied; the folder of an analysis of ultimate-gain runs, whose K_u, T_u and loop at each set-point make a schedule;
     or `model`, the protocol's own model at each set-point and load.
     """
@@ -103,11 +103,11 @@ class Controller(Strict):
     output: tuple[Pressure, Pressure]
     """Range that the command cannot leave."""
     feedforward: bool = False
-    """Add the pressure that the protocol's model, a muscle as a surface, needs for the path of the trial."""
+    """Add the pressure that the protocol's model, a surface model of the muscle, needs for the path of the trial."""
 
 
 def schedule(c: Compilation, controller: Controller) -> list[tuple[float, Settings]]:
-    """Gains by rising set-point [m]; one at nan means for all. Empty with a problem noted."""
+    """Gains by ascending set-point [m]; nan as set-point for all. Empty after a problem was reported."""
     given = controller.gains
     if isinstance(given, str):
         return _measured(c, controller, given)
@@ -145,7 +145,7 @@ def gains_at(c: Compilation, table: list[tuple[float, Settings]], setpoint: floa
 
 
 def _checked(c: Compilation, form: str, gains: Gains, place: Location) -> Settings:
-    """The gains that the form has, each above zero; what it has not must not be given."""
+    """The gains of the form, each above zero; a problem is reported for one that the form does not have."""
     needed = {"P": ("K_p",), "PI": ("K_p", "T_i"), "PID": ("K_p", "T_i", "T_d")}[form]
     before = len(c.problems)
     for name in ("K_p", "T_i", "T_d"):
@@ -160,7 +160,7 @@ def _checked(c: Compilation, form: str, gains: Gains, place: Location) -> Settin
 
 
 def model_for_gains(model: Mapping[str, Any] | None) -> Described:
-    """The plan's model; raises ValueError in words where it has not what makes a loop."""
+    """The plan's model; raises ValueError with a message where it does not define a loop."""
     from pmabench.model.presets import Described
 
     if model is None:
@@ -182,7 +182,7 @@ def model_for_gains(model: Mapping[str, Any] | None) -> Described:
 def of_model(
     c: Compilation, controller: Controller, model: Described, point: Mapping[str, float], place: Location
 ) -> Settings:
-    """The gains at a set-point [m] and load [N, kg] of a model; empty with a problem noted at `place`."""
+    """The gains at a set-point [m] and load [N, kg] of a model; empty after a problem was reported at `place`."""
     from pmabench.model.loop import loop_at, ultimate
 
     try:
@@ -200,7 +200,7 @@ def of_model(
 
 
 def _given_loop(given: Ultimate) -> Loop | None:
-    """The loop of the given times, which oscillates at the given gain; ValueError in words where there is none."""
+    """The loop with the given times that oscillates at the given gain; ValueError with a message without one."""
     from pmabench.analysis.tuning import loop_of
 
     if given.dead_time is None and given.lags is None:
@@ -214,7 +214,7 @@ def _given_loop(given: Ultimate) -> Loop | None:
 
 
 def _by_rule(controller: Controller, K_u: float, T_u: float, loop: Loop | None) -> Settings:
-    """The gains that the controller's rule makes; raises ValueError in words."""
+    """The gains by the controller's rule; raises ValueError with a message."""
     rule = rules.find(controller.rule, controller.form)
     if rule is None:
         raise ValueError(f"{controller.rule} has no rule for a {controller.form} controller")
@@ -230,7 +230,7 @@ def _by_rule(controller: Controller, K_u: float, T_u: float, loop: Loop | None) 
 
 
 def _measured(c: Compilation, controller: Controller, folder: str) -> list[tuple[float, Settings]]:
-    """From the K_u, T_u and loop that an analysis found at each set-point, of several ways those of the first."""
+    """Gains from K_u, T_u and the loop that an analysis found at each set-point; of several methods the first."""
     from pmabench.analysis.tuning import measured_loops
 
     rows: dict[float, Settings] = {}

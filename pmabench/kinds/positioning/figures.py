@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 DASHED = (0, (4, 3))
 COLUMNS = 3
 MOST = 12
-"""Most set-points or steps of a figure."""
+"""Most set-points or steps in a figure."""
 APPROACH = 2.0
-"""Time of the approach that is shown above [s]."""
+"""Time of the approach in the upper panel [s]."""
 
 
 def positions(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
@@ -82,9 +82,9 @@ def paths(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]
 
 def held(panels: Sequence[plots.Panel], approach: float, labels: dict[str, str]) -> Figure:
     """Above: reference, measured and simulated position up to `approach` [s]; below: measured and simulated distance
-    from the set-point over the whole hold, on one scale for all panels.
+    from the set-point over the whole hold, with a common scale for all panels.
 
-    Columns t, setpoint, measured, and model where it was simulated; marks `setpoint`, `window`.
+    Columns t, setpoint, measured, and model if simulated; marks `setpoint`, `window`.
     """
     columns = min(COLUMNS, len(panels))
     rows = ceil(len(panels) / columns)
@@ -141,7 +141,7 @@ def _distance(axes: Axes, panel: plots.Panel, reach: float) -> None:
 
 
 def _reach(panel: plots.Panel) -> float:
-    """What the error reaches inside the window, with room, in display units."""
+    """Largest error inside the window, plus a margin, in display units."""
     late = panel.columns["t"] >= panel.marks.get("window", 0.0)
     away: plots.Array = np.abs(panel.columns["measured"][late] - panel.marks["setpoint"])
     known = away[np.isfinite(away)]

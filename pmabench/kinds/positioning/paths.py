@@ -1,6 +1,6 @@
-"""Trials of a controller: the samples of its loop; how well it followed a path, over the whole of it and at each place.
+"""Trials of a controller: the samples of its loop; how well it followed a path, overall and at each place.
 
-Knows one way of controlling along a path; what a step says is in `reduction`.
+Evaluates trials along a path; steps are evaluated in `reduction`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ALONE = "one run: no repeats part"
 LONGEST_TRACE = 4000
 ALONE_METHOD, AHEAD = "along a path", "along a path, with feed-forward"
 FEWEST_ON_PATH = 50
-"""Samples of a path."""
+"""Fewest samples of a path."""
 OF_PATHS = {"e_rms": ("m", "length"), "e_max": ("m", "length"), "OS": ("1", "ratio")}
 """Symbol -> unit and quantity."""
 
@@ -49,14 +49,14 @@ class Tracked:
     trial: TrialData
     path: ReferencePath
     method: str
-    """How it was controlled: `AHEAD` where a feed-forward was added."""
+    """`AHEAD` with feed-forward, else `ALONE_METHOD`."""
     t: Array
     wanted: Array
     x: Array
     """As read [m]."""
 
     def values(self, more: float = 0.0, gain: float = 0.0, later: float = 0.0) -> dict[str, float]:
-        """Each measure, of a displacement that is `more` [m] and a share `gain` larger, of a sensor `later` [s]."""
+        """Each measure, for a displacement `more` [m] and a share `gain` larger, from a sensor `later` [s]."""
         x = smooth(self.t, self.x * (1 + gain) + more, lag_of(self.run, CHANNEL) + later)
         noise, errors = noise_of(self.x), (x.against(self.wanted, sign) for sign in (1.0, -1.0))
         return {
@@ -66,7 +66,9 @@ class Tracked:
         }
 
     def _overshoots(self, x: Smooth, noise: float) -> list[float]:
-        """What each move goes beyond its place until the next one begins, over the move; none is 0."""
+        """Overshoot of each move beyond its place until the next one starts, relative to the move; 0 if it does not
+        overshoot.
+        """
         found = []
         ends = [*self.path.starts[1:], np.inf]
         moves = zip(self.path.places, self.path.places[1:], self.path.starts, ends, strict=False)
@@ -79,7 +81,7 @@ class Tracked:
         return found
 
     def unsure(self) -> dict[str, float]:
-        """What noise, counts and the time of the displacement leave open of each measure."""
+        """Half width of each measure due to noise, counts and the timing of the displacement."""
         in_time = changes(self.values(), self.values(later=late(self.run, CHANNEL)))
         ways = np.abs(np.diff(self.path.places))
         rest = SURE * noise_of(self.x) * smooth(self.t, self.x, lag_of(self.run, CHANNEL)).gain
@@ -103,7 +105,7 @@ def _of_paths(members: Sequence[Tracked]) -> list[Estimate]:
     """Root mean square and largest error [m], and the largest overshoot over its move [1], of one operating point."""
     scales = Scales.of([one.run for one in members])
     each, unsure = [one.values() for one in members], [one.unsure() for one in members]
-    # an overshoot is never below 0: half of what lies between both ends would be too little
+    # an overshoot cannot be negative, so half the difference between both ends would be too small
     by_scale = of_one_channel(members[0].values, each[0], scales, CHANNEL)
     method, at, names = members[0].method, dict(members[0].trial.point), tuple(one.trial.name for one in members)
     lacking = scales.lack((CHANNEL,), (CHANNEL,))
@@ -116,7 +118,7 @@ def _of_paths(members: Sequence[Tracked]) -> list[Estimate]:
 
 
 def _off_paths(cells: Sequence[Sequence[Tracked]]) -> list[Finding]:
-    """How far it was off, each way of controlling in one sentence."""
+    """The errors, one sentence for each way of controlling."""
     lines = []
     for method in dict.fromkeys(members[0].method for members in cells):
         mine = [one.values() for members in cells if members[0].method == method for one in members]

@@ -1,6 +1,6 @@
 """Positions taken and held in closed loop, set-point by set-point (paper 0, control).
 
-Paths that the controller follows, and the pressure that a muscle as a surface needs on them, for a protocol's plan.
+Also paths for the controller to follow, and the feed-forward pressure by a surface model of the muscle.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ EVERY = 0.04
 
 
 class PathFile(Strict):
-    """Places to go to one after the other, as shares of the set-point, from rest at 0; and how."""
+    """Places to visit in turn, as shares of the set-point, starting at rest at 0; and how."""
 
     shares: Annotated[list[Ratio], Field(min_length=1, max_length=100)]
     speed: Speed
-    """Highest speed of a move, whose speed begins and ends with 0."""
+    """Highest speed of a move, which starts and ends at rest."""
     rest: Time = 1.0
     """Time at each place, the first included."""
 
@@ -41,7 +41,7 @@ class PathFile(Strict):
 def feedforward(
     model: dict[str, Any] | None, path: ReferencePath, load: float, ends: tuple[float, float]
 ) -> dict[str, Any]:
-    """The command over time by the inverse of the protocol's model, as plain data; raises ValueError in words."""
+    """The command over time by inversion of the protocol's model, as plain data; raises ValueError with a message."""
     from pmabench.model.identified.plant import led, pressures
     from pmabench.model.presets import Described
 
@@ -77,18 +77,18 @@ class PositioningAxes(Strict):
 
 
 class PositioningTrial(Strict):
-    """One run: from rest at no pressure to the set-point, or along a path to shares of it, and hold."""
+    """One run: from rest without pressure to the set-point, or along a path to shares of it, and hold."""
 
     baseline: Time = 0.2
     hold: Time
     window: tuple[Time, Time]
-    """Part of the hold, counted from the step of the set-point, in which error and limit cycle are taken."""
+    """Part of the hold, from the step of the set-point on, for error and limit cycle."""
     band: Ratio = 0.02
-    """Band around the set-point that counts as settled, as a share of the step."""
+    """Distance from the set-point that counts as settled, as a share of the step."""
     rest: Time = 3.0
     """Time without pressure between two runs."""
     path: PathFile | None = None
-    """Places to follow in place of one step; then the hold comes after it."""
+    """Places to follow instead of one step; the hold comes after it."""
 
 
 class Positioning(ProtocolHead):
@@ -189,7 +189,7 @@ class Positioning(ProtocolHead):
         return None
 
     def _sound(self, c: Compilation) -> None:
-        """Check hold, window, band and the controller's output by themselves."""
+        """Check hold, window, band and the controller's output on their own."""
         trial, controller = self.trial, self.controller
         c.needs_channel("displacement")
         c.positive(trial.hold, ("trial", "hold"))

@@ -35,9 +35,9 @@ LENGTHS = dict.fromkeys(("setpoint", "displacement", "model"), "length")
 QUANTITIES = {"t": "time", **LENGTHS, "pressure_command": "pressure"}
 """Column of a trace -> its quantity."""
 EARLY = 4.0
-"""Up to here [s] a trace is kept denser: half of its points."""
+"""Up to this time [s] half of a trace's points are placed."""
 BAND = 0.02
-"""Band that counts as settled where the plan gives none."""
+"""Settling band where the plan gives none."""
 MEASURES = {
     "e_ss": (("1", "ratio"), "error"),
     "OS": (("1", "ratio"), "overshoot"),
@@ -66,9 +66,9 @@ class Hold:
     values: Mapping[str, float | None]
     """Each measure; None where there is none."""
     unsure: Mapping[str, float]
-    """What sampling, noise, the choice of a band and the time of the displacement leave open of each."""
+    """Half width of each due to sampling, noise, the choice of a band and the timing of the displacement."""
     calibration: Mapping[str, float] | None
-    """Half width that the scale of the displacement gives each measure."""
+    """Half width of each measure due to the scale of the displacement; None where it is unknown."""
     origin: float
     """Position at rest before the step [m]."""
     t: Array
@@ -79,7 +79,7 @@ class Hold:
 
     @property
     def setpoint(self) -> float:
-        """[m]."""
+        """Set-point of the hold [m]."""
         return float(self.law["setpoint"])
 
 
@@ -120,7 +120,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def measured(run: RunData, trial: TrialData, model: Described | None = None) -> Hold | Tracked:
-    """A trial measured, a hold also simulated where there is a model; raises `NotUsable`."""
+    """Evaluation of a trial; a hold is also simulated if there is a model; raises `NotUsable`."""
     law = trial.found.get("position") or {}
     if trial.status != "finished":
         raise NotUsable(f"the trial is {trial.status}")
@@ -153,7 +153,7 @@ def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Describ
         calibration = of_one_channel(scaled, values, Scales.of([run]), CHANNEL)
     except ValueError as reason:
         raise NotUsable(str(reason)) from None
-    # of e_ss nothing but what moves in the window, which is weighed for all trials together
+    # e_ss: only motion in the window, which is evaluated for all trials together
     seen = {symbol: getattr(response.unsure, field) for symbol, (_, field) in MEASURES.items()} | {"e_ss": 0.0}
     unsure = {symbol: hypot(seen[symbol], in_time[symbol]) for symbol in MEASURES}
     simulated = simulated_response = None
@@ -164,7 +164,7 @@ def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Describ
 
 
 def _resolution(run: RunData, trial: TrialData) -> float:
-    """One count of the displacement [m], or the hysteresis that its sensor may have where the reading shows some."""
+    """One count of the displacement [m], or the hysteresis of its sensor if the reading sticks."""
     most = 2 * HYSTERESIS * Scales.of([run]).offsets.get(CHANNEL, 0.0)
     shown = most if sticks(trial.channels[CHANNEL][trial.usable]) else 0.0
     return max(count_of(run, trial, CHANNEL), shown)
@@ -178,10 +178,10 @@ def _values(response: Response, setpoint: float) -> dict[str, float | None]:
 
 
 def _steady(e: Estimate, members: Sequence[Hold]) -> Estimate:
-    """The steady-state error, its interval with what moves in the window.
+    """The steady-state error with motion in the window in its interval.
 
-    Where a motion is seen that may be larger than the error itself, it has a bound in place of a value: not even the
-    sign is known. A motion smaller than the cycles that count is rest.
+    Where a significant motion may be larger than the error itself, a bound replaces the value, since not even the sign
+    is known. Motion below the smallest cycle that counts is taken as rest.
     """
     worst = max(members, key=lambda hold: hold.response.unsure.error)
     half, seen = worst.response.unsure.error, any(hold.response.unsure.moves for hold in members)
@@ -261,12 +261,12 @@ def _findings(runs: Sequence[RunData], holds: Sequence[Hold], model: Described |
 
 
 def _relative_error(hold: Hold) -> float:
-    """Largest error [% of the set-point] that the mean and what moves in the window leave possible."""
+    """Largest possible error [% of the set-point]: mean plus motion in the window."""
     return 100 * (abs(hold.response.error) + hold.response.unsure.error) / hold.setpoint
 
 
 def _rests(holds: Sequence[Hold]) -> list[Finding]:
-    """Where it rested far from 0: the record cannot tell a muscle that rests there from a zero that is off."""
+    """A note if it rested far from 0: the record cannot distinguish a muscle that rests there from a wrong zero."""
     zeros = [Scales.of([hold.run]).offsets.get(CHANNEL) for hold in holds]
     off = [abs(hold.origin) for hold, zero in zip(holds, zeros, strict=True) if zero and abs(hold.origin) > zero]
     if not off:
@@ -280,7 +280,7 @@ def _rests(holds: Sequence[Hold]) -> list[Finding]:
 
 
 def _sticking(holds: Sequence[Hold]) -> list[Finding]:
-    """Where the reading stays behind its noise: then its sensor reads less on the way up than on the way down."""
+    """A doubt if the reading sticks: its sensor then has hysteresis."""
     found = [hold for hold in holds if sticks(hold.x)]
     if not found:
         return []
@@ -290,7 +290,7 @@ def _sticking(holds: Sequence[Hold]) -> list[Finding]:
 
 
 def _cycles(holds: Sequence[Hold]) -> list[Finding]:
-    """Where it hunts, where it does not, and where the window is too short to tell."""
+    """Limit cycles, their absence, and windows that are too short to decide."""
     lines = []
     hunting = [hold for hold in holds if hold.response.cycle is not None]
     for stuck, what in ((True, "stick-slip limit cycle"), (False, "sustained oscillation that does not stick")):
@@ -315,7 +315,7 @@ def _cycles(holds: Sequence[Hold]) -> list[Finding]:
 
 
 def _places(holds: Sequence[Hold]) -> str:
-    """Set-points in words, each once."""
+    """Set-points in words, without duplicates."""
     points = sorted({hold.setpoint for hold in holds})
     if len(points) <= 4:
         return ", ".join(show(x, "length") for x in points)
@@ -323,7 +323,7 @@ def _places(holds: Sequence[Hold]) -> str:
 
 
 def _in_words(responses: Iterable[Response]) -> str:
-    """Size and period of the cycles, least to most."""
+    """Size and period of the cycles, smallest to largest."""
     cycles = [response.cycle for response in responses if response.cycle is not None]
     if not cycles:
         return "none"
@@ -334,7 +334,7 @@ def _in_words(responses: Iterable[Response]) -> str:
 
 
 def _range(values: Sequence[float], form: str, unit: str) -> str:
-    """From the least to the largest of rising values; one where they read alike."""
+    """First to last of ascending values; a single one if they read the same."""
     return f"{' to '.join(dict.fromkeys(format(value, form) for value in (values[0], values[-1])))} {unit}"
 
 

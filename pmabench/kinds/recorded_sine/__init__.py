@@ -1,6 +1,6 @@
-"""Sines of pressure that other programs recorded: amplitudes, phase, loop, bandwidth.
+"""Sines of pressure recorded by other programs: amplitudes, phase, loop, bandwidth.
 
-- `reduction`; `form`: what a sine lacks of a steady one, and the bandwidth
+- `reduction`; `form`: departures from a steady sine, and the bandwidth
 """
 
 from pmabench.base.kind import Imported, Kind, Result

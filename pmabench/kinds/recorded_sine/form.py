@@ -1,10 +1,8 @@
-"""What a recorded sine lacks of a steady one, and what that does to its numbers; knows sines, no campaign.
+"""Departures of a recorded sine from a steady one and their effects; also the bandwidth (-3 dB) of contraction.
 
-And the bandwidth (-3 dB) of contraction over recorded sines: where its gain has fallen to 1/sqrt(2) of that at the
-slowest.
-
-The gain is that of the commanded pressure where it is recorded, else of the measured one. Between two frequencies
-1/|G|^2 is a line over f^2, as it is for one lag; what a line in logarithms would give instead is the method part.
+The bandwidth is where the gain has fallen to 1/sqrt(2) of that at the lowest frequency, over the commanded pressure if
+it is recorded, else the measured one. Between two frequencies 1/|G|^2 is a line over f^2, as for one lag; the
+difference to a line in logarithms is the method part. Works on sines; knows no campaign.
 """
 
 from __future__ import annotations
@@ -35,18 +33,18 @@ if TYPE_CHECKING:
     from pmabench.kinds.recorded_sine.reduction import Sine
 
 FLAT = 0.02
-"""Share of the samples that must read one extreme value before it counts as cut off."""
+"""Smallest share of samples at one extreme value for which a channel counts as cut off."""
 RARER = 5.0
-"""So much rarer is the next value to an extreme that is cut off; in a sine in few counts it is half as rare."""
+"""Least ratio of samples at a cut extreme to those at the next value; in an uncut sine of few counts it is 2."""
 BEYOND = 2.0
-"""A cut that is found counts by so much more, for the samples near it are cut by noise, too."""
+"""Factor on the effect of a cut, since noise also cuts samples near it."""
 HARMONICS = 7
 MORE = 1.2
-"""Factor on what a form says that need not be the true one: hysteresis that noise blunts, a plant of higher order."""
+"""Factor for an assumed form that need not be exact: hysteresis blurred by noise, a plant of higher order."""
 
 
 def changing(by_cycle: Sequence[Array], what: str) -> list[Doubt]:
-    """Whether a value changes from cycle to cycle: a mean over all is no steady state."""
+    """A doubt if a value changes from cycle to cycle, since its mean is then not a steady state; else empty."""
     change = change_over(by_cycle)
     if change is None or not change.seen:
         return []
@@ -87,9 +85,9 @@ def _missing(sine: Sine, name: str) -> tuple[float, float]:
 
 
 def slower(sine: Sine, name: str) -> complex:
-    """Relative change of a complex amplitude where the sensor's time constant is larger by what it is known to [1]:
-    that of ln(1 + j omega tau). Where none is declared, what `UNDECLARED` takes off the amplitude, and its phase: how
-    late the stamps are says nothing of a filter.
+    """Relative change of a complex amplitude if the sensor's time constant is larger by its uncertainty [1]: that of
+    ln(1 + j omega tau). If none is declared, the effect of `UNDECLARED` on amplitude and phase: time stamps say nothing
+    of a filter.
     """
     turn = 1j * sine.omega * sine.lags[name]
     if not turn and name != "pressure_command":
@@ -99,7 +97,9 @@ def slower(sine: Sine, name: str) -> complex:
 
 
 def stepped(sine: Sine, name: str) -> complex:
-    """Half widths of the relative change of a complex amplitude, real and imaginary, by the steps of its channel."""
+    """Half widths of the relative change of a complex amplitude, real and imaginary, because its channel is read in
+    steps.
+    """
     if not sine.amplitudes[name]:
         return 0j
     wave = np.real(sine.amplitudes[name] * np.exp(1j * sine.omega * sine.t))
@@ -109,7 +109,7 @@ def stepped(sine: Sine, name: str) -> complex:
 
 
 def sensors(sine: Sine, names: Sequence[str], *, phase: bool = False) -> list[Doubt]:
-    """What time constants and steps of sensors leave open of a ratio of amplitudes [1], or of its `phase` [rad]."""
+    """Effects of time constants and steps of sensors on a ratio of amplitudes [1], or on its `phase` [rad]."""
     found = []
     for what, change in (("time constants of the sensors", slower), (STEPS, stepped)):
         changes = [change(sine, name) for name in names]
@@ -119,8 +119,8 @@ def sensors(sine: Sine, names: Sequence[str], *, phase: bool = False) -> list[Do
 
 
 def _off_ellipse(sines: Sequence[Sine]) -> tuple[float, float] | None:
-    """How far the width of the loop at mean pressure differs from that of the ellipse of the first harmonics, and the
-    standard deviation of that by noise [m]; None where it does not cross that pressure twice.
+    """Difference of the loop's width at mean pressure to that of the ellipse of the first harmonics, and its standard
+    deviation by noise [m]; None where the loop does not cross that pressure twice.
     """
     apart, errors = [], []
     for sine in sines:
@@ -143,7 +143,7 @@ def _off_ellipse(sines: Sequence[Sine]) -> tuple[float, float] | None:
 
 
 def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
-    """What `_off_ellipse` makes of the width of the loop [m]."""
+    """Effect of `_off_ellipse` on the width of the loop [m]."""
     if (found := _off_ellipse(sines)) is None:
         return []
     half, error = found
@@ -153,11 +153,11 @@ def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
 
 
 def hysteresis(sines: Sequence[Sine], offsets: Mapping[str, float], names: Sequence[str]) -> list[Doubt]:
-    """What hysteresis of the sensors, up to the uncertainties of their offsets, may turn a phase by [rad].
+    """Largest error of a phase by hysteresis of the sensors, within the uncertainties of their offsets [rad].
 
-    Hysteresis of +- u on a sine of amplitude A turns its first harmonic by 4 u / (pi A), and as the reading stays for
-    2 u at both ends the loop is no ellipse: at mean pressure it is off one by 1 - pi / 4 of that. So the turn is no
-    more than the loop shows.
+    Hysteresis of +- u on a sine of amplitude A shifts the phase of its first harmonic by 4 u / (pi A). Since the
+    reading does not change over 2 u at both ends, the loop is then not an ellipse: at mean pressure it differs by 1 -
+    pi / 4 of that. So the observed difference bounds the shift.
     """
     first, found = sines[0], _off_ellipse(sines)
     sizes = [offsets.get(name, 0.0) / abs(first.amplitudes[name]) for name in names if first.amplitudes[name]]
@@ -170,16 +170,17 @@ def hysteresis(sines: Sequence[Sine], offsets: Mapping[str, float], names: Seque
 
 COMMAND, PRESSURE = "bandwidth, by sines of command", "bandwidth, by sines of pressure"
 FEWEST = 3
-"""Frequencies that it needs."""
+"""Fewest frequencies for a bandwidth."""
 LEAST = 1e-9
-"""Share of its value that a gain keeps within its interval."""
+"""Smallest gain at the end of its interval, as a share of its value."""
 
 
 def crossing(f: Array, gain: Array) -> tuple[float, float] | None:
-    """Where `gain` (n,) over rising f (n,) [Hz] first is 1/sqrt(2) of its first value, and the method part [Hz].
+    """Lowest frequency at which `gain` (n,) over ascending f (n,) [Hz] is 1/sqrt(2) of its first value; its method part
+    [Hz].
 
-    None where it is above that everywhere. The method part is what a line in logarithms gives instead, or a parabola
-    of 1/|G|^2 over f^2 through one more frequency before or after: so it is for two lags, and for what swings.
+    None where the gain stays above that. The method part is the difference to a line in logarithms, or to a parabola of
+    1/|G|^2 over f^2 through one more frequency before or after, as for two lags or a resonance.
     """
     share = gain / gain[0]
     below = np.flatnonzero(share < sqrt(0.5))
@@ -200,7 +201,9 @@ def crossing(f: Array, gain: Array) -> tuple[float, float] | None:
 
 
 def bandwidth(groups: Mapping[float, Sequence[Sine]]) -> list[Estimate]:
-    """f_b [Hz] from trials by frequency [Hz], without a value where the gain does not fall so far; none of few."""
+    """f_b [Hz] from trials by frequency [Hz]; without value where the gain does not fall enough; empty for few
+    frequencies.
+    """
     frequencies = sorted(groups)
     if len(frequencies) < FEWEST:
         return []
@@ -237,7 +240,7 @@ def bandwidth(groups: Mapping[float, Sequence[Sine]]) -> list[Estimate]:
 
 
 def _slow(sines: Sequence[Sine], driven: str, at: Array, gain: Array, value: float) -> list[float]:
-    """Change of f_b [Hz] by what the time constant of each sensor is known to; `sines` is one for each frequency."""
+    """Changes of f_b [Hz] by the uncertainty of each sensor's time constant; `sines` has one for each frequency."""
     found = []
     for name, sign in (("displacement", 1), (driven, -1)):
         change = np.array([sign * slower(sine, name).real for sine in sines])

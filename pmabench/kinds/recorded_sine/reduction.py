@@ -1,6 +1,6 @@
-"""Sines of pressure that others recorded: amplitude and phase of pressure and contraction, and the width of the loop.
+"""Sines of pressure from other programs: amplitude and phase of pressure and contraction, and the width of the loop.
 
-Knows trials of a known frequency with measured pressure and displacement; not where they come from.
+Uses trials of a known frequency with measured pressure and displacement, from any source.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ METHOD = "sine-harmonic"
 SETTLE = 1.0
 """Left out at the start [s], rounded up to whole cycles."""
 AT_REST, A_SINE = 0.5, 0.25
-"""A cycle of less than this share of the usual amplitude, or that a sine leaves this share of, is no part of it."""
+"""Cycles with an amplitude below AT_REST of the median, or with a residual of the sine above A_SINE, are left out."""
 LEAST = 12
 """Samples a cycle that are needed."""
 UNUSABLE_SHARE = 0.1
 UNTOLD = 0.005
-"""What pressure and position may be apart [s] where the map gives no `late_by`."""
+"""Assumed bound of the time between pressure and position [s] where the map gives no `late_by`."""
 UNTOLD_TIME = "nothing is known of the time between the channels"
 UNFILTERED = (
     "no `sensor_lag` is declared of {}: a filter of up to {} of each is in the intervals, most of all of phases and H. "
     "Declare its time constant with the channel in the map; 0.01 ms says that there is no filter"
 )
 OFF = 0.005
-"""Relative difference between the named and the commanded frequency that is doubted."""
+"""Relative difference between stated and commanded frequency from which on it is a doubt."""
 CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 ANOTHER = 1.05
 """Sines whose drive is larger by this factor are not repeats."""
 SURE = 5.0
-"""Standard deviations from which on a frequency counts as another one than the named."""
+"""Standard deviations from which on the frequency differs from the stated one."""
 NO_SINE = 0.1
-"""Share of the signal that its first harmonic leaves, above which that is said."""
+"""Residual of the first harmonic, as a share of the signal, from which on it is reported."""
 Complex = NDArray[np.complex128]
 Values = tuple[list[float], list[Array]]
 """A value of each trial as a whole, and of its cycles."""
@@ -57,7 +57,9 @@ Values = tuple[list[float], list[Array]]
 
 @dataclass(frozen=True, eq=False)
 class Sine:
-    """One trial over whole cycles: x(t) = mean + Re(X exp(j omega t)), and so on; cycle by cycle, shape (cycles,)."""
+    """One trial over whole cycles: x(t) = mean + Re(X exp(j omega t)) and so on; `cycles` has one amplitude for each
+    cycle.
+    """
 
     trial: TrialData
     frequency: float
@@ -66,18 +68,20 @@ class Sine:
     P: Array
     x: Array
     raw: Mapping[str, Array]
-    """All channels as recorded; in `P` and `x` no drift and no lag of a sensor is left."""
+    """All channels as recorded; `P` and `x` are corrected for drift and for lags of the sensors."""
     lags: Mapping[str, float]
     """Time constants of the sensors [s], as declared."""
     amplitudes: Mapping[str, complex]
     """Of `pressure` [Pa], `displacement` [m] and, where recorded, `pressure_command` [Pa]."""
     cycles: Mapping[str, Complex]
     left: Mapping[str, float]
-    """Rms of what the first harmonic leaves, over the rms of the signal about its mean [1]."""
+    """Rms residual of the first harmonic over the rms of the signal about its mean [1]."""
     late: Mapping[str, tuple[float, float]]
-    """How much older pressure and displacement are than their stamps [s]; (0, 0) where that is not known."""
+    """Range of the delay of pressure and displacement behind their stamps [s]; (0, 0) where unknown."""
     off: float
-    """Frequency of the command, else of the pressure, over the named one, less one [1]; 0 where chance explains it."""
+    """Relative deviation of the drive's frequency (command, else pressure) from the stated one [1]; 0 if not
+    significant.
+    """
 
     @property
     def name(self) -> str:
@@ -95,12 +99,12 @@ class Sine:
         return abs(self.amplitudes.get("pressure_command", self.amplitudes["pressure"]))
 
     def turn(self, upper: str, lower: str) -> float:
-        """Phase [rad] to add to that of `upper` over `lower`: the middle of what their lateness may be."""
+        """Correction [rad] of the phase of `upper` over `lower` for the middle of their delays."""
         late = {name: sum(ends) / 2 for name, ends in self.late.items()}
         return self.omega * (late.get(upper, 0.0) - late.get(lower, 0.0))
 
     def apart(self, *names: str) -> float:
-        """Half of what the time between channels may be off that [s]."""
+        """Half width of the time between channels about that middle [s]."""
         return sum((self.late[name][1] - self.late[name][0]) / 2 for name in names)
 
 
@@ -111,10 +115,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     over whole cycles after the first second. `phi_x` is the phase of x against the measured pressure, `phi_P` that of
     the pressure against its command, both negative for a lag. H = 2 |x| |sin phi_x| is the width of the ellipse at mean
     pressure. The pressure may be older than its stamps (`late_by` of the map, or option [[least, most] in s]): phases
-    are turned by the middle of that, and half its range is the `method` part. Lags of sensors (`sensor_lag`, first
-    order) are taken off: amplitudes are multiplied by 1 + j omega tau, and a fifth of tau is left open, or `UNDECLARED`
-    where none is declared. The bandwidth is that of `bandwidth`. K and B do not follow from x and P alone: F_ce(P)
-    comes in between.
+    are corrected by the middle of that range, and half of it is the `method` part. Lags of sensors (`sensor_lag`, first
+    order) are corrected: amplitudes are multiplied by 1 + j omega tau, with an uncertainty of a fifth of tau, or of
+    `UNDECLARED` where none is declared. The bandwidth is that of `bandwidth`. K and B do not follow from x and P alone,
+    since F_ce(P) is between them.
     """
     options = options or {}
     sines, dropped, read_off = measured(runs, options, measure)
@@ -227,7 +231,7 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
 
 
 def _where_new(trial: TrialData, usable: NDArray[np.bool_], fewest: int) -> tuple[NDArray[np.bool_], str]:
-    """Of `usable` samples those at which polled channels are new, and why these are too few, if they are."""
+    """`usable` samples at which polled channels are new, and why they are too few; empty if they are enough."""
     new = {name: fresh(trial.channels[name][usable]) for name in ("pressure", "displacement")}
     good = usable.copy()
     good[usable] = new["pressure"] & new["displacement"]
@@ -242,10 +246,10 @@ def _where_new(trial: TrialData, usable: NDArray[np.bool_], fewest: int) -> tupl
 
 
 def _moving(trial: TrialData, frequency: float) -> tuple[float, float]:
-    """When the sine begins and ends [s]: a file may hold rests, steps or ramps to the mean, before and after it.
+    """Start and end of the sine [s]; a file may have rests, steps or ramps to the mean before and after it.
 
-    By the longest stretch of cycles in which the command, else the pressure, is a sine of the usual amplitude. Where
-    one is cut off, so is the cycle next to it, which may be a sine in part.
+    It is the longest sequence of cycles in which the command, else the pressure, is a sine of the usual amplitude. At a
+    cut end the neighbouring cycle is left out, too, since it may be only partly a sine.
     """
     begin, end = float(trial.t[0]), float(trial.t[-1])
     drive = trial.channels.get("pressure_command", trial.channels["pressure"])
@@ -272,9 +276,9 @@ def _moving(trial: TrialData, frequency: float) -> tuple[float, float]:
 
 
 def _without_drift(t: Array, signals: Array, rows: Sequence[NDArray[np.bool_]]) -> Array:
-    """Signals, shape (n, m), without the line through the means of their cycles: a sine fit would take it for a part.
+    """Signals, shape (n, m), minus the slope of a line through the means of their cycles, which would bias a sine fit.
 
-    The mean of each signal stays.
+    The mean of each signal is not changed.
     """
     at = np.array([t[row].mean() for row in rows])
     slopes = np.polyfit(at, np.array([signals[row].mean(axis=0) for row in rows]), 1)[0]
@@ -282,7 +286,7 @@ def _without_drift(t: Array, signals: Array, rows: Sequence[NDArray[np.bool_]]) 
 
 
 def _frequency_off(driven: Complex, whole: int) -> float:
-    """How far the frequency lies from the named one [1], from the drift of a phase over the cycles; 0 for chance."""
+    """Relative deviation from the stated frequency [1], by the phase's drift over the cycles; 0 if not significant."""
     if whole < 3 or np.any(np.abs(driven) == 0):
         return 0.0
     phase, place = np.unwrap(np.angle(driven)), np.arange(whole) - 0.5 * (whole - 1)
@@ -292,9 +296,9 @@ def _frequency_off(driven: Complex, whole: int) -> float:
 
 
 def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -> list[Estimate]:
-    """All estimates at one frequency, and at one amplitude where there are others: `alone` is False then.
+    """All estimates at one frequency, or if `alone` is False, at one of several amplitudes there.
 
-    `read_off` says whether the time between the channels is known.
+    `read_off`: whether the time between the channels is known.
     """
     sines = [sine for _, sine in group]
     first = sines[0]
@@ -349,19 +353,19 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
 
 
 def _sizes(sines: Sequence[Sine], upper: str, lower: str = "") -> Values:
-    """Amplitude of `upper`, over that of `lower` where there is one."""
+    """Amplitude of `upper`, divided by that of `lower` if given."""
     whole = [abs(s.amplitudes[upper] / (s.amplitudes[lower] if lower else 1.0)) for s in sines]
     return whole, [np.abs(s.cycles[upper] / (s.cycles[lower] if lower else 1.0)) for s in sines]
 
 
 def _width_by(sine: Sine, phase: float, half: float) -> float:
-    """What a `phase` that is off by `half` [rad] makes of the width of the loop [m]: near a quarter turn its square."""
+    """Change of the loop's width [m] by a phase error of +-`half` [rad]; of second order near a quarter turn."""
     ends = np.abs(np.sin(phase + half * np.array([-1, 0, 1])))
     return 2 * abs(sine.amplitudes["displacement"]) * float(np.abs(ends - ends[1]).max())
 
 
 def _phases(sines: Sequence[Sine], upper: str, lower: str) -> Values:
-    """Phase [rad] of `upper` over `lower`, as a whole and by cycle, without the lateness of both."""
+    """Phase [rad] of `upper` over `lower`, as a whole and by cycle, corrected for the delays of both."""
     whole, by_cycle = [], []
     for sine in sines:
         turn = np.exp(1j * sine.turn(upper, lower))
@@ -373,7 +377,7 @@ def _phases(sines: Sequence[Sine], upper: str, lower: str) -> Values:
 
 
 def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
-    """What they say together: no pure sines, a loop that stays at low frequency, a delay too small to be true."""
+    """Impure sines, phase extrapolated to 0 Hz (hysteresis), and the possible delay of the pressure."""
     lines = []
     for name in ("pressure", "displacement"):
         left = [sine.left[name] for sine in sines]

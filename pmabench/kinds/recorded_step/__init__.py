@@ -1,7 +1,7 @@
-"""Steps of pressure that other programs recorded: dead time, rise, stroke, what its ringing says of K and B.
+"""Steps of pressure recorded by other programs: dead time, rise, stroke, and K and B from ringing or loads.
 
-- `reduction` of what `step` measures, with `motion`: `ringing` (K and B of a known mass, B/K, dead time) by the forms
-  of `delayed`, `loads` (K of two loads, or of a column of force)
+- `reduction` of the result of `step`, with `motion`: `ringing` (K and B with a known mass, B/K, dead time) with the
+  forms of `delayed`; `loads` (K from two loads, or from a force channel)
 """
 
 from pmabench.base.kind import Imported, Kind, Result

@@ -1,7 +1,7 @@
-"""A driven motion fitted with its delay behind the measured pressure, where K and B change along the step.
+"""Fit of a driven motion with its delay behind the measured pressure, where K and B change along the step.
 
-Several forms of that change are fitted, and those that fit alike are all held possible. Knows times, pressures and
-contractions; no step.
+Several forms of that change are fitted; all that fit about equally well count as possible. Uses times, pressures and
+contractions.
 """
 
 from __future__ import annotations
@@ -18,17 +18,19 @@ from pmabench.kinds.recorded_step.motion import DAMPING, FREQUENCY, Answer, Moti
 from pmabench.store.records import Array
 
 FREE = 0.04
-"""The pressure may be so much earlier or later [s] than its stamps where that is fitted, too."""
+"""Bounds of a fitted delay between pressure and motion, either sign [s]."""
 BOUND = 0.99
-"""A time found beyond this share of `FREE` is at its bound."""
+"""A delay beyond this share of `FREE` counts as at its bound."""
 HEAVIEST = 200.0
-"""Greatest damping ratio where the delay is fitted, too: that of a mass that does not show."""
+"""Largest damping ratio with a fitted delay: the mass then has no visible effect."""
 FASTEST = 8e-3
 """A mass whose pole M/B is faster than this [s] may hide behind a delay."""
 WIDE = 3.0
-"""Standard deviations of the interval: the noise of the pressure drives the model and hides in what is fitted."""
+"""Half width of the interval in standard deviations; wider than usual, since noise of the pressure acts on the model
+and is partly fitted.
+"""
 REMAINS = 0.3
-"""Share of what a further column changes that is added to the half widths."""
+"""Share of the change by an additional column that is added to the half widths."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,12 @@ class Delayed:
     """Time constant B/K at the pressure that the step ends at, 2 D/w [s]."""
     half_tau: float
     delay: float
-    """Time of the motion behind the measured pressure [s]; below 0 where the pressure is stamped late."""
+    """Delay of the motion behind the measured pressure [s]; negative where the pressure's stamps are late."""
     half_delay: float
     rms: float
-    """[m]."""
+    """Rms residual [m]."""
     place: Array
-    """Where the fit ended: the delay over `FREE`, logarithms of damping ratio and natural frequency."""
+    """Solution of the fit: delay over `FREE`, logarithms of damping ratio and natural frequency."""
     K: float
     """Stiffness over mass, w^2 [1/s2]."""
     half_K: float
@@ -54,18 +56,19 @@ class Delayed:
 
     @property
     def bounded(self) -> bool:
-        """Whether the delay was found within its bounds."""
+        """Whether the delay and its interval are inside their bounds."""
         return abs(self.delay) + self.half_delay < BOUND * FREE
 
 
 def fit_delayed(t: Array, P: Array, x: Array, start: Motion, w: float | None = None) -> Delayed:
     """Least squares of the driven motion over natural frequency, damping ratio and delay behind the pressure.
 
-    t [s], P [Pa], x [m], shapes (n,). `w` is the natural frequency sqrt(K/M) [rad/s], where stiffness and moving mass
-    are known. K and B change with the pressure along the step, or dry friction holds, and a motion that does not ring
-    cannot tell which. The result is that of a second column, driven by the square of the pressure's change, and what
-    that changes widens it; the intervals reach over the other forms that fit alike. They hold the covariance with the
-    serial correlation of what is left, and half the sample period: what a sample shows has come since the one before.
+    t [s], P [Pa], x [m], shapes (n,). `w` is the natural frequency sqrt(K/M) [rad/s], if stiffness and moving mass are
+    known. K and B may change with pressure along the step, or dry friction may act, and a motion without ringing does
+    not show which. The result is that with a second column, driven by the square of the pressure's change; the change
+    by that column widens the interval, which also covers the other forms that fit equally well. Intervals include the
+    serial correlation of the residual, and half the sample period, since a sample may show any moment since the
+    previous one.
     """
     period = float(np.median(np.diff(t)))
     first = place_of(start, w)
@@ -86,19 +89,19 @@ def fit_delayed(t: Array, P: Array, x: Array, start: Motion, w: float | None = N
 
 
 def alike(forms: Sequence[Delayed]) -> list[Delayed]:
-    """Those that fit about as well as the best one."""
+    """Those that fit about as well as the best one (`ALIKE`)."""
     least = min(one.rms for one in forms)
     return [one for one in forms if one.rms <= ALIKE * least]
 
 
 def fit_swings(t: Array, P: Array, x: Array, first: Array, worst: float = np.inf) -> list[Delayed]:
-    """Swings that a pressure drives: least squares over natural frequency, damping ratio and delay behind it.
+    """Ringing driven by a pressure: least squares over natural frequency, damping ratio and delay behind it.
 
-    t [s], P [Pa], x [m], shapes (n,); `first` is a `place` to begin at. The stiffness changes with the pressure along
-    the step, to second order; with it the damping changes, or dry friction holds, or neither, to first order: three
-    forms, the last of these first, the others wider by a share of what they change. What the mass still did before the
-    step is in all of them. Frequency and damping are those at the pressure that the step ends at. Empty where the first
-    form misses by more than `worst` [m].
+    t [s], P [Pa], x [m], shapes (n,); `first` is a start `place`. Three forms, with the stiffness as a second-order
+    polynomial of the pressure along the step: the first with nothing else, the others also with a change of the damping
+    or with dry friction, first order, and intervals widened by a share of the change. Motion from before the step is
+    included in all. Frequency and damping are those at the pressure at the end of the step. Empty where the first form
+    has a residual above `worst` [m].
     """
     plain = _delayed(t, P, x, first, None, (START, STIFFNESS))
     if plain.rms > worst:
@@ -114,25 +117,26 @@ def _wider(one: Delayed, plain: Delayed) -> Delayed:
 
 
 def place_of(start: Motion, w: float | None = None) -> Array:
-    """Where a fit begins: the delay over `FREE`, logarithms of damping ratio and natural frequency."""
+    """Start of a fit: delay over `FREE`, logarithms of damping ratio and natural frequency."""
     damping = start.D * (1.0 if w is None else w / start.w)
     return np.array([-start.late / FREE, np.log(damping), np.log(start.w)])
 
 
 SQUARE, STIFFNESS, DAMPED, FRICTION, START = "square", "stiffness", "damping", "friction", "start"
-"""Columns next to the driven motion: its answer to the square of the change of pressure; how much it differs where
-stiffness, or damping, change with the pressure, or friction pulls against the speed; what goes on from before."""
+"""Additional columns of the driven motion: response to the square of the change of pressure; change if stiffness or
+damping depend on pressure, or if friction acts; remaining motion from before.
+"""
 ALIKE = 1.5
-"""Forms whose misfit is within this factor of the least are all held possible."""
+"""Forms with an rms residual within this factor of the smallest count as possible."""
 TURNS = 0.02
-"""Share of the greatest speed over which friction turns."""
+"""Speed over which the friction changes its sign, as a share of the largest speed."""
 
 
 def _columns(t: Array, P: Array, w: float, D: float, delay: float, terms: tuple[str, ...]) -> Array:
-    """1, the motion driven by the change of pressure over its range, and one column or two for each of `terms`.
+    """Columns: 1, the motion driven by the change of pressure over its range, and one or two for each of `terms`.
 
-    Where w^2 is w^2 (1 + k p), p being the pressure above its end, x = x0 + k x1 + k^2 x2, where x1 is the answer to
-    -p x0 and x2 that to -p x1; likewise for the damping, with the speed over w, and for a friction of constant size
+    For w^2 (1 + k p) in place of w^2, with p the pressure above its end, x = x0 + k x1 + k^2 x2, where x1 is the
+    response to -p x0 and x2 that to -p x1; likewise for the damping, with the speed over w, and for a constant friction
     against the speed.
     """
     span = max(float(np.ptp(P)), 1e-9)
@@ -203,9 +207,9 @@ def _delayed(t: Array, P: Array, x: Array, first: Array, w: float | None, terms:
 
 
 def _together(rest: Array) -> float:
-    """By how much the variance of means of `rest`, shape (n,), exceeds that of independent samples.
+    """Variance of means of `rest`, shape (n,), relative to independent samples.
 
-    The noise of a measured pressure drives the model, too, and so what is left is correlated for as long as B/K.
+    Noise of the measured pressure acts on the model, so the residual is correlated over times of B/K.
     """
     off = rest - rest.mean()
     correlation = autocorrelation(off, len(off) // 2 - 1)

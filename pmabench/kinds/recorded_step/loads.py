@@ -1,11 +1,11 @@
-"""K and B of recorded steps without a mass that rings: from two known loads or more, or from a column of force.
+"""K and B of recorded steps without ringing: from two or more known loads, or from a force channel.
 
-At rest F_ce(P) = W + K x, so that two loads W at one pressure give K = -(W2 - W1)/(x2 - x1). It is the stiffness
-between the two places, not the tangent at one of them.
+At rest F_ce(P) = W + K x, so two loads W at one pressure give K = -(W2 - W1)/(x2 - x1), the stiffness between both
+positions, not the tangent at one.
 
-A cell above a hanging weight reads that weight and M x'': it does not move with the muscle's K. Where a spring or other
-loads move the force independently of the contraction, F = c + s P - K x - B x' is one least-squares fit over all steps.
-K and B are taken as the same at all their pressures, and that is tested.
+A cell above a hanging weight reads that weight and M x'', which is independent of the muscle's K. Where a spring or
+other loads change the force independently of the contraction, F = c + s P - K x - B x' is one least-squares fit over
+all steps. It assumes the same K and B at all pressures, which is tested.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from pmabench.store.records import Array, RunData
 
 SECANT = "secant-of-loads"
 SAME = 0.02
-"""Share of a load that a force cell may be off it."""
+"""Relative difference of a force cell's reading to the load that is tolerated."""
 Pair = tuple[float, float]
 """Pressures before and after a step [Pa]."""
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Where the steps of one pair of pressures and one load came to rest."""
+    """Rest position after the steps of one pair of pressures and one load."""
 
     load: float
     """[N]."""
     x: float
     """[m]."""
     half: float | None
-    """Of its 95 % interval by repeats [m]; None with one."""
+    """Half width of its 95 % interval from repeats [m]; None with one step."""
     noise: float
-    """Half width that the samples leave [m]."""
+    """Half width due to scatter of the samples [m]."""
     names: tuple[str, ...]
 
 
@@ -64,7 +64,7 @@ def rests_of(steps: Sequence[Step]) -> list[Rest]:
 
 
 def _pull(load: float, steps: Sequence[Step]) -> float:
-    """The force at rest [N]: the load, but where a cell reads another one, as with a spring, that of the cell."""
+    """Force at rest [N]: the load, or the cell's reading if it differs, as with a spring."""
     read = [
         float(np.mean(step.trial.channels["force"][step.trial.usable][step.t > max(AFTER, step.t[-1] - 1.0)]))
         for step in steps
@@ -74,9 +74,9 @@ def _pull(load: float, steps: Sequence[Step]) -> float:
 
 
 def secant(pair: Pair, rests: Sequence[Rest], scales: Scales) -> Estimate | None:
-    """K [N/m] between the lightest and the heaviest load; None with fewer than two, or where x moves by noise only.
+    """K [N/m] between the lightest and the heaviest load; None for fewer than two, or if x changes within noise only.
 
-    Loads between them show how far from one straight line the places lie: that is in the method part.
+    The deviation of loads in between from a straight line is in the method part.
     """
     if len(rests) < 2:
         return None
@@ -100,9 +100,9 @@ def secant(pair: Pair, rests: Sequence[Rest], scales: Scales) -> Estimate | None
 
 
 def of_loads(groups: Mapping[Pair, Sequence[tuple[RunData, Step]]], estimates: Sequence[Estimate]) -> list[Estimate]:
-    """K and B at each pair of pressures that was stepped under two known loads or more; `estimates` hold B/K.
+    """K and B at each pair of pressures with two or more known loads; `estimates` contain B/K.
 
-    F_ce and dF_ce/dP are not given: steps come to rest with friction in them, to one side at one pressure.
+    F_ce and dF_ce/dP are not given, since the rest positions contain friction of one direction.
     """
     found: list[Estimate] = []
     secants = {
@@ -118,12 +118,14 @@ def of_loads(groups: Mapping[Pair, Sequence[tuple[RunData, Step]]], estimates: S
 
 
 def _opposite(pair: Pair, other: Pair) -> bool:
-    """Whether two steps come to the same pressure, one from below and one from above."""
+    """Whether two steps end at the same pressure, one from below and one from above."""
     return pair[1] == other[1] and (pair[0] - pair[1]) * (other[0] - other[1]) < 0
 
 
 def _by_friction(K: Estimate, others: Sequence[Estimate | None]) -> Estimate:
-    """K with what it differs by from that of steps to the same pressure from the other side: friction is in both."""
+    """K with its difference to steps that reach the same pressure from the other side as method part, since friction is
+    in both; without repeats part where there are none.
+    """
     apart = [abs((K.value or 0.0) - (other.value or 0.0)) for other in others if other is not None]
     if not apart:
         note = "no repeats part: no step came to this pressure from the other side, what friction does is not seen"
@@ -154,17 +156,17 @@ def _damping(K: Estimate, estimates: Sequence[Estimate]) -> list[Estimate]:
 
 CELL = "cell-and-spring"
 MOVES = 20.0
-"""Standard deviations of its noise by which the force must move independently of the contraction."""
+"""Smallest motion of the force independent of the contraction, in standard deviations of its noise."""
 CONDITION = 30.0
 """Largest condition of the columns 1, x, x' and P, each over its standard deviation."""
 MISFIT = 1.5
-"""What is left, over the noise that a row must have, from which on the straight form does not hold."""
+"""Ratio of the residual to the expected noise of a row from which on the straight form does not hold."""
 RANGE = 0.15
-"""K and B are given where they lie within so much of their value for all that is possible of the times of pressure."""
+"""K and B are given if they change by at most this share over the possible delays of the pressure."""
 SLOWER = (0.01, 0.015, 0.02, 0.03)
-"""Times [s] by which the force may be late where the rows show it."""
+"""Delays of the force that are tried [s]."""
 CLEARLY = 5.0
-"""Standard deviations by which rows fit better with a later force that is taken for late."""
+"""Improvement of the fit by a later force, in standard deviations, from which on the delay is accepted."""
 FILTER = "filter of the force cell"
 SMOOTH = 0.04
 """Rows are means over this time [s]."""
@@ -172,9 +174,10 @@ INSTEAD = "a map of `kind: contraction-relaxation` takes K at each pressure from
 
 
 def by_cell(steps: Sequence[tuple[RunData, Step]], late: Sequence[float]) -> tuple[list[Estimate], list[Finding]]:
-    """K [N/m] and B [N.s/m] of all steps with a force, and the sentence why not; nothing without such a column.
+    """K [N/m] and B [N.s/m] from all steps with a force channel, and findings that say why there is none; both empty
+    without such a channel.
 
-    `late` [s] are the times by which the pressure may be later than its stamps.
+    `late` [s] are possible delays of the pressure behind its stamps.
     """
     mine = [(run, step) for run, step in steps if "force" in step.trial.channels]
     if not mine:
@@ -212,16 +215,16 @@ def by_cell(steps: Sequence[tuple[RunData, Step]], late: Sequence[float]) -> tup
 
 
 def _read(steps: Sequence[tuple[RunData, Step]], terms: Array) -> float:
-    """What the steps in which the channels are read may make of the force between two rests [N]."""
+    """Error of the force between two rests because the channels are read in steps [N]."""
     weights = {"force": 1.0, "displacement": terms[1], "pressure": terms[3]}
     return OF_TWO * max(hypot(*(w * step.unresolved[name] for name, w in weights.items())) for _, step in steps)
 
 
 def _filtered(steps: Sequence[tuple[RunData, Step]], late: float, noise: float) -> Array:
-    """Terms were the force later, as a filter of its cell makes it, which is to one side.
+    """Terms for a delayed force, as by a filter of its cell, which has one sign.
 
-    By as much as a filter may be slow that nobody declared, and by more where the rows fit far better then: what is
-    left is compared over the noise of rows, which grows with the damping. `noise` is that of the force [N].
+    By the delay of an undeclared filter, or a longer one if the rows then fit much better; residuals are compared
+    relative to the noise of rows, which grows with the damping. `noise` is that of the force [N].
     """
     found = []
     for lag in (UNDECLARED, *SLOWER):
@@ -249,27 +252,27 @@ class Rows:
     design: Array
     """Columns 1, x, x', P, shape (n, 4)."""
     noisy: Array
-    """Variance of the noise of x', shape (n,): it would make the damping smaller, and is taken off its square."""
+    """Noise variance of x', shape (n,), subtracted from its sum of squares, since it would reduce the damping."""
     lengths: Sequence[int]
-    """How many rows each step has."""
+    """Number of rows of each step."""
 
     @classmethod
     def of(cls, steps: Sequence[tuple[RunData, Step]], late: float, force: float = 0.0) -> Rows:
-        """Pressure and force are so much late [s]."""
+        """The rows with pressure `late` [s] and force `force` [s] shifted earlier."""
         F, design = zip(*(_of_step(step, late, force) for _, step in steps), strict=True)
         lengths = [len(one) for one in F]
         noisy = np.repeat([_noise_of_speed(step) ** 2 for _, step in steps], lengths)
         return cls(np.concatenate(F), np.concatenate(design), noisy, lengths)
 
     def solved(self, rows: NDArray[np.bool_] | slice = slice(None)) -> Array:
-        """Terms of the columns, by least squares."""
+        """Coefficients of the columns, by least squares."""
         design, size = self.design[rows], np.linalg.norm(self.design, axis=0)
         normal = (design / size).T @ (design / size)
         normal[2, 2] -= float(self.noisy[rows].sum()) / float(size[2]) ** 2
         return np.asarray(np.linalg.solve(normal, (design / size).T @ self.F[rows]) / size, dtype=np.float64)
 
     def left(self, terms: Array) -> float:
-        """Root mean square of what is left [N]."""
+        """Rms residual [N]."""
         return float(np.sqrt(np.mean((self.F - self.design @ terms) ** 2)))
 
     def fitted(self) -> tuple[Array, Array]:
@@ -281,9 +284,10 @@ class Rows:
 
 
 def _of_step(step: Step, late: float, force: float) -> tuple[Array, Array]:
-    """Force [N], shape (n,), and columns 1, x, x', P, shape (n, 4), as means over times that follow one another.
+    """Force [N], shape (n,), and columns 1, x, x', P, shape (n, 4), as means over consecutive time intervals.
 
-    Means are integrals between the samples at both ends, for the mean of x' is the change of x between just these.
+    Means are integrals between the first and last sample of an interval, because the mean of x' is the change of x
+    between exactly these.
     """
     t, width = step.t, _width(step.t)
     edges = np.arange(0, len(t), width)
@@ -296,7 +300,7 @@ def _of_step(step: Step, late: float, force: float) -> tuple[Array, Array]:
 
 
 def _noise_of_rows(step: Step, terms: Array, noise: float) -> float:
-    """Noise of a row [N]: that of the force, and of pressure and contraction by the terms found."""
+    """Noise of a row [N]: of the force, and of pressure and contraction with the given coefficients."""
     of_means = hypot(noise, terms[3] * noise_of(step.P), terms[1] * step.noise) / sqrt(_width(step.t))
     return hypot(of_means, terms[2] * _noise_of_speed(step))
 
@@ -307,7 +311,7 @@ def _noise_of_speed(step: Step) -> float:
 
 
 def _why_not(F: Array, design: Array, noise: float) -> str:
-    """Why force and contraction do not give K; empty where they do."""
+    """Reason why force and contraction do not give K; else empty."""
     on_x = design[:, :2]
     rest = F - on_x @ np.linalg.lstsq(on_x, F, rcond=None)[0]
     moves = float(np.std(rest))

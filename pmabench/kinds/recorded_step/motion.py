@@ -1,8 +1,9 @@
-"""A second-order motion under a pressure that is constant between its changes: its answer, exactly, and its fit.
+"""Second-order motion under a piecewise constant pressure: its exact response and its fit.
 
-The answer to a change is the unit step response of w^2 / (s^2 + 2 D w s + w^2), so the answer at a time is the sum
-over all changes before it. Of each pole p that sum is one decaying number, Z(t) = sum of dP_j exp(p (t - t_j)), which
-goes on from sample to sample; it is found for all samples by cumulative sums over stretches short enough for exp(p t).
+The response to a change is the unit step response of w^2 / (s^2 + 2 D w s + w^2); the response at a time is the sum
+over all changes before it. For each pole p the sum is one decaying number, Z(t) = sum of dP_j exp(p (t - t_j)), which
+is updated from sample to sample; it is computed for all samples by cumulative sums over stretches that are short enough
+for exp(p t).
 """
 
 from __future__ import annotations
@@ -19,28 +20,30 @@ from pmabench.store.records import Array
 REACH = 200.0
 """exp(REACH) is far below the largest number, and its inverse far above the smallest."""
 EQUAL = 1e-6
-"""Damping ratios closer to 1 than this count as 1 + EQUAL: there the two poles are one, and the sum of them is none."""
+"""Damping ratios closer to 1 than this are computed as 1 + EQUAL: partial fractions need two different poles."""
 
 FREQUENCY = (3.0, 400.0)
 DAMPING = (0.01, 20.0)
-"""Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound found nothing."""
+"""Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound is not a result."""
 FEWEST = 12
-"""Samples of a stretch of free swinging."""
+"""Fewest samples of a stretch of free oscillation."""
 LAGS = (0.005, 0.01, 0.02, 0.04)
-"""Lags [s] between the pressure that was measured and the one that drives."""
+"""Lags [s] between measured and driving pressure that are tried."""
 PERIODS = 1.5
-"""Of a stretch of free swinging."""
+"""Length of a stretch of free oscillation, in periods."""
 CLEAR = 20.0
-"""A swing of more than so many standard deviations of the noise is clear."""
+"""Standard deviations of noise above which an oscillation is clear."""
 REACHED, SETTLED = 0.02, 1.8
-"""Free swinging begins at so many times the time [s from the step] at which the pressure comes within that share."""
+"""Free oscillation starts at SETTLED times the time [s after the step] at which the pressure is within REACHED of its
+end.
+"""
 SHOWN = 5.0
-"""An extreme is one beyond so many standard deviations of the noise."""
+"""Standard deviations of noise beyond the end position above which an extreme counts."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """x'' + 2 D w x' + w^2 x = w^2 g P, fitted with one assumed lateness of the pressure."""
+    """x'' + 2 D w x' + w^2 x = w^2 g P, fitted with one assumed delay of the pressure's stamps."""
 
     late: float
     """[s]."""
@@ -63,9 +66,9 @@ class Motion:
 def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     """Least squares of the driven motion over natural frequency and damping; gain and offset follow linearly.
 
-    The measured pressure jumps in the middle between two samples that differ, which delays neither a channel that
-    changes at each sample nor one that is polled, and is moved `late` [s] ahead. The response is the sum of the exact
-    step responses of all changes: no resampling.
+    The measured pressure changes half way between two different samples, which causes no delay for channels that change
+    at each sample or polled ones, and is shifted `late` [s] earlier. The response is the sum of the exact step
+    responses to all changes, without resampling.
     """
     at, jumps = _jumps(t, P, late)
 
@@ -90,20 +93,20 @@ def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
 
 
 def _jumps(t: Array, P: Array, late: float) -> tuple[Array, Array]:
-    """When a pressure changes, in the middle between two samples and `late` [s] ahead, and by how much [Pa]."""
+    """Times of the changes of a pressure, half way between two samples and `late` [s] earlier, and their sizes [Pa]."""
     steps = np.diff(P)
     changes = np.flatnonzero(steps) + 1
     return 0.5 * (t[changes - 1] + t[changes]) - late, steps[changes - 1]
 
 
 def from_rest(P: Array, rest: float) -> Array:
-    """A pressure [Pa] whose first sample is that at rest: its noise would be a step of the motion from there on."""
+    """A pressure [Pa] with the rest value as first sample, whose noise would otherwise act as a step."""
     return np.concatenate([[rest], P[1:]])
 
 
 def behind(t: Array, y: Array, lag: float) -> Array:
-    """What a sensor with a first-order `lag` [s] reads of `y` at times `t` [s], shape (n,); at rest before, and exact
-    for straight lines between the samples.
+    """Reading of a sensor with a first-order `lag` [s] for input `y` at times `t` [s], shape (n,); at rest before,
+    exact for input linear between the samples.
     """
     if lag <= 0:
         return y
@@ -118,9 +121,9 @@ def behind(t: Array, y: Array, lag: float) -> Array:
 
 
 def before_sensor(t: Array, y: Array, lag: float, over: float) -> Array:
-    """What a sensor with a first-order `lag` [s] was given where it read `y`, shape (n,), as means `over` a time [s].
+    """Input of a sensor with a first-order `lag` [s] that reads `y`, shape (n,), as means over a time `over` [s].
 
-    The input is y + lag y', so its mean over a time is that of y and lag times the change of y over that time.
+    The input is y + lag y', so its mean is the mean of y plus lag times the change of y over that time.
     """
     until, since = np.minimum(t + over / 2, t[-1]), np.maximum(t - over / 2, t[0])
     area = np.concatenate(([0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t))))
@@ -129,7 +132,7 @@ def before_sensor(t: Array, y: Array, lag: float, over: float) -> Array:
 
 
 def extremes(x: Array, end: float, noise: float) -> int:
-    """How often a motion that has reached its `end` [m] swings beyond it, to either side in turn, shape (n,)."""
+    """Number of alternating extremes beyond the `end` [m] after a motion x, shape (n,), first reached it."""
     away = (x - end) * (1.0 if end >= x[0] else -1.0)
     count, side = 0, 1.0
     reached = np.flatnonzero(away >= 0)
@@ -141,17 +144,17 @@ def extremes(x: Array, end: float, noise: float) -> int:
 
 @dataclass(frozen=True)
 class Swing:
-    """A stretch of free swinging about the end: natural frequency, damping ratio, swing in its middle [m]."""
+    """A stretch of free oscillation about the end: natural frequency, damping ratio, amplitude in its middle [m]."""
 
     w: float
     D: float
     size: float
     expected: float
-    """Swing of the driven motion there [m]."""
+    """Amplitude of the driven motion there [m]."""
 
 
 def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> list[Swing]:
-    """Stretches after the pressure has come to its end, one after another: the time of the pressure is not in them."""
+    """Consecutive stretches after the pressure has reached its end; they do not depend on the pressure's time."""
     off = np.abs(P - np.median(P[t > t[-1] - 1.0])) > REACHED * np.ptp(P)
     begin = max(0.0, SETTLED * float(t[np.flatnonzero(off)[-1]])) if off.any() else 0.0
     length = PERIODS * 2 * np.pi / known.w
@@ -169,7 +172,7 @@ def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> li
 
 
 def _free(t: Array, x: Array, known: Motion) -> Swing:
-    """Of one stretch: least squares of end + (A cos + B sin) of a decaying swing; end, A and B follow linearly."""
+    """Fit of one stretch: end + (A cos + B sin) of a decaying oscillation; end, A, B follow by linear least squares."""
     since = t - t[0]
 
     def shapes(p: Array) -> Array:
@@ -188,9 +191,9 @@ def _free(t: Array, x: Array, known: Motion) -> Swing:
 
 
 class Answer:
-    """The answer at times `t` [s] to jumps at times `at` [s], both rising, shapes (n,), (m,); exponentials once.
+    """Response at times `t` [s] to steps at times `at` [s], both ascending, shapes (n,), (m,); keeps its exponentials.
 
-    `w` is the natural frequency [rad/s], `D` the damping ratio. `to(jumps)` gives shape (n,), in the unit of the jumps.
+    `w` is the natural frequency [rad/s], `D` the damping ratio. `to(jumps)` has shape (n,) and the unit of the steps.
     """
 
     def __init__(self, t: Array, at: Array, w: float, D: float) -> None:
@@ -208,7 +211,7 @@ class Answer:
         self._parts = [(weight, _Decaying(t, at, self._before, pole)) for pole, weight in decaying]
 
     def to(self, jumps: Array) -> Array:
-        """The answer to `jumps`, shape (m,), one at each of the times `at`."""
+        """The response to steps `jumps`, shape (m,), one at each of the times `at`."""
         answer = np.concatenate(([0.0], np.cumsum(jumps)))[self._before]
         for weight, part in self._parts:
             answer -= (weight * part.to(jumps)).real

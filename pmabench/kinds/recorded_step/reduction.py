@@ -1,6 +1,6 @@
-"""Steps of pressure that others recorded: dead time, rise, size of the stroke, and what its ringing says of K and B.
+"""Steps of pressure from other programs: dead time, rise, stroke, and K and B from ringing.
 
-Knows trials with one command each and measured pressure and displacement; not where they come from.
+Uses trials with one command each and measured pressure and displacement, from any source.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from pmabench.store.records import RunData
 KIND = "recorded-step"
 STEP = "recorded-step"
 UNTOLD = 0.005
-"""What pressure and position may be apart [s] where the map gives no `late_by`."""
+"""Assumed bound of the time between pressure and position [s] where the map gives no `late_by`."""
 UNKNOWN = "nothing is known of the time between the channels"
 SWUNG = 7.0
-"""After so many times its time of decay a swing is over: a thousandth is left."""
+"""Decay times after which an oscillation counts as over: a thousandth is left."""
 OVERSHOOT = 0.05
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """t_d [s], tau_P [s], X [m], dP/dx [Pa/m] and, where they can be found, K [N/m] and B [N.s/m] of recorded steps.
+    """t_d [s], tau_P [s], X [m], dP/dx [Pa/m] and, if possible, K [N/m] and B [N.s/m] of recorded steps.
 
-    Pressure and displacement at one load give the ratios B/K and (dF_ce/dP)/K only, never K itself. Where the moving
-    `mass` of the point is known and the motion rings, M x'' + B x' + K x = (dF_ce/dP) P + const, driven by the measured
-    pressure, gives K = M w^2 and B = 2 D w M. It rings where its damping ratio is below a half and two extremes or more
-    are seen: else the mass shows in the fast pole B/M alone, which a few ms between the channels hide. The time between
-    pressure and motion, up to 40 ms, is found with them. Along the step K changes with the pressure, and B may, or dry
-    friction hold, each to first order: K and B, those at its end, are the range of what fits alike, and withheld where
-    it is wider than 15 % either way. Lags of sensors (`sensor_lag`, first order) are taken off, a fifth of them being
-    left open.
+    Pressure and displacement at one load give only the ratios B/K and (dF_ce/dP)/K, never K itself. If the moving
+    `mass` of the point is known and the motion rings, M x'' + B x' + K x = (dF_ce/dP) P + const with the measured
+    pressure gives K = M w^2 and B = 2 D w M. It rings if its damping ratio is below a half and two or more extremes
+    show; otherwise the mass has an effect in the fast pole B/M only, which a few ms between the channels hide. The time
+    between pressure and motion, up to 40 ms, is fitted with them. Along the step K changes with the pressure, and B may
+    change, or dry friction act, each to first order: K and B at the end of the step are the range of all forms that fit
+    equally well, and are withheld where it is wider than +-15 %. Lags of sensors (`sensor_lag`, first order) are
+    corrected, with an uncertainty of a fifth.
 
     Repeats are trials with the same load and commanded pressures before and after. `options`: `mass` [kg] and `late_by`
-    [[least, most] in s] instead of what the record says.
+    [[least, most] in s], in place of the record's.
     """
     options = options or {}
     steps, dropped, read_off = measured(runs, options, measure)
@@ -92,7 +92,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _of_all(steps: Sequence[tuple[RunData, Step]], estimates: Sequence[Estimate], *, read_off: bool) -> list[Finding]:
-    """What the steps together lack; `read_off`: whether the time between the channels is known."""
+    """Findings on all steps; `read_off`: whether the time between the channels is known."""
     findings = []
     found = sum(step.found for _, step in steps)
     if found:
@@ -107,7 +107,7 @@ def _of_all(steps: Sequence[tuple[RunData, Step]], estimates: Sequence[Estimate]
 
 
 def _lateness(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[float, float]:
-    """How late the pressure may be [s], least and most."""
+    """Smallest and largest delay of the pressure behind its stamps [s]."""
     known = [options["late_by"]] if "late_by" in options else [late_by(run, "pressure") or (0.0, 0.0) for run in runs]
     return min(low for low, _ in known), max(high for _, high in known)
 
@@ -123,9 +123,9 @@ def _load(step: Step) -> tuple[float, float]:
 
 
 def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
-    """Of the regulator and its line: one value over all steps, of which those between other pressures are unlike.
+    """Dead time of the regulator and its line: one value for all steps; different pairs of pressures may differ in it.
 
-    `late` [s] is what the pressure may be late where nothing says it.
+    `late` [s]: assumed delay of the pressure where the record gives none.
     """
     pairs = [_pair(step) for step in steps]
     mean, half, _ = mean_over([step.dead for step in steps], [sorted(set(pairs)).index(pair) for pair in pairs])
@@ -143,8 +143,8 @@ def _at(
 ) -> list[Estimate]:  # fmt: skip
     """All estimates at one pair of commanded pressures.
 
-    `late` [s] is what the pressure may be late where nothing says it; `stiffness` [N/m] is that of two loads, where
-    they were stepped.
+    `late` [s]: assumed delay of the pressure where the record gives none; `stiffness` [N/m] from two loads, if there
+    are.
     """
     steps = [step for _, step in group]
     parents = tuple(step.name for step in steps)
@@ -183,12 +183,12 @@ def _at(
 
 
 def _slower(steps: Sequence[Step], place: int) -> float:
-    """What a filter of the gauge, undeclared or in truth a delay, may make of a time [s], the mean of all steps."""
+    """Change of a time [s] by a filter of the gauge that is undeclared, or declared but a delay; mean of all steps."""
     return float(np.mean([step.slower[place] for step in steps]))
 
 
 def _of_steps(steps: Sequence[Step], other: str = "") -> Doubt:
-    """What the steps in which displacement, and pressure, are read may make of their change, as a share of it."""
+    """Relative error of the changes of displacement and of channel `other` because they are read in steps."""
     shares = [
         hypot(step.unresolved["displacement"] / step.stroke, step.unresolved.get(other, 0.0) / step.size)
         for step in steps
@@ -198,7 +198,7 @@ def _of_steps(steps: Sequence[Step], other: str = "") -> Doubt:
 
 
 def _unsettled(steps: Sequence[Step]) -> list[Doubt]:
-    """What the contraction still moves before the step and after it, as a share of the stroke."""
+    """Motion of the contraction still to come before the step and after it, as a share of the stroke."""
     stroke = abs(float(np.mean([step.stroke for step in steps])))
     found = []
     for name, side in (("before the step", -1), ("after the step", 1)):
@@ -262,7 +262,7 @@ def _trace(step: Step, *, by_load: bool) -> Trace:
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """K and B where the motion rings, K of two loads, at the pressure that the step ends at; each step for itself."""
+    """K and B from ringing and K from two loads, at the pressure at the end of the step; each step separately."""
     for e in values_of(analysis, "K", SECANT):
         yield everywhere("K", {e.at["pressure"]: e}, "secant between loads")
     for symbol in ("K", "B"):

@@ -1,6 +1,6 @@
-"""K and B from steps after which a known mass rings, or why these steps do not give them; B/K and dead time without it.
+"""K and B from the ringing of a known mass after steps, or the reason why there are none; also B/K and dead time.
 
-Knows measured steps of one load and one pair of pressures; the mass is taken as exact.
+Uses measured steps of one load and one pair of pressures; the mass is taken as exact.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from pmabench.store.records import Array
 
 RINGING = "ringing-of-known-mass"
 RINGS = 0.5
-"""Damping ratio from which on a motion does not ring: the mass shows in its fast pole only, which a few ms hide."""
+"""Damping ratio from which on a motion does not ring: its mass then shows in a fast pole only, which a few ms hide."""
 RANGE = 0.15
-"""K and B are given where they lie within so much of their value for all that is possible of times and lags."""
+"""K and B are given if they lie within this share of their value for all possible times and lags."""
 ILL_FITTED = 0.1
 """Rms of the misfit as a share of the stroke, above which K and B are withheld."""
 INSTEAD = "with a column of force or the load, a map of `kind: contraction-relaxation` gives K from such steps"
@@ -37,11 +37,11 @@ OF_SWINGS = {
     "B": "of contracting and relaxing together",
 }
 STOPPED = 0.3
-"""Share of the swing that the motion should have, below which friction has stopped it."""
+"""Ratio of observed to expected amplitude below which friction has stopped the oscillation."""
 
 
 def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any]) -> list[Estimate]:
-    """K and B where the motion rings, or why not; from times and a mass, no scale of a channel enters."""
+    """K and B where the motion rings, or the reason why not; they follow from times and a mass, without any scale."""
     parents = tuple(step.name for step in steps)
     masses = [float(options.get("mass", step.trial.point.get("mass", 0.0))) for step in steps]
     known = all(masses)
@@ -81,9 +81,10 @@ def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str
 def possible_motions(
     driven: tuple[Array, Array, Array], best: motion.Motion, others: Sequence[tuple[Array, Array]] = ()
 ) -> list[Delayed]:
-    """The motions of a step that fit alike: with more and less lag of its sensors, and with one not declared.
+    """The motions of a step that fit equally well, with longer and shorter lags of its sensors, and with an undeclared
+    one.
 
-    `driven`: time [s], pressure [Pa], contraction [m], shapes (n,); `others`: the last two, were the lags other ones.
+    `driven`: time [s], pressure [Pa], contraction [m], shapes (n,); `others`: the last two for other lags.
     """
     t, P, x = driven
     nominal = fit_swings(t, P, x, delayed.place_of(best))
@@ -99,13 +100,15 @@ def possible_motions(
 
 
 def _range(symbol: str, mass: float, forms: Sequence[Delayed]) -> tuple[float, float]:
-    """K or B of a moving mass from the least to the greatest that forms allow."""
+    """Smallest and largest K or B of a moving mass over all forms, including their intervals."""
     values = [(mass * getattr(one, symbol), mass * getattr(one, f"half_{symbol}")) for one in forms]
     return min(value - half for value, half in values), max(value + half for value, half in values)
 
 
 def _free_doubts(symbol: str, value: float, wide: float, steps: Sequence[Step], masses: Sequence[float]) -> list[Doubt]:
-    """What the free swinging after the step says against K or B, beyond the range `wide`: it knows no times."""
+    """Contradiction of K or B by the free oscillation after the step, beyond the range `wide`; it does not depend on
+    delays.
+    """
     others, stopped = [], False
     for step, mass in zip(steps, masses, strict=True):
         swings = motion.free_swings(step.t, step.P, step.x, step.best, step.noise)[:2]
@@ -128,7 +131,9 @@ def _free_doubts(symbol: str, value: float, wide: float, steps: Sequence[Step], 
 
 
 def _without_friction(first: motion.Swing, second: motion.Swing, mass: float) -> float:
-    """B [N s/m] of two stretches of free swinging: dry friction adds c/size, so a line over 1/size is B without it."""
+    """B [N s/m] from two stretches of free oscillation: dry friction adds c/size, so B is a line extrapolated to 1/size
+    = 0.
+    """
     big, small = first.size, second.size
     one, other = (2 * mass * swing.D * swing.w for swing in (first, second))
     return (one * big - other * small) / (big - small) if big > small else one
@@ -138,7 +143,7 @@ HIDDEN = "its mass shows in a fast pole only, which a few ms between pressure an
 
 
 def _why_not(step: Step) -> str:
-    """The reason why the motion of a step does not ring; empty where it may."""
+    """Reason why the motion of a step does not ring; empty if it may."""
     if step.sprung:
         return "a spring pulls, too, and swings with the mass"
     if step.best.D >= RINGS:
@@ -160,7 +165,7 @@ def _damped(ratio: float) -> str:
 
 
 def _unlike(step: Step, possible: Sequence[Delayed]) -> str:
-    """The reason why the motions that fit alike say nothing of K; empty where they do."""
+    """Reason why motions that fit equally well do not determine K; empty if they do."""
     damped = max(one.B / (2 * sqrt(one.K)) for one in possible)
     if damped >= RINGS:
         return _damped(damped)
@@ -175,21 +180,21 @@ def _unlike(step: Step, possible: Sequence[Delayed]) -> str:
 DRIVEN = "driven-delay"
 TO_MOTION = "command-to-motion"
 SHARES = (0.002, 0.01)
-"""Of the stroke: where the contraction is looked at for the root rule."""
+"""Shares of the stroke at which the root rule takes its times."""
 ROOT = 8e-3
-"""What the root rule leaves of a mass of up to 26 kg, with noise [s]."""
+"""Error of the root rule with a mass of up to 26 kg and noise [s]."""
 WIDEST = 0.5
-"""B/K is given where it lies within so much of its value for all motions that fit alike."""
+"""B/K is given if it lies within this share of its value for all motions that fit equally well."""
 LONGEST = 0.02
-"""A dead time whose interval is wider than this [s] either way says nothing of a delay."""
+"""A dead time with a wider interval than +- this [s] is withheld."""
 
 
 def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | None, late: float) -> list[Estimate]:
-    """B/K [s] at the pressure that steps end at, and the time from command to motion [s].
+    """B/K [s] at the pressure at the end of the steps, and the time from command to motion [s].
 
-    `stiffness` [N/m] is known of two loads; `late` [s]: what pressure and position may be apart where nothing says it.
-    The delay of the motion behind the measured pressure is free, so that B/K does not depend on the stamps of the
-    pressure; the time from command to motion holds what the stamps of the position may be off, as far as that is known.
+    `stiffness` [N/m] from two loads, else None; `late` [s]: assumed time between pressure and position where the record
+    gives none. The delay behind the measured pressure is free, so B/K does not depend on the pressure's stamps; the
+    time from command to motion includes the error of the position's stamps, as far as it is known.
     """
     names = tuple(step.name for step in steps)
     rises = at["pressure"] > at["from"]
@@ -247,7 +252,7 @@ def _of_another_kind(steps: Sequence[Step]) -> str:
 
 
 def _no_time(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
-    """The reason why the driven motion gives no B/K; empty where it does."""
+    """Reason why the driven motion gives no B/K; empty if it does."""
     for step, one in zip(steps, found, strict=True):
         if one.rms > ILL_FITTED * abs(step.stroke):
             share = one.rms / abs(step.stroke)
@@ -261,7 +266,8 @@ def _no_time(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
 
 
 def root_rule(t: Array, x: Array, stroke: float, noise: float) -> float | None:
-    """When a motion begins that rises like t^2 [s]: t1, t2 of two shares of the stroke, carried back by their roots.
+    """Start [s] of a motion that rises like t^2, extrapolated from the times t1, t2 of two shares of the stroke by
+    their roots.
 
     t [s] from the command and x [m] from its rest, shapes (n,). None where the noise hides the smaller share.
     """
@@ -281,7 +287,7 @@ def root_rule(t: Array, x: Array, stroke: float, noise: float) -> float | None:
 
 
 def check(at: Mapping[str, float], steps: Sequence[Step], t_d: Estimate) -> list[Finding]:
-    """The root rule next to the time from command to motion of the driven motion."""
+    """The root rule compared with the time from command to motion of the driven motion."""
     if t_d.value is None:
         return []
     begun = [root_rule(step.t, step.x - np.median(step.x[step.t < 0]), step.stroke, step.noise) for step in steps]

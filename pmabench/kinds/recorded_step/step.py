@@ -1,6 +1,6 @@
-"""One recorded step of pressure, measured: when the pressure begins to rise, how fast, and the motion that it drives.
+"""One recorded step of pressure: onset and rise of the pressure, and the motion that it drives.
 
-Knows one trial with one command and its samples; no coefficient.
+Evaluates one trial with one command from its samples; gives no coefficient.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from pmabench.kinds.recorded_step.motion import Motion, before_sensor, behind, f
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 BEFORE, AFTER = 0.5, 0.8
-"""Samples so long before and after the command [s] enter the fit of the motion."""
+"""Range of samples before and after the command for the fit of the motion [s]."""
 FEWEST = 30
 """Samples on each side that are needed."""
 SEEN = 5.0
-"""An onset counts where it exceeds this many standard deviations of the baseline, and a twentieth of the step."""
+"""Smallest onset in standard deviations of the baseline; it must also exceed a twentieth of the step."""
 FINE = 2
-"""A log with at least so many samples between the level and a clear rise shows how the rise begins."""
+"""Samples between the level and a clear rise from which on a log shows the start of the rise."""
 SHIFTS = 4
 SPRUNG = 0.02
-"""Share by which the force at rest may differ before and after a step under a weight: drift, a pulley."""
+"""Relative difference of the force at rest before and after a step that a weight may show, by drift or a pulley."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,37 +39,40 @@ class Step:
     t: Array
     P: Array
     x: Array
-    """Pressure and contraction, each behind the lag of the other's sensor, too: so neither lags behind the other."""
+    """Pressure and contraction, each also delayed by the lag of the other's sensor, so that both lag equally."""
     size: float
     """Change of measured pressure [Pa]."""
     stroke: float
     """Change of contraction at the end of the trial [m]."""
     dead: float
-    """Command to pressure [s]: both in the middle of the samples that they lie between, the lateness taken off."""
+    """Time from command to pressure [s]: each in the middle of the interval in which it lies, corrected for late
+    stamps.
+    """
     dead_half: float
-    """Half of those intervals together [s]."""
+    """Half width of `dead` from these intervals [s]."""
     stamped: float
     """Command to pressure by their stamps [s]."""
     onset_half: float
-    """Half of the interval that the onset lies in [s]."""
+    """Half of the interval in which the onset lies [s]."""
     rise: float
-    """From onset to 63 % of the change of pressure [s]."""
+    """Time from the onset to 63 % of the change of pressure [s]."""
     rise_half: float
-    """Half the times between the samples that the onset, and the 63 %, lie between [s]."""
+    """Half width of `rise` from the distance of samples at onset and 63 % [s]."""
     driven: tuple[Array, Array, Array]
     """Time [s], pressure [Pa] and contraction [m] that the fit of the motion uses."""
     motions: tuple[Motion, ...]
     others: tuple[tuple[Array, Array], ...]
-    """Pressure and contraction of the fit were the lags of the sensors as small and as large as they may be."""
+    """Pressure and contraction for that fit, with shortest and longest possible lags of the sensors."""
     noise: float
-    """Of the displacement at rest before the step, as recorded [m]."""
+    """Noise of the displacement at rest before the step, as recorded [m]."""
     slower: tuple[float, float]
-    """What a filter of the gauge that nobody declared, or a declared one that is a delay, makes of the times to the
-    onset and from it to 63 % [s]."""
+    """Change of the times to the onset and from it to 63 % [s] by an undeclared filter of the gauge, or if a declared
+    one is a delay.
+    """
     declared: bool
     """Whether the sensor of the displacement has a declared lag."""
     unresolved: dict[str, float]
-    """Channel -> what the steps that it is read in may make of a rest [SI]."""
+    """Channel -> error of a rest because it is read in steps [SI]."""
 
     @property
     def near(self) -> NDArray[np.bool_]:
@@ -83,7 +86,7 @@ class Step:
 
     @property
     def sprung(self) -> bool:
-        """Whether a force cell reads another force after the step than before it: a spring, and no weight alone."""
+        """Whether a force cell reads differently after the step than before: a spring acts in addition to a weight."""
         if "force" not in self.trial.channels:
             return False
         F = self.trial.channels["force"][self.trial.usable]
@@ -97,7 +100,7 @@ class Step:
 
     @property
     def found(self) -> bool:
-        """Found in the measured pressure, since no command was recorded."""
+        """Whether the step was found in the measured pressure, since no command was recorded."""
         return not all(command.recorded for command in self.trial.commands)
 
 
@@ -163,11 +166,11 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
 
 
 Rise = tuple[float, float, Array]
-"""When the pressure begins to rise, how far that may be off, and the samples that 63 % lie between [s]."""
+"""Onset of the pressure, its half width, and the samples around 63 % [s]."""
 
 
 def _rise(t: Array, rise: Array, size: float, noise: float, within: float) -> Rise | None:
-    """The rise of a pressure by `size` [Pa] above its rest; None where it shows no onset."""
+    """Rise of a pressure by `size` [Pa] above its rest; None without an onset."""
     begun = np.flatnonzero((rise > max(SEEN * noise, 0.05 * size)) & (t > -within))
     most = np.flatnonzero((rise > (1 - np.exp(-1)) * size) & (t > -within))
     if not len(begun) or not len(most) or begun[0] == 0:
@@ -178,14 +181,14 @@ def _rise(t: Array, rise: Array, size: float, noise: float, within: float) -> Ri
 def _slower(
     t: Array, P: Array, new: NDArray[np.bool_], size: float, noise: float, within: float, risen: Rise
 ) -> tuple[float, float]:
-    """What one more filter of the gauge adds to the times to the onset and from it to 63 % [s]."""
+    """Change of the times to the onset and from it to 63 % [s] by an additional filter of the gauge."""
     later = behind(t, P, UNDECLARED)
     rest = np.median(later[(t >= -BEFORE) & (t < -within)])
     return _moved(_rise(t[new], ((later - rest) * np.sign(size))[new], abs(size), noise, within), risen)
 
 
 def _moved(again: Rise | None, risen: Rise, later: float = 0.0) -> tuple[float, float]:
-    """What another rise, which is `later` by a known time, makes of the times to the onset and from it to 63 % [s]."""
+    """Differences to another rise, `later` by a known time, in the times to the onset and from it to 63 % [s]."""
     if again is None:
         return 0.0, 0.0
     delay = again[0] - later - risen[0]
@@ -193,15 +196,16 @@ def _moved(again: Rise | None, risen: Rise, later: float = 0.0) -> tuple[float, 
 
 
 JUMPS = 2.5
-"""A pressure that rises so many times as much in the time over which it is averaged as in the next begins by a jump."""
+"""Ratio of the rise in the first averaging time to that in the next from which on the pressure starts with a jump."""
 
 
 def _as_delay(
     t: Array, read: Array, P: Array, lag: float, over: float, within: float, risen: Rise
 ) -> tuple[float, float]:
-    """What the times to the onset and from it to 63 % change by where the declared lag of the gauge is a delay [s].
+    """Change of the times to the onset and from it to 63 % [s] if the declared lag of the gauge is a delay; 0 if it is
+    not.
 
-    That it is a delay shows in P, without the lag as that of a filter and averaged over the time `over` [s]: it jumps.
+    It is a delay if P, corrected for a filter and averaged over the time `over` [s], starts with a jump.
     """
     first = np.interp(risen[0] + over * np.arange(3), t, P)
     if abs(first[1] - first[0]) <= JUMPS * abs(first[2] - first[1]):
@@ -213,7 +217,7 @@ def _as_delay(
 
 
 def _unresolved(trial: TrialData, good: NDArray[np.bool_], rests: Sequence[NDArray[np.bool_]]) -> dict[str, float]:
-    """Channel -> what the steps that it is read in may make of rests among its `good` samples [SI]."""
+    """Channel -> error of rests among its `good` samples because it is read in steps [SI]."""
     channels = {name: values[good] for name, values in trial.channels.items()}
     return {name: max(samples.unresolved(y[rows], step_of(y)) for rows in rests) for name, y in channels.items()}
 
@@ -229,20 +233,20 @@ def _driving(t: Array, P: Array, x: Array, lags: tuple[float, float]) -> tuple[A
 
 
 def _blurred(t: Array, P: Array, lag: float) -> float:
-    """Time over which the pressure is averaged where the lag of its sensor is taken off [s]; 0 without one.
+    """Averaging time of the pressure in the correction for its sensor's lag [s]; 0 without a lag.
 
-    Half the lag, so that noise grows little, and never less than a channel that is polled keeps its value for.
+    Half the lag, which limits the noise, but at least twice the time for which a polled channel keeps its value.
     """
     changes = np.diff(t[:-1][np.diff(P) != 0])
     return max(lag / 2, 2 * float(np.median(changes)) if len(changes) else 0.0) if lag else 0.0
 
 
 def _onset(t: Array, rise: Array, first: int, within: float) -> tuple[float, float]:
-    """When the pressure begins to rise [s], and how far that may be off; `first` is the first sample clearly above.
+    """Onset of a pressure rise [s] and its half width; `first` is the first sample clearly above the level.
 
-    A threshold is crossed late, so the first part of the rise is followed back to the level along a straight line
-    (behind a lag pressure rises like t). Where a log has too few samples for that the rise begins between the last one
-    that is still at its level and `first`.
+    A threshold is crossed late, so the first part of the rise is extrapolated back to the level by a straight line
+    (behind a lag, pressure rises like t). If a log has too few samples for that, the onset lies between the last sample
+    at the level and `first`.
     """
     rest = rise[t < -within]
     still = np.flatnonzero(rise[:first] <= np.median(rest) + float(np.std(rest)))

@@ -1,6 +1,6 @@
-"""A step to a pressure at a set contraction, held for minutes: how the rubber relaxes.
+"""A step to a pressure at a set contraction, held for minutes: relaxation of the rubber.
 
-- `reduction`: one trial, with a straight line over log t, exponentials and their noise; then all of a point
+- `reduction`: one trial, with a straight line over log t, exponentials and their noise; then all trials of a point
 - protocol files: `protocol`; figure and one trial on the display: `figures`
 """
 
@@ -23,7 +23,7 @@ METHODS = {
     ),
 }
 PHASES, POINT = (("to the highest", "step"), ("any", "vent")), (("contraction", "length"), ("pressure", "highest"))
-"""How the commands of an import are called, and how the operating point is read off them."""
+"""Names for the commands of an import, and how the operating point is taken from them."""
 KIND = Kind(
     name="relaxation",
     title="Relaxation",

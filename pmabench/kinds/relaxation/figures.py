@@ -51,7 +51,7 @@ def _points(trace: Trace, i: int) -> Points:
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """Relaxation per decade and the force at 1 s, and what else than the rubber is seen in them."""
+    """Relaxation per decade and force at 1 s, with doubts about other causes."""
     try:
         course = course_of(run, trial, {})
     except NotUsable as reason:

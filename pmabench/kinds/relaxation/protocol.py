@@ -16,13 +16,13 @@ from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, TrialRecord
 from pmabench.protocol.sweep import LengthAxis, PressureAxis, Sweep, expand
 
 QUIET = 5.0
-"""Rest without pressure at both ends of a trial [s]: the slack muscle shows the zero of the force cell."""
+"""Rest without pressure at both ends of a trial [s], in which the slack muscle shows the zero of the force cell."""
 SHORTEST, LONGEST = 10.0, 1e5
-"""Holds [s]."""
+"""Range of the hold [s]."""
 
 
 class RelaxationAxes(Strict):
-    """What is swept; a contraction is 0 or more, so that the vented muscle is slack."""
+    """What is swept; a contraction is at least 0, so that the vented muscle is slack."""
 
     contraction: LengthAxis
     pressure: PressureAxis
@@ -34,11 +34,13 @@ class RelaxationTrial(Strict):
     approach: Speed
     """Speed from one contraction to the next, without pressure."""
     hold: Time
-    """From the step on."""
+    """Hold from the step on."""
     begin: Annotated[Time, Field(gt=0)] = 5.0
-    """From where on samples count, after the step: the air of a fast fill is warm at first."""
+    """Start of the evaluation after the step, since the air of a fast fill is warm at first."""
     rest: Time
-    """Without pressure, before the first trial and after each: what was before fades. At least as long as the hold."""
+    """Rest without pressure before the first trial and after each, at least as long as the hold, so that earlier holds
+    fade.
+    """
 
 
 class Relaxation(ProtocolHead):
@@ -51,7 +53,7 @@ class Relaxation(ProtocolHead):
     trial: RelaxationTrial
 
     def compile(self, c: Compilation) -> Plan:
-        """The plan: per point go to the contraction without pressure, step up, hold, vent and rest."""
+        """The plan: per point move to the contraction without pressure, step up, hold, vent and rest."""
         trial = self.trial
         c.positive(trial.approach, ("trial", "approach"))
         c.positive(trial.rest, ("trial", "rest"))

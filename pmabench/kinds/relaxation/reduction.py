@@ -1,7 +1,7 @@
 """Reduction of relaxation: s per decade, force at 1 s, exponentials, at each contraction and pressure.
 
-One trial is the force after the step with the measured pressure divided out. Both fits, a straight line over log t and
-exponentials, go through means over equal parts of log t, so that each decade counts alike.
+One trial is the force after the step divided by the measured pressure. A straight line over log t and exponentials are
+fitted to means over equal parts of log t, so that each decade has the same weight.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PER_DECADE = 20
 TIMES = (1.0, 10.0, 100.0, 1000.0)
 """Time constants of the exponentials [s]."""
 LONGEST_LAG = 0.1
-"""Share of the samples up to which their noise is looked at for correlation."""
+"""Longest lag of the noise's correlation, as a share of the samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Relaxing:
 
     @cached_property
     def _parts(self) -> NDArray[np.intp]:
-        """Number of the part of log t that each sample is in; only parts that hold samples are counted."""
+        """Index of the part of log t for each sample; empty parts are not counted."""
         place = np.log10(self.t / self.t[0]) * PER_DECADE
         return np.asarray(np.unique(place.astype(int), return_inverse=True)[1])
 
@@ -70,7 +70,7 @@ class Relaxing:
 
     @cached_property
     def bent(self) -> float:
-        """Value at t = 1 s of a parabola over log10 t less that of the straight line [as y]."""
+        """Value at t = 1 s of a parabola over log10 t minus that of the straight line [as y]."""
         return float(np.polyfit(self.decades, self.means(self.y), 2)[2]) - self.line[0]
 
     def _of_parts(self, weights: Array) -> Array:
@@ -84,9 +84,9 @@ class Relaxing:
         return float(self.means(self.y).mean() - slope * self.decades.mean()), slope
 
     def _correlation(self, order: int) -> tuple[Array, float]:
-        """Covariances of the noise by lag, and how many independent samples there are.
+        """Autocovariance of the noise by lag, and the number of independent samples.
 
-        From what a polynomial of `order` over log t leaves. Lags are tapered (Bartlett).
+        Noise is the residual of a polynomial of `order` over log t. Lags are tapered (Bartlett).
         """
         left = self.y - np.polyval(np.polyfit(self.decades, self.means(self.y), order), np.log10(self.t))
         n, most = len(left), max(1, int(LONGEST_LAG * len(self.t)))
@@ -98,7 +98,7 @@ class Relaxing:
     def half(self, weights: Array, order: int = 1) -> float:
         """Half width of the 95 % interval of the sum of `weights` (n,) and y, from its correlated noise.
 
-        Noise is what the straight line leaves, and so holds a bend; with `order` 3 it does not.
+        Noise is the residual of the straight line, so it includes a bend; with `order` 3 it does not.
         """
         covariance, independent = self._correlation(order)
         own = autocorrelation(weights, len(covariance) - 1)
@@ -108,9 +108,9 @@ class Relaxing:
 
     @cached_property
     def prony(self) -> tuple[Array, Array, float]:
-        """Constant and sizes of exponentials of `TIMES` (5,), their half widths (5,), and the rms of what is left [y].
+        """Constant and sizes of exponentials of `TIMES` (5,), their half widths (5,), and the rms residual [y].
 
-        The half widths are those without the bound at 0; infinite for a term that the samples do not show.
+        The half widths ignore the bound at 0; inf for a term that the samples do not show.
         """
         design = np.column_stack([np.ones(len(self._count)), *(self.means(np.exp(-self.t / T)) for T in TIMES)])
         sizes, left = nnls(design, self.means(self.y))
@@ -122,33 +122,34 @@ class Relaxing:
         return np.asarray(sizes), halves, float(left) / sqrt(len(self._count))
 
     def shows(self, T: float) -> bool:
-        """Whether the samples show an exponential of time constant T [s]: neither over before nor still to come."""
+        """Whether the time constant T [s] of an exponential lies within the samples."""
         return bool(self.t[0] <= T <= self.t[-1])
 
 
 FEWEST_DECADES = 1.0
 """Decades of time that a slope needs."""
 MOST_POINTS = 8000
-"""Equal steps of time that a hold is averaged in."""
+"""Most time steps in which a hold is averaged."""
 SEEN = 2.0
-"""Half widths from which on a bend over log t is seen."""
+"""Half widths from which on a bend over log t is significant."""
 CALM = 2.0
 """Time before the step and at the end of the trial whose mean is the zero of the force [s]."""
 UNLIKE = 1.5
-"""So many times what this hold shows may an earlier one have relaxed."""
+"""Factor by which an earlier hold may have relaxed more than this one."""
 ZERO_SEEN = 6.0
-"""So many times its noise is a change of the force without pressure one of the cell."""
+"""Change of the force without pressure, in its noise, from which on it is attributed to the cell."""
 UNPROPORTIONAL = 3.0
-"""By how much more than in proportion a force may grow with the pressure where one pressure only was held: a muscle
-that pulls a quarter of what it would without contraction does so."""
+"""Bound for the force growing faster than in proportion to the pressure where only one pressure was held: reached by a
+muscle at a quarter of its force without contraction.
+"""
 LEAST_SHARE, OF_SHARE = 0.5, 1.5
-"""Where several were held, it is what their forces show, times OF_SHARE, and at least this."""
+"""With several pressures the observed value times OF_SHARE is used instead, at least LEAST_SHARE."""
 BEND, BEFORE, ZERO, PRESSURE = "bend over log t", "holds before", "zero of the force", "pressure"
 
 
 @dataclass(frozen=True)
 class Bend:
-    """Difference between slopes of parts of a hold, per decade [1], and whether it is more than noise."""
+    """Difference between slopes of parts of a hold, per decade [1], and whether it is significant."""
 
     size: float
     seen: bool
@@ -156,28 +157,28 @@ class Bend:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """The force of one trial relative to its line at 1 s, from `begin` on."""
+    """The force of one trial from `begin` on, at the nominal pressure."""
 
     trial: TrialData
     relaxing: Relaxing
     raw: Relaxing
-    """Without the pressure divided out."""
+    """The same without division by the measured pressure."""
     zero: float
     """Change of the force without pressure over the trial [N]."""
     noise: float
-    """Of its mean before the step [N]."""
+    """Noise of the force's mean before the step [N]."""
     rise: float
-    """Time that the pressure takes to get there [s]."""
+    """Time until the pressure is reached [s]."""
     off: float
-    """How far the mean pressure is from that of the step, as a share of it [1]."""
+    """Relative deviation of the mean pressure from that of the step [1]."""
     before: tuple[tuple[float, float, float], ...]
-    """Holds before this one in the run: pressure over that of this one [1], begin and end before this step [s]."""
+    """Earlier holds of the run: pressure relative to this one [1], start and end as times before this step [s]."""
     drifted: float = 0.0
-    """Change of the force without pressure since the run began [N], if it goes on between trials as within this one."""
+    """Change of the force without pressure since the start of the run [N], if it went on as within this trial."""
 
     @property
     def start(self) -> float:
-        """F_1 [N]."""
+        """Force F_1 of the line at 1 s [N]."""
         return self.relaxing.line[0]
 
     @cached_property
@@ -193,7 +194,9 @@ class Course:
 
     @cached_property
     def bend(self) -> Bend:
-        """How far the slopes of parts of the decades differ: late and early half, middle third and the outer two."""
+        """Largest difference between slopes of parts of the decades: early and late half, middle third and outer
+        thirds.
+        """
         one = self.relaxing
         outer = 0.5 * (one.slope_weights(0.0, 1 / 3) + one.slope_weights(2 / 3, 1.0))
         early, late, middle = (one.slope_weights(a, b) for a, b in ((0.0, 0.5), (0.5, 1.0), (1 / 3, 2 / 3)))
@@ -205,20 +208,20 @@ class Course:
 
     @property
     def left_behind(self) -> float:
-        """What the holds before this one make of the force at 1 s [N], if they relaxed alike or half as much again."""
+        """Effect of earlier holds on the force at 1 s [N], if they relax up to `UNLIKE` times as much as this one."""
         return UNLIKE * abs(self.start * self.per_decade * sum(P * log10((1 + a) / (1 + b)) for P, a, b in self.before))
 
     def doubts_of_start(self) -> list[Doubt]:
-        """The same of F_1 [N]: the line is read at 1 s, away from the middle of the decades that give its slope."""
+        """Effects on F_1 [N]: the line is read at 1 s, away from the middle of the decades that give its slope."""
         one, away = self.relaxing, abs(self.start * float(self.relaxing.decades.mean()))
         bend = self.bend
-        # where parts differ, the slope before the first of them may be that of any
+        # if parts differ, the slope before the first of them is unknown
         off = max(abs(one.bent), away * bend.size if bend.seen else 0.0)
         reason = (
             f"parts of the hold relax by {bend.size:.2%} per decade unlike each other: the line may be "
             f"{show(off, 'force', 2)} off at 1 s. Begin earlier"
         )
-        # what the holds before left behind is known better at 1 s itself: `left_behind`
+        # the effect of earlier holds at 1 s is known better from `left_behind`
         others = [d for d in self.doubts() if d.name not in {BEND, BEFORE, ZERO}]
         seen = abs(self.zero) > ZERO_SEEN * self.noise
         text = f"without pressure the cell may read {self.drifted:+.3g} N more than at first: zero it, and look "
@@ -229,7 +232,7 @@ class Course:
         ]
 
     def doubts(self) -> list[Doubt]:
-        """What else than the rubber may make of s [1]."""
+        """Effects of other causes than the rubber on s [1]."""
         one, F, s = self.relaxing, self.start, abs(self.per_decade)
         weights = one.slope_weights()
         bend, (start, slope) = self.bend, self.raw.line
@@ -259,7 +262,7 @@ class Course:
 
 
 def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Course:
-    """One trial from its samples; `NotUsable` where it ended early, lacks a channel, or holds too few decades."""
+    """Evaluation of one trial; `NotUsable` where it ended early, lacks a channel, or has too few decades."""
     refuse_unusable(trial, "pressure", "force")
     step, end = _step(trial)
     if end >= trial.t[-1]:
@@ -288,7 +291,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Cours
     even, divided, plain = _even(since[rows], F[rows] * step.value / P[rows], F[rows])
     if np.mean(divided) <= 6 * noise_of(F[calm]):
         raise NotUsable("the force is not above its noise: the muscle is slack at this contraction and pressure")
-    # pressure that is still there after the vent pulls: what it explains is no change of the cell
+    # pressure remaining after the vent makes force: that part is no change of the cell
     change = float(F[last].mean() - F[calm].mean())
     pulls = float((P[last].mean() - base) / (final - base) * np.mean(divided))
     zero = change - float(np.clip(pulls, min(change, 0.0), max(change, 0.0)))
@@ -306,7 +309,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Cours
 
 
 def _step(trial: TrialData) -> tuple[Command, float]:
-    """The command of the step, and when the next one to the pressure ends its hold [s]."""
+    """The command of the step, and the end of its hold, when the next pressure command comes [s]."""
     commands = [c for c in trial.commands if c.output == "pressure"]
     for i, command in enumerate(commands):
         if command.phase == "step":
@@ -315,7 +318,7 @@ def _step(trial: TrialData) -> tuple[Command, float]:
 
 
 def _earlier(run: RunData, trial: TrialData, step: Command) -> tuple[tuple[float, float, float], ...]:
-    """Holds of the run before this one, by their commands."""
+    """Earlier holds of the run, from their commands; see `Course.before`."""
     found = []
     for other in run.trials:
         if other.t.size and other.t[0] < trial.t[0]:
@@ -328,7 +331,7 @@ def _earlier(run: RunData, trial: TrialData, step: Command) -> tuple[tuple[float
 
 
 def _even(t: Array, *values: Array) -> list[Array]:
-    """Times and values as means over equal steps of time, none of them empty."""
+    """Times and values as means over equal time steps; raises `NotUsable` if one is empty."""
     gap = 1.5 * float(np.max(np.diff(t)))
     count = max(8, min(MOST_POINTS, int((t[-1] - t[0]) / gap)))
     place = np.minimum(((t - t[0]) / (t[-1] - t[0]) * count).astype(int), count - 1)
@@ -341,15 +344,15 @@ def _even(t: Array, *values: Array) -> list[Array]:
 KIND = "relaxation"
 LINE, PRONY = "relaxation, log t", "relaxation, Prony"
 LEAST = 0.05
-"""Effects are compared with this or a larger s per decade [1]: 2 % of it is the 0.1 % per decade that is wanted."""
+"""Smallest s per decade to which effects are compared [1]: 2 % of it is the wanted accuracy of 0.1 % per decade."""
 ONE = "one trial: the repeats part is its noise, and repeated tests may scatter more"
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Relaxation s [1 per decade], F_1 [N] and shares g [1] of exponentials at each contraction [m] and pressure [Pa].
 
-    F = F_1 (1 - s log10(t/1 s)), t from half of the pressure's step on, from `begin` on. `options`: `begin` [s], in
-    place of the plan's.
+    F = F_1 (1 - s log10(t/1 s)), with t counted from half of the pressure step, used from `begin` on. `options`:
+    `begin` [s], in place of the plan's.
     """
     courses, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
     cells = grouped(courses, _place)
@@ -382,9 +385,9 @@ def _place(one: Course) -> tuple[float, float]:
 
 
 def _unproportional(P: float, cells: Mapping[float, Sequence[Course]]) -> float:
-    """By how much more than in proportion the force may grow with the pressure at P [Pa], relative.
+    """Relative excess over proportional growth that the force may have with the pressure at P [Pa].
 
-    Force and pressure are divided as if F = m P. With F = m P - F_0 a relative change of P is worth m P / F in F.
+    The force is divided by the pressure as if F = m P. With F = m P - F_0 a relative change of P changes F by m P / F.
     `cells`: pressure -> trials at one contraction.
     """
     known = sorted(cells)
@@ -396,16 +399,16 @@ def _unproportional(P: float, cells: Mapping[float, Sequence[Course]]) -> float:
 
 
 def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales, more: float) -> list[Estimate]:
-    """Relaxation s and F_1 of one cell; the doubts are those of the trial that has the largest.
+    """Relaxation s and F_1 of one cell, with the largest doubts of its trials.
 
-    `more` is `_unproportional`.
+    `more` is the result of `_unproportional`.
     """
     names = tuple(one.trial.name for one in group)
     note = ONE if len(group) == 1 else ""
     s, F = [one.per_decade for one in group], [one.start for one in group]
     half = half_of_trials(s, [one.half for one in group])
     level, P = float(np.mean(F)), at.get("pressure", 0.0)
-    # the force is brought to the pressure of the step, and relaxation is a share of the force
+    # the force is scaled to the pressure of the step, and relaxation is relative to the force
     zeros = {"force": 1.0} | ({"pressure": level / P} if P > 0 else {})
     by_zero = scales.part({}, {"force": float(np.mean(s)) / level}) if level else None
     n, parts = len(group), Parts(half, calibration=by_zero)
@@ -416,7 +419,7 @@ def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales, more
     parts = Parts(half_of_trials(F, noise), calibration=by_scales)
     start = Estimate("F_1", level, "N", "force", LINE, dict(at), parts, n, note=note, trials=names)
     left = Doubt(BEFORE, "drift", max(one.left_behind for one in group), seen=False)
-    # the force need not grow in proportion to the pressure by which it is brought to that of the step
+    # the scaling to the pressure of the step assumes a proportional force
     share = Doubt("mean pressure", "method", more * max(one.off * abs(one.start) for one in group), seen=False)
     doubts, of_start = (
         [replace(d, half=more * d.half) if d.name == PRESSURE else d for d in _largest(of)]
@@ -427,7 +430,7 @@ def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales, more
 
 
 def _largest(of_trials: Sequence[Sequence[Doubt]]) -> list[Doubt]:
-    """Of the same doubts of each trial the largest, those that are seen first."""
+    """For each kind of doubt the largest of all trials, significant ones first."""
     return [max(same, key=lambda d: (d.seen, d.half)) for same in zip(*of_trials, strict=True)]
 
 
@@ -453,7 +456,7 @@ def _prony(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> 
 
 
 def _words(at: Mapping[str, float], group: Sequence[Course]) -> Finding:
-    """How well line and exponentials follow the course."""
+    """Residuals of the line and of the exponentials."""
     one = group[0].relaxing
     start, slope = one.line
     off = float(np.sqrt(np.mean((one.means(one.y) - start - slope * one.decades) ** 2)))

@@ -1,7 +1,7 @@
-"""A driven end moved as a sine at constant pressure: K, B, F_c, loops.
+"""Sinusoidal motion of the driven end at constant pressure: K, B, F_c, loops.
 
-- `reduction`, with what filters, steps and a swing of the pressure leave open; made of `fit`, `mean_force`, `form`
-  (what harmonics and creep correct and contradict), `pressure`
+- `reduction`, with effects of filters, steps and a varying pressure; made of `fit`, `mean_force`, `form` (corrections
+  and contradictions by harmonics and creep), `pressure`
 - protocol files: `protocol`; one trial on the display: `reduction`
 """
 

@@ -1,6 +1,6 @@
-"""The lines through driven sines of one pressure, mean and amplitude: K, B, F_c, loop widths and areas, with intervals.
+"""Lines through driven sines of one pressure, mean and amplitude: K, B, F_c, loop widths and areas, with intervals.
 
-Knows measured trials and what is known of the channels; not which runs they come from, nor settings.
+Uses measured trials and the channels' uncertainties; knows no run and no settings.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pmabench.store.records import Array, RunData, TrialData
 HARMONIC, WIDTH = "sine-harmonic", "loop-width"
 DISTORTED = 0.05
 CHANGES = 0.03
-"""Relative change of K over frequency that is worth a sentence."""
+"""Relative change of K over frequency from which on it is reported."""
 BETWEEN = "displacement and force"
 CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 CYCLES_OF_EACH = CYCLES.replace("one trial", "one trial a frequency")
@@ -40,7 +40,7 @@ NUMBERS = {
     "B width": ("width", "slope", 0.5),
     "F_c width": ("width", "start", 0.5),
 }
-"""K [N/m], and B [N.s/m] and F_c [N] by the loss and by the width -> of which line, what of it, and a factor."""
+"""K [N/m], and B [N.s/m] and F_c [N] from the loss and from the width -> line, its start or slope, and a factor."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class Lines:
     K: Line
     """Over all frequencies: start [N/m]."""
     loss: Line
-    """Of -Im(F/x) A over omega A: start 4 F_c/pi [N], slope B [N.s/m]."""
+    """-Im(F/x) A over omega A: start 4 F_c/pi [N], slope B [N.s/m]."""
     width: Line
-    """Of the loop's width over omega A: start 2 F_c [N], slope 2 B [N.s/m]."""
+    """Loop width over omega A: start 2 F_c [N], slope 2 B [N.s/m]."""
 
     @classmethod
     def of(cls, swings: Sequence[Swing]) -> Lines:
@@ -62,13 +62,13 @@ class Lines:
             for column in zip(*((s.frequency, s.speed, s.stiffness, abs(s.ratio), s.loss, s.width) for s in swings),
                               strict=True)
         )  # fmt: skip
-        # Phase errors turn loss into stiffness: a K counts by the whole force at its frequency.
+        # phase errors turn loss into stiffness, so the error of K is a share of the whole force at its frequency
         pooled = weighted_line(frequency, None, K, size)
         return cls(pooled, weighted_line(frequency, speed, loss), weighted_line(frequency, speed, width))
 
     @property
     def values(self) -> dict[str, float]:
-        """Each of `NUMBERS`; NaN for what one frequency does not show."""
+        """Each of `NUMBERS`; NaN where one frequency does not determine it."""
         return {name: by * float(getattr(getattr(self, line), of)) for name, (line, of, by) in NUMBERS.items()}
 
     @property
@@ -92,7 +92,7 @@ class Member:
     discard: float
     """Cycles at the start that are left out."""
     per_pressure: float = 0.0
-    """Force that the pressure makes at the sine's frequency [N/Pa], taken off the measured one; 0 where unknown."""
+    """Derivative of the force by pressure [N/Pa], for its correction at the sine's frequency; 0 where unknown."""
 
     @classmethod
     def of(cls, run: RunData, trial: TrialData, discard: float) -> Member:
@@ -108,7 +108,7 @@ class Member:
 
     @property
     def guess(self) -> float:
-        """Force by pressure [N/Pa] where it is not known: F_ce/P."""
+        """Estimate F_ce/P of the force per pressure [N/Pa] where it is unknown."""
         sine = self.sine
         return (sine.force + max(0.0, sine.stiffness * sine.mean)) / sine.pressure
 
@@ -120,7 +120,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Muscle:
-    """K [N/m], B [N.s/m], F_c [N] at one pressure; or their slopes over pressure, all by Pa."""
+    """K [N/m], B [N.s/m], F_c [N] at one pressure; or their derivatives by pressure [per Pa]."""
 
     K: float
     B: float
@@ -136,11 +136,11 @@ class Fitted:
     """Bound on the time between displacement and force [s]."""
     lines: Lines
     bias: Mapping[str, float]
-    """By replay, of each of `NUMBERS`."""
+    """Bias of each of `NUMBERS` by replay."""
     again: Sequence[Sine]
     """The replay of each trial of the group."""
     replayed: Muscle
-    """What was replayed."""
+    """The muscle that was replayed."""
 
     @classmethod
     def of(cls, group: Sequence[Member], skew: float) -> Fitted:
@@ -160,17 +160,17 @@ class Fitted:
 
     @property
     def alone(self) -> bool:
-        """Whether there is one frequency only."""
+        """Whether there is only one frequency."""
         return bool(np.isnan(self.lines.loss.slope))
 
     @property
     def muscle(self) -> Muscle:
-        """What the lines say; 0 for what one frequency does not show."""
+        """The muscle from the lines; 0 for what one frequency does not determine."""
         return Muscle(self.replayed.K, 0.0, 0.0) if self.alone else self.replayed
 
     @property
     def sines(self) -> list[Sine]:
-        """All trials."""
+        """The sines of all trials."""
         return [member.sine for member in self.group]
 
     @cached_property
@@ -179,17 +179,17 @@ class Fitted:
         return Form.of(self.sines, self.replayed.B)
 
     def estimates(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
-        """K, B, F_c over all frequencies, then all of each frequency; `slopes` over pressure, None where not known.
+        """K, B, F_c over all frequencies, then the values at each frequency; `slopes` by pressure, None where unknown.
 
-        Calibration, to first order: K, B ~ F/x; F_c, H ~ F; W ~ F x; a phase has no scale. All of them are given for a
-        pressure that may be off, too, and so are off by their slope over pressure times that.
+        Calibration to first order: K, B ~ F/x; F_c, H ~ F; W ~ F x; a phase has no scale. An error of the pressure for
+        which they are given enters through their slope over pressure.
         """
         return [*self._pooled(at, scales, slopes), *self._single(at, scales, slopes)]
 
     def _pooled(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
         parents = tuple(member.name for member in self.group)
         skewed, crept, halves, values = self.skewed(), self._crept(), self.halves(), self.lines.values
-        # The two readings of the same loops differ by what neither model holds, friction at low speed for instance.
+        # loss and width of the same loops differ by what neither model has, for instance friction at low speed
         apart = {"B": values["B"] - values["B width"], "F_c": values["F_c"] - values["F_c width"]}
         true = "loop width at 0 Hz: true hysteresis"
         found = []
@@ -221,7 +221,7 @@ class Fitted:
         return found
 
     def _crept(self) -> dict[str, float]:
-        """What creep may do to each of `NUMBERS`: half of what it does to K, the lines without its loss."""
+        """Possible effect of creep on each of `NUMBERS`: half of the effect on K, and the lines without its loss."""
         creeps = lost(self.sines, [cycle for sine in self.sines for cycle in sine.cycles])
         softer = max((0.5 * float(np.ptp(change)) for _, change in creeps), default=0.0)
         others = (
@@ -231,7 +231,7 @@ class Fitted:
         return self.lines.largest_changes(others) | {"K": softer}
 
     def skewed(self) -> dict[str, float]:
-        """What the time between displacement and force may do to each of `NUMBERS`: the lines once more."""
+        """Effect on each of `NUMBERS` of the time between displacement and force at its bound."""
         both = self.skew * courses([member.trial for member in self.group])
         ways = (*both.tolist(), *(-both).tolist()) if self.skew else ()
         return self.lines.largest_changes(
@@ -239,9 +239,9 @@ class Fitted:
         )
 
     def halves(self) -> dict[str, float | None]:
-        """Of each of `NUMBERS`: by the scatter of trials or by that of cycles, if wider.
+        """Half width of each of `NUMBERS`, from the scatter of trials or of cycles, whichever is wider.
 
-        Cycles of one trial are no independent tests; `mean_half` widens for that where there is a single trial.
+        Cycles of one trial are not independent; `mean_half` widens for that if there is a single trial.
         """
         first, cycles = self.sines[0], Lines.of([cycle for sine in self.sines for cycle in sine.cycles])
         by_trial, by_cycle = self.lines.halves, cycles.halves
@@ -259,7 +259,7 @@ class Fitted:
         return CYCLES_OF_EACH if self.lines.loss.half_start is None and not self.alone else ""
 
     def _single(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
-        """K, phase, loop width H and loop area W at each frequency; the method part is what the replay is off by."""
+        """K, phase, loop width H and loop area W at each frequency; the method part is the bias by replay."""
         found = []
         P = at.get("pressure", 0.0)
         places = grouped(range(len(self.group)), lambda place: self.group[place].sine.frequency)
@@ -296,7 +296,7 @@ class Fitted:
         return grouped(self.sines, lambda sine: sine.frequency)
 
     def findings(self, at: Mapping[str, float]) -> list[Finding]:
-        """What catches the eye."""
+        """Distortion, changes of K over frequency, and similar observations."""
         where, lines = pressure_of(at), []
         if self.lines.K.start <= 0:
             text = f"at {where} the force rises with contraction: a sign is wrong in displacement or force"
@@ -344,14 +344,14 @@ def of_cycles(
 
 
 def of_like_motion(fits: Mapping[Point, Fitted]) -> list[list[Point]]:
-    """Cells that differ by their pressure alone, two or more together, by rising pressure."""
+    """Groups of two or more cells that differ in pressure only, by ascending pressure."""
     pressed = sorted(key for key in fits if "pressure" in dict(key))
     groups = grouped(pressed, lambda key: tuple(item for item in key if item[0] != "pressure"))
     return [keys for keys in groups.values() if len(keys) > 1]
 
 
 def _truth(muscle: Muscle, omega: float, A: float) -> dict[str, float]:
-    """What a muscle gives at speed amplitude omega A [m/s] (paper 0, along a sine)."""
+    """K, phase, H and W of a muscle at speed amplitude omega A [m/s] (paper 0, along a sine)."""
     loss = muscle.B * omega + 4 * muscle.F_c / (pi * A)
     return {
         "K": muscle.K,

@@ -1,17 +1,17 @@
-"""Whether the force along driven sines follows the straight form: harmonics of the force, and what they put in doubt.
+"""Whether the force along driven sines has the straight form: harmonics of the force and doubts that follow from them.
 
 With x = x_m + A sin(theta), h1 the coefficient of sin(theta) in F, h2 minus that of cos(2 theta), h3 minus that of
 sin(3 theta) and q3 that of cos(3 theta), a curve F_m - K u + c u^2 + d u^3 about x_m gives h2 = c A^2/2 and h3 = d
-A^3/4, a friction F_c gives q3 = 4 F_c/(3 pi) and nothing of h3, and dampings that differ by direction give an h2 that
-rises with the speed: the line over the speed ends that. A friction that changes with the speed in one direction only
-makes an h2, too, and moves the mean force; mean force less h2 is then not halfway between the branches at mid stroke.
-Knows measured trials of one pressure, mean and amplitude; computes no coefficient.
+A^3/4; a friction F_c gives q3 = 4 F_c/(3 pi) and no h3; damping that differs between directions gives an h2 that
+increases with the speed, which the extrapolation to speed 0 removes. A friction that changes with the speed in one
+direction only also gives an h2 and shifts the mean force; mean force minus h2 then is not half way between the branches
+at mid stroke. Uses measured trials of one pressure, mean and amplitude; computes no coefficient.
 
-Creep of the muscle is sized by its loss, from the stiffness over frequency. A contraction that creeps after x in parts
-c/(1 + i omega tau), as many to each decade of tau, makes K smaller at low frequency and adds loss: F/x = -K (1 - c sum
-1/(1 + i omega tau)). Where tau goes on below all periods the loss is the same at each frequency, pi/(2 ln 10) of K for
-each part of c in a decade, and reads as friction; where tau ends within them it falls with frequency, and B comes out
-low. So the change of K over the frequencies, with its interval, says what the loss may be.
+The loss due to creep of the muscle is bounded by the stiffness over frequency. A contraction that creeps after x in
+parts c/(1 + i omega tau), equally many in each decade of tau, reduces K at low frequency and adds loss: F/x = -K (1 - c
+sum 1/(1 + i omega tau)). If tau extends below all periods, the loss is the same at each frequency, pi/(2 ln 10) of K
+for each part of c in a decade, and looks like friction; if tau ends within them, the loss falls with frequency and B
+comes out too small. So the change of K over the frequencies, with its interval, bounds the loss.
 """
 
 from __future__ import annotations
@@ -33,28 +33,31 @@ from pmabench.store.analyses.results import Estimate, Finding, withhold
 from pmabench.store.records import Array
 
 CLEAR = 2.0
-"""A harmonic counts as found where it is so many times the half width of its 95 % interval."""
+"""A harmonic is significant above this many half widths of its 95 % interval."""
 MOST_BENT = 0.1
 """h2/h1 up to which the higher harmonics correct K and F: beyond it the corrected values are worse than the others."""
 STRAIGHT = 0.02
-"""h2/h1 up to which F_ce is given by one sine whose stroke holds x = 0."""
+"""Largest h2/h1 for which one sine with x = 0 in its stroke gives F_ce."""
 EDGE = 1.02
-"""Amplitudes from the mean up to which x = 0 counts as in the stroke: a drive stops a little short of its end."""
+"""Distance of x = 0 from the mean, in amplitudes, up to which it counts as inside the stroke: a drive may stop a little
+short.
+"""
 LEAST = 0.01
-"""Share of K that a third harmonic may be worth where friction is not constant, for it may be of that friction."""
+"""Share of K that may be due to a third harmonic of friction, where friction is not constant."""
 REMAINS = 0.3
-"""Share of a correction that is added to the interval for what it leaves."""
+"""Share of a correction that is added to the interval."""
 WOUND = 0.4
 """Greatest third harmonic in phase, as a share of F_c, of a friction that builds up over a part of the stroke."""
 QUICKLY, SLOWLY = 2.0, 5.0
-"""What a friction that builds up on the way adds to the first harmonic in phase, over F_c, where it takes less than the
-amplitude after each turn, with a third harmonic in phase below 0; and where it takes more, with one above 0."""
+"""Contribution to the first harmonic in phase, over F_c, of a friction that builds up over less than the amplitude
+after each turn (third harmonic in phase < 0), or over more (> 0).
+"""
 COULOMB = 0.2
-"""Share by which the third harmonic in quadrature may be off that of a constant friction."""
+"""Largest relative deviation of the third harmonic in quadrature from that of a constant friction."""
 DIRECTIONS = 2 / (3 * pi)
-"""h2 over B omega A where one direction has no damping and the other has 2 B: the most that damping can make."""
+"""h2 over B omega A if one direction has no damping and the other 2 B, the largest that damping can cause."""
 TURNS = 2.0
-"""h2 of a friction that differs near the turns in one direction, over what mean force less h2 is off by it."""
+"""Ratio of h2 to the shift of mean force minus h2, for a friction that differs near the turns in one direction."""
 BUILDS_UP = "friction that builds up on the way"
 BETTER = "an isobaric ramp (isobaric-ramp) measures the curve itself"
 CENTRES = "sines at three means or more, one of them with x = 0 in its stroke, or static load, give F_ce"
@@ -69,17 +72,17 @@ class Form:
     h3: float
     q3: float
     half: tuple[float, float, float]
-    """Of h2, h3, q3; infinite where nothing is there to take it from."""
+    """Half widths of h2, h3, q3; inf without degrees of freedom."""
     mean: float
-    """Contraction about which the sines go [m]."""
+    """Mean contraction of the sines [m]."""
     reach: float
-    """Mean contraction over amplitude [1]: how far x = 0 lies outside of the stroke."""
+    """Mean contraction over amplitude [1]; above 1, x = 0 lies outside the stroke."""
     apart: float
-    """Mean force less h2, less the middle of both branches at mid stroke [N]: what friction of one direction moves."""
+    """Mean force minus h2 minus the middle of both branches at mid stroke [N]: shift by friction in one direction."""
 
     @classmethod
     def of(cls, sines: Sequence[Sine], damping: float) -> Form:
-        """From each cycle of all trials; `damping` [N.s/m] bounds what is not known where there is one frequency."""
+        """From each cycle of all trials; with one frequency, `damping` [N.s/m] bounds its effect on h2."""
         rows = [row for sine in sines for row in _harmonics(sine)]
         frequency, speed, h1, *higher = (np.array(column) for column in zip(*rows, strict=True))
         alone = len(np.unique(frequency)) < 2
@@ -94,12 +97,12 @@ class Form:
 
     @property
     def holds_0(self) -> bool:
-        """Whether x = 0 lies in the stroke."""
+        """Whether x = 0 lies inside the stroke."""
         return abs(self.reach) <= EDGE
 
     @property
     def bent(self) -> bool:
-        """Whether the force over contraction is found to be no straight line."""
+        """Whether the force over contraction is significantly curved."""
         return abs(self.h2) > CLEAR * self.half[0] or abs(self.h3) > CLEAR * self.half[1]
 
     @property
@@ -113,7 +116,7 @@ class Form:
 
     @property
     def carried(self) -> tuple[float, float]:
-        """What a cubic through the stroke adds to the straight line's F at x = 0 [N], and its half width."""
+        """Difference at x = 0 between a cubic through the stroke and the straight line [N], and its half width."""
         if not np.isfinite(self.half[:2]).all():
             return self._carried(self.h2, self.h3), inf
         friction = hypot(self.apart, 2 * TURNS * self.apart * self.reach**2)
@@ -121,18 +124,18 @@ class Form:
         return self._carried(self.h2, self.h3), half
 
     def findings(self, at: Mapping[str, float]) -> list[Finding]:
-        """That the curve is bent, with how much."""
+        """A note if the curve is bent, with the harmonics."""
         if not self.bent:
             return []
         text = f"at {pressure_of(at)} the force over contraction is bent along the sines: {self.shares}"
         return [Finding("note", f"{text}; a value of K is that at their mean contraction")]
 
     def _least(self, share: float) -> float:
-        """The second harmonic [N] that is more than a share of the first, and more than its own interval explains."""
+        """Smallest second harmonic [N] above both a share of the first and its own interval."""
         return max(share * abs(self.h1), CLEAR * self.half[0])
 
     def why_no_f_ce(self) -> tuple[str, bool]:
-        """The reason why this cell alone gives no F_ce, empty where it does; and whether its data contradict one."""
+        """Reason why this cell alone gives no F_ce, else empty; and whether its data contradict the form."""
         if not self.holds_0:
             far = f"x = 0 lies {abs(self.reach):.2g} amplitudes from the mean of these sines, beyond what they measured"
             bent = f"; along them the force over contraction is bent ({self.shares})" if self.bent else ""
@@ -143,7 +146,7 @@ class Form:
         return "", False
 
     def why_no_tangent(self) -> str:
-        """The reason why the harmonics give no force and stiffness at the mean; empty where they do."""
+        """Reason why the harmonics give no force and stiffness at the mean; else empty."""
         if abs(self.h2) <= self._least(MOST_BENT):
             return ""
         most = f"the harmonics correct K and F up to a second one of {MOST_BENT:.0%}"
@@ -153,24 +156,25 @@ class Form:
         )
 
     def stiffness(self, F_c: float | None) -> tuple[float, float]:
-        """K at the mean over that of the first harmonic [1], and half the width of what the form leaves open of it.
+        """K at the mean relative to that of the first harmonic [1], and its half width due to the form.
 
-        A cubic makes h1 = K A - 3 h3. A friction F_c [N] that builds up over a part of the stroke has a third harmonic
-        in phase, too, of at most `WOUND` F_c, and makes the first one greater by one to twice as much: K lies between
-        what follows without it and with it.
+        A cubic has h1 = K A - 3 h3. A friction F_c [N] that builds up over a part of the stroke also has a third
+        harmonic in phase, at most `WOUND` F_c, and increases the first by one to two times that: K lies between the
+        results with and without it.
         """
         wound = self._wound(F_c or 0.0)
         share = (3 * self.h3 + wound) / self.h1
         return 1 + share, min(1.0, hypot(wound / self.h1, REMAINS * share, 3 * self.half[1] / self.h1))
 
     def _wound(self, F_c: float) -> float:
-        """The third harmonic in phase [N] that may be of a friction `F_c` [N] which builds up on the way."""
+        """Possible third harmonic in phase [N] of a friction `F_c` [N] that builds up gradually."""
         return min(WOUND * abs(F_c), max(0.0, -self.h3) + self.half[1])
 
     def friction_at_0(self, F_c: float) -> Doubt:
-        """What a friction `F_c` [N] that builds up on the way makes of F_ce, which K and the harmonics carry to x = 0.
+        """Effect on F_ce, extrapolated to x = 0 by K and the harmonics, of a friction `F_c` [N] that builds up
+        gradually.
 
-        It adds to K as one of constant height cannot; where that shows, all of it may be a spring.
+        Unlike a constant friction it adds to K; where it is significant, all of it may act like a spring.
         """
         reason, r = self.doubt_of_friction(F_c), abs(self.reach)
         wound = self._wound(F_c) if self.h3 < -self.half[1] else 0.0
@@ -192,7 +196,7 @@ class Form:
 
     @property
     def _shaped(self) -> bool:
-        """Whether a third harmonic in phase is found: of a bent curve, or of a friction that builds up on the way."""
+        """Whether a third harmonic in phase is significant: bent curve, or friction that builds up gradually."""
         return abs(self.h3) > max(CLEAR * self.half[1], LEAST * abs(self.h1) / 3)
 
     def doubt_of_friction(self, F_c: float) -> str:
@@ -214,9 +218,10 @@ def pressure_of(at: Mapping[str, float]) -> str:
 
 
 def judged(found: Sequence[Estimate], form: Form) -> list[Estimate]:
-    """Estimates of the harmonics with K as the tangent at the mean, F_c and the loop width at 0 Hz as they are.
+    """Estimates with K corrected by the harmonics to the tangent at the mean; F_c and the loop width at 0 Hz unchanged.
 
-    They are withheld where the form contradicts them; then K_A is what the first harmonic says over this amplitude.
+    They are withheld where the form contradicts them; `K_A`, from the first harmonic over this amplitude, is then given
+    as well.
     """
     F_c = next((e.value for e in found if e.symbol == "F_c" and e.value is not None), None)
     factor, half = form.stiffness(F_c)
@@ -240,15 +245,15 @@ def judged(found: Sequence[Estimate], form: Form) -> list[Estimate]:
 
 
 def rows_of_cycles(sine: Sine) -> list[NDArray[np.bool_]]:
-    """Which samples are of each cycle."""
+    """For each cycle, which samples belong to it."""
     number = np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6)
     return [number == one for one in np.unique(number)]
 
 
 def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
-    """Frequency [Hz], speed [m/s], |h1|, h2, h3, q3 [N] of each cycle, and what `Form.apart` is the line of [N].
+    """Frequency [Hz], speed [m/s], |h1|, h2, h3, q3 [N] of each cycle, and its value for `Form.apart` [N].
 
-    A displacement that is no pure sine has harmonics, too: K times them is taken off.
+    Harmonics of the displacement are corrected by subtracting K times them.
     """
     orders = np.array([1, 2, 3])
     angles = np.outer(sine.omega * sine.t, orders)
@@ -260,7 +265,7 @@ def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
             continue
         fitted = least_squares(design[one], both[one])
         waves = fitted[1:4] - 1j * fitted[4:7]  # shape (3, 2): Re(wave exp(j k omega t))
-        turn = -1j * np.conj(waves[0, 0]) / abs(waves[0, 0])  # from omega t to theta
+        turn = -1j * np.conj(waves[0, 0]) / abs(waves[0, 0])  # rotates omega t to theta
         X, F = (waves * turn ** orders[:, None]).T
         K = -(F[0] / X[0]).real
         left = F + K * X
@@ -273,22 +278,22 @@ def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
 
 
 SHORTEST = tuple(10 ** np.arange(-2.0, 0.1, 0.25))
-"""Time constants that creep may begin with [s]: it is seen within a second of a step."""
+"""Shortest time constants of creep that are tried [s]: creep shows within a second of a step."""
 WORSE = 3.0
-"""Only those are kept whose stiffness over frequency is uncertain by so many times that of the best."""
+"""Those with an uncertainty of the stiffness change above this factor of the smallest are left out."""
 LONGEST = 1e3
-"""Time constants end here [s]: no sine shows them."""
+"""Longest time constant [s]; slower creep does not show in sines."""
 PER_DECADE = 2
 """Parts of creep in a decade of time constants."""
 MOST = 0.02
-"""Share of a contraction that no part of creep exceeds: 4 % in a decade."""
+"""Largest part of creep, as a share of the contraction: 4 % per decade."""
 
 
 def lost(sines: Sequence[Sine], cycles: Sequence[Swing]) -> list[tuple[Array, Array]]:
-    """For each shortest time constant: what creep may have added to the loss, and taken from K, of each sine.
+    """For each shortest time constant: possible contribution of creep to the loss and to K of each sine.
 
-    Loss by the amplitude, and stiffness [N/m], shape (n,) each. `cycles` are those of all sines: where no sine is
-    repeated their scatter says how sure the change of K is. Empty with one frequency, which does not show it.
+    Loss divided by the amplitude, and stiffness [N/m], shape (n,) each. `cycles` are those of all sines: without
+    repeats their scatter gives the uncertainty of the change of K. Empty with one frequency, which does not show it.
     """
     frequency, K, size = _columns(sines)
     if len(np.unique(frequency)) < 2:

@@ -1,17 +1,15 @@
 """F_ce from the mean force of driven sines, and the work along them.
 
-Over a whole cycle friction and a damping that is the same both ways cancel, so that the mean force is F_ce - K x at the
-mean contraction x; half of what friction differs by direction stays in it, as in the middle of both branches. Where B_c
-and B_r differ it rises by (B_r - B_c)/pi for each unit of the speed amplitude omega A, so that F_ce is where a line
-over that speed begins.
+Over a whole cycle, friction and damping that are equal in both directions cancel, so the mean force is F_ce - K x at
+the mean contraction x; half of a difference between directions remains, as in the middle of both branches. If B_c and
+B_r differ, it increases by (B_r - B_c)/pi per unit of the speed amplitude omega A; extrapolation to speed 0 gives F_ce.
 
     W_c = integral of F dx while x rises,  W_c + W = -integral of F dx while x falls,  eta = W_c / (W_c + W)
 
-with W the area of the loop. The pressure is held, so the air takes part in both; what it carries in and out is not
-measured, and eta is no efficiency of the drive. F_ce from sines about several means: the force over contraction of a
-muscle is bent most near x = 0, so that what a sine says of its own mean is not carried far. Where one of the strokes
-holds x = 0, a cubic with that sine's harmonics is taken there, and how far a cubic through all means (force and
-stiffness at each) lies from it bounds what both leave out.
+with W the area of the loop. At constant pressure the air exchanges work, too, which is not measured, so eta is not an
+efficiency of the drive. F_ce from sines about several means: the force over contraction is most curved near x = 0, so
+values at a mean cannot be extrapolated far. If one of the strokes includes x = 0, the cubic by that sine's harmonics is
+evaluated there, and its distance from a cubic through force and stiffness at all means bounds the error of both.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ NO_SLOPE = "as at the measured pressure: one pressure does not show F_ce at the 
 
 
 def force_slopes(fits: Mapping[Point, Fitted]) -> dict[Point, float]:
-    """dF_ce/dP [N/Pa] at each cell, from the cells of like motion; absent without two pressures."""
+    """dF_ce/dP [N/Pa] at each cell, from cells of equal motion; cells without a second pressure are left out."""
     found: dict[Point, float] = {}
     for keys in of_like_motion(fits):
         P = np.array([np.mean([m.sine.pressure for m in fits[key].group]) for key in keys])
@@ -65,11 +63,12 @@ def force_slopes(fits: Mapping[Point, Fitted]) -> dict[Point, float]:
 def mean_force_estimates(
     at: Mapping[str, float], fitted: Fitted, form: Form, scales: Scales, slope: float | None
 ) -> tuple[Estimate, Estimate]:
-    """F_ce, and F at the mean contraction [N], at the set pressure of `at`; `slope` is dF_ce/dP [N/Pa], where known.
+    """F_ce, and F at the mean contraction [N], at the set pressure of `at`; `slope` is dF_ce/dP [N/Pa], None where
+    unknown.
 
-    F is the mean force less the second harmonic, F_ce what a cubic with the same harmonics has at x = 0, where that
-    lies in the stroke. Both are withheld where the harmonics are too large for that (`form`). Calibration, to first
-    order: the force scales both; an offset of the displacement is worth K times that.
+    F is the mean force minus the second harmonic, F_ce the value at x = 0 of a cubic with the same harmonics, if x = 0
+    is in the stroke. Both are withheld where the harmonics are too large for that (`form`). Calibration to first order:
+    gain of the force for both; an offset of the displacement times K.
     """
     wanted = at.get("pressure", nan)
     line = _line(fitted, slope or 0.0, wanted)
@@ -119,7 +118,7 @@ def mean_force_estimates(
 
 
 def drift_of(members: Sequence[Member], share: float = 1.0) -> list[Doubt]:
-    """What the mean force changes by from the first cycle to the last [N], times `share`, where that is seen."""
+    """A doubt if the mean force changes from cycle to cycle, with the change [N] times `share`; else empty."""
     return force_from_cycle_to_cycle([_by_cycle(member.sine, member.sine.F) for member in members], share)
 
 
@@ -141,8 +140,8 @@ def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
 
 
 def _half_by_cycles(fitted: Fitted) -> float | None:
-    """Half width of the line's begin [N] by the scatter of cycles, where each trial is needed for the line; None for
-    trials of one cycle.
+    """Half width of the line's start [N] from the scatter of cycles, where the line needs every trial; None for trials
+    of one cycle.
     """
     K, cycles = fitted.lines.K.start - fitted.bias["K"], []
     for member in fitted.group:
@@ -156,14 +155,14 @@ def _half_by_cycles(fitted: Fitted) -> float | None:
 
 LOOP_WORK = "loop-work"
 BETWEEN_SAMPLES = 3
-"""Places between two samples at which the power is taken."""
+"""Interpolated points per sample interval at which the power is computed."""
 
 
 def work(sine: Sine) -> tuple[Array, Array]:
     """Work given while contracting and taken up while expanding [J] in each cycle, shapes (cycles,).
 
-    The rate is that of the displacement's first five harmonics, so that noise is not counted as motion. It is taken
-    between the samples, too: the motion seldom turns at one.
+    The velocity is that of the displacement's first five harmonics, so that noise does not count as motion. It is also
+    computed between the samples, since the motion rarely turns at a sample.
     """
     step = float(np.median(np.diff(sine.t))) / BETWEEN_SAMPLES
     shifts = step * np.arange(BETWEEN_SAMPLES)
@@ -177,8 +176,8 @@ def work(sine: Sine) -> tuple[Array, Array]:
 def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: Scales, skew: float) -> list[Estimate]:
     """W_c [J] and eta [1] at each frequency.
 
-    Calibration, to first order: W_c ~ F x; the gains of both cancel in eta. An offset of the force is worth the stroke
-    times that in W_c. Method: what W_c leaves of the loop's area by samples.
+    Calibration to first order: W_c ~ F x; both gains cancel in eta. An offset of the force enters W_c times the stroke.
+    Method part: difference of the net work to the loop's area.
     """
     found = []
     for frequency in sorted({member.sine.frequency for member in members}):
@@ -210,14 +209,14 @@ SINE_CENTRES = "sine-centres"
 FEWEST = 3
 """Means that a cubic needs, with force and stiffness at each: six values for four terms."""
 APART = 1e-6
-"""Means nearer to each other are one [m]."""
+"""Means closer than this count as one [m]."""
 AGREE = 0.05
-"""Share of F_ce that both cubics may lie apart; beyond it neither holds."""
+"""Largest difference of both cubics, as a share of F_ce, at which it is given."""
 
 
 @dataclass(frozen=True)
 class Centre:
-    """What the sines of one pressure, mean and amplitude say at their mean."""
+    """Result of the sines of one pressure, mean and amplitude at their mean."""
 
     F: Estimate
     K: Estimate
@@ -225,18 +224,18 @@ class Centre:
 
     @property
     def mean(self) -> float:
-        """[m]."""
+        """Mean contraction [m]."""
         return self.form.mean
 
     @property
     def at_0(self) -> float:
-        """The cubic with this sine's harmonics at x = 0 [N]."""
+        """Value at x = 0 of the cubic with this sine's harmonics [N]."""
         r = self.form.reach
         bent = 2 * self.form.h2 * r**2 - 4 * self.form.h3 * r**3
         return (self.F.value or 0.0) + (self.K.value or 0.0) * self.mean + bent
 
     def part(self, name: str) -> float | None:
-        """A part of the half width of `at_0` [N]."""
+        """A part of the half width of `at_0` [N]; None without one."""
         force, stiffness = (getattr(e.parts, name) for e in (self.F, self.K))
         if force is None or stiffness is None:
             return None if force is None else float(force)
@@ -244,20 +243,20 @@ class Centre:
 
     @property
     def harmonics(self) -> float:
-        """What the half widths of the harmonics make of `at_0` [N]."""
+        """Half width of `at_0` because of the harmonics [N]."""
         h2, h3, _ = self.form.half
         h2 = hypot(h2, TURNS * self.form.apart)
         return hypot(2 * h2 * self.form.reach**2, 4 * h3 * self.form.reach**3)
 
 
 def centre_of(found: Sequence[Estimate], form: Form) -> Centre | None:
-    """From the estimates of one cell; None where force or stiffness at its mean is withheld."""
+    """From the estimates of one cell; None where force or stiffness at its mean has no value."""
     known = {e.symbol: e for e in found if e.value is not None and not e.coordinate and "frequency" not in e.at}
     return Centre(known["F"], known["K"], form) if {"F", "K"} <= set(known) else None
 
 
 def through_centres(at: Mapping[str, float], centres: Sequence[Centre]) -> Estimate | None:
-    """F_ce [N] at the pressure of `at`; None with too few means, or none whose stroke holds x = 0."""
+    """F_ce [N] at the pressure of `at`; None with too few means, or without a stroke that includes x = 0."""
     means = np.unique(np.round([one.mean for one in centres], 6))
     near = [one for one in centres if one.form.holds_0]
     if len(means) < FEWEST or not near or np.ptp(means) < APART:

@@ -1,9 +1,9 @@
-"""Driven sines and the pressure that they make: its error by direction, and the force modelled from set and measured.
+"""Pressure during driven sines: its error by direction, and the force modelled with set and measured pressure.
 
-Paper 3's validation: a model with an ideal source of pressure is off where the regulator is, and not with the pressure
-that was measured. The model here is what the slowest sines say: at each contraction F = f(x) + s(x) P, through their
-branches at all pressures (paper 3 eq. 6 is of that form, and so are three elements), and B and F_c of the harmonics.
-With the figure of both.
+Paper 3's validation: a model with an ideal pressure source has the error of the regulator, one with the measured
+pressure does not. The model is fitted to the slowest sines: at each contraction F = f(x) + s(x) P, from their branches
+at all pressures (the form of paper 3 eq. 6, and of the three-element model), with B and F_c from the harmonics. Also
+the figure of both.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ SIDES = ("contracting", "expanding")
 PULLS = ("pressure", "force")
 POINTS = 41
 APART = 0.05
-"""Two pressures of the slowest sines are apart by at least this share, or no slope over pressure is given."""
+"""Smallest relative difference of two pressures of the slowest sines for a slope over pressure."""
 SLOW = 1.5
-"""Sines at up to so many times the lowest frequency of their pressure count as slow."""
+"""Sines up to this multiple of the lowest frequency at their pressure count as slow."""
 EXTREME = 3.0
-"""Standard deviations of the noise by which the largest of many samples lies beyond the signal."""
+"""Standard deviations of noise by which the largest of many samples exceeds the signal."""
 WORSE = 1.2
-"""Ratio of the two rms errors from which on the set pressure is called worse."""
+"""Ratio of both rms errors from which on the set pressure is reported as the worse input."""
 LONGEST_TRACE = 1200
 
 
@@ -57,13 +57,13 @@ class Along:
 
     @classmethod
     def of(cls, member: Member) -> Along | None:
-        """None where the pressure is not recorded, or no set pressure is known."""
+        """From a trial; None where the pressure is not recorded, or the set pressure unknown."""
         sine, trial, wanted = member.sine, member.trial, member.trial.point.get("pressure")
         if "pressure" not in trial.channels or wanted is None:
             return None
         x, v = sine.motion.value(), sine.motion.slope()
         rows, lags = np.searchsorted(trial.t, sine.t), lags_of(member.run, trial)
-        # the sine's own force may have the ripple taken off
+        # the sine's own force may be corrected for the ripple
         P, F = (without_lag(sine.t, trial.channels[name][rows], sine.frequency, lags[name]) for name in PULLS)
         return cls(member, x, v, F, P, float(wanted))
 
@@ -87,7 +87,7 @@ class Static:
 
     @classmethod
     def of(cls, alongs: Sequence[Along]) -> Static | None:
-        """From the slowest sines of each pressure; None where there are not two pressures."""
+        """From the slowest sines at each pressure; None with fewer than two pressures."""
         chosen: list[Along] = []
         for wanted in sorted({along.wanted for along in alongs}):
             mine = [along for along in alongs if along.wanted == wanted]
@@ -118,7 +118,7 @@ class Static:
         return cls(grid, mean_F - s * mean_P, s, tuple(along.member.name for along in chosen))
 
     def force(self, along: Along, P: Array | float, muscle: Muscle) -> Array:
-        """Along a trial's motion with a pressure [N]; NaN beyond the slow sines' stroke, shape (n,)."""
+        """Force along a trial's motion with a pressure [N]; NaN outside the slow sines' stroke, shape (n,)."""
         f = np.interp(along.x, self.x, self.f, left=nan, right=nan)
         s = np.interp(along.x, self.x, self.s, left=nan, right=nan)
         return np.asarray(f + s * P - muscle.B * along.v - muscle.F_c * np.sign(along.v))
@@ -127,9 +127,9 @@ class Static:
 def pressure_and_force(
     members: Sequence[Member], muscles: Mapping[str, Muscle | None], scales: Scales
 ) -> tuple[list[Estimate], list[Finding], list[Trace]]:
-    """Pressure error and rms error of the modelled force of each cell, by direction.
+    """Pressure error, and rms error of the modelled force, of each cell by direction.
 
-    `muscles`: by name of a trial, K, B and F_c that its harmonics gave; None where not all are known.
+    `muscles`: name of a trial -> K, B and F_c from its harmonics; None where not all are known.
     """
     alongs = [along for member in members if (along := Along.of(member)) is not None]
     estimates, traces = list[Estimate](), list[Trace]()
@@ -162,7 +162,7 @@ def _mean(along: Along) -> float:
 
 
 def _error(at: Mapping[str, float], group: Sequence[Along], side: str, scales: Scales) -> Estimate:
-    """The largest error of the pressure while moving in a direction, the mean over cycles; noise makes it larger."""
+    """Largest pressure error during motion in one direction, mean of the cycles; noise increases it."""
     errors = [along.by_cycle(along.P - along.wanted, along.side(side)) for along in group]
     cycles = [np.array([float(one[np.argmax(np.abs(one))]) for one in of_trial]) for of_trial in errors]
     means = np.array([float(values.mean()) for values in cycles])
@@ -217,7 +217,7 @@ def _trace(at: Mapping[str, float], along: Along, static: Static, muscle: Muscle
 def _sentences(
     ratios: Sequence[tuple[str, float, float, str]], modelled: bool, estimates: Sequence[Estimate]
 ) -> list[Finding]:
-    """Where the set pressure is a worse input than the measured one, with the worst case."""
+    """Cells where the set pressure is a worse input than the measured one, with the worst case."""
     worse = [one for one in ratios if one[1] > WORSE * one[2]]
     if worse:
         where, by_set, by_measured, side = max(worse, key=lambda one: one[1] - one[2])

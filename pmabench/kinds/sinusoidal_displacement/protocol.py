@@ -16,11 +16,11 @@ from pmabench.protocol.plan import Follow, Hold, Plan, Record, TrialRecord
 from pmabench.protocol.sweep import FrequencyAxis, LengthAxis, Point, PressureAxis, Sweep, expand
 
 MOST_CYCLES = 1e9
-"""More are not counted: such a plan is refused for its length."""
+"""Upper bound for counting cycles; a plan with more is refused because of its length."""
 
 
 class SineAxes(Strict):
-    """What is swept; the amplitude only where it differs between frequencies."""
+    """What is swept; the amplitude only if it differs between frequencies."""
 
     pressure: PressureAxis
     frequency: FrequencyAxis
@@ -35,7 +35,7 @@ class SineTrial(Strict):
     cycles: Annotated[int, Field(ge=3, le=10_000)]
     at_least: Time = 0.0
     discard: Annotated[int, Field(ge=0)] = 1
-    """Cycles at the start that do not enter the fit."""
+    """Cycles at the start that the fit leaves out."""
     settle: Time
     """Time at pressure before the first motion."""
     approach: Speed
@@ -55,7 +55,7 @@ class SinusoidalDisplacement(ProtocolHead):
     trial: SineTrial
 
     def compile(self, c: Compilation) -> Plan:
-        """The plan: per pressure pressurise and go to the mean; per frequency one recorded sine."""
+        """The plan: per pressure, pressurise and move to the mean; per frequency one recorded sine."""
         trial = self.trial
         for name in ("settle", "approach"):
             c.positive(getattr(trial, name), ("trial", name))
@@ -96,7 +96,7 @@ class SinusoidalDisplacement(ProtocolHead):
         return c.plan("sinusoidal-displacement", {"discard": trial.discard, "time_skew": trial.time_skew})
 
     def _amplitude(self, c: Compilation, point: Point) -> float | None:
-        """The amplitude of a point [m], checked; None where there is none."""
+        """Amplitude of a point [m], checked; None where it has none."""
         amplitude = point.values.get("amplitude", self.trial.amplitude)
         where: Location = point.places.get("amplitude", ("trial", "amplitude"))
         if amplitude is None:
@@ -108,7 +108,7 @@ class SinusoidalDisplacement(ProtocolHead):
         return float(amplitude) if amplitude > 0 else None
 
     def _possible(self, c: Compilation, point: Point, amplitude: float) -> None:
-        """Check the actuator's speed, the force believed to come, and the pressure that the motion makes."""
+        """Check the actuator's speed, the predicted force, and the pressure change due to the motion."""
         mean, frequency, pressure = self.trial.mean, point.values["frequency"], point.values["pressure"]
         where: Location = point.places["frequency"]
         not_too_fast(c, 2 * pi * frequency * amplitude, where, "the sine moves")

@@ -1,9 +1,8 @@
 """Reduction of driven sines: K, B, F_c and loop widths from the first harmonics of displacement and force.
 
-Knows the samples and the protocol's settings; not how the bench is built. One trial is measured in `sine_loop`, the
-lines through those of one cell are in `fit`. What filters that nobody declared, steps of channels and a pressure that
-swings leave open is put into the samples, and evaluated again. `one_trial`: what one trial says by itself, for the
-display.
+Uses the samples and the protocol's settings; knows nothing of the bench. One trial is evaluated in `sine_loop`, the
+lines through those of one cell are in `fit`. Effects of undeclared filters, steps of channels and a varying pressure
+are found by changing the samples and evaluating them again. `one_trial`: values of one trial, for the display.
 """
 
 from __future__ import annotations
@@ -37,24 +36,24 @@ KIND = "sinusoidal-displacement"
 CHANNELS = ("displacement", "force")
 CELL = ("pressure", "mean", "amplitude")
 ALIKE = {"amplitude": (0.02, "amplitude"), "mean": (0.02, "amplitude"), "pressure": (0.01, "pressure")}
-"""Coordinates that were measured are one where they differ by no more than a share, and of what."""
+"""Measured coordinates count as equal if they differ by at most this share of the named coordinate."""
 UNEVEN = 0.01
-"""Share of the force that uncorrected pressure at the sine's frequency may be worth before it is doubted."""
+"""Uncorrected force by pressure at the sine's frequency, as a share of the force, from which on it is a doubt."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """K [N/m], B [N.s/m], F_c, F_ce [N], loop widths [N] and areas [J] of sinusoidal displacement at constant pressure.
 
-    The muscle pulls with F = F_ce - K x - B x' - F_c sign x'. With the complex amplitudes of measured displacement and
-    force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A +
-    4 F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 where the two directions differ. The width of the loop
-    at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag. F_ce is
-    what the mean force gives where the stroke holds x = 0 (`mean_force`), or sines about several means.
-    The higher harmonics of the force correct K and F to those at the mean, and withhold what they contradict (`form`).
+    The muscle's force is F = F_ce - K x - B x' - F_c sign x'. With the complex amplitudes of measured displacement and
+    force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A + 4
+    F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 if the directions differ. The width of the loop at mid
+    stroke is 2 B omega A + 2 F_c: the value at 0 Hz is static hysteresis, the rest is phase lag. F_ce comes from the
+    mean force if the stroke includes x = 0 (`mean_force`), or from sines about several means. The higher harmonics of
+    the force correct K and F to those at the mean, and withhold what they contradict (`form`).
 
-    `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time
-    between displacement and force, to which that of the clocks of their streams is added; else the plan's setting;
-    without either, the lag of the force cell is open), `force_per_pressure` dF/dP [N/Pa].
+    `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound of the time
+    between displacement and force, to which that of their streams' clocks is added; else the plan's setting; without
+    either, the lag of the force cell is an uncertainty), `force_per_pressure` dF/dP [N/Pa].
     """
     options = options or {}
     members, dropped = measured_trials(
@@ -95,27 +94,28 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One pressure, mean and amplitude: with what the lines through its sines are evaluated."""
+    """One pressure, mean and amplitude, with what is needed to evaluate its sines."""
 
     at: Mapping[str, float]
     scales: Scales
     slopes: Muscle | None
-    """Of K, B and F_c over pressure; None where they are not known."""
+    """Derivatives of K, B and F_c by pressure; None where unknown."""
     rising: float | None
     """dF_ce/dP [N/Pa], where it is known."""
     form: Form
     """Harmonics of the measured sines."""
 
     def estimates(self, fitted: Fitted, form: Form) -> list[Estimate]:
-        """All estimates by these lines, as the harmonics of a form correct and withhold them."""
+        """All estimates from these lines, corrected and withheld by the harmonics of `form`."""
         found = judged(fitted.estimates(self.at, self.scales, self.slopes), form)
         found += mean_force.mean_force_estimates(self.at, fitted, form, self.scales, self.rising)
         return [*found, *mean_force.work_estimates(self.at, fitted.group, self.scales, fitted.skew)]
 
     def of_others(self, group: Sequence[Member]) -> Named:
-        """Estimates of other samples; where their own form withholds one, that by the form of the measured ones.
+        """Estimates from changed samples; where their own form withholds one, it is evaluated with the form of the
+        measured ones.
 
-        Where that withholds it, too, friction is that of the plain lines, which no form corrects.
+        If that also withholds it, friction is taken from the plain lines, which no form corrects.
         """
         fitted = Fitted.of(group, 0.0)
         found = self.estimates(fitted, fitted.form)
@@ -127,7 +127,7 @@ class Cell:
 
 
 def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Point, Fitted], dict[Point, float]]:
-    """The lines of each cell, and what is stated of the time between displacement and force there [s]."""
+    """The lines of each cell, and the stated bound of the time between displacement and force there [s]."""
     cells = _cells(members, CELL)
     stated = {
         key: max(float(settings_of(one.run, options).get("time_skew", 0.0)) for one in group) for key, group in cells
@@ -139,7 +139,7 @@ def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[P
 def _with_centres(
     estimates: Sequence[Estimate], centres: Mapping[float, Sequence[mean_force.Centre]]
 ) -> list[Estimate]:
-    """With F_ce from sines about several means, in place of the empty ones of single means."""
+    """The estimates with F_ce from sines about several means in place of empty ones."""
     of_all = {P: mean_force.through_centres({"pressure": P}, of) for P, of in sorted(centres.items())}
     given = {P: F_ce for P, F_ce in of_all.items() if F_ce is not None}
     empty = [e for e in estimates if e.symbol == "F_ce" and e.value is None and e.at.get("pressure") in given]
@@ -147,7 +147,9 @@ def _with_centres(
 
 
 def _over_pressure(fits: Mapping[Point, Fitted]) -> dict[Point, Muscle]:
-    """Slopes of K, B and F_c over pressure, from the cells of like motion; absent without two pressures."""
+    """Derivatives of K, B and F_c by pressure, from cells of equal motion; cells without a second pressure are left
+    out.
+    """
     found: dict[Point, Muscle] = {}
     for keys in of_like_motion(fits):
         values = np.array([astuple(fits[key].muscle) for key in keys])
@@ -157,9 +159,10 @@ def _over_pressure(fits: Mapping[Point, Fitted]) -> dict[Point, Muscle]:
 
 
 def _as_alike(members: Sequence[Member]) -> list[Member]:
-    """Motions that nobody commanded, and that were measured to differ by less than `ALIKE`, at the same point.
+    """Members whose motion was measured and not commanded, moved to a common point where they differ by less than
+    `ALIKE`.
 
-    A drive makes 3.99 mm of 4 mm at 2 Hz, which is no other amplitude.
+    A drive may reach 3.99 mm of 4 mm at 2 Hz, which is the same amplitude.
     """
     measured = [m for m in members if import_of(m.run) and "displacement_command" not in m.trial.channels]
     points = {m.name: dict(m.trial.point) for m in measured}
@@ -179,15 +182,15 @@ def _as_alike(members: Sequence[Member]) -> list[Member]:
 
 
 def _cells(members: Sequence[Member], names: Sequence[str]) -> list[tuple[Point, list[Member]]]:
-    """The trials with the same values of `names`, by rising values."""
+    """The trials with equal values of `names`, by ascending values."""
     return sorted(grouped(members, lambda one: point_by(one.trial, names)).items())
 
 
 def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[list[Member], list[Finding]]:
-    """Take off the force that pressure at the sine's own frequency makes: dF/dP times that pressure.
+    """Members corrected for the force by pressure at the sine's frequency, dF/dP times that pressure; and findings.
 
-    dF/dP [N/Pa] is the option `force_per_pressure`, else the slope of mean force over mean pressure among trials of
-    the same mean displacement. Where neither is known nothing is taken off; what it may be worth is then doubted.
+    dF/dP [N/Pa] is the option `force_per_pressure`, else the slope of mean force over mean pressure among trials of the
+    same mean displacement. Without either there is no correction, and a doubt where it would be large.
     """
     even: list[Member] = []
     findings: list[Finding] = []
@@ -216,26 +219,26 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
 
 FILTERED, SWINGS = "filter of the pressure sensor", "pressure that swings with the sine"
 SEEN = 4.0
-"""Standard errors from which on a pressure is seen to swing with the sine."""
+"""Standard errors from which on the pressure varies significantly with the sine."""
 AT_MOST = 2.0
-"""Force per pressure where it is not known, over F_ce/P: a muscle pulls from some pressure on only."""
+"""Factor on F_ce/P for an unknown force per pressure, since a muscle has force only above some pressure."""
 ROOM = 1.02
-"""A filter of all that is open is in the interval, whatever noise adds."""
+"""Factor on the possible filters, so that noise does not hide a filter at its bound."""
 Named = Mapping[tuple[object, ...], Estimate]
 """Estimates with a value by `name_of`."""
 Effects = Mapping[tuple[object, ...], float]
 
 
 def name_of(e: Estimate) -> tuple[object, ...]:
-    """What identifies an estimate of a cell."""
+    """Key of an estimate within a cell."""
     return e.symbol, e.method, *e.at.items()
 
 
 def _with_sensors(estimates: Sequence[Estimate], fitted: Fitted, cell: Cell, *, late: bool) -> list[Estimate]:
-    """The estimates with what their sensors leave open; `late` where nothing states how late the force is.
+    """The estimates with the uncertainty due to their sensors; `late`: the delay of the force is not stated.
 
-    Each is put into the samples, and all values of the cell are evaluated again. A filter may be of first order, which
-    takes off from the amplitude, too, or a sharper one, which up to there delays only.
+    Each effect is put into the samples, and all values of the cell are evaluated again. A filter may be of first order,
+    which also reduces the amplitude, or a sharper one, which only delays.
     """
     group = list({member.sine.frequency: member for member in fitted.group}.values())
     given = cell.of_others(group)
@@ -265,17 +268,17 @@ def _with_sensors(estimates: Sequence[Estimate], fitted: Fitted, cell: Cell, *, 
 
 
 def _apart(e: Estimate, other: Estimate) -> float:
-    """How far another value is from an estimate; of a line over frequency, less what its own interval holds more.
+    """Difference of another value to an estimate; for a line over frequency minus the increase of its interval.
 
-    A filter that would bend a line is none of a line that is straight: K of many frequencies is not open by all that a
-    filter would do to K at the highest.
+    A filter that would bend the line contradicts a straight one, so K from many frequencies is not as uncertain as K at
+    the highest.
     """
     more = 0.0 if e.at.get("frequency") else (other.parts.repeats or 0.0) - (e.parts.repeats or 0.0)
     return max(0.0, abs((other.value or 0.0) - (e.value or 0.0)) - max(0.0, more))
 
 
 def _swings(member: Member) -> bool:
-    """Whether the pressure is seen to swing with the sine, and its force was not taken off."""
+    """Whether the pressure varies significantly with the sine, and the force is not corrected for it."""
     if member.per_pressure or not member.sine.ripple:
         return False
     noise = noise_of(member.trial.channels["pressure"]) * np.sqrt(2 / len(member.sine.t))
@@ -283,7 +286,7 @@ def _swings(member: Member) -> bool:
 
 
 def _by_steps(fitted: Fitted, cell: Cell) -> Effects:
-    """What the steps of the channels make: the fitted muscle, rounded, evaluated again."""
+    """Effect of the channels' steps: the fitted muscle's signals, rounded and evaluated again."""
     muscle, rows = fitted.replayed, list[tuple[Member, Array, Array]]()
     for member in {member.sine.frequency: member for member in fitted.group}.values():
         x, F = along(member.sine, muscle.K, muscle.B, muscle.F_c)
@@ -301,9 +304,10 @@ def _by_steps(fitted: Fitted, cell: Cell) -> Effects:
 
 
 def _traces(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: Muscle | None) -> list[Trace]:
-    """One loop per frequency (the last cycle of its first trial), and the Bode table.
+    """One loop per frequency (last cycle of its first trial), and the Bode table.
 
-    `sines` by frequency [Hz]; `muscle` is None where K, B and F_c are not all known: no model is drawn with the loops.
+    `sines` by frequency [Hz]; `muscle` is None where K, B and F_c are not all known: loops are then drawn without
+    model.
     """
     where = ", ".join(
         show(at[name], quantity) for name, quantity in (("pressure", "pressure"), ("mean", "length")) if name in at
@@ -364,7 +368,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """K, and B at this frequency, with what Coulomb friction adds to it: -Im(F/x)/omega = B + 4 F_c/(pi omega A)."""
+    """K, and B at this frequency including Coulomb friction: -Im(F/x)/omega = B + 4 F_c/(pi omega A)."""
     settings = run.plan.get("settings") or {}
     P = trial.point.get("pressure")
     try:

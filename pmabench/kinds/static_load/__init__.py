@@ -1,8 +1,8 @@
 """The pressures at which loads lift off and set down: F_ce over pressure.
 
-- `reduction`, made of `points` (lift and set-down, carried to x = 0) and `line` (F_ce over pressure, of both
-  directions, without hysteresis)
-- protocol files: `protocol`; words, figures and one trial on the display: `figures`
+- `reduction`, made of `points` (lift and set-down, corrected to x = 0) and `line` (F_ce over pressure, by each
+  direction and their mean, corrected for hysteresis)
+- protocol files: `protocol`; sentences, figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Commanded, Imported, Kind, Result

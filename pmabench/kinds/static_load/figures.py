@@ -1,6 +1,6 @@
-"""Words, table of loads and figures of static load; fits nothing.
+"""Sentences, table of loads and figures of static load; fits nothing.
 
-`measure`: what one trial says by itself, for the display.
+`measure`: values of one trial, for the display.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SHOWN = 3
 
 
 def line_findings(line: Line) -> list[Finding]:
-    """The line through the means, and whether the loads lie on it."""
+    """The line through the means, and whether the loads fit it."""
     text = f"F_ce = {show(line.a, 'force', 4)} + {show(line.s, 'force per pressure', 5)} P"
     left = f"residual {show(line.rms, 'force', 2)} rms" if line.factor else "through two points"
     found = [Finding("note", f"{text}, {left}")]
@@ -38,7 +38,7 @@ def line_findings(line: Line) -> list[Finding]:
 
 
 def of_place(mean: Mean) -> Finding:
-    """Whether K x at set-down was taken off, with its size."""
+    """Whether K x at set-down was corrected, and its size."""
     points = mean.points
     if not mean.carried:
         text = "a lifted load hangs above its support when it breaks away again, and half of K x there is still in F_ce"
@@ -53,7 +53,7 @@ def of_place(mean: Mean) -> Finding:
 
 
 def of_reversal(mean: Mean) -> Finding:
-    """That loads set down at more pressure than they lifted at."""
+    """Loads that set down at a higher pressure than they lifted."""
     size, force = show(mean.reversed, "pressure", 2), show(0.5 * mean.reversed * mean.line.s, "force", 2)
     text = f"a load sets down at a pressure up to {size} above that at which it lifts, which no friction does:"
     text += " it swings, or its support gives way. Let it come to rest before"
@@ -61,7 +61,7 @@ def of_reversal(mean: Mean) -> Finding:
 
 
 def of_hysteresis(mean: Mean) -> Finding:
-    """What of the braid's hysteresis was taken off, or why it could not be."""
+    """Correction for the braid's hysteresis, or why there is none."""
     if mean.kept is None:
         if mean.why:
             return Finding("doubt", f"F_ce is withheld: {mean.why}")

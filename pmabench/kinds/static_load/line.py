@@ -1,12 +1,13 @@
-"""A straight line F_ce(P) through the pressures of loads, with what it is uncertain by.
+"""A straight line F_ce(P) through the pressures of loads, and its uncertainty.
 
-The line through the means of lift and set-down is taken without what their mean keeps: K x at set-down, and hysteresis
-of the braid. A load always comes to its support from above. A force that lags behind the contraction (stops, Maxwell
-slip) is then at the end of its loop at lift and at set-down alike, with one sign: their mean keeps it, and their
-distance, which shows dry friction, does not show it. What shows it is a stroke: such a loop closes at x = 0 and is open
-in the middle, whereas dry friction is as wide at x = 0 as in the middle. Half of what the middle is wider is what the
-mean keeps where the force turns within a small part of the stroke, and more where it takes longer: the shape of the
-loop shows which. Damping widens the middle as well. It is what the load goes on by after the ramp upward has stopped.
+The line through the means of lift and set-down is corrected for K x at set-down and for hysteresis of the braid, which
+do not cancel in the mean. A load always reaches its support from above. A force that lags behind the contraction
+(friction elements, Maxwell slip) is then at the same end of its loop at lift and at set-down, with the same sign: it
+shifts their mean and does not show in their difference, which shows dry friction. A stroke shows it: such a loop closes
+at x = 0 and is open in the middle, while dry friction has the same width everywhere. The shift of the mean is half the
+additional width in the middle if the force reverses within a small part of the stroke, and more if it takes longer,
+which the shape of the loop shows. Damping also widens the middle; its size is how far the load still moves after the
+ramp upward has stopped.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class Line:
     rms: float
     """Residual [N]."""
     lack: float
-    """Root mean square distance of the loads' means from the line, by what their repeats allow; 0 if not known."""
+    """Rms distance of the loads' means from the line, relative to what their repeats allow; 0 if unknown."""
 
     def __call__(self, P: float) -> float:
         """F_ce [N] at P [Pa]."""
@@ -58,22 +59,22 @@ class Line:
 
 
 COVERAGE = 2.0
-"""Half width over the standard deviation, of what is no scatter."""
+"""Half width over standard deviation for errors that are not scatter."""
 
 
 def fit_side(points: Points, method: str) -> Line | None:
     """The line through the pressures of one method; None below two loads."""
     usable = np.isfinite(points.side(method))
-    # without friction lift and set-down meet the same step, so that their mean is no better
+    # without friction lift and set-down have the same step error, so their mean is no better
     return _fit(points.load[usable], points.side(method)[usable], points.step**2 / 12)
 
 
 def _fit(load: Array, P: Array, steps: float) -> Line | None:
-    """P = c + m F_L by least squares, turned into F_ce = (P - c) / m; None below two loads.
+    """P = c + m F_L by least squares, converted to F_ce = (P - c) / m; None for fewer than two loads.
 
-    The covariance is that of single points, that of the loads' means, or what the steps of the gauge make of one
-    repeat of each load, whichever is widest: repeats of one load share what the line cannot follow there, and may meet
-    the same step. `steps` is the variance of a pressure by its steps [Pa^2].
+    The covariance is the widest of: from single points, from the loads' means, and from the steps of the gauge with one
+    repeat of each load. Repeats of a load share its deviation from the line, and may have the same step error. `steps`
+    is the variance of a pressure due to its steps [Pa^2].
     """
     names, group, count = np.unique(np.round(load, 3), return_inverse=True, return_counts=True)
     if len(names) < 2:
@@ -94,7 +95,7 @@ def _fit(load: Array, P: Array, steps: float) -> Line | None:
         if freedom >= 1
     ]
     allowed.append((steps * np.linalg.inv(once.T @ once), COVERAGE))
-    # of two loads nothing shows whether the line between them is straight
+    # two loads do not show whether the line between them is straight
     for covariance, t in allowed if len(names) > 2 else ():
         if t**2 * (middle @ covariance @ middle) > factor**2 * (middle @ chosen @ middle):
             chosen, factor = covariance, t
@@ -106,7 +107,9 @@ def _fit(load: Array, P: Array, steps: float) -> Line | None:
 
 
 def _lack(residual: Array, group: NDArray[np.intp], means: Array, count: NDArray[np.intp]) -> float:
-    """Scatter of the loads' means about the line by what the scatter of repeats explains, as a ratio of deviations."""
+    """Scatter of the loads' means about the line relative to that expected from repeats, as a ratio of standard
+    deviations.
+    """
     within, freedom = residual - means[group], len(residual) - len(means)
     if freedom < 1 or len(means) < 3:
         return 0.0
@@ -116,42 +119,44 @@ def _lack(residual: Array, group: NDArray[np.intp], means: Array, count: NDArray
 
 
 LEAST = 2e-3
-"""A stroke below it shows no loop [m]."""
+"""Smallest stroke for a loop [m]."""
 LATE = (0.7, 0.95)
-"""Part of the stroke whose line is carried on to where the load comes to rest after the ramp."""
+"""Part of the stroke whose line is extrapolated to the position where the load rests after the ramp."""
 MIDDLE = (0.4, 0.6)
 """Part of the stroke in which the loop is widest."""
 SHOWN = 0.15
-"""A loop is one if its middle is wider than its end by this share of the end: friction and damping differ by way."""
+"""Smallest additional width in the middle, as a share of that at the end, for a loop: friction and damping vary along
+the way.
+"""
 OFF, UNSEEN = 0.15, 3e-3
-"""What the correction may be off, as a share of it: OFF, and UNSEEN [m] over the stroke for those parts of the braid
-that yield later than the stroke turns."""
+"""Uncertainty of the correction: the share OFF, plus UNSEEN [m] over the stroke for parts of the braid that yield
+later.
+"""
 ALONG = np.linspace(0.06, 0.94, 45)
-"""Shares of a stroke at which its loop is looked at: near the ends the ramp begins and stops."""
+"""Shares of a stroke at which its loop is evaluated, without the ends, where the ramp starts and stops."""
 SHORTEST_WAY, LONGEST_WAY = 0.3e-3, 8e-3
-"""Ways on which the force of a braid may turn [m]."""
+"""Range of distances over which the force of a braid reverses [m]."""
 ALIKE, CHANCE = 1.5, 4.0
-"""One that fits nearly as well leaves so many times as much of the gap, and by chance so many squares of its noise."""
+"""A shape fits equally well up to ALIKE times the rms misfit of the best, or CHANCE times the noise variance more."""
 STILL = 0.5
-"""Friction is dry where a load stands still over this share of the distance from lift to set-down."""
+"""Friction counts as dry if the load does not move over this share of the difference from lift to set-down ..."""
 CLEAR = 5.0
-"""and where that distance is so many times the noise of the pressure."""
+"""... and if that difference exceeds this many times the noise of the pressure."""
 LEAST_REVERSED, NEARLY = 1e3, 0.1e-3
-"""A load that sets down at a pressure this much above that at which it lifts [Pa], nearly at x = 0 [m], is moved by
-something else."""
+"""A load whose set-down is this much above its lift [Pa], within NEARLY of x = 0 [m], is moved by something else."""
 
 
 @dataclass(frozen=True)
 class Loop:
-    """The middle of one stroke: mean pressures there on the way up and down [Pa], and how far it went up [m]."""
+    """The middle of one stroke: mean pressures there on the way up and down [Pa], and its height `reach` [m]."""
 
     up: float
     down: float
     damped: float
-    """How far the pressure ran ahead of a load that moves, by its damping [Pa]."""
+    """Lead of the pressure before a moving load because of damping [Pa]."""
     reach: float
     gap: Array
-    """How much less the pressure is on the way down, at `ALONG` of the reach [Pa]."""
+    """Pressure on the way up minus that on the way down, at `ALONG` of the reach [Pa]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,12 +168,12 @@ class Kept:
 
     @property
     def on(self) -> NDArray[np.bool_]:
-        """Rows that have it."""
+        """Rows with a value."""
         return np.isfinite(self.force)
 
 
 def loop_of(trial: TrialData, times: Mapping[str, float]) -> Loop | None:
-    """The loop between lift and set-down, `times` [s] by phase; None where the load was raised by less than `LEAST`."""
+    """The loop between lift and set-down; `times` [s] by phase; None where the load was raised by less than `LEAST`."""
     ways = smoothed(trial, times, times["lift"], times["set-down"])
     if ways is None:
         return None
@@ -188,16 +193,16 @@ def loop_of(trial: TrialData, times: Mapping[str, float]) -> Loop | None:
 
 
 def _way(P: Array, x: Array, top: int, at: Array, *, up: bool) -> Array:
-    """The pressure [Pa] at displacements `at` [m] on the way up to, or down from, the highest one."""
+    """Pressure [Pa] at displacements `at` [m] on the way up to, or down from, the highest one."""
     way = slice(0, top + 1) if up else slice(None, top - 1 if top else None, -1)
     return np.interp(at, np.maximum.accumulate(x[way]), P[way])
 
 
 def kept(loops: Sequence[Loop | None], load: Array, gap: Array, slope: float) -> Kept | None:
-    """How far the loops' middles are wider than their ends; None where none is, or where there are no two loads.
+    """Hysteresis from the additional width in the loops' middles; None where it is not significant, or with one load.
 
-    `load` [N] and `gap`, the distance of lift from set-down [Pa], have shape (n,); `slope` is dF_ce/dP at x = 0 [N/Pa],
-    that of the middle comes from the loads that passed it.
+    `load` [N] and `gap`, lift minus set-down [Pa], have shape (n,); `slope` is dF_ce/dP at x = 0 [N/Pa]; that in the
+    middle comes from the loads that passed it.
     """
     rows = np.array([loop is not None for loop in loops]) & np.isfinite(gap)
     if len(np.unique(load[rows])) < 2:
@@ -228,11 +233,12 @@ def kept(loops: Sequence[Loop | None], load: Array, gap: Array, slope: float) ->
 
 
 def _turning(turns: Array, gap: Array) -> tuple[int, NDArray[np.bool_]]:
-    """Which of `turns`, a below, fits the shape of a gap best (at `ALONG`), and which fit nearly as well.
+    """Index of the one of `turns` (a below) that fits the shape of a gap best (at `ALONG`), and which ones fit equally
+    well.
 
-    A force that turns on a way w after each end of a stroke s opens the loop by h [1 - cosh((1 - 2 u) a) / cosh(a)] at
-    the share u of the stroke, a = s / 2 w, and is h tanh(a) behind at the ends. Dry friction and damping open it alike
-    everywhere.
+    A force that reverses over a distance w after each end of a stroke s opens the loop by h [1 - cosh((1 - 2 u) a) /
+    cosh(a)] at the share u of the stroke, a = s / 2 w, and lags by h tanh(a) at the ends. Dry friction and damping open
+    it equally everywhere.
     """
     left = []
     for a in turns:
@@ -244,7 +250,7 @@ def _turning(turns: Array, gap: Array) -> tuple[int, NDArray[np.bool_]]:
 
 
 def rests(trial: TrialData, times: Mapping[str, float], gap: float) -> bool | None:
-    """Whether the load stood still while the pressure fell by most of `gap` [Pa]; None where it was not recorded."""
+    """Whether the load did not move while the pressure fell by most of `gap` [Pa]; None where it was not recorded."""
     ways = smoothed(trial, times, times["lift"], times["set-down"])
     if ways is None or not np.isfinite(gap):
         return None
@@ -255,43 +261,45 @@ def rests(trial: TrialData, times: Mapping[str, float], gap: float) -> bool | No
 
 
 UNEQUAL = 0.35
-"""Share of the half difference by which the mean may be off: a load lifts against stiction and sets down against
-sliding friction, which is taken as at least 60 % of it, and a slow muscle is damped by up to twice as much one way."""
+"""Error of the mean as a share of the half difference: a load lifts against static and sets down against sliding
+friction, assumed at least 60 % of it, and damping of a slow muscle may differ by a factor of two between directions.
+"""
 ADDS = 2.0
-"""Nothing is carried to x = 0 where that adds to the half width more than this times what it takes off."""
+"""No correction to x = 0 where the half width that it adds exceeds this many times the correction."""
 YIELDS = (
     "lift and set-down lie too near to each other for dry friction, so that the braid yields little by little, and how"
     " far its hysteresis is in the mean is not known: raise the load by 10 mm and more before it sets down"
     " (trial.search.stroke in the protocol)"
 )
-"""Why F_ce is withheld where friction is not seen to be dry and no load was raised."""
+"""Why F_ce is withheld where friction does not look dry and no load was raised."""
 UNTOLD = 0.5
-"""As UNEQUAL, where there is hysteresis: that over pressure turns late, so that the sides are less alike."""
+"""As UNEQUAL, with hysteresis: that over pressure reverses late, so that the directions differ more."""
 
 
 UNTESTED = 1.25
-"""As UNEQUAL, where no load was raised: hysteresis that turns with the pressure moves the mean by about the half
-difference of a muscle that also has dry friction."""
+"""As UNEQUAL, where no load was raised: hysteresis that reverses with the pressure shifts the mean by about the half
+difference, in a muscle that also has dry friction.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Mean:
-    """The line through the means of both directions, and what was taken off it."""
+    """The line through the means of both directions, and its corrections."""
 
     points: Points
     line: Line
     before: Line
-    """The line through the means as they were found."""
+    """The line through the uncorrected means."""
     carried: bool
-    """Whether lift and set-down were carried to x = 0."""
+    """Whether lift and set-down were corrected to x = 0."""
     kept: Kept | None = None
-    """Hysteresis that was taken off, per trial of the record."""
+    """Hysteresis that was subtracted, per trial."""
     raised: bool = True
-    """Whether the loads were raised, which shows hysteresis where there is some."""
+    """Whether the loads were raised, so that hysteresis would show."""
     why: str = ""
     """Why F_ce is withheld; empty where it is not."""
     reversed: float = 0.0
-    """By how much the worst load set down at more pressure than it lifted at [Pa]; 0 where none surely did."""
+    """Largest excess of a load's set-down pressure over its lift pressure [Pa]; 0 if not significant."""
 
     @property
     def friction(self) -> float | None:
@@ -301,7 +309,9 @@ class Mean:
         return float(np.mean(apart)) * self.line.s if len(apart) else None
 
     def off(self, row: Array) -> float:
-        """Half width [N] of what the mean may be off, for `row` @ (a, s); of s as if it grew with pressure."""
+        """Half width [N] of the mean's systematic error, for `row` @ (a, s); for s as if the error were proportional to
+        pressure.
+        """
         share = UNTESTED if not self.raised else UNEQUAL if self.kept is None else UNTOLD
         friction = share * abs(self.friction or 0.0)
         place = 0.5 * self.points.uncertain * self.line.s if self.carried else 0.0
@@ -311,7 +321,7 @@ class Mean:
 
 
 def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Stiffness | None) -> Mean | None:
-    """The line through the means of both directions, without K x and without hysteresis where the record shows them."""
+    """The line through the means of both directions, corrected for K x and hysteresis where the record shows them."""
     trials = {trial.name: trial for run in runs for trial in run.trials}
     own = [trials[name] for name in plain.names]
     before = fit_side(plain, MEAN)
@@ -338,10 +348,10 @@ def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Sti
 
 
 def _reversed(trials: Sequence[TrialData], points: Points, *, carried: bool) -> float:
-    """By how much a load's mean pressure at set-down is above that at lift [Pa], the worst; 0 where none surely is.
+    """Largest excess of a load's mean set-down pressure over its lift pressure [Pa]; 0 if not significant.
 
-    Friction, damping and hysteresis part the two the other way, and K x does where a load that hangs higher than
-    `NEARLY` was not carried to x = 0.
+    Friction, damping and hysteresis act the other way; so does K x where a load that hangs higher than `NEARLY` was not
+    corrected to x = 0, which is left out.
     """
     places = [float((one.found.get("set-down") or {}).get("displacement") or 0.0) for one in trials]
     gap = points.lift - points.set_down
@@ -353,9 +363,10 @@ def _reversed(trials: Sequence[TrialData], points: Points, *, carried: bool) -> 
 
 
 def _carried(trials: Sequence[TrialData], points: Points, slope: float, stiffness: Stiffness | None) -> Points | None:
-    """The points of `trials` with lift and set-down carried to x = 0; None where no way carries all to some gain.
+    """The points of `trials` with lift and set-down corrected to x = 0; None where no method improves all of them.
 
-    K of another test counts only where the load's own ways are too short or too uneven: it may be of another place.
+    K of another test is used only where the load's own motion is too short or too uneven, since it may apply to another
+    contraction.
     """
     rows = zip(trials, points.lift, points.set_down, strict=True)
     found = [(trial, {"lift": lift, "set-down": down}) for trial, lift, down in rows]
@@ -366,7 +377,7 @@ def _carried(trials: Sequence[TrialData], points: Points, slope: float, stiffnes
 
 
 def _moved(points: Points, way: Sequence[Carried | None]) -> Points | None:
-    """The points as carried; None where some set-down could not be, or where too little is gained."""
+    """The points with the corrections; None where a set-down has none, or where they do not improve the result."""
     if None in way:
         return None
     lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in way if one]).T

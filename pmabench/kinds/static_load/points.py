@@ -1,11 +1,11 @@
-"""Searches of static load: loads, the pressures at which they lift and set down, and those carried to x = 0.
+"""Searches of static load: loads, the pressures at which they lift and set down, and their correction to x = 0.
 
-A load that was lifted hangs a little above its support, at x_s, until friction lets go of it, so that set-down belongs
-to F_ce(P) = F_L + K x_s - f and not to F_L - f. Lines x over P along the load's own first 2 mm up and last 2 mm down,
-taken at x = 0, have the K of the place where it is wanted, and friction to either side. Where the load moved less, K is
-that of another test: with s = dF_ce/dP, P - K x/s is the pressure that the same friction would need at x = 0. Before it
-breaks away friction grows with the ramp, and after that it falls: the least of P - K x/s on the way down, and the
-largest on the way up, are of the break-away.
+A lifted load hangs a little above its support, at x_s, until friction releases it, so set-down belongs to F_ce(P) = F_L
++ K x_s - f and not to F_L - f. Lines x over P along the load's first 2 mm up and last 2 mm down, evaluated at x = 0,
+have K at the right contraction, and friction of either direction. Where the load moved less, K comes from another test:
+with s = dF_ce/dP, P - K x/s is the pressure that the same friction would need at x = 0. Friction increases with the
+ramp until break-away and decreases after it, so the smallest P - K x/s on the way down, and the largest on the way up,
+belong to break-away.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
 VALUES = 8
-"""Different pressures that a trial needs to show the step in which they were read."""
+"""Fewest different pressures in a trial for recognising the step in which they are read."""
 ZEROS, LEAST_ZERO = 6.0, 100.0
-"""Readings of the vented gauge differ where they lie so many of their errors and so much [Pa] apart."""
+"""Readings of the vented gauge differ if they are this many standard errors plus this pressure [Pa] apart."""
 MEAN, LIFT, SET_DOWN = "static-mean", "static-lift", "static-set-down"
 PHASES = ("lift", "set-down")
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """What was found, one row per trial: load [N] and pressures [Pa]; nan where a search found nothing."""
+    """Results, one row per trial: load [N] and pressures [Pa]; nan where a search found nothing."""
 
     names: tuple[str, ...]
     load: Array
     lift: Array
     set_down: Array
     uncertain: float = 0.0
-    """What the half width of K makes of a set-down that was carried to x = 0 [Pa], the mean over trials."""
+    """Half width of a corrected set-down because of K [Pa], mean of the trials."""
     place: float = 0.0
     """Contraction at which set-down broke away [m], the mean over trials."""
     step: float = 0.0
-    """Step in which the pressure was read [Pa]; 0 where none shows."""
+    """Step in which the pressure was read [Pa]; 0 if none is recognised."""
     zero: float = 0.0
-    """How far the vented gauge read apart from trial to trial [Pa]; 0 where noise makes it so."""
+    """Range of the vented gauge's reading between trials [Pa]; 0 within noise."""
 
     def only(self, rows: NDArray[np.bool_], later: Array) -> Points:
-        """Those `rows`, lift and set-down at pressures higher by `later` [Pa]; both of shape (n,)."""
+        """Only these `rows`, with lift and set-down shifted by `later` [Pa]; both of shape (n,)."""
         names = tuple(name for name, use in zip(self.names, rows, strict=True) if use)
         lift, set_down = (side[rows] + later[rows] for side in (self.lift, self.set_down))
         return replace(self, names=names, load=self.load[rows], lift=lift, set_down=set_down)
@@ -62,7 +62,7 @@ class Points:
 
 
 def step_in(runs: Sequence[RunData]) -> float:
-    """The largest step in which a trial's pressures were read [Pa]; 0 where none shows."""
+    """Largest step in which a trial's pressures were read [Pa]; 0 if none is recognised."""
     read = [
         trial.channels["pressure"][trial.usable] for run in runs for trial in run.trials if "pressure" in trial.channels
     ]
@@ -71,7 +71,7 @@ def step_in(runs: Sequence[RunData]) -> float:
 
 
 def zero_moved(runs: Sequence[RunData]) -> float:
-    """How far apart the gauge reads before the first command of trials that begin vented [Pa]; 0 within its noise."""
+    """Range of the gauge's reading before the first command of trials that begin vented [Pa]; 0 within its noise."""
     means, errors = list[float](), list[float]()
     for trial in (one for run in runs for one in run.trials if "pressure" in one.channels):
         first = next((c for c in trial.commands if c.output == "pressure"), None)
@@ -84,13 +84,13 @@ def zero_moved(runs: Sequence[RunData]) -> float:
 
 
 def on_time_run(run: RunData) -> RunData:
-    """The run without the lags of its sensors, as far as its channels declare them: channels, and what was found."""
+    """The run corrected for the lags that its channels declare: channels, and results of the searches."""
     late = {name: run.channels[name].sensor_lag for name in ("pressure", "displacement") if name in run.channels}
     return replace(run, trials=tuple(_on_time(run, trial, late) for trial in run.trials)) if any(late.values()) else run
 
 
 def _on_time(run: RunData, trial: TrialData, late: Mapping[str, float]) -> TrialData:
-    """A crossing is looked for again without the lag of the displacement, and the pressure there without its own."""
+    """The crossings are searched again in the displacement without its lag, and the pressure there without its own."""
     if len(trial.t) < 2:
         return trial
     channels = {name: on_time(run, trial, name) if name in late else y for name, y in trial.channels.items()}
@@ -108,10 +108,10 @@ def _on_time(run: RunData, trial: TrialData, late: Mapping[str, float]) -> Trial
 
 
 def _crossed(trial: TrialData, lag: float, t: float, phase: str, read: object) -> float:
-    """When a load really lifted or set down [s] that a displacement behind a filter showed to do so at `t` [s].
+    """Actual time of lift or set-down [s], where the displacement behind a filter showed it at `t` [s].
 
-    `read` is what the displacement read then [m]: the level above its rest that was looked for. What was given to a
-    filter of first order is what it reads and the lag times its rate.
+    `read` is the displacement then [m], which gives the searched level above rest. The input of a first-order filter is
+    its output plus the lag times its rate.
     """
     times, x = trial.t, trial.channels["displacement"]
     width = max(1, round(SMOOTH / float(np.median(np.diff(times))))) if len(times) > 1 else 1
@@ -149,23 +149,25 @@ def _searched(_run: RunData, trial: TrialData) -> tuple[str, float, float, float
 
 
 def pressure_of(result: Mapping[str, Any]) -> float:
-    """Pressure of a search's result [Pa]; nan where it found nothing."""
+    """Pressure in a search's result [Pa]; nan where it found nothing."""
     value = result.get("pressure")
     return float(value) if result.get("found", True) and isinstance(value, int | float) else float("nan")
 
 
 def times_of(trial: TrialData) -> dict[str, float]:
-    """When lift and set-down were found [s], by phase; NaN where they were not."""
+    """Phase -> time of lift and set-down [s]; NaN where not found."""
     return {phase: float((trial.found.get(phase) or {}).get("t", float("nan"))) for phase in PHASES}
 
 
 def moving_mean(y: Array, width: int) -> Array:
-    """Means of `width` samples in a row."""
+    """Means of `width` consecutive samples."""
     return np.convolve(y, np.ones(width) / width, mode="valid")
 
 
 def raised(trial: TrialData, times: Mapping[str, float]) -> Array:
-    """How far the load is above its support [m], shape (n,): the zero of the sensor may be elsewhere, and drifts."""
+    """Height of the load above its support [m], shape (n,), relative to its rest: the sensor's zero may differ, and
+    drift.
+    """
     x = trial.channels["displacement"]
     resting = trial.usable & (trial.t <= times["lift"])
     return x - float(np.median(x[resting])) if np.count_nonzero(resting) >= FEWEST else x
@@ -186,7 +188,7 @@ def smoothed(trial: TrialData, times: Mapping[str, float], begin: float, end: fl
 
 
 def pressures_of(trial: TrialData) -> list[float]:
-    """Pressures at which its load lifts and sets down [Pa]; NaN where one was not found."""
+    """Pressures at which the load lifts and sets down [Pa]; NaN where not found."""
     return [pressure_of(trial.found.get(phase) or {}) for phase in PHASES]
 
 
@@ -197,36 +199,36 @@ def mean_pressure(run: RunData, trial: TrialData) -> float | None:
 
 
 SMOOTH = 0.1
-"""Pressure and displacement are means over this time [s]: the ramps are slow, and the pressure has noise."""
+"""Averaging time of pressure and displacement [s]: the ramps are slow, and the pressure is noisy."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """K [N/m] with the half width of its interval over pressure [Pa], shapes (n,); between them on straight lines."""
+    """K [N/m] with its half width over pressure [Pa], shapes (n,); linear in between."""
 
     P: Array
     K: Array
     half: Array
     kind: str
-    """Of the test that it is from."""
+    """Kind of the test from which it comes."""
 
     @classmethod
     def of(cls, option: Any) -> Stiffness | None:
-        """From the option `stiffness`, as `option_of` makes it; None without it."""
+        """From the option `stiffness` in the form of `option_of`; None without it."""
         if not isinstance(option, Mapping):
             return None
         P, K, half = np.array(option["points"], dtype=np.float64).T
         return cls(P, K, half, str(option["from"]))
 
     def at(self, P: float) -> tuple[float, float]:
-        """K and its half width [N/m] at a pressure [Pa], beyond the ends as at them."""
+        """K and its half width [N/m] at a pressure [Pa]; constant beyond the ends."""
         return float(np.interp(P, self.P, self.K)), float(np.interp(P, self.P, self.half))
 
 
 def option_of(others: Mapping[str, Sequence[Offer]]) -> dict[str, Any]:
     """The option `stiffness` of a static-load test from the offers of other kinds of test; empty where none has K.
 
-    K is the one at x = 0 where a test has it there; of several tests that with the narrowest interval counts.
+    K is the one at x = 0 if a test has it; of several tests the one with the narrowest interval is used.
     """
     known = []
     for kind, offers in others.items():
@@ -240,29 +242,29 @@ def option_of(others: Mapping[str, Sequence[Offer]]) -> dict[str, Any]:
 
 
 NEAR = (0.8e-3, 2e-3)
-"""The ways up and down are fitted over at least and at most this contraction [m]: the curve is bent near 0."""
+"""Smallest and largest contraction of the ways up and down that are fitted [m]: the curve is bent near 0."""
 LIFTED, LASTS = 0.02e-3, 8.0
-"""A load is off its support from that contraction on [m]; a filter shows it so many time constants later at most."""
+"""Smallest contraction of a lifted load [m]; largest delay by a filter, in time constants."""
 CLEAR = 10e-6
-"""Contraction from which on the load is off its support [m]."""
+"""Contraction from which on samples count as lifted [m]."""
 FEWEST = 20
-"""Samples of a way."""
+"""Fewest samples of a way."""
 BENT = 0.9
-"""A parabola is taken where it leaves less than this share of what the line leaves: the curve is bent, not stepped."""
+"""A parabola is used if its residual is below this share of the line's: the curve is then bent, not stepped."""
 SLIP = 3.5
 """Height of the steps in which a load slips, over their standard deviation about a line."""
 
 
 @dataclass(frozen=True)
 class Carried:
-    """What of a trial's lift and set-down belongs to x = 0: pressures [Pa]; NaN where a search found nothing."""
+    """Lift and set-down of a trial, corrected to x = 0: pressures [Pa]; NaN where a search found nothing."""
 
     lift: float
     set_down: float
     half: float
-    """Half width of their sum that carrying them adds [Pa]."""
+    """Half width that the correction adds to their sum [Pa]."""
     place: float
-    """Contraction at which set-down broke away [m]; NaN where it could not be carried."""
+    """Contraction at the break-away of set-down [m]; NaN where it could not be corrected."""
 
 
 def along_ways(trial: TrialData, found: Mapping[str, float]) -> Carried | None:
@@ -295,8 +297,8 @@ def along_ways(trial: TrialData, found: Mapping[str, float]) -> Carried | None:
 def _at_0(P: Array, x: Array, least: float) -> tuple[float, float, float] | None:
     """Pressure at x = 0 [Pa], dP/dx [Pa/m], half width of the first, from the way near 0; None where it is too short.
 
-    Contractions from `least` [m] on count. A load moves in small slips: they are few over 2 mm, and what they leave
-    about the line is no noise of samples.
+    Uses contractions above `least` [m]. A load moves in small slips, which are few over 2 mm, so the residual about the
+    line is not independent between samples.
     """
     rows = (x > least) & (x <= NEAR[1])
     if np.count_nonzero(rows) < FEWEST or np.ptp(x[rows]) < NEAR[0] or np.ptp(P[rows]) <= 0:
@@ -310,13 +312,13 @@ def _at_0(P: Array, x: Array, least: float) -> tuple[float, float, float] | None
     bent = float(np.std(P - start - slope * x - c * x**2)) / steep
     curved = float(np.sqrt(5 * max(0.0, left**2 - bent**2)))  # of a parabola: its distance from the line at the end
     if bent < BENT * left and slope > 0:
-        left, at_0, steep, curved = 2 * bent, float(start), float(slope), 0.0  # an end of a parabola is less sure
+        left, at_0, steep, curved = 2 * bent, float(start), float(slope), 0.0  # the end of a parabola is less certain
     slips = max(1.0, span / (SLIP * left)) if left > 0 else 1.0
     return at_0, steep, float(np.hypot(4 * left / np.sqrt(slips), curved)) * steep
 
 
 def by_stiffness(trial: TrialData, found: Mapping[str, float], slope: float, stiffness: Stiffness) -> Carried:
-    """Lift and set-down of a trial by K of another test; `slope` is dF_ce/dP [N/Pa], the rest as `along_ways`."""
+    """Lift and set-down of a trial with K of another test; `slope` is dF_ce/dP [N/Pa], the rest as in `along_ways`."""
     times = times_of(trial)
     lift, set_down, half, place = found["lift"], found["set-down"], 0.0, float("nan")
     for phase, up in (("lift", True), ("set-down", False)):
@@ -337,7 +339,7 @@ def by_stiffness(trial: TrialData, found: Mapping[str, float], slope: float, sti
 
 
 def _way(trial: TrialData, phase: str, times: Mapping[str, float]) -> tuple[Array, Array] | None:
-    """Pressure and displacement along the slow ramp that ended at the crossing, smoothed; None where not recorded."""
+    """Smoothed pressure and displacement along the slow ramp that ended at the crossing; None where not recorded."""
     ramps = [c.t for c in trial.commands if c.kind == "ramp" and c.phase == phase and c.t < times[phase]]
     begin = max(ramps, default=-np.inf if phase == "lift" else times["lift"])
     return smoothed(trial, times, begin, times[phase])

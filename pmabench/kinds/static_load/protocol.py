@@ -1,6 +1,7 @@
-"""Static load: the pressure at which a load lifts off its support and at which it sets down (paper 0, static study).
+"""Static load: the pressures at which a load lifts off its support and sets down (paper 0, static study).
 
-Variant `hands-at-pressure`: paper 0's literal order, load on and support away while the muscle is pressurised.
+Variant `hands-at-pressure`: paper 0's literal order, with the load put on and the support removed while the muscle is
+pressurised.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ NEAR = 1e-3
 
 
 class StaticAxes(Strict):
-    """What is swept: explicit loads, and for hands at pressure the pressures too."""
+    """What is swept: loads, and for `hands-at-pressure` also pressures."""
 
     load: Annotated[list[Load], Field(min_length=1)]
     pressure: PressureAxis | None = None
 
 
 class Search(Strict):
-    """How the crossing is searched: fast to the neighbourhood, back, then slowly."""
+    """Search for a crossing: fast to its neighbourhood, back, then slowly."""
 
     up_to: Pressure
     rate: PressureRate
@@ -41,20 +42,20 @@ class Search(Strict):
     back_off: Pressure
     settle: Time
     moved: Length
-    """Displacement that counts as having left the support."""
+    """Displacement that counts as lifted off the support."""
     window: Time
-    """How long the displacement stays beyond it."""
+    """Time for which the displacement must stay beyond it."""
     stroke: Length = 0.0
     """Contraction to which the load is raised before it is set down, for hysteresis of the braid; 0: not raised."""
     stroke_rate: PressureRate = 5e3
 
 
 class StaticTrial(Strict):
-    """One trial; `order` says when the load goes on."""
+    """One trial; `order` says when the load is put on."""
 
     order: Literal["load-at-zero", "hands-at-pressure"] = "load-at-zero"
     hold: Time = 0.0
-    """With hands at pressure: time with the load on before the support goes."""
+    """For `hands-at-pressure`: time with the load on before the support is removed."""
     search: Search
 
 
@@ -111,7 +112,7 @@ class StaticLoad(ProtocolHead):
         return Seek(phase, "ramp-until", "pressure", 0.0, highest, limit, parameters, at_limit)
 
     def _stroke(self) -> list[Step]:
-        """Up to the contraction of the stroke, or as far as the pressure goes, and down again to near the support."""
+        """Up to the contraction of the stroke, or as far as the pressure allows, and down again to near the support."""
         search = self.trial.search
         if not search.stroke:
             return []

@@ -1,6 +1,6 @@
 """Reduction of static-load runs: F_ce over pressure from the pressures at which loads lift off and set down.
 
-Knows what the searches found; not how they were made, and not how the bench is built.
+Uses the results of the searches; knows nothing of how they were made, or of the bench.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ GRID = 50e3
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """F_ce [N] over pressure from lift, set-down and their mean, and half their difference [N] as friction.
 
-    With the load F_L on its support, F_ce(P) - f = F_L at lift and F_ce(P) + f = F_L at set-down (paper 0 at
-    x = 0 with friction f): the mean pressure of the two at each load belongs to F_ce = F_L. Lines by least squares of
-    P on F_L, as it is P that carries the error.
+    With the load F_L on its support, F_ce(P) - f = F_L at lift and F_ce(P) + f = F_L at set-down (paper 0 at x = 0 with
+    friction f): the mean pressure of both at each load belongs to F_ce = F_L. Lines by least squares of P on F_L, since
+    the error is in P.
 
-    A load that was lifted hangs above its support when it breaks away again: the mean is of pressures carried to x = 0
-    along the load's own way down, or with the option `stiffness` (K over pressure from another test of the specimen,
-    `points.option_of`) where that is too short; the sides by themselves are the paper's, as they were found. What a
-    load that was raised shows of hysteresis is taken off, and without that the interval holds it (`line`).
+    A lifted load hangs above its support when it breaks away again: the mean is of pressures corrected to x = 0 along
+    the load's own way down, or with the option `stiffness` (K over pressure from another test of the specimen,
+    `points.option_of`) where that is too short; lines by lift or set-down alone are the paper's, uncorrected.
+    Hysteresis that a raised load shows is subtracted, otherwise the interval covers it (`line`).
     """
     step = step_in(runs)
     runs = [on_time_run(run) for run in runs]
@@ -88,7 +88,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None, zero: float) -> list[Finding]:
-    """What is missing of lift and set-down, the friction that their difference shows, hysteresis, and what drifts.
+    """What lift and set-down lack, the friction from their difference, hysteresis, and drift.
 
     `zero`: as in `Points` [Pa].
     """
@@ -116,7 +116,8 @@ def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None, zero: float) -> 
 def _of_line(
     points: Points, method: str, line: Line, mean: Mean | None, scales: Scales
 ) -> tuple[list[Estimate], Curve]:
-    """F_ce on the grid inside the domain, and the line itself; one-sided lines carry their distance to the mean.
+    """F_ce on the grid inside the domain, and the line itself; lines of one direction have the difference to the mean
+    as bias.
 
     Calibration: with P off by an offset o and a gain g, F_ce(P) is off by s (o + g P), the slope by s g.
     """
@@ -163,7 +164,7 @@ def _of_line(
 def _half_differences(points: Points, lines: Mapping[str, Line]) -> list[Estimate]:
     """Half the difference of lift and set-down in N, per load and over all: friction, between F_c and F_s.
 
-    The pressure's scale drops out of it: a gain changes the difference and the slope alike.
+    The pressure's scale cancels: a gain changes the difference and the slope alike.
     """
     if MEAN not in lines:
         return []
@@ -192,9 +193,11 @@ def _half_differences(points: Points, lines: Mapping[str, Line]) -> list[Estimat
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """F at x = 0, a line over pressure and so known between its points, and friction at rest, which F_c is below.
+    """F at x = 0, a line over pressure and therefore known between its points; and static friction, an upper bound of
+    F_c.
 
-    Not where raised loads showed hysteresis, or none was raised: it grows with the way, and here nearly nothing moves.
+    Not where raised loads showed hysteresis, or none was raised: it increases with motion, and here almost nothing
+    moves.
     """
     known = at_pressures(analysis, "F_ce", MEAN)
     line = sorted(known.items())

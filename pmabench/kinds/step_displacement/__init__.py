@@ -31,7 +31,7 @@ METHODS = {
     ),
 }
 POINT = (("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held"))
-"""How the operating point is read off the commands of an import."""
+"""How the operating point is taken from the commands of an import."""
 KIND = Kind(
     name="step-displacement",
     title="Steps of displacement",

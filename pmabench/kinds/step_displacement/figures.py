@@ -50,7 +50,7 @@ def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 
 def _around(trace: Trace, names: dict[str, str]) -> dict[str, Array]:
-    """The columns from shortly before the step until its motion is well over: six times as long as it takes."""
+    """The columns from shortly before the step to well after its motion, six times its duration."""
     x = column(trace, "displacement")
     moving = np.flatnonzero(np.abs(x - x[-1]) > 0.05 * np.ptp(x))
     t = column(trace, "t")

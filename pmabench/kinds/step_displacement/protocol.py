@@ -20,7 +20,7 @@ POINTS = 90
 
 
 class StepAxes(Strict):
-    """What is swept: pressure, size of the step (below 0 it stretches first), and speed on the way."""
+    """What is swept: pressure, size of the step (negative: stretch first), and its speed."""
 
     pressure: PressureAxis
     step: LengthAxis
@@ -31,12 +31,12 @@ class StepTrial(Strict):
     """Steps there and back, each with a rest after it."""
 
     start: Length
-    """Contraction from which the steps go."""
+    """Contraction from which the steps start."""
     hold: Time
-    """Rest after each step, in which the force relaxes; and before the first."""
+    """Rest before the first step and after each one, in which the force relaxes."""
     cycles: Annotated[int, Field(ge=2, le=1000)] = 4
     discard: Annotated[int, Field(ge=0)] = 1
-    """Cycles at the start that do not count: they begin on another branch of the hysteresis."""
+    """Cycles at the start that are left out: they begin on another branch of the hysteresis."""
     settle: Time
     """Time at pressure before the first motion."""
     approach: Speed
@@ -54,7 +54,7 @@ class StepDisplacement(ProtocolHead):
     trial: StepTrial
 
     def compile(self, c: Compilation) -> Plan:
-        """The plan: per pressure pressurise and go to the start; per step and speed one recorded trial."""
+        """The plan: per pressure, pressurise and move to the start; per step and speed one recorded trial."""
         trial = self.trial
         for name in ("hold", "settle", "approach"):
             c.positive(getattr(trial, name), ("trial", name))
@@ -99,7 +99,7 @@ class StepDisplacement(ProtocolHead):
         ]
 
     def _possible(self, c: Compilation, point: Point) -> None:
-        """Check the actuator's speed, the force believed to come, and the pressure that the motion makes."""
+        """Check the actuator's speed, the predicted force, and the pressure change due to the motion."""
         pressure, step, speed = (point.values[name] for name in ("pressure", "step", "speed"))
         not_too_fast(c, speed, point.places["speed"], "the step moves")
         start, end = self.trial.start, self.trial.start + step
@@ -107,7 +107,7 @@ class StepDisplacement(ProtocolHead):
                  "the start or the step")  # fmt: skip
 
         def motion(share: float) -> tuple[list[float], float]:
-            """From the larger contraction: a stretch, a rest as long, and the way back."""
+            """From the larger contraction: a stretch, an equally long rest, and the way back."""
             high, low = max(start, start + share * step), min(start, start + share * step)
             down = [high - (high - low) * i / POINTS for i in range(POINTS + 1)]
             return [*down, *[low] * POINTS, *reversed(down), *[high] * POINTS], 4 * (high - low) / speed

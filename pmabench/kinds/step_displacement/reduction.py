@@ -1,6 +1,6 @@
-"""Reduction of steps of displacement at constant pressure: static and instantaneous stiffness, the way back to rest.
+"""Reduction of steps of displacement at constant pressure: static and instantaneous stiffness, recovery to rest.
 
-Of all steps of a cell: K and F at rest at its pressure, at the peak, and time constants, with their intervals.
+For all steps of a cell: K and F at rest at its pressure, at the peak, and time constants, with their intervals.
 """
 
 from __future__ import annotations
@@ -35,37 +35,37 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
 KIND = "step-displacement"
 RELAXED, PEAK, BACK = "step, relaxed", "step, peak", "step, recovery"
 EXTREME = 3.0
-"""Standard deviations of the noise by which a peak lies beyond the signal."""
+"""Standard deviations of noise by which a peak exceeds the signal."""
 TAIL = 0.1
-"""What the end of the motion, where the actuator creeps in, may make of a time constant, as a share of it."""
+"""Relative error of a time constant because the actuator creeps at the end of the motion."""
 CELL = ("pressure", "start", "step", "speed")
 STEPS_OF_ONE = "one trial: the repeats part is the scatter of its steps, and repeated tests may scatter more"
 ONE_STEP = "no repeats part: one step"
 DRIFTS = 0.02
-"""What the force would still change by after a rest, as a share of its step, that is doubted."""
+"""Change of the force still to come after a rest, as a share of its step, from which on it is a doubt."""
 BLUNT = 0.25
-"""Share of the rise to a peak above which what a filter may have taken off it is not left to its interval."""
+"""Effect of a filter on a peak, as a share of its rise, above which the peak is withheld."""
 SEVERAL = 0.4
-"""Share of a time constant by which that of the later part may differ where there is one exponential."""
+"""Largest relative difference of the later part's time constant for a single exponential."""
 UNTURNED = 0.05
-"""Share of the friction between two rests that a small step may not have turned round yet."""
+"""Share of the friction between two rests that a small step may not have reversed."""
 RUBS = "friction between the two rests is in it"
 AT_LEAST = f"{RUBS}, as twice its size over the step: it is at least K"
 CLEAR = 1.5
-"""Half widths of the repeats by which K of two sizes of step differs where that is named."""
+"""Difference of K between two sizes of step, in half widths of the repeats, from which on it is reported."""
 RUBBED = "friction between the rests"
 SEEN = 3.0
-"""Standard deviations of the noise by which a force at the start comes back higher."""
+"""Standard deviations of noise from which on a higher force on return to the start is significant."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """K [N/m] from relaxed forces and from the peak, forces [N] around each step, time constants [s] of the recovery.
 
-    Static stiffness is -(F relaxed - F before)/(step as measured), the instantaneous one has the peak in place of the
-    relaxed force: damping (K + B v/step for three elements) and the pressure that the step makes are in it. Steps there
-    and back differ by their sign: above 0 the muscle contracts. The time constants are those of one exponential
-    from the end of the motion on. `options`: `discard`
-    (cycles at the start; else the plan's setting, else 1).
+    Static stiffness is -(F relaxed - F before)/(measured step); the instantaneous one has the peak in place of the
+    relaxed force and includes damping (K + B v/step for three elements) and the pressure change by the step. Steps
+    there and back differ by their sign: positive steps contract the muscle. The time constants are those of one
+    exponential after the end of the motion. `options`: `discard` (cycles at the start; else the plan's setting, else
+    1).
     """
     members, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
     scales = Scales.of(runs)
@@ -113,10 +113,10 @@ def _place(at: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _rubbed(steps: Steps, slopes: Slopes) -> float:
-    """By how much the force at the start comes back higher than it was before the first step [N]; 0 where it does not.
+    """Increase of the force at the start over that before the first step [N]; 0 if not significant.
 
-    The first rest follows a contraction and later ones a stretch, where the start is reached from below: twice the
-    friction, at one pressure. What creeps at first is in it, too.
+    The first rest follows a contraction and later ones a stretch, so the difference is twice the friction, at one
+    pressure. It also contains initial creep.
     """
     first, last, slope = steps.first, steps.there[-1], slopes[0]
     gone = slope.value * (last.pressures[0] - first.pressures[0])
@@ -131,15 +131,15 @@ class Way:
     at: Mapping[str, float]
     group: Sequence[Steps]
     each: Sequence[tuple[Relaxation, ...]]
-    """Of each trial."""
+    """The steps of each trial."""
     scales: Scales
     slopes: Slopes
     rubbed: float
-    """Twice the friction between two rests, as far as it shows [N]."""
+    """Twice the friction between two rests, as far as it is significant [N]."""
 
     @cached_property
     def every(self) -> list[Relaxation]:
-        """Of all trials."""
+        """The steps of all trials."""
         return [one for steps in self.each for one in steps]
 
     @property
@@ -155,9 +155,9 @@ class Way:
         values = np.split(np.array(every), np.cumsum([len(steps) for steps in self.each])[:-1])
         mean, half = mean_of_cycles(values)
         gains = {name: mean * power for name, power in powers.items()}
-        # a sensor with backlash is off one way at one end of the step and the other way at the other end
+        # a sensor with backlash has opposite errors at both ends of the step
         offsets = {"displacement": 2 * mean / self.moved} if symbol == "K" else {}
-        if symbol == "F":  # as a force that grows with the pressure, along the stiffness
+        if symbol == "F":  # like a force that is proportional to the pressure, along the stiffness
             P, K = self.at.get("pressure", 0.0), float(np.mean([one.static for one in self.every]))
             gains |= {"pressure": mean} if P > 0 else {}
             offsets = {"force": 1.0, "displacement": K} | ({"pressure": mean / P} if P > 0 else {})
@@ -207,7 +207,7 @@ class Way:
         return [self._if_not_missed(e) for e in found]
 
     def _if_not_missed(self, e: Estimate) -> Estimate:
-        """The estimate, withheld where it is that of a peak and its channel is too seldom new to show one."""
+        """The estimate, withheld if it is a peak and its channel is updated too seldom to show one."""
         channel = "pressure" if e.symbol == "P_err" else "force"
         time = max(one.missed.get(channel, 0.0) for one in self.every)
         if e.method != PEAK or not time:
@@ -216,17 +216,19 @@ class Way:
         return withhold(e, f"{often} between: its peak may lie there. Read it more often, or step more slowly")
 
     def read(self, channel: str) -> float:
-        """What the steps that a channel is read in may make of the mean of a rest [SI]."""
+        """Error of the mean of a rest because the channel is read in steps [SI]."""
         return max(one.unresolved.get(channel, 0.0) for one in self.every)
 
     def of_steps(self, K: float, rests: float = OF_TWO) -> Doubt:
-        """What the steps of the channels may make of a force of a rest, or of that between two with a stiffness [N]."""
+        """Error of a rest's force, or of the force between two rests with a stiffness, because the channels are read in
+        steps [N].
+        """
         pressed = max((slope.value for slope in self.slopes if slope.half is not None), default=0.0)
         each = (self.read("force"), K * self.read("displacement"), pressed * self.read("pressure"))
         return Doubt(STEPS, "method", rests * float(np.linalg.norm(each)), seen=False)
 
     def times(self) -> Iterator[Estimate]:
-        """Time constants of force and pressure on their way back."""
+        """Time constants of the recovery of force and pressure."""
         names = tuple(member.trial.name for member in self.group)
         for symbol, name in (("tau_F", "force_back"), ("tau_p", "pressure_back")):
             back = [one for each in self.every if (one := getattr(each, name)) is not None]
@@ -239,7 +241,7 @@ class Way:
             yield tau if name == "pressure_back" else self._of_force(tau, back)
 
     def _of_force(self, tau: Estimate, back: Sequence[Recovery]) -> Estimate:
-        """The time constant of the force, or why it is none of the muscle."""
+        """The time constant of the force; withheld if it may not be of the muscle."""
         after = _still_moving([one.later for one in self.every])
         size = float(np.mean([abs(one.size) for one in back]))
         if after.seen and after.half > MOST_HIDDEN * size:
@@ -252,7 +254,9 @@ class Way:
 
 
 def _one_time(tau: Estimate, apart: float) -> Estimate:
-    """A time constant with what its later part differs by in its interval, or withheld where there are several."""
+    """A time constant with the difference of its later part in the interval; withheld if it is not a single
+    exponential.
+    """
     value = abs(tau.value or 0.0)
     if apart > SEVERAL * value:
         later = f"the later part of the way back has a time constant that differs by {apart / value:.0%}"
@@ -262,7 +266,7 @@ def _one_time(tau: Estimate, apart: float) -> Estimate:
 
 
 def _blunt(every: Sequence[Relaxation]) -> Doubt:
-    """What a filter of the force cell may have taken off the peaks [N]: no channel shows it."""
+    """Possible reduction of the peaks by a filter of the force cell [N], which no channel shows."""
     constant = max(max(one.filter, one.fast) for one in every)
     half = max(one.blunted for one in every)
     text = f"a filter of the force cell of {show(constant, 'time', 2)} would take {show(half, 'force', 2)} off the peak"
@@ -273,14 +277,14 @@ def _blunt(every: Sequence[Relaxation]) -> Doubt:
 
 
 def _still_moving(rests: Sequence[Held]) -> Doubt:
-    """What motion of the force at the end of the rests is worth [N]."""
+    """Effect of motion of the force at the end of the rests [N]."""
     further = left(rests)
     text = f"the force is not at rest: after the hold it may still change by {show(further.most, 'force', 2)}"
     return Doubt("motion of the force after the rest", "method", further.most, further.seen, f"{text}. Hold longer")
 
 
 def _sizes(estimates: Sequence[Estimate]) -> Iterator[Finding]:
-    """What steps of two sizes from one start say of friction."""
+    """Friction from steps of two sizes from one start."""
     known = [e for e in estimates if (e.symbol, e.method) == ("K", RELAXED) and e.value is not None]
     away = [e for e in known if e.at.get("step", 0.0) > 0]
     for (P, *_), steps in sorted(grouped(away, _start).items()):
@@ -296,7 +300,7 @@ def _sizes(estimates: Sequence[Estimate]) -> Iterator[Finding]:
 
 
 def _findings(group: Sequence[Steps]) -> Iterator[Finding]:
-    """What catches the eye."""
+    """Forces not at rest, drift and similar observations."""
     for member in group:
         where = f"trial {member.trial.name}"
         for steps in (member.there, member.back):
@@ -310,7 +314,7 @@ def _findings(group: Sequence[Steps]) -> Iterator[Finding]:
 
 
 def _trace(at: Mapping[str, float], member: Steps) -> Trace:
-    """Around the last step away from the start."""
+    """Course around the last step away from the start."""
     step, kinds = member.there[-1], {"pressure": "pressure", "step": "length", "speed": "speed"}
     places = ", ".join(show(at[name], quantity) for name, quantity in kinds.items() if name in at)
     return Trace(
@@ -324,10 +328,11 @@ def _trace(at: Mapping[str, float], member: Steps) -> Trace:
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """K and F from forces at rest, where friction only adds to one and has one sign in the other.
+    """K and F from forces at rest; friction increases one, and has one sign in the other.
 
     At rest the force is above the mean of both directions after stretching and below it after contracting, by a
-    friction f. A step s takes -K s - 2 f, so that two steps of different size from one start have K between them.
+    friction f. A step s changes it by -K s - 2 f, so two steps of different size from one start give K between their
+    ends.
     """
     K = [_without_friction(e) for e in values_of(analysis, "K", RELAXED) if e.at.get("step", 0.0) > 0]
     for e in K:
@@ -350,7 +355,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
 
 
 def _without_friction(e: Estimate) -> Estimate:
-    """The estimate without the friction in its interval: a comparison to one side has it, and two steps cancel it."""
+    """The estimate without friction in its interval: a one-sided comparison includes it, and two steps cancel it."""
     rubbed = sum((line.half or 0.0) ** 2 for line in e.budget if line.name == RUBBED)
     method = max(0.0, (e.parts.method or 0.0) ** 2 - rubbed) ** 0.5
     return replace(e, parts=replace(e.parts, method=method)) if rubbed else e

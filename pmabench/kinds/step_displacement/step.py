@@ -1,9 +1,9 @@
-"""One step of displacement at constant pressure: force and pressure before, at the peak and relaxed, and the way back.
+"""One step of displacement at constant pressure: force and pressure before, at the peak, relaxed, and their recovery.
 
-And forces at the pressure of the operating point, and not at that which the regulator left at rest: one with a dead
-band rests to one side after a contraction and to the other after a stretch, so that a pressure that is not looked at
-becomes stiffness. dF/dP is taken from the same rest at another pressure, else from the way back, where the length is
-still and the pressure moves. Knows trials and their samples, no coefficient.
+Also forces at the pressure of the operating point instead of the one that the regulator left at rest: a regulator with
+dead band rests on one side after a contraction and on the other after a stretch, and the pressure difference would look
+like stiffness. dF/dP comes from the same rest at another pressure, else from the recovery, where the length is constant
+and the pressure changes. Uses trials and their samples; gives no coefficient.
 """
 
 from __future__ import annotations
@@ -25,35 +25,36 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 LAST = 0.2
-"""Share of each rest at its end whose mean counts as relaxed."""
+"""Last share of each rest whose mean counts as relaxed."""
 SEEN = 6.0
-"""A recovery counts where it is larger than so many standard deviations of the noise."""
+"""Size of a recovery, in standard deviations of noise, from which on it is significant."""
 THERE = 0.01
-"""Share of the step by which the displacement may still be off when its motion counts as over."""
+"""Distance from the end, as a share of the step, at which the motion counts as over."""
 FEWEST = 8
 """Samples that a recovery needs within three time constants."""
 LAGS = 6.0
-"""Lags of a sensor after which nothing of it is left, and up to which a recovery may be made by it."""
+"""Lags of a sensor after which its effect has decayed, and up to which a recovery may be caused by it."""
 SAME = 0.4
-"""Share by which the time constants of force and pressure may differ where one makes the other."""
+"""Largest relative difference of the time constants of force and pressure if one causes the other."""
 BLOCK = 0.02
-"""Force and pressure of the way back are compared in means over this time [s]."""
+"""Averaging time for comparing force and pressure of the recovery [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recovery:
-    """y = end + size exp(-t/tau) after the motion; size as y, tau [s]."""
+    """y = end + size exp(-t/tau) after the motion; size in the unit of y, tau [s]."""
 
     size: float
     tau: float
     apart: float
-    """How far tau is from that of the later part of the way back, from half a time constant on, or from that of a
-    fit with a drift [s]: a course that is no single exponential shows in it."""
+    """Difference of tau to that of the later part, from half a time constant on, or to that of a fit with a drift [s]:
+    large if the course is not a single exponential.
+    """
 
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """One step, there or back. Forces [N], pressures [Pa]; above 0 it contracts."""
+    """One step, there or back. Forces [N], pressures [Pa]; positive steps contract."""
 
     moved: float
     """Measured displacement of the step [m]."""
@@ -61,37 +62,37 @@ class Relaxation:
     peak: float
     relaxed: float
     earlier: Held
-    """The force along the second half of the rest before [N]."""
+    """Force in the second half of the rest before [N]."""
     later: Held
-    """The same of the rest after [N]."""
+    """Force in the second half of the rest after [N]."""
     filter: float
-    """Time constant of the filter of the force cell [s], as declared, or what one may have where none is."""
+    """Time constant of the force cell's filter [s]: declared, or assumed if undeclared."""
     blunted: float
-    """What such a filter, or one as slow as the way back shows (`fast`), would change the peak by [N]."""
+    """Change of the peak by such a filter, or by one as slow as the recovery (`fast`) [N]."""
     sampled: float
-    """Change of the force over the sample before its peak [N]: so far the peak may lie beyond it."""
+    """Change of the force in the sample interval before its peak [N], by which the actual peak may exceed it."""
     pressure_peak: float
     """Largest difference of the pressure from that before; nan where it is not recorded."""
     pressure_noise: float
-    """Of the pressure [Pa]: the largest difference is that of the noise where the pressure stays."""
+    """Noise of the pressure [Pa], which gives the largest deviation if the pressure is constant."""
     force_back: Recovery | None
     pressure_back: Recovery | None
     noise: float
-    """Of the force [N]."""
+    """Noise of the force [N]."""
     pressures: tuple[float, float]
     """Mean pressure of the rests before and after [Pa]; nan where it is not recorded."""
     together: tuple[Array, Array]
-    """Pressure [Pa] and force [N] of the way back, as means off their mean: x is still, so their ratio is dF/dP."""
+    """Pressure [Pa] and force [N] of the recovery as means minus their mean: x is constant, so their ratio is dF/dP."""
     unresolved: Mapping[str, float]
-    """Channel -> what the steps that it is read in may make of the mean of a rest [SI]."""
+    """Channel -> error of a rest's mean because it is read in steps [SI]."""
     missed: Mapping[str, float]
-    """Channel that is polled, and new less often than a step takes -> time between two new values [s]."""
+    """Polled channel that is updated less often than a step takes -> time between two new values [s]."""
 
     @property
     def fast(self) -> float:
-        """Time constant of a way back of the force that its filter may have made [s]; 0 where it shows in the pressure.
+        """Time constant of a recovery of the force that its filter may cause [s]; 0 where the pressure shows the same.
 
-        A pressure that recovers as fast as the force made it; slower ones are none of a filter.
+        A pressure with the same recovery causes that of the force; slower recoveries are not of a filter.
         """
         back, pressure = self.force_back, self.pressure_back
         if back is None or back.tau > LAGS * self.filter:
@@ -125,7 +126,7 @@ class Steps:
 
 
 def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps:
-    """One trial from its samples, without the cycles at its start that `options`, else the plan, `discard`.
+    """One trial from its samples, without the first cycles that `options`, else the plan, discard.
 
     Raises `NotUsable` where it ended early, lacks a channel or a whole step.
     """
@@ -157,7 +158,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
 
 
 def _arrives(ramp: Command) -> float:
-    """When a command has come to its end [s]."""
+    """Time at which a command has reached its end [s]."""
     return ends(ramp) if ramp.data.get("rate", 0.0) > 0 else ramp.t
 
 
@@ -165,7 +166,7 @@ def _one(
     run: RunData, trial: TrialData, values: dict[str, Array], steps: Mapping[str, float], ramp: Command, begin: float,
     end: float,
 ) -> Relaxation:  # fmt: skip
-    """The step of one command; `begin` and `end` [s] are those of the rests before and after it."""
+    """The step of one command; `begin` [s] starts the rest before it, `end` [s] ends the rest after it."""
     arrived = _arrives(ramp)
     t, good = trial.t, trial.usable
     since, until = ramp.t - LAST * (ramp.t - begin), end - LAST * (end - arrived)
@@ -181,7 +182,7 @@ def _one(
         raise NotUsable("the displacement does not move above its noise")
     away = F[moving] - level
     place = int(np.argmax(-np.sign(moved) * away))
-    new = good & samples.fresh(trial.channels["force"])  # noise that is held would look like a motion
+    new = good & samples.fresh(trial.channels["force"])  # noise of a held value would look like a motion
     early = new & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
     late = new & (t >= 0.5 * (arrived + end)) & (t < end)
     known = bool(np.isfinite(P).all())
@@ -220,7 +221,7 @@ def _one(
 
 
 def _together(since: Array, P: Array, F: Array) -> tuple[Array, Array]:
-    """Pressure and force of the way back, shape (n,), as means over `BLOCK` off their mean, without its very begin."""
+    """Pressure and force of the recovery, shape (n,), as means over `BLOCK` minus their mean, without its beginning."""
     width = max(1, round(BLOCK / float(np.median(np.diff(since)))))
     rows = np.flatnonzero(since > LAGS * UNDECLARED)
     rows = rows[: len(rows) // width * width]
@@ -231,7 +232,7 @@ def _together(since: Array, P: Array, F: Array) -> tuple[Array, Array]:
 
 
 def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:
-    """How much lower the peak is once more behind a filter of first order, shape (n,) both."""
+    """Reduction of the peak by one more first-order filter; `t`, `away` of shape (n,)."""
     keep = float(np.exp(-np.median(np.diff(t)) / constant))
     slower = np.asarray(lfilter([1 - keep], [1, -keep], away - away[0]) + away[0])
     way = -np.sign(moved)
@@ -239,7 +240,7 @@ def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:
 
 
 def recovery(t: Array, y: Array) -> Recovery | None:
-    """The exponential by which `y` comes to rest, from `t` = 0 [s] on; None where none shows above the noise."""
+    """Exponential by which `y` comes to rest after `t` = 0 [s]; None if it is not significant."""
     tau, inside = _time_constant(t, y)
     design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
     terms, *_ = np.linalg.lstsq(design, y, rcond=None)
@@ -256,7 +257,7 @@ def recovery(t: Array, y: Array) -> Recovery | None:
 
 
 def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
-    """The time constant that leaves least [s], and whether it is within the range that is looked at."""
+    """Time constant with the least residual [s], and whether it is inside the search range."""
     step = float(np.median(np.diff(t)))
     grid = np.log(np.geomspace(step, 0.5 * float(t[-1]), 30))
     fixed = np.stack([np.ones_like(t), *[t] * order])
@@ -275,25 +276,25 @@ def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
 Cell = tuple[tuple[str, float], ...]
 """A cell: names and values of its point."""
 APART = 0.05
-"""Two pressures are apart by at least this share, or they give no dF/dP."""
+"""Smallest relative difference of two pressures for dF/dP."""
 KNOWN = 0.15
-"""Share to which dF/dP is known: between two pressures it bends, and a filter delays force and pressure."""
+"""Relative uncertainty of dF/dP: it is bent between two pressures, and a filter delays force and pressure."""
 LEFT = 0.3
-"""Share of the force that moves with the pressure on the way back, above which something else moves it, too."""
+"""Residual of the recovery's force over pressure, as a share, above which something else changes the force, too."""
 SHOWN = 5.0
-"""Standard deviations of its noise by which the pressure moves on a way back that gives dF/dP."""
+"""Smallest change of the pressure in a recovery for dF/dP, in standard deviations of its noise."""
 LIKELY = 2.0
-"""dF/dP is below so many times what a force gives that is proportional to the pressure at the length at rest."""
+"""Upper bound of dF/dP, as a multiple of that of a force proportional to the pressure at the rest length."""
 CERTAIN = 5.0
-"""Standard errors from which on a pressure counts as another one."""
+"""Standard errors from which on a pressure differs from the nominal one."""
 NAME = "pressure at rest"
 FEW = 25
-"""Samples of a rest whose noise is independent, at least."""
+"""Assumed number of independent samples in a rest, as a lower bound."""
 
 
 @dataclass(frozen=True)
 class Shift:
-    """What the pressures at rest make of a force [N]: `known` is to be taken off."""
+    """Effect of the pressures at rest on a force [N]: `known` is to be subtracted, `left` is the remaining doubt."""
 
     known: float
     left: Doubt
@@ -301,20 +302,21 @@ class Shift:
 
 @dataclass(frozen=True)
 class Slope:
-    """dF/dP of one rest [N/Pa]; `half` is None where the value is only the most that is likely."""
+    """dF/dP of one rest [N/Pa]; `half` is None where the value is only a likely upper bound."""
 
     value: float
     half: float | None
 
 
 Slopes = tuple[Slope, Slope]
-"""Of the rest before a step and of that after it."""
+"""For the rest before a step and for that after it."""
 
 
 def shift(steps: Sequence[Relaxation], slopes: Slopes, pressure: float, rests: tuple[int, int]) -> Shift:
-    """What the pressures at rest add to a force [N], which is that before, times `rests[0]`, and after, `rests[1]`.
+    """Effect of the pressures at rest on a force [N] that is the one before times `rests[0]` plus the one after times
+    `rests[1]`.
 
-    Known where dF/dP is, else doubted where the pressure is another one for certain.
+    It is known if dF/dP is, else a doubt if the pressure differs significantly.
     """
     off = np.array([one.pressures for one in steps]) - pressure
     if not np.isfinite(off).all():
@@ -373,7 +375,7 @@ def _chord(here: tuple[float, float], there: tuple[float, float]) -> Slope:
 
 
 def _on_the_way(steps: Sequence[Relaxation]) -> Slope | None:
-    """dF/dP of ways back at one length, or None where the pressure moves too little, or something else does."""
+    """dF/dP from recoveries at one length; None where the pressure changes too little, or something else acts."""
     if not steps:
         return None
     p, f = (np.concatenate([one.together[i] for one in steps]) for i in (0, 1))

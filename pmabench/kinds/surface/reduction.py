@@ -1,7 +1,7 @@
-"""All slow tests of a specimen to one muscle: rows from each kind of test, the fit, values, sentences, loops.
+"""All slow tests of a specimen as one muscle: rows from each kind of test, fit, values, sentences, loops.
 
-Which rows a run has is said by its kind of test; this room names none. Values are those at round places within what was
-tested; there is none where the interval says too little, nor where nothing was tested.
+Each kind of test defines its rows; none is named here. Values are given at round places within the tested range, except
+where the interval is too wide or nothing was tested.
 """
 
 from __future__ import annotations
@@ -27,36 +27,39 @@ from pmabench.store.records import Array, RunData, TrialData
 METHOD, SECANT = "surface", "surface, straight line"
 NORMAL = 1.96
 NEAR = 0.1
-"""A place counts as tested where rows lie this close in pressure on both sides in contraction, and the other way."""
+"""Largest distance of rows in pressure, or contraction, as a share of the range; a place counts as tested if such rows
+lie on both sides of it in the other coordinate.
+"""
 MOST = 6
-"""Most pressures, and contractions at each."""
+"""Most pressures, and most contractions at each."""
 PRESSURES, PLACES = 13, 61
-"""Most pressures of which it is written down where rows lie, and how finely that is looked for."""
+"""Most pressures at which the tested range is recorded, and its resolution."""
 STILL = 1e-5
 """Range of speeds below which nothing moved [m/s]."""
 WAVE = 0.25
 """Share of the range of contraction over which an error of the surface may be a slope."""
 WIDE = {"force": 0.05, "K": 0.25, "K_s": 0.25}
-"""There is no value where its half width is more than this share of it; for a force, of the full scale."""
+"""Largest half width of a reported value as a share of it; for a force as a share of the full scale."""
 LOOSE = 0.5
-"""The same for all others."""
+"""The same for all other symbols."""
 FASTEST = 0.98
 """Quantile of the speeds at which damping is given."""
 TOO_FEW = "its interval would say too little: test more loads, pressures or lengths around it"
 MOVING, SEVERAL = 0.2, 1.5
-"""What is faster than this share of the fastest moves; by this factor nine tenths of its speeds differ from one tenth
-where there are several."""
+"""Speeds above the share MOVING of the fastest count as motion. There are several speeds if their 90 % quantile exceeds
+SEVERAL times their 10 % quantile.
+"""
 ONE_SPEED = (
     "the muscle was moved at one speed only, where damping is not distinguished from hysteresis: move it at a third or "
     "at three times that speed, too"
 )
 CREEP = (1.0, 30.0)
-"""Times [s] between which creep is reported; the second one ends with the longest hold."""
+"""Times [s] between which creep is reported, up to the longest hold."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tested:
-    """Where rows lie: pressures [Pa] and contractions [m] of those that count."""
+    """Region covered by rows: pressures [Pa] and contractions [m] of those that are used."""
 
     P: Array
     x: Array
@@ -64,24 +67,24 @@ class Tested:
     wide_x: float
 
     def contractions(self, P: float) -> tuple[float, float] | None:
-        """Lowest and highest contraction [m] that was tested near a pressure; None where there is none."""
+        """Lowest and highest contraction [m] tested near a pressure; None without any."""
         near = self.x[np.abs(self.P - P) <= self.wide_P]
         return (float(near.min()), float(near.max())) if len(near) else None
 
     def pressures(self, x: float) -> tuple[float, float] | None:
-        """Lowest and highest pressure [Pa] that was tested near a contraction; None where there is none."""
+        """Lowest and highest pressure [Pa] tested near a contraction; None without any."""
         near = self.P[np.abs(self.x - x) <= self.wide_x]
         return (float(near.min()), float(near.max())) if len(near) else None
 
     def holds(self, P: float, x: float) -> bool:
-        """Whether rows lie around a place."""
+        """Whether a place lies inside the tested region."""
         along_x, along_P = self.contractions(P), self.pressures(x)
         if along_x is None or along_P is None:
             return False
         return along_x[0] - 1e-9 <= x <= along_x[1] + 1e-9 and along_P[0] - 1.0 <= P <= along_P[1] + 1.0
 
     def ranges(self, frame: Frame) -> list[list[float]]:
-        """Round pressures [Pa], each with the lowest and highest contraction [m] around which rows lie."""
+        """Rows of a round pressure [Pa] and the lowest and highest tested contraction [m] there."""
         found = []
         for P in round_places(frame.P.low, frame.P.high, PRESSURES):
             ends = self.contractions(P)
@@ -91,13 +94,15 @@ class Tested:
 
 
 def tested(choice: Choice) -> Tested:
-    """Where the rows of a fit lie."""
+    """The tested region of a fit."""
     rows, frame = choice.data.rows, choice.data.frame
     return Tested(rows.P[rows.used], rows.x[rows.used], NEAR * frame.P.span + 1.0, NEAR * frame.x.span + 1e-6)
 
 
 def round_places(low: float, high: float, most: int = MOST) -> list[float]:
-    """At most `most` multiples of 1, 2, 2.5 or 5 times a power of ten between two ends."""
+    """At most `most` multiples of 1, 2, 2.5 or 5 times a power of ten between `low` and `high`; their middle if there
+    is none.
+    """
     if not high > low:
         return [low]
     power = 10.0 ** floor(np.log10((high - low) / most))
@@ -111,12 +116,12 @@ def round_places(low: float, high: float, most: int = MOST) -> list[float]:
 FORCE, SLOPE, WORK = {"force": 1}, {"force": 1, "displacement": -1}, {"force": 1, "displacement": 1}
 """Channel -> power with which forces, stiffness and damping, and work grow with its scale."""
 STEP = 1e-3
-"""Slopes over a place are taken over this share of the tested range to both sides."""
+"""Half width of the difference for derivatives by place, as a share of the tested range."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reporter:
-    """Makes estimates of functions of the muscle."""
+    """Makes estimates from functions of the muscle."""
 
     choice: Choice
     spread: Spread
@@ -141,10 +146,11 @@ class Reporter:
         method: str = METHOD,
         powers: Mapping[str, int] = FORCE,
     ) -> Estimate:
-        """One value; `misfit` is what the error on left-out trials may do to it, `wide` the widest half width [SI].
+        """One value; `misfit` is its error by the prediction error of left-out trials, `wide` the largest half width
+        [SI].
 
-        That is a share of the value where it is not given. `powers`: with which power of the scale of a channel it
-        grows; its arguments `P` and `x` may be off as the pressure and the displacement are.
+        Without `wide` a share of the value is used. `powers`: power of each channel's scale in the value; its arguments
+        `P` and `x` have the errors of pressure and displacement.
         """
         known = self.spread.of_value(value)
         calibration = self._calibration(value, powers, offset=symbol == "F")
@@ -161,7 +167,7 @@ class Reporter:
         return found
 
     def _calibration(self, value: partial[float], powers: Mapping[str, int], *, offset: bool) -> float | None:
-        """What the scales may do to a value; `offset`: it moves with the zero of the force."""
+        """Calibration part of a value; `offset`: whether the zero of the force shifts it."""
         muscle, frame = self.choice.muscle, self.choice.data.frame
         here = value(muscle)
         gains = {channel: power * here for channel, power in powers.items()}
@@ -178,7 +184,7 @@ class Reporter:
 
 
 def _unknown(found: Estimate, why: str) -> Estimate:
-    """The estimate without a value: there are too few tests for it, which is no fault of theirs."""
+    """The estimate without a value, since there are too few tests for it; it is not withheld."""
     return replace(found, value=None, parts=Parts(), note=why)
 
 
@@ -212,10 +218,10 @@ def _damping_of(muscle: Muscle, P: float, way: int) -> float:
 
 
 def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
-    """Force and tangent at places, and what a straight line would make of each pressure.
+    """Force and tangent stiffness at places, and the secant stiffness at each pressure.
 
-    A force is half way between filling and emptying. Whether a later move of the length leaves it there, slow tests do
-    not tell, so half of the difference belongs to its interval.
+    A force is half way between filling and emptying. Slow tests do not show whether a later move of the length leaves
+    it there, so half of the difference is added to its interval.
     """
     choice, error, frame = maker.choice, maker.error, maker.choice.data.frame
     contractions = round_places(frame.x.low, frame.x.high)
@@ -261,9 +267,9 @@ def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[E
 
 
 def _damping(maker: Reporter, pressures: list[float]) -> Iterator[Estimate]:
-    """Damping by direction: what the error of the force is at the highest speeds belongs to the interval.
+    """Damping by direction; the error of the force at the highest speeds is in the interval.
 
-    At one speed it is a force that only depends on the direction, as hysteresis makes it.
+    With a single speed it cannot be distinguished from hysteresis and has no value.
     """
     rows = maker.choice.data.rows
     speeds = np.abs(rows.v[rows.used])
@@ -293,25 +299,25 @@ def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
 
 KIND = "surface"
 MOST_ROWS = 60_000
-"""Rows above which they are taken less often."""
+"""Number of rows above which they are thinned."""
 SLACK = 0.02
-"""Share of the largest force below which the muscle hangs slack, or nearly: these rows do not count."""
+"""Share of the largest force below which the muscle is slack or nearly so; such rows are not used."""
 FEWEST_TRIALS = 3
 """Trials that a surface needs."""
 PAUSE = 15.0
-"""Time between two trials [s] up to which the muscle is taken to go straight from the end of one to the other; after a
-longer one, in which it may have been vented, the next trial begins anew.
+"""Longest time between two trials [s] for which the muscle is assumed to go straight from the end of one to the start
+of the other; after a longer one, in which it may have been vented, the next trial starts from rest.
 """
 LOOPS, POINTS = 8, 1200
-"""Most measured loops that are drawn, and points of each."""
+"""Most measured loops in a figure, and points of each."""
 Rows = Callable[[RunData, TrialData, float], Record | str]
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Force F [N] and stiffness K [N/m] at places, loops H [N] and W [J], damping [N.s/m] and creep of one muscle.
 
-    `options`: `rows`, kind of run -> the function that makes a `Record` of a trial of it, or a sentence why there is
-    none; runs of other kinds tell nothing here.
+    `options`: `rows`, kind of run -> function that makes a `Record` of a trial, or a sentence why there is none; runs
+    of other kinds are not used.
     """
     rows: Mapping[str, Rows] = (options or {}).get("rows", {})
     records, dropped = records_of(runs, rows)
@@ -355,7 +361,7 @@ def records_of(runs: Sequence[RunData], rows: Mapping[str, Rows]) -> tuple[list[
 
 
 def sentences(choice: Choice) -> list[Finding]:
-    """How well left-out trials are predicted, which terms are needed, and what cannot be told."""
+    """Prediction of left-out trials, the terms that are needed, and what these tests cannot determine."""
     full = choice.data.largest
     best = choice.score
     named = ", ".join(best.terms[len(ALWAYS) :]) or "neither hysteresis nor creep"
@@ -383,7 +389,7 @@ def _share(score: Score, full: float) -> str:
 
 
 def facts(choice: Choice) -> dict[str, Any]:
-    """What was fitted, in numbers."""
+    """Numbers of the fit."""
     frame = choice.data.frame
     return {
         "trials": len(choice.data.records),

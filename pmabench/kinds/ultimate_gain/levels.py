@@ -1,7 +1,7 @@
-"""One ultimate-gain trial: its levels measured, the line through them, the loop behind, and what speaks against it.
+"""One ultimate-gain trial: its levels, the line through them, the loop that explains them, and reasons against it.
 
-The test of a sustained oscillation: ratio 0.95 to 1.05, swings above six times the noise, command inside its range,
-periods within 5 %, a sine and not a triangle, and growth that does not depend on the size of the swings.
+Conditions of a sustained oscillation: ratio 0.95 to 1.05, swings above six times the noise, command inside its range,
+periods within 5 %, a sine and not a triangle, and growth independent of the size of the swings.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ STEEPEST = 0.3
 MOST_LEVELS = 6
 FEWEST_LEVELS = 3
 REACHED = -log(0.95)
-"""ln of the largest ratio that still counts as sustained, and how near the last level must come."""
+"""ln of the largest ratio that counts as sustained; the last level must come at least this close."""
 ONE_LAG = 0.01
-"""Distance, over the pressure, of what lags make of the command from the pressure, from which on they are others."""
+"""Rms distance of the measured pressure from that of one lag, relative, from which on a second lag is fitted."""
 FEWEST_SWINGS = 6
 PERIOD_VARIATION = 0.05
 THIRD = {"doubt": 0.006, "fault": 0.012}
-"""Third harmonic over first: 0 for a sine, 0.11 for a triangle; a real loop without friction stays below 0.003 here."""
+"""Third harmonic over first: 0 for a sine, 0.11 for a triangle; a real loop without friction stays below 0.003."""
 FRICTION = {"doubt": 0.02, "fault": 0.05}
-"""Relative shift of K_u by the part of the growth that goes with 1/swing, as Coulomb friction makes it."""
+"""Relative shift of K_u by the part of the growth that is proportional to 1/swing, as with Coulomb friction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +49,16 @@ class Level:
     aim: float
     """Set-point with kick [m]."""
     swinging: Swinging | None
-    """None where fewer than four swings can be seen."""
+    """None with fewer than four visible swings."""
     saturated: bool
     third: float = 0.0
     """Third harmonic of the displacement over the first [1]."""
     third_noise: float = 0.0
-    """Standard deviation that noise alone gives it [1]."""
+    """Its standard deviation by noise alone [1]."""
     amplitudes: tuple[complex, complex] | None = None
-    """Of displacement [m] and pressure [Pa] in the mode."""
+    """Complex amplitudes of displacement [m] and pressure [Pa] in the mode."""
     means: tuple[float, float] = (nan, nan)
-    """Of displacement [m] and pressure [Pa]."""
+    """Means of displacement [m] and pressure [Pa]."""
 
     @property
     def log_ratio(self) -> float:
@@ -67,7 +67,7 @@ class Level:
 
     @property
     def period(self) -> float:
-        """[s]; nan where unknown."""
+        """Period [s]; nan where unknown."""
         return self.swinging.period if self.swinging else nan
 
     def to_dict(self) -> dict[str, Any]:
@@ -88,7 +88,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Zero(Pair):
-    """Where growth is 0, without what the replay takes off; half widths from the scatter about the line."""
+    """Gain without growth, before correction by the replay; half widths from the scatter about the line."""
 
     line: tuple[float, float] = (nan, nan)
     """Slope [m/Pa] and value at gain 0 of ln ratio, at the set-point."""
@@ -96,29 +96,29 @@ class Zero(Pair):
 
 @dataclass(frozen=True, eq=False)
 class TrialFound(Examined):
-    """What one trial says."""
+    """Result of one trial."""
 
     levels: tuple[Level, ...]
     used: tuple[Level, ...]
     nearest: Level | None
     """The level with the smallest |ln ratio|."""
     bias: float
-    """Of the command [Pa]."""
+    """Bias of the command [Pa]."""
     zero: Zero = Zero()
     replayed: tuple[float, float] | None = None
-    """Bias of K_u and T_u by replay, which is taken off; None where no loop shows."""
+    """Bias of K_u and T_u by replay, which is subtracted; None without a loop."""
     friction: float = 0.0
     """Relative shift of K_u by growth that depends on the swing [1]."""
 
     @property
     def pair(self) -> Pair:
-        """What it gives; nothing where it is refused."""
+        """Corrected K_u and T_u; NaN if refused."""
         (K_u, T_u), (off_K, off_T) = self.zero.value, self.replayed or (0.0, 0.0)
         return Pair() if self.refused else Pair((K_u - off_K, T_u - off_T), self.zero.half)
 
 
 def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
-    """K_u, T_u and the loop behind one trial, or why it has none. `search` is what the law `gain-steps` wrote down."""
+    """K_u, T_u and the loop of one trial, or why there are none. `search` is the record of the law `gain-steps`."""
     lag = {name: info.sensor_lag for name, info in run.channels.items()}
     levels = tuple(_measure(trial, level, search) for level in search["levels"])
     bias = float(search.get("bias", 0.0))
@@ -174,10 +174,10 @@ def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, An
 
 
 def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> Zero:
-    """Zero of the line through ln ratio over gain, the periods' line there, and half widths of the 95 % intervals.
+    """Zero of the line of ln ratio over gain, the period there, and half widths of their 95 % intervals.
 
-    With five levels and more, both lines also lean on `off`, the distance [m] of a level's mean from the set-point:
-    kicks move it, and K_u changes with it. Intervals from the scatter about the line, Student's t.
+    From five levels on, both lines also depend on `off`, the distance [m] of a level's mean from the set-point: kicks
+    shift it, and K_u changes with it. Intervals from the scatter about the line, Student's t.
     """
     centre = float(gains.mean())
     columns = [np.ones_like(gains), gains - centre]
@@ -203,10 +203,10 @@ def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> Zero:
 
 
 def _friction(used: Sequence[Level], slope: float) -> float:
-    """Relative shift of K_u by growth that goes with 1/swing: 0 for a linear loop, whatever its swings.
+    """Relative shift of K_u by growth proportional to 1/swing: 0 for a linear loop.
 
-    Coulomb friction takes a fixed step off each swing: ln ratio = (linear part of the level) - c / swing. c is fitted
-    to all single ratios with one constant per level and an alternating term; `slope` is d ln ratio / d ln K_p.
+    Coulomb friction reduces each swing by a fixed step: ln ratio = (linear part of the level) - c / swing. c is fitted
+    to all single ratios, with one constant per level and an alternating term; `slope` is d ln ratio / d ln K_p.
     """
     rows, single, inverse = [], [], []
     for k, level in enumerate(used):
@@ -274,7 +274,7 @@ def _against(levels: Sequence[Level], nearest: Level, used: Sequence[Level], end
 
 
 def _doubts(nearest: Level, ratios: Array, friction: float) -> list[str]:
-    """What weakens the result without refusing it."""
+    """Weaknesses of the result that do not refuse it."""
     doubts = []
     if ratios.max() < 0:
         doubts.append("the swings never grew: K_u lies beyond the last level")
@@ -290,12 +290,12 @@ def _doubts(nearest: Level, ratios: Array, friction: float) -> list[str]:
 
 
 def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
-    """The loop that these levels swing in, from the amplitudes X, P of displacement and pressure at each root s.
+    """The loop from the amplitudes X, P of displacement and pressure at each level's root s.
 
-    The law makes the command -K_p X, so P / (-K_p X) = exp(-L s)/(1 + a s + b s^2), and X / P = k_g/(1 + tau s +
-    beta s^2) with k_g the slope of the levels' mean displacement over mean pressure, beta = M/K; sensor lags are taken
-    off. L holds the hold and all delays; b is 0 where the levels are met without. None without a pressure, or where no
-    such loop fits.
+    The law's command is -K_p X, so P / (-K_p X) = exp(-L s)/(1 + a s + b s^2), and X / P = k_g/(1 + tau s + beta s^2)
+    with k_g the slope of the levels' mean displacement over mean pressure, beta = M/K; sensor lags are corrected. L
+    includes the sample hold and all delays; b is 0 if that is enough. None without a pressure, or where no such loop
+    fits.
     """
     roots, commands, ratios = [], [], []
     for level in used:
@@ -312,7 +312,7 @@ def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
     period = 2 * pi / float(s.imag.mean())
 
     def misfit(p: Array) -> Array:
-        """With a and L over the period, and the root of b."""
+        """Residual with a and L relative to the period, and the root of b."""
         z = s * period
         off = np.log(R * (1 + np.exp(p[0]) * z + sum(p[2:] ** 2) * z**2) * np.exp(p[1] * z))
         return np.concatenate([off.real, off.imag])
@@ -329,8 +329,8 @@ def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
 def _muscle(s: ComplexArray, G: ComplexArray, means: Array) -> tuple[float, tuple[complex, ...]] | None:
     """Gain k_g [m/Pa] and lags [s] of displacement over pressure, from G = X/P at the roots `s` [1/s].
 
-    k_g/G - 1 = tau s + beta s^2 is linear in tau and beta. Where the means hardly move, or beta comes out negative,
-    there is one lag, and gain and lag both come from G.
+    k_g/G - 1 = tau s + beta s^2 is linear in tau and beta. Where the means hardly change, or beta is negative, one lag
+    is used, with gain and lag from G. None where no positive lag results.
     """
     x, P = means[:, 0] - means[:, 0].mean(), means[:, 1] - means[:, 1].mean()
     gain = float(x @ P / (P @ P)) if P @ P > 0 else 0.0

@@ -1,6 +1,6 @@
-"""K_u and T_u from a campaign of contractions: its coefficients and the lag of its regulator make the loop.
+"""K_u and T_u from a campaign of contractions: its coefficients and its regulator's lag make the loop.
 
-Knows the analysis, no samples. No loop was closed and no step was made at the set-point itself.
+Uses the analysis, no samples. No loop was closed, and no step made, at the set-point itself.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts
 METHOD = "model"
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")
 RESPONSE = "regulator-response"
+SENSOR, FILTER = "displacement sensor", "filter of the sensor"
 FEWEST = 3
-"""Pressures below which slopes over pressure cannot be found."""
+"""Fewest pressures for slopes over pressure."""
 LEAST = 0.1
-"""Share of its last known value below which no coefficient is continued."""
+"""Smallest value of an extrapolated coefficient, as a share of its last known value."""
 KINK = 0.03
-"""Share of k_g above which a kink is reported."""
+"""Error of k_g by a kink, as a share, from which on it is reported."""
 NUDGE = 0.1
-"""Share of a half width by which an estimate is moved to see what it is worth."""
+"""Share of a half width by which an estimate is changed to find its effect."""
 TOGETHER = ("calibration", "skew", "drift")
-"""Causes that move all estimates at once, so that what they are worth is added with its sign."""
+"""Causes with an error common to all estimates, so that their effects are added with sign."""
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """What of an analysis makes the loop: every estimate in a list, and which of them is what."""
+    """The estimates of an analysis from which the loop is made."""
 
     estimates: tuple[Estimate, ...]
     """Coefficients over pressure, then dead time and lags of the regulator."""
@@ -47,7 +48,7 @@ class Fitted:
 
     @classmethod
     def of(cls, analysis: Analysis) -> Fitted:
-        """The coefficients of the primary method; ValueError in words where something is not known."""
+        """The coefficients of the primary method; ValueError with a message where one is missing."""
         primary = analysis.estimates[0].method if analysis.estimates else ""
         known = [
             e
@@ -73,23 +74,29 @@ class Fitted:
     def loop(
         self, values: Sequence[float], x: float, load: float, mass: float, period: float, way: str = ""
     ) -> tuple[float, Loop]:
-        """Pressure [Pa] and loop at x [m], `load` [N]; `way` is whose damping counts, `B_c` or `B_r`; or both."""
+        """Pressure [Pa] and loop at x [m], `load` [N]; `way` is whose damping counts, `B_c` or `B_r`; or both.
+
+        A displacement sensor that is late has a delay, with the way `FILTER` a filter.
+        """
         points: dict[str, list[tuple[float, float]]] = {symbol: [] for symbol in SYMBOLS}
-        times = {"dead time": 0.0, "lag": 0.0, "second lag": 0.0}
+        times = dict.fromkeys(("dead time", "lag", "second lag", SENSOR), 0.0)
         for e, value in zip(self.estimates, values, strict=True):
             if e.symbol in points:
                 points[e.symbol].append((e.at["pressure"], value))
             else:
                 times[e.coordinate] = value
-        chosen = (points[way if way and symbol[0] == "B" else symbol] for symbol in SYMBOLS)
+        chosen = (points[way if way in points and symbol[0] == "B" else symbol] for symbol in SYMBOLS)
         F_ce, K, B_c, B_r = (_through(sorted(known), self.domain) for known in chosen)
         muscle = Muscle(METHOD, F_ce, K, B_c, B_r)
-        regulator = Regulator(max(0.0, times["dead time"]), max(0.0, times["lag"]))
+        delay, further = times["dead time"] + times[SENSOR], [times["second lag"]]
+        if way == FILTER:
+            delay, further = times["dead time"], [*further, times[SENSOR]]
+        regulator = Regulator(max(0.0, delay), max(0.0, times["lag"]))
         P, loop = loop_at(muscle, regulator, x, load, self.domain, mass=mass, sample_period=period)
-        return P, replace(loop, lags=(*loop.lags, times["second lag"])) if times["second lag"] > 0 else loop
+        return P, replace(loop, lags=(*loop.lags, *(lag for lag in further if lag > 0)))
 
     def bend(self, P: float, x: float, loop: Loop) -> float:
-        """Share by which k_g may be off where F_ce or K have a kink between the pressures of the campaign [1]."""
+        """Relative error of k_g where F_ce or K may have a kink between the pressures of the campaign [1]."""
         known = {(e.symbol, e.at["pressure"]): e.value or 0.0 for e in self.estimates if e.at}
         F, K = (
             sorted((at, value) for (name, at), value in known.items() if name == symbol and ("K", at) in known)
@@ -100,10 +107,10 @@ class Fitted:
 
 
 def kink(points: Sequence[tuple[float, float]], P: float) -> float:
-    """How far the slope at P of a curve through points (x, y), x rising, may be off for a kink near P [y/x].
+    """Error of the slope at P of a curve through points (x, y), x ascending, for a possible kink near P [y/x].
 
-    Pieces turn alike from point to point where a curve is smooth. The difference of a turn from its neighbours bounds
-    the error of a central slope, and so does the farthest slope of the pieces about P.
+    For a smooth curve the change of slope is similar from point to point. So the difference of a change from its
+    neighbours bounds the error of a central slope, and so does the most different slope of the pieces near P.
     """
     x, y = np.array(points).T
     slopes = np.diff(y) / np.diff(x)
@@ -119,7 +126,7 @@ def kink(points: Sequence[tuple[float, float]], P: float) -> float:
 
 
 def _through(points: list[tuple[float, float]], domain: tuple[float, float]) -> Curve:
-    """Straight lines through points by rising pressure; those of the ends go on to the ends of the domain."""
+    """Straight lines through points by ascending pressure, extrapolated to the ends of the domain."""
     made = list(points)
     for end, place, (near, far) in ((domain[0], 0, (0, 1)), (domain[1], 1, (-1, -2))):
         P, value = points[near]
@@ -131,12 +138,12 @@ def _through(points: list[tuple[float, float]], domain: tuple[float, float]) -> 
 
 
 def by_model(analysis: Analysis, setpoints: Sequence[float], load: float, mass: float, period: float) -> Analysis:
-    """K_u [Pa/m] and T_u [s] at each set-point [m] under `load` F_L [N] of moving `mass` [kg].
+    """K_u [Pa/m] and T_u [s] at each set-point [m] under `load` F_L [N] with a moving `mass` [kg].
 
-    Without set-points, where the muscle rests at the pressures of the campaign. `period` is that of the loop's samples
-    [s], of which half is dead time. Intervals are those of the coefficients, cause by cause.
+    Without set-points, at the rest positions for the campaign's pressures. `period` is the loop's sample period [s],
+    half of which is dead time. Intervals follow from those of the coefficients, cause by cause.
 
-    Raises ValueError where the analysis does not give enough, or holds none of the set-points.
+    Raises ValueError where the analysis lacks a coefficient, or covers none of the set-points.
     """
     fitted = Fitted.of(analysis)
     values = [float(e.value or 0.0) for e in fitted.estimates]
@@ -167,7 +174,7 @@ def by_model(analysis: Analysis, setpoints: Sequence[float], load: float, mass: 
 
 
 def _rests(fitted: Fitted, load: float) -> list[float]:
-    """Where the muscle rests at the inner pressures of the campaign [m]: at the outer ones no slope is known."""
+    """Rest positions of the muscle at the inner pressures of the campaign [m]; at the outer ones there is no slope."""
     known = {(e.symbol, e.at["pressure"]): e.value or 0.0 for e in fitted.estimates if e.at}
     low, high = fitted.domain
     shared = sorted(P for symbol, P in known if symbol == "F_ce" and ("K", P) in known and low < P < high)
@@ -178,14 +185,14 @@ def _rests(fitted: Fitted, load: float) -> list[float]:
 def _estimates(
     fitted: Fitted, values: list[float], where: tuple[float, float, float, float], at: dict[str, float], bend: float
 ) -> list[Estimate]:
-    """K_u and T_u at one set-point with their intervals; `bend` is what a kink may make of k_g [1]."""
+    """K_u and T_u at one set-point with their intervals; `bend` is the relative error of k_g by a kink [1]."""
 
     def pair(changed: Sequence[float], way: str = "") -> tuple[float, float]:
         found = ultimate(fitted.loop(changed, *where, way)[1])
         return found.gain, found.period
 
     found = pair(values)
-    ways = [pair(values, way) for way in ("B_c", "B_r")]
+    ways = [pair(values, way) for way in ("B_c", "B_r", FILTER)]
     slopes: list[tuple[float, float]] = []
     for i, e in enumerate(fitted.estimates):
         step = NUDGE * (e.parts.combined or 0.0) or 1e-6 * abs(values[i])
@@ -202,7 +209,8 @@ def _estimates(
             worth[cause] = added if assessed else None
         damping = DAMPING * abs(ways[0][place] - ways[1][place])
         bent = bend * found[place] if symbol == "K_u" else 0.0
-        worth["method"] = hypot(worth["method"] or 0.0, damping, bent)
+        filtered = abs(ways[2][place] - found[place])
+        worth["method"] = hypot(worth["method"] or 0.0, damping, bent, filtered)
         parts = Parts(**worth)  # type: ignore[arg-type]
         n = max(e.n for e in fitted.estimates)
         note = "from coefficients over pressure and the regulator's lag; no loop was closed"
@@ -211,7 +219,7 @@ def _estimates(
 
 
 def _doubts(analysis: Analysis, fitted: Fitted, load: float) -> list[Finding]:
-    """What a linear loop leaves out, and what was continued."""
+    """Effects that a linear loop does not include, and coefficients that were extrapolated."""
     primary = analysis.estimates[0].method
     friction = next((e for e in analysis.estimates if e.symbol == "F_c" and e.method == primary and not e.at), None)
     said = []
@@ -223,5 +231,11 @@ def _doubts(analysis: Analysis, fitted: Fitted, load: float) -> list[Finding]:
     if low > fitted.domain[0] or high < fitted.domain[1]:
         ends = f"from {show(low, 'pressure', 4)} to {show(high, 'pressure', 4)}"
         said.append(Finding("note", f"B_r is known {ends}; beyond, it goes on along straight lines"))
+    sensor = next((e for e in fitted.estimates if e.coordinate == SENSOR), None)
+    if sensor is not None:
+        late = show(sensor.value or 0.0, "time", 3)
+        said.append(
+            Finding("note", f"the loop waits for its displacement sensor, {late}: with a faster one K_u is larger")
+        )
     said.append(Finding("note", f"set-points hold for a load of {show(load, 'force', 4)} and its mass"))
     return said

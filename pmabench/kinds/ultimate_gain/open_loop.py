@@ -1,9 +1,7 @@
-"""Pressure steps without a loop: K_u and T_u by set-point of the loop that a controller would see.
+"""Open-loop pressure steps: K_u and T_u by set-point of the loop that a controller would have.
 
-Command to pressure and pressure to displacement are fitted apart; K_u and T_u follow by the phase equation. Rests that
-depend on the side they were reached from show friction.
-
-Knows the trials' samples and commands; not how the closed loop finds the same.
+Command to pressure and pressure to displacement are fitted separately; K_u and T_u follow from the phase equation. Rest
+positions that depend on the direction of approach show friction. Uses the trials' samples and commands.
 """
 
 from __future__ import annotations
@@ -30,58 +28,63 @@ from pmabench.store.records import Array, RunData, TrialData
 
 PHASE = "open-loop"
 BEFORE = 0.5
-"""So much of the rest before the first step is used [s]."""
+"""Time before the first step that is used [s]."""
 FEWEST_CYCLES = 3
 GAP = {"doubt": 0.002, "fault": 0.04}
-"""Distance between the rests reached from both sides, over the swing between the outer rests: 0 without friction."""
+"""Distance of the rest positions from both sides, relative to the swing between the outer ones: 0 without friction."""
 FILTERED = "the displacement moves before the measured pressure does: the gauge has a filter"
 FILTER_LEAVES = 0.5
-"""Where the displacement is still early by this share without the filter, the gauge has a delay and no filter."""
+"""If the displacement is still early by this share after correction for a filter of the gauge, the gauge has a delay
+instead.
+"""
 LEAST_DRIFT = 1e-3
 """Drifts over all cycles that are smaller, as a share of the swing, change nothing."""
 SURE, ALIKE, SHOWN = 10.0, 4.0, 2.0
-"""Twice the logarithm of a ratio of likelihoods from which on one form is sure, below which two are alike, and from
-which on more than the simplest form is there."""
+"""Twice the log likelihood ratio from which on one form is certain, below which two are equivalent, and from which on
+the simplest form is not enough.
+"""
 OF_GAP = 7.0
-"""Share by which K_u and T_u may be off where rests depend on their side, over that gap: what play and creep make of
-loops of known gain is at most that."""
+"""Relative error of K_u and T_u per gap of the rest positions: an upper bound found with play and creep in loops of
+known gain.
+"""
 
 
 OFF = 0.01
-"""Steps of the pressure that are so far off those of the command, beyond the calibrations, do not go where they are
-sent."""
+"""Relative difference of the steps of pressure and command, beyond calibration, from which on the pressure counts as
+not following.
+"""
 OF_SWING = {"K_u": 5.0, "T_u": 1.0}
-"""Share by which K_u and T_u may be off, over a swing of the pressure at rest: seen with 1 to 4 Hz."""
+"""Relative error of K_u and T_u per relative swing of the pressure at rest, found with 1 to 4 Hz."""
 
 
 Departure = tuple[Doubt, Sequence[float] | Array]
-"""What the trial may depart from its form by, and the shares of K_u and T_u that are its effects."""
+"""A possible departure of the trial from its form, and its effect on K_u and T_u as shares."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepsFound(Examined):
-    """What one trial says."""
+    """Result of one trial."""
 
     regulator: Regulator | None = None
     moved: Moved | None = None
     friction: Friction | None = None
     cycles: tuple[Ultimate, ...] = ()
-    """Of each cycle of four steps fitted alone: their scatter makes the interval."""
+    """K_u and T_u of each cycle of four steps fitted alone; their scatter gives the interval."""
     spans: tuple[float, float] = (0.0, 0.0)
     """Relative distance of K_u and of T_u with the lags of one direction alone, the larger of both."""
     amplitude: float = 0.0
-    """[Pa]."""
+    """Height of the steps [Pa]."""
     steps: tuple[Step, ...] = ()
     departures: tuple[Departure, ...] = ()
-    """What may be of another form than the loop."""
+    """Possible departures from the form of the loop."""
 
     @property
     def pair(self) -> Pair:
-        """Of its loop, with the scatter of its cycles."""
+        """K_u and T_u of its loop, with the scatter of its cycles."""
         return Pair.of(self.loop, self.cycles)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; what is not known as None."""
+        """Plain data; unknown values are None."""
         known = {name: value for name, value in (("regulator", self.regulator), ("muscle", self.moved)) if value}
         fact: dict[str, Any] = {name: asdict(value) for name, value in known.items()}
         if self.friction is not None:
@@ -91,7 +94,7 @@ class StepsFound(Examined):
 
     @property
     def sided(self) -> Departure:
-        """What rests that depend on the side they were reached from are worth of K_u and T_u."""
+        """Effect on K_u and T_u of rest positions that depend on the direction of approach."""
         gap = 0.0 if self.friction is None else abs(self.friction.gap)
         reason = (
             f"rests reached from above and from below lie {gap:.2%} of the swing apart: friction, play or creep, which "
@@ -121,7 +124,7 @@ def steps_of(trial: TrialData) -> list[Step]:
 
 
 def examine(run: RunData, trial: TrialData) -> StepsFound:
-    """The loop behind the steps of a trial at its set-point, or why there is none."""
+    """The loop from the steps of a trial at its set-point, or why there is none."""
     steps = steps_of(trial)
     cycles = [steps[i : i + 4] for i in range(0, len(steps) - 3, 4)]
     if len(cycles) < FEWEST_CYCLES or trial.status != "finished":
@@ -167,24 +170,26 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Both parts of a trial, and what of them the gauge is."""
+    """Both fitted parts of a trial, and the gauge's filter."""
 
     regulator: Regulator
     moved: Moved
     friction: Friction
     lag: float
-    """Of the filter of the gauge [s]."""
+    """Time constant of the gauge's filter [s]."""
     undeclared: float = 0.0
-    """What of that nobody declared [s]."""
+    """Part of `lag` that is not declared [s]."""
     other: tuple[Regulator, Moved] | None = None
-    """With a delay of the gauge in place of its filter, or the other way round, where the record does not tell; with
-    the first guess of a filter that nobody declared."""
+    """Alternative with a delay of the gauge in place of its filter, or vice versa, if the record does not decide; or
+    with the first guess of an undeclared filter.
+    """
 
 
 def _fitted(t: Array, x: Array, P: Array, steps: Sequence[Step], declared: float) -> _Fitted | str:
-    """Both parts, with the declared lag of the gauge [s] as that of a filter or as a delay, whichever fits better.
+    """Both parts, with the declared lag of the gauge [s] as a filter or as a delay, whichever fits better.
 
-    A delay of the gauge needs nothing: the displacement is then as much earlier, and the loop has both.
+    A delay of the gauge needs no correction: the displacement is then fitted as earlier by it, and the sum in the loop
+    is right.
     """
     found = fit(t, x, P, steps, declared)
     if isinstance(found, str):
@@ -209,10 +214,11 @@ def _with_spread(
     known: StepsFound, loop: Loop, found: _Fitted, samples: tuple[Array, Array, Array],
     cycles: Sequence[Sequence[Step]], apart: float, off: float, sizes: Sequence[float],
 ) -> StepsFound:  # fmt: skip
-    """With its `loop` of the parts `found`, and what each cycle alone, each direction and other forms would say.
+    """`known` with its `loop` from the parts in `found`, and the results of single cycles, single directions and other
+    forms.
 
-    `apart` is how far rests of gauge and command may be apart [1], `off` the pressure from the bias [Pa], `sizes`
-    are the steps of displacement [m] and pressure [Pa].
+    `apart` is the largest relative difference of gauge and command at rest [1], `off` the pressure from the bias [Pa],
+    `sizes` are the reading steps of displacement [m] and pressure [Pa].
     """
     (t, _, P), lag, truth = samples, found.lag, ultimate(loop)
     fitted = regulator, moved = found.regulator, found.moved
@@ -243,9 +249,9 @@ def _with_spread(
 
 
 def _pressures(regulator: Regulator, swing: float, apart: float) -> list[Departure]:
-    """What a pressure is worth that does not go where it is sent, or swings by itself, by that share of the steps.
+    """Effects of a pressure that does not follow the command, or varies by itself by the share `swing` of the steps.
 
-    `apart` is how far rests of gauge and command may be apart, for their gains and steps [1].
+    `apart` is the largest relative difference of gauge and command at rest by their gains and reading steps [1].
     """
     short = abs(regulator.gain - 1)
     astray = (
@@ -264,7 +270,7 @@ def _pressures(regulator: Regulator, swing: float, apart: float) -> list[Departu
 
 
 def drift_of(t: Array, x: Array, cycles: Sequence[Sequence[Step]]) -> float:
-    """How fast the mean displacement of a cycle moves on from cycle to cycle [m/s]; 0 where that is not seen."""
+    """Drift of the cycles' mean displacement [m/s]; 0 if not significant."""
     during = [(t >= c[0].t) & (t < c[-1].t + (c[-1].t - c[-2].t)) for c in cycles]
     means = np.array([x[at].mean() for at in during if at.any()])
     change = change_over([means]) if len(means) == len(cycles) else None
@@ -279,9 +285,9 @@ def _apart(one: Ultimate, other: Ultimate) -> tuple[float, float]:
 
 
 def _flow(flow: form.Flow, truth: Ultimate, small: Sequence[Ultimate]) -> Departure:
-    """What a valve that may limit the flow is worth, where that fits as well as any lags.
+    """Effect of a valve that may limit the flow, if that fits as well as any lags.
 
-    A limit of 90 % of what the steps ask for does not show in their noise, and delays them by 0.5 ms all the same.
+    A limit at 90 % of the flow that the steps need is hidden by noise, but still delays them by 0.5 ms.
     """
     alike = flow.better > -ALIKE
     reason = (
@@ -295,9 +301,9 @@ def _flow(flow: form.Flow, truth: Ultimate, small: Sequence[Ultimate]) -> Depart
 
 
 def samples_of(trial: TrialData, steps: Sequence[Step], period: float) -> tuple[Array, Array, Array]:
-    """Even times [s], displacement [m] and pressure over the bias [Pa] from before the first step on.
+    """Evenly spaced times [s], displacement [m] and pressure relative to the bias [Pa], from before the first step on.
 
-    Flagged samples are bridged by straight lines.
+    Flagged samples are replaced by interpolation.
     """
     x, P = trial.channels["displacement"], trial.channels["pressure"]
     mask = (trial.t >= steps[0].t - BEFORE) & trial.usable & np.isfinite(x) & np.isfinite(P)
@@ -308,7 +314,7 @@ def samples_of(trial: TrialData, steps: Sequence[Step], period: float) -> tuple[
 
 
 def _pressure_at(moved: Moved, setpoint: float) -> float | None:
-    """Pressure over the bias at which the muscle rests at `setpoint` [m]; None where the fitted curve has none."""
+    """Pressure relative to the bias at which the muscle rests at `setpoint` [m]; None if the fitted curve has none."""
     away = setpoint - moved.x0
     inner = moved.gain**2 + 4 * moved.curvature * away
     return 2 * away / (moved.gain + sqrt(inner)) if inner > 0 else None
@@ -323,7 +329,7 @@ def _elsewhere(moved: Moved, point: Mapping[str, float], amplitude: float) -> st
 
 
 def _against(friction: Friction, amplitude: float) -> tuple[list[str], list[str]]:
-    """What forbids the result, and what weakens it."""
+    """Reasons to refuse the result, and weaknesses of it."""
     gap = abs(friction.gap)
     text = f"rests reached from above and from below lie {gap:.1%} of the swing apart"
     if friction.balance.coulomb > 0:
@@ -335,9 +341,9 @@ def _against(friction: Friction, amplitude: float) -> tuple[list[str], list[str]
 
 
 def _loop(regulator: Regulator, moved: Moved, period: float, off: float) -> Loop | None:
-    """What a controller sampled every `period` [s] sees `off` [Pa] from the bias; None where it could not oscillate.
+    """Loop for a controller sampled every `period` [s] at `off` [Pa] from the bias; None if it could not oscillate.
 
-    The hold adds half a period; lags of filling and venting, and of both directions, count by their means.
+    The sample hold adds half a period; lags of filling and venting, and of both directions, are averaged.
     """
     gain = regulator.gain * (moved.gain + 2 * moved.curvature * off)
     lags = (*regulator.mean.lags(1.0), *ways.lags_of(sum(moved.tau) / 2, moved.beta))
@@ -347,24 +353,24 @@ def _loop(regulator: Regulator, moved: Moved, period: float, off: float) -> Loop
 
 METHOD = "open-loop"
 DAMPING = 0.25
-"""Share of the difference between the two directions' K_u and T_u by which their mean may be off."""
+"""Error of the mean as a share of the difference between the two directions' K_u and T_u."""
 ALONE = "one trial: the repeats part is the scatter between its cycles"
 
 
 @dataclass(frozen=True)
 class StepsCell(GainCell[StepsFound]):
-    """All trials of steps at one operating point."""
+    """All open-loop trials at one operating point."""
 
     called = "trials of steps"
     methods = (METHOD,)
 
     @property
     def apart(self) -> float:
-        """Bound of the time between the commands and the displacement [s]: the loop's dead time holds all of it."""
+        """Bound of the time between commands and displacement [s], all of which is in the loop's dead time."""
         return max(super().apart, skew.off([one.run for one in self.members], "displacement"))
 
     def findings(self) -> list[Finding]:
-        """What speaks against the trials, what the fitted loop is, and what friction leaves of it."""
+        """Problems of the trials, the fitted loop, and effects of friction."""
         lines = self.said()
         known = next((one.found for one in self.good), None)
         if known is not None and known.loop is not None and known.moved is not None:

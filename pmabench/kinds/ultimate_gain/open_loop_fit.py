@@ -1,6 +1,6 @@
-"""Steps of pressure fitted in two parts: command to pressure, and pressure to displacement; what friction leaves.
+"""Pressure steps fitted in two parts: command to pressure, and pressure to displacement; and friction.
 
-Knows samples and steps; not what a controller makes of them.
+Uses samples and steps; knows no controller.
 """
 
 from __future__ import annotations
@@ -23,24 +23,25 @@ FEWEST = 100
 SEGMENT = 0.02
 """Length of the stretches over which the balance of forces is averaged [s]."""
 SMOOTHED = 0.05
-"""Over so long is smoothed what the pressure has that the fitted regulator has not [s]; noise passes for inertia."""
+"""Smoothing time of the difference of measured and fitted pressure [s], whose noise would look like inertia."""
 MOVING = 0.1
 """Share of the largest speed above which the sign of Coulomb friction is certain."""
 BETTER = 10.0
-"""Sum of squares over the variance, by which a second lag must make the fit better to be taken."""
+"""Reduction of the sum of squares, in units of the variance, from which on a second lag is used."""
 BOTH = 0.02
-"""Share of the sum of squares by which an inertia and a delay must fit better than one of them: what noise leaves in
-the fitted pressure makes 0.003."""
+"""Relative reduction of the sum of squares from which on inertia and delay are both used: noise in the fitted pressure
+makes 0.003.
+"""
 FURTHER = ("second", "swing")
-"""What a regulator may have next to its dead time and its lags."""
+"""Optional parameters of a regulator, besides dead time and lags."""
 DELAYED, HEAVY = (0, 1, 2), (0, 1, 3)
-"""What is free of tau in both directions, delay and inertia."""
+"""Free parameters out of tau in both directions, delay, inertia: with delay only, or inertia only."""
 MOST_LATE = 0.2
-"""A displacement that is later or earlier than its pressure by more is none [s]."""
+"""Largest delay or lead of a displacement relative to its pressure [s]."""
 OVER = 30.0
 """Lags after which a step response has ended."""
 SLIGHT = 1e-7
-"""Inertia over stiffness where there is none [s^2]."""
+"""Inertia over stiffness used for zero inertia [s^2]."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +55,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Regulator:
-    """Command to pressure: gain [1], dead time [s], lags while filling and venting [s], and what is left [Pa].
+    """Command to pressure: gain [1], dead time [s], lags while filling and venting [s], rms residual [Pa].
 
-    `second` is a lag of both directions [s]; `swing` is sqrt(b) [s] of 1 + a s + b s^2 where the pressure swings in,
-    `fill` and `vent` being a. Each is 0 where the steps do not show it.
+    `second` is a lag of both directions [s]; `swing` is sqrt(b) [s] of 1 + a s + b s^2 for an oscillating pressure,
+    with `fill` and `vent` as a. Each is 0 if not significant.
     """
 
     gain: float
@@ -70,7 +71,7 @@ class Regulator:
 
     @property
     def mean(self) -> Regulator:
-        """With one lag in both directions, the mean."""
+        """The same with the mean lag in both directions."""
         return replace(self, fill=(self.fill + self.vent) / 2, vent=(self.fill + self.vent) / 2)
 
     def lags(self, height: float) -> tuple[complex, ...]:
@@ -81,7 +82,7 @@ class Regulator:
 
 @dataclass(frozen=True)
 class Moved:
-    """Pressure to displacement about the operating point.
+    """Pressure to displacement near the operating point.
 
     beta x'' + tau x' + x = x0 + k_g p + curvature p^2 at a time `late` before, p = P - bias, tau by direction.
     """
@@ -99,11 +100,11 @@ class Moved:
     residual: float
     """Standard deviation [m]."""
     late: float = 0.0
-    """Delay [s], also in place of an inertia that noise hides; below 0 where it moves earlier than the lags say."""
+    """Delay [s], also in place of an inertia hidden by noise; negative if the motion is earlier than the lags say."""
 
     @property
     def form(self) -> tuple[int, ...]:
-        """What of it was free, as in `DELAYED` and `HEAVY`."""
+        """Its free parameters, see `DELAYED` and `HEAVY`."""
         return HEAVY if not self.late else (*DELAYED, 3) if self.beta else DELAYED
 
     def fitted(self, t: Array, P: Array, steps: Sequence[Step]) -> Array:
@@ -124,15 +125,15 @@ class Balance:
     beta: float
     """[s^2]."""
     coulomb: float
-    """c [Pa]: what dry friction takes while it moves; nan where it was not asked for."""
+    """c [Pa]: dry friction during motion; nan where it was not fitted."""
 
 
 @dataclass(frozen=True)
 class Friction:
-    """What rests and motion show of friction."""
+    """Friction at rest and in motion."""
 
     gap: float
-    """Distance between rests at the bias reached from above and from below, over the swing [1]."""
+    """Distance between rests at the bias reached from above and from below, relative to the swing [1]."""
     balance: Balance
     """With the Coulomb term."""
 
@@ -140,9 +141,9 @@ class Friction:
 def fit(
     t: Array, x: Array, P: Array, steps: Sequence[Step], lag: float, like: tuple[Regulator, Moved] | None = None
 ) -> tuple[Regulator, Moved, Friction] | str:
-    """Both parts fitted to samples at even times; a sentence where something did not move. P is that over the bias.
+    """Both parts fitted to evenly spaced samples; a message where something did not move. P is relative to the bias.
 
-    `like` are the parts of a longer record, of the same form.
+    `like` are the parts of a longer record, whose form is used.
     """
     if len(t) < FEWEST or np.ptp(P) <= SEEN * noise_of(P) or np.ptp(x) <= SEEN * noise_of(x):
         return "the steps are not to be seen above the noise of pressure or displacement, or not sampled"
@@ -156,9 +157,11 @@ def fit(
 
 
 def response(s: Array, lags: Sequence[complex]) -> Array:
-    """Unit step response at times `s` [s] of lags [s] in a row, by partial fractions; two may be a complex pair."""
+    """Unit step response at times `s` [s] of several lags [s] in series, by partial fractions; two may be a complex
+    pair.
+    """
     order = sorted((lag for lag in lags if lag != 0), key=abs)
-    lags = [lag * (1 + 1e-4 * i) for i, lag in enumerate(order)]  # two alike have no such form
+    lags = [lag * (1 + 1e-4 * i) for i, lag in enumerate(order)]  # partial fractions need different lags
     value = np.where(s > 0, 1.0, 0.0)
     for i, lag in enumerate(lags):
         share: complex = 1.0
@@ -169,7 +172,7 @@ def response(s: Array, lags: Sequence[complex]) -> Array:
 
 
 def beyond_noise(y: Array, width: int, noise: float) -> Array:
-    """Means of `y` over `width` samples, times what of their variance is not of white `noise`."""
+    """Moving means of `y` over `width` samples, times the share of their variance that is not due to white `noise`."""
     half = max(1, width // 2)
     whole, at = np.concatenate([[0.0], np.cumsum(y)]), np.arange(len(y))
     low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, len(y))
@@ -181,9 +184,10 @@ def beyond_noise(y: Array, width: int, noise: float) -> Array:
 def _regulator(
     t: Array, P: Array, steps: Sequence[Step], sensor: float, like: Regulator | None
 ) -> tuple[Regulator, Array]:
-    """Least squares of the steps through a dead time and a lag, one for filling and one for venting, and its pressure.
+    """Least squares of the steps through a dead time and a lag for filling and one for venting, and the fitted
+    pressure.
 
-    With a second lag, a pair that swings, or both, where that makes the fit better than noise can (`BETTER`), or where
+    With a second lag, an oscillating pair, or both, where that improves the fit beyond noise (`BETTER`), or where
     `like` has them.
     """
     starts = np.searchsorted(t, [step.t for step in steps])
@@ -208,7 +212,7 @@ def _regulator(
         return float(linear[1]) / steps[0].height, columns @ linear - P + shift
 
     def fitted(start: Regulator, *more: str) -> tuple[Regulator, Array]:
-        """From a regulator to begin with, with `more` of it free than the dead time and the lags of both ways."""
+        """Fit from a start, with `more` parameters free besides the dead time and both lags."""
         lags = [log(getattr(start, name)) for name in ("fill", "vent", *more)]
         bounds = ([-2 * period, *[log(period / 2)] * len(lags)], [5.0, *[log(20.0)] * len(lags)])
 
@@ -238,10 +242,10 @@ def _regulator(
 
 
 def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:
-    """The balance averaged over short stretches, by least squares; linear in all, and P holds most of the noise.
+    """The force balance averaged over short segments, by least squares; it is linear, and most noise is in P.
 
-    With `friction` the stretches slower than a share of the fastest are left out, for there the sign is not certain
-    and the muscle may stick.
+    With `friction`, segments slower than a share of the fastest are left out, since there the sign is uncertain and the
+    muscle may stick.
     """
     period = float(t[1] - t[0])
     width = max(3, round(SEGMENT / period))
@@ -273,11 +277,10 @@ def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:
 
 
 def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance, form: tuple[int, ...] | None) -> Moved:
-    """Least squares of a simulated displacement, driven by the measured pressure; `start` is where to begin.
+    """Least squares of a simulated displacement with the measured pressure as input; `start` gives the start values.
 
-    An inertia cannot be below 0, so that noise alone would make it larger than it is and the loop slower: a delay of
-    either sign takes its place where it fits better, and both are fitted where that is better by far (`BOTH`), or
-    what `form` says.
+    An inertia cannot be negative, so noise alone would make it too large and the loop too slow. A delay of either sign
+    replaces it where that fits better; both are used where that is far better (`BOTH`), or as `form` says.
     """
     period = float(t[1] - t[0])
     swing = float(np.ptp(P))
@@ -291,7 +294,7 @@ def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance, 
         return values
 
     def solved(p: Array) -> tuple[Array, Array]:
-        """Constant, gain and curvature by the `whole` values, and what is left over the swing."""
+        """Constant, gain and curvature for the `whole` values, and the residual relative to the swing."""
         made = _simulated(drive, parts, (p[0], p[1]), p[3], period)
         late = [np.interp(t - p[2], t, column) if p[2] else column for column in made.T]
         design = np.column_stack([np.ones_like(t), *late])
@@ -323,7 +326,7 @@ def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance, 
 
 
 def _driven(t: Array, P: Array, steps: Sequence[Step]) -> tuple[Array, list[tuple[int, int, int]]]:
-    """Pressure and its square, even before the first step, and the parts (from, to, which tau) between steps."""
+    """Pressure and its square, constant before the first step, and the parts (from, to, index of tau) between steps."""
     limits = [0, *(int(k) for k in np.searchsorted(t, [step.t for step in steps])), len(t)]
     ways = [0, *(0 if step.height > 0 else 1 for step in steps)]
     parts = [(a, b, way) for a, b, way in zip(limits[:-1], limits[1:], ways, strict=True) if b > a]
@@ -334,9 +337,9 @@ def _driven(t: Array, P: Array, steps: Sequence[Step]) -> tuple[Array, list[tupl
 def _simulated(
     drive: Array, parts: Sequence[tuple[int, int, int]], tau: tuple[float, float], beta: float, period: float
 ) -> Array:
-    """Motion x of beta x'' + tau x' + x = `drive`, column by column, from rest; `parts` are (from, to, tau).
+    """Motion x of beta x'' + tau x' + x = `drive`, for each column, from rest; `parts` are (from, to, index of tau).
 
-    The drive is held at the mean of two samples; the state is carried from part to part.
+    The drive between two samples is their mean; the state is continuous between parts.
     """
     u = (drive + np.vstack([drive[:1], drive[:-1]])) / 2
     made = np.empty_like(drive)
@@ -347,7 +350,7 @@ def _simulated(
         b = np.array([1 - A[0, 0], -A[1, 0]])
         trace, det = float(A[0, 0] + A[1, 1]), float(A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
         after = np.empty_like(state)
-        for row in (0, 1):  # x_k = trace x_(k-1) - det x_(k-2) + what the drive and the state before put in
+        for row in (0, 1):  # x_k = trace x_(k-1) - det x_(k-2) + contributions of drive and previous state
             w = b[row] * u[begin:end]
             w[1:] += (A[row, 1 - row] * b[1 - row] - A[1 - row, 1 - row] * b[row]) * u[begin : end - 1]
             w[0] += A[row] @ state
@@ -364,7 +367,7 @@ def _simulated(
 def _transition(tau: float, beta: float, period: float) -> Array:
     """exp(A h) of beta x'' + tau x' + x = 0 for (x, x'), from its two poles; shape (2, 2)."""
     root = complex(tau * tau - 4 * beta) ** 0.5
-    root = root if abs(root) > 1e-6 * tau else complex(1e-6 * tau)  # two poles alike have no such form
+    root = root if abs(root) > 1e-6 * tau else complex(1e-6 * tau)  # partial fractions need different poles
     one, two = (-tau + root) / (2 * beta), (-tau - root) / (2 * beta)
     first, second = np.exp(one * period), np.exp(two * period)
     apart = one - two
@@ -376,7 +379,7 @@ def _transition(tau: float, beta: float, period: float) -> Array:
 
 
 def _friction(t: Array, x: Array, P: Array, steps: Sequence[Step]) -> Friction:
-    """Rests at the bias after coming from above and from below, and the Coulomb term of the balance while it moves."""
+    """Difference of the rests at the bias from above and from below, and the Coulomb term of the balance in motion."""
     ends = [step.t for step in steps[1:]] + [steps[-1].t + (steps[-1].t - steps[-2].t)]
     rests = np.array([_rest(t, x, step.t, end) for step, end in zip(steps, ends, strict=True)])
     kinds = np.arange(len(steps)) % 4
@@ -387,7 +390,7 @@ def _friction(t: Array, x: Array, P: Array, steps: Sequence[Step]) -> Friction:
 
 
 def _rest(t: Array, x: Array, begin: float, end: float) -> float:
-    """Where the hold from `begin` to `end` [s] leads to: the end of an exponential through its second half."""
+    """End value of the hold from `begin` to `end` [s], by an exponential through its second half."""
     at = (t >= (begin + end) / 2) & (t < end)
     if at.sum() < 9:
         return float("nan")

@@ -1,6 +1,6 @@
-"""What may keep open-loop steps from the loop that is fitted: a valve that limits the flow, channels read in steps.
+"""Departures of open-loop steps from the fitted loop: a valve that limits the flow, channels read in steps.
 
-Knows samples, steps and the fitted parts; not what a controller makes of them.
+Uses samples, steps and the fitted parts; knows no controller.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from pmabench.kinds.ultimate_gain.ways import lags_of
 from pmabench.store.records import Array
 
 HUM = 0.1
-"""Over so long hum of 50 and of 60 Hz averages to 0 [s]."""
+"""Averaging time that removes hum of 50 and of 60 Hz [s]."""
 CHANCE = 0.3
-"""A swing below this share of what noise leaves in such a mean is noise."""
+"""Ratio of a swing to the noise of such a mean below which it counts as noise."""
 SETTLED = 0.75
 """Share of the time between steps after which the pressure has settled."""
 DITHERED = 0.5
-"""Noise of this share of a step lets the steps average away."""
+"""Noise, as a share of a reading step, above which the steps average out."""
 MOVING = 2.0
 """Lags after a step in which the pressure moves over several steps of its channel."""
 SMALL = 0.17
-"""Variance of what is read over the square of the step, at a noise of a third of the step."""
+"""Variance of the reading over the square of its step, for noise of a third of the step."""
 LEAST_LATE = 2e-3
-"""By so much must the displacement come before the pressure that moves it for the gauge to be late [s]."""
+"""Lead of the displacement before the pressure from which on the gauge is late [s]."""
 MATCHES = 2.0
-"""Factor within which a lag in the pressure is that time, and the filter of the gauge."""
+"""Largest ratio between that lead and a second lag in the pressure for both to be one filter of the gauge."""
 
 
 def gauge_filter(regulator: Regulator, moved: Moved) -> float:
-    """Time constant of a filter of the gauge that nobody declared [s]; 0 where the steps show none.
+    """Time constant of an undeclared filter of the gauge [s]; 0 if the steps show none.
 
-    Nothing moves before its pressure does. Where the displacement seems to, and the pressure has a second lag as long,
-    the gauge has that lag and not the regulator.
+    Nothing moves before its pressure does. If the displacement seems to, and the pressure has a second lag of that
+    length, the lag belongs to the gauge and not to the regulator.
     """
     early = -moved.late
     matches = early > LEAST_LATE and early / MATCHES < regulator.second < early * MATCHES
@@ -48,7 +48,7 @@ def gauge_filter(regulator: Regulator, moved: Moved) -> float:
 
 
 def hunting(P: Array, t: Array, steps: Sequence[Step]) -> float:
-    """How far the pressure swings at rest, beyond its noise, over the largest step [1]; rms."""
+    """Rms variation of the pressure at rest beyond its noise, relative to the largest step [1]."""
     noise, width, parts = noise_of(P), round(HUM / (t[1] - t[0])), [np.zeros(1)]
     times = [*(step.t for step in steps), 2 * steps[-1].t - steps[-2].t]
     for begin, end in pairwise(times):
@@ -61,33 +61,33 @@ def hunting(P: Array, t: Array, steps: Sequence[Step]) -> float:
 
 
 def better_by(one: tuple[Regulator, Moved], other: tuple[Regulator, Moved], count: int) -> float:
-    """Twice the logarithm of the likelihood of `one` over that of `other`, both fitted to `count` samples."""
+    """Twice the log likelihood ratio of `one` to `other`, both fitted to `count` samples."""
     pressure = other[0].residual / one[0].residual
     return 2 * count * log(pressure * other[1].residual / one[1].residual)
 
 
 @dataclass(frozen=True)
 class Flow:
-    """A valve that limits the flow: while the pressure is far from the command it changes at one rate."""
+    """A valve that limits the flow: far from the command, the pressure changes at a constant rate."""
 
     dead_time: float
     fill: float
     vent: float
-    """For steps so small that the flow is not limited [s]."""
+    """Lags for steps too small for the limit [s]."""
     rate: float
     """[Pa/s]."""
     better: float
     """Twice the logarithm of its likelihood over that of a second lag, or of a pair that swings."""
     needed: float
-    """The same over that of a single lag."""
+    """The same relative to a single lag."""
 
     def small(self, like: Regulator) -> Regulator:
-        """The regulator `like` this for small steps."""
+        """The regulator `like`, with the values for small steps."""
         return replace(like, dead_time=self.dead_time, fill=self.fill, vent=self.vent, second=0.0, swing=0.0)
 
 
 def flow_limited(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Flow | None:
-    """The valve that the mean rise and the mean fall would show; None where none comes near them.
+    """Fit of such a valve to the mean rise and the mean fall; None if there is no limit.
 
     `sensor` is the lag of the gauge [s].
     """
@@ -153,10 +153,10 @@ def read_in_steps(
     samples: Sequence[Array], cycle: Sequence[Step], sensor: float, parts: tuple[Regulator, Moved],
     sizes: Sequence[float],
 ) -> Iterator[tuple[Regulator, Moved]]:  # fmt: skip
-    """The parts that steps of `sizes`, of displacement [m] and pressure [Pa], make of the fitted ones, in one cycle.
+    """The parts fitted to simulated readings in steps of `sizes`, of displacement [m] and pressure [Pa], in one cycle.
 
-    `samples` are its times [s], displacements [m] and pressures [Pa], `sensor` is the lag of the gauge [s]. First
-    without steps. Nothing where the steps are fine, or noise makes them average away.
+    `samples` are its times [s], displacements [m] and pressures [Pa], `sensor` is the lag of the gauge [s]. The first
+    result is without steps. Nothing where the steps are fine, or noise averages them out.
     """
     (t, x, P), (regulator, moved) = samples, parts
     made = np.zeros_like(t)
@@ -181,10 +181,10 @@ def read_in_steps(
 
 
 def _noise(y: Array, size: float, moving: Array) -> float:
-    """Noise of a channel that is read in steps of `size` [as y], by the samples that are `moving` over several steps.
+    """Noise of a channel that is read in steps of `size` [as y], from samples `moving` over several steps.
 
-    Of noise s, below a third of a step q, s q / sqrt(pi) is left as variance in the mean over the places of the steps,
-    and of larger noise s^2 + q^2 / 12.
+    Noise s below a third of a step q gives a variance of s q / sqrt(pi), averaged over the position in the step; larger
+    noise gives s^2 + q^2 / 12.
     """
     if not 0 < size < np.inf:
         return noise_of(y)

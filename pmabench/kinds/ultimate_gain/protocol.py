@@ -1,4 +1,4 @@
-"""Ultimate gain and period of the position loop: by a rising gain (paper 0), by a relay, or by steps without a loop."""
+"""Ultimate gain and period of the position loop: by a rising gain (paper 0), by a relay, or by open-loop steps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Span = tuple[float, float]
 
 
 class UltimateAxes(Strict):
-    """What is swept: set-points with the pressure that is expected to hold each, and the load."""
+    """What is swept: set-points with the pressure expected to hold each, and the load."""
 
     setpoint: LengthAxis
     bias: Annotated[list[Pressure], Field(min_length=1)]
@@ -28,7 +28,7 @@ class UltimateAxes(Strict):
 
 
 class GainSteps(Strict):
-    """The law: at each level a small kick, then half periods are counted; the gain rises until swings grow."""
+    """At each level a small kick, after which half periods are counted; the gain rises until the swings grow."""
 
     consent: ClassVar[str] = "the loop is taken to the limit of stability"
     """What the operator agrees to."""
@@ -43,7 +43,7 @@ class GainSteps(Strict):
     settle: Time
 
     def check(self, c: Compilation) -> None:
-        """Check what holds for every trial."""
+        """Checks that apply to every trial."""
         _positive(c, self, "gain_steps", "start", "step", "kick", "window", "level_time")
         if self.step > 0.08 + 1e-12:
             c.fault(("trial", "gain_steps", "step"), "at most 8 % from level to level")
@@ -51,21 +51,21 @@ class GainSteps(Strict):
             c.fault(("trial", "gain_steps", "window"), "must be larger than the kick")
 
     def steps(self, c: Compilation, point: Point, span: Span, place: Location) -> list[Step]:
-        """What happens while a trial is recorded; commands stay in `span`, `place` is that of the bias."""
+        """Steps while a trial is recorded; commands stay in `span`, `place` is that of the bias in the file."""
         parameters = {"factor": 1.0 + self.step, **self.model_dump(exclude={"step"})}
         return _seek("gain-steps", parameters, self.settle + self.levels * self.level_time, point, span)
 
 
 class RelayTest(Strict):
-    """The law: the command switches between two values about the bias, at each amplitude in turn."""
+    """The command switches between two values about the bias, at each amplitude in turn."""
 
     consent: ClassVar[str] = "a relay makes the loop swing"
     amplitudes: Annotated[list[Pressure], Field(min_length=2, max_length=4)]
-    """Half of the switching of the command."""
+    """Half of the command's switching height."""
     hysteresis: Annotated[list[Length], Field(min_length=2, max_length=4)]
-    """Of each amplitude, in one ratio to it: so friction can be distinguished from a linear loop."""
+    """One for each amplitude, with a constant ratio, so that friction differs from a linear loop."""
     asymmetry: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
-    """Above 0 the command goes further up than down; the means then give the static gain."""
+    """Above 0 the command goes further up than down; the mean values then give the static gain."""
     periods: Annotated[int, Field(ge=8, le=100)]
     level_time: Time
     settle: Time
@@ -77,7 +77,7 @@ class RelayTest(Strict):
     """Window of the measured force."""
 
     def check(self, c: Compilation) -> None:
-        """Check what holds for every trial."""
+        """Checks that apply to every trial."""
         c.needs_channel("pressure")
         if self.force is not None:
             c.needs_channel("force")
@@ -103,7 +103,9 @@ class RelayTest(Strict):
                 c.fault((*at, name), "the first value must be below the second")
 
     def steps(self, c: Compilation, point: Point, span: Span, place: Location) -> list[Step]:
-        """As of a rising gain; commands must lie in `span`, the bias in the window of the measured pressure."""
+        """Steps while a trial is recorded; commands must lie in `span`, the bias in the window of the measured
+        pressure.
+        """
         d, bias, (low, high) = max(self.amplitudes), point["bias"], span
         if not (low <= bias - d * (1 - self.asymmetry) and bias + d * (1 + self.asymmetry) <= high):
             c.fault(place, 'with the largest amplitude lies outside the range "pressure" of the trial')
@@ -115,24 +117,24 @@ class RelayTest(Strict):
 
 
 class OpenLoop(Strict):
-    """No loop: steps of the command, up, back, down and back, from which a model of the loop is fitted."""
+    """Open-loop steps of the command, up, back, down and back, to which a model of the loop is fitted."""
 
     consent: ClassVar[str] = ""
     amplitude: Pressure
     """Height of a step, to both sides of the bias."""
     hold: Time
-    """After each step; long enough to come to rest."""
+    """Hold after each step, long enough to come to rest."""
     cycles: Annotated[int, Field(ge=3, le=100)]
-    """Of four steps; the scatter between cycles makes the interval."""
+    """Cycles of four steps; the scatter between cycles gives the interval."""
     settle: Time
 
     def check(self, c: Compilation) -> None:
-        """Check what holds for every trial."""
+        """Checks that apply to every trial."""
         c.needs_channel("pressure")
         _positive(c, self, "open_loop", "amplitude", "hold", "settle")
 
     def steps(self, c: Compilation, point: Point, span: Span, place: Location) -> list[Step]:
-        """What happens while a trial is recorded; commands stay in `span`, `place` is that of the bias."""
+        """Steps while a trial is recorded; commands stay in `span`, `place` is that of the bias in the file."""
         bias, (low, high) = point["bias"], span
         if not low <= bias - self.amplitude < bias + self.amplitude <= high:
             c.fault(place, 'with the amplitude of the steps lies outside the range "pressure" of the trial')
@@ -143,14 +145,14 @@ class OpenLoop(Strict):
 
 
 def _seek(law: str, parameters: dict[str, Any], limit: float, point: Point, span: Span) -> list[Step]:
-    """A search by a law, which takes `limit` [s] at most; its commands stay in `span`."""
+    """A search by a law with time limit `limit` [s]; its commands stay in `span`."""
     low, high = span
     fixed = {"setpoint": point["setpoint"], "bias": point["bias"], "low": low, "high": high}
     return [Seek("ultimate-gain", law, "pressure", low, high, limit + 5.0, {**parameters, **fixed}, at_limit="flag")]
 
 
 def _positive(c: Compilation, way: Strict, of: str, *names: str) -> None:
-    """Check values of a way that must be above zero."""
+    """Check that these values of a law are above zero."""
     for name in names:
         c.positive(getattr(way, name), ("trial", of, name))
 

@@ -1,10 +1,10 @@
 """Reduction of ultimate-gain runs: K_u and T_u of each set-point, refused where the loop does not oscillate as a sine.
 
-Trials of steps without a loop are reduced in `open_loop`, those with a relay in `relay`; here are those with
-a rising gain, and what all say together.
+Open-loop steps are reduced in `open_loop`, relay trials in `relay`; here are those with a rising gain, and the results
+of all methods together.
 
-Per level of gain the mean ln of the ratio of successive swings; a line through the last levels, K_u where it is 0.
-Knows the samples and what the search wrote down; not how the bench is built.
+For each level of gain the mean ln of the ratio of successive swings; K_u is the zero of a line through the last levels.
+Uses the samples and the record of the search; knows nothing of the bench.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ NO_LEVELS = "no levels of gain are recorded"
 ELSEWHERE = f"{NO_LEVELS}: no column holds them, but run.json of an exported run does"
 METHOD = "gain-steps"
 USED = ("finished", "failed")
-"""Trials with one of these statuses are looked at; a search that found nothing is a failed trial, and says why."""
+"""Statuses of trials that are evaluated; a search that found nothing is a failed trial, and its reason is reported."""
 ALONE = "one trial: the repeats part is the scatter about its own line, and repeated tests may scatter more"
 
 
@@ -51,12 +51,12 @@ class _Cell(GainCell[TrialFound]):
 
     @property
     def seen(self) -> Loop | None:
-        """The loop behind the first trial that shows one."""
+        """The loop of the first trial that has one."""
         return super().loop
 
     @property
     def loop(self) -> Loop | None:
-        """The same, where the skew leaves its dead time something."""
+        """The same, if its dead time exceeds the skew between the channels."""
         return self.seen if self.seen is not None and self.apart <= skew.WIDE * self.seen.dead_time else None
 
     def _estimate(self, place: int, method: str) -> Estimate:
@@ -73,7 +73,7 @@ class _Cell(GainCell[TrialFound]):
         return self.estimate(place, method, self.good, pairs, parts, (unknown,), alone=ALONE, bias=bias)
 
     def findings(self) -> list[Finding]:
-        """What speaks against the trials, and what the loop is."""
+        """Problems of the trials, and the loop."""
         lines, loop = self.said(), self.loop
         K_u, T_u = (estimate.value for estimate in self.estimates)
         if K_u is None or T_u is None:
@@ -122,14 +122,14 @@ class _Cell(GainCell[TrialFound]):
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """Ultimate gain K_u [Pa/m] and period T_u [s] of every set-point, and the settings that the tuning rules give.
+    """Ultimate gain K_u [Pa/m] and period T_u [s] of every set-point, and controller settings by the tuning rules.
 
-    ln(ratio) of successive swings is fitted against K_p by a line over the last levels; K_u is its zero, T_u the
-    periods' line at the same place (Ziegler and Nichols 1942). The line's bias is found by replay with the loop that
-    the levels themselves identify, and taken off.
+    ln(ratio) of successive swings is fitted against K_p by a line over the last levels; K_u is its zero, T_u the period
+    by a line at the same gain (Ziegler and Nichols 1942). The bias of the line is found by replay with the loop
+    identified from the levels, and subtracted.
 
-    `options`: `loop` = {"gain" [m/Pa], "dead_time" [s], "lags" [s, ...]}, a linear model from elsewhere that K_u and
-    T_u are held against.
+    `options`: `loop` = {"gain" [m/Pa], "dead_time" [s], "lags" [s, ...]}, a linear model from elsewhere with which K_u
+    and T_u are compared.
     """
     options = options or {}
     cells, dropped = _cells(runs)
@@ -140,7 +140,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     settings: list[dict[str, Any]] = []
 
     def settle(K_u: Estimate, T_u: Estimate, loop: Loop | None, apart: float) -> None:
-        """Settings and the loop of one operating point; the first way there counts."""
+        """Settings and loop of one operating point; the first method with a result there is used."""
         if K_u.value is None or T_u.value is None or any(entry["at"] == dict(K_u.at) for entry in settings):
             return
         if loop is not None:
@@ -186,11 +186,11 @@ WAYS: Mapping[str, tuple[type[GainCell[Any]], Callable[[RunData, TrialData], Exa
     "levels": (_Cell, lambda run, trial: examine(run, trial, _search(trial) or {})),
     "relay": (RelayCell, lambda run, trial: examine_relay(run, trial, search_of(trial) or {})),
 }
-"""Each way, the one that counts first in front: its cells, and what looks at a trial."""
+"""Methods in order of preference -> their cells, and the function that evaluates a trial."""
 
 
 def _way_of(trial: TrialData) -> tuple[str, str]:
-    """The way of a trial, and what it lacks for that; empty where nothing is."""
+    """The method of a trial, and what it lacks for that; the latter is empty if nothing."""
     way = "open_loop" if steps_of(trial) else "levels" if search_of(trial) is None else "relay"
     if way == "levels" and _search(trial) is None:
         return way, NO_LEVELS
@@ -199,7 +199,7 @@ def _way_of(trial: TrialData) -> tuple[str, str]:
 
 
 def _cells(runs: Sequence[RunData]) -> tuple[dict[str, list[GainCell[Any]]], list[Dropped]]:
-    """The cells of each way, and the trials that are not looked at."""
+    """The cells of each method, and the trials that are not evaluated."""
     dropped: list[Dropped] = []
     ways: dict[str, list[tuple[RunData, TrialData]]] = {way: [] for way in WAYS}
     for run, trial in [(one, trial) for one in runs for trial in one.trials]:
@@ -214,7 +214,7 @@ def _cells(runs: Sequence[RunData]) -> tuple[dict[str, list[GainCell[Any]]], lis
 
 
 def _search(trial: TrialData) -> Mapping[str, Any] | None:
-    """What the search wrote down."""
+    """The record of the search; None without one."""
     return next((found for found in trial.found.values() if found.get("levels")), None)
 
 
@@ -231,7 +231,7 @@ def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Ar
 
 
 def of_open_loops(runs: Sequence[RunData]) -> Analysis:
-    """What steps without a loop give alone; what other trials of the runs say is in the findings."""
+    """The reduction of open-loop steps alone; findings say what other trials of the runs were found."""
     reduced = reduce(runs)
     return replace(reduced, estimates=tuple(e for e in reduced.estimates if e.method == OPEN_LOOP))
 

@@ -1,10 +1,10 @@
-"""K_u and T_u of relay tests, by set-point: the fitted loop first, then the describing function.
+"""K_u and T_u of relay tests, by set-point: by a fitted loop, and by the describing function.
 
-Of one trial each size of oscillation is measured, with the describing function of the relay, and a loop of dead time,
-lags and gain fitted to the harmonics of command, pressure and displacement. Where period and gain change with the size
-it is no linear loop; dry friction in the balance of pressures, and a shape that the fitted loop has not, tell stiction
-from a bent muscle. Neither way is reported where friction shows. Knows the trials' samples and what the relay wrote
-down.
+In one trial each size of oscillation is evaluated by the relay's describing function, and by a loop of dead time, lags
+and gain fitted to the harmonics of command, pressure and displacement. If period and gain change with the size, the
+loop is not linear; dry friction in the pressure balance, and a shape that the fitted loop does not have, distinguish
+stiction from a curved characteristic. Neither method gives a value where friction shows. Uses the trials' samples and
+the relay's record.
 """
 
 from __future__ import annotations
@@ -30,25 +30,28 @@ from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
 
 SKIPPED = 3
-"""Periods after a change of amplitude that do not count."""
+"""Periods after a change of amplitude that are left out."""
 FEWEST_PERIODS = 4
 FEWEST_SAMPLES = 4
-"""In each period."""
+"""Fewest samples in each period."""
 PERIOD_VARIATION = 0.05
 LOPSIDED = 0.05
-"""Mean command off the bias, over the amplitude, from which on the mean displacement gives a static gain."""
+"""Mean command relative to the bias, over the amplitude, from which on the mean displacement gives a static gain."""
 ALIKE = 0.01
-"""Ratios of hysteresis to amplitude that differ by less count as one."""
+"""Largest difference between ratios of hysteresis to amplitude that count as equal."""
 SPREAD = {"period": {"doubt": 0.008, "fault": 0.02}, "gain": {"doubt": 0.025, "fault": 0.045}}
 """Relative change of period and of K_u (describing function) from the largest oscillation to the smallest.
 
-Without friction or a kink at most 0.016 and 0.029 were seen in 200 simulated tests (as those of `FORM`)."""
+Without friction or a kink, at most 0.016 and 0.029 in 200 simulated tests (the same as for `FORM`).
+"""
 RUBS = 0.015
-"""Dry friction in the balance, over the smallest amplitude: 0 without; at most 0.011 was seen, noise made it."""
+"""Accepted dry friction in the balance, over the smallest amplitude: 0 without friction, up to 0.011 by noise."""
 SHAPE = 0.02
-"""Third harmonic of the displacement, over the first, off that of the fitted loop; unlike damping makes up to 0.013."""
+"""Difference of the displacement's third harmonic, over the first, to the fitted loop; unequal damping makes up to
+0.013.
+"""
 QUICKER = -0.005
-"""Change of the period towards the smallest oscillation below which it is no friction: that makes it slower."""
+"""Relative change of the period towards the smallest oscillation below which it is not friction, which lengthens it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +59,11 @@ class RelayLevel:
     """One size of oscillation, measured."""
 
     amplitude: float
-    """d [Pa]."""
+    """Amplitude d [Pa]."""
     hysteresis: float
-    """h [m]."""
+    """Hysteresis h [m]."""
     t0: float
-    """From here the periods count [s]."""
+    """Start of the periods that count [s]."""
     t1: float
     period: float
     """[s]."""
@@ -74,22 +77,22 @@ class RelayLevel:
     """Mean displacement from the centre over mean command from the bias [m/Pa]; nan with a symmetric command."""
     loop: Loop | None = None
     fitted: Pair = NOTHING
-    """Of the loop."""
+    """K_u and T_u of the fitted loop."""
     coulomb: float = nan
-    """What dry friction takes while it moves [Pa], from the balance of pressures."""
+    """Dry friction during motion [Pa], from the pressure balance."""
     unlike: float = nan
     """Difference of the lags of both directions over their sum [1]."""
     shape: float = nan
     """Third harmonic of the displacement over the first, its distance from the fitted loop's [1]."""
     left: float = nan
-    """Distance of the pressure's harmonics from what the fitted loop makes of the command's, over the first [1]."""
+    """Distance of the pressure's harmonics from those of the fitted regulator, relative to the first [1]."""
 
     def by(self, method: str) -> Pair:
         """K_u and T_u by the fit, or by the describing function."""
         return self.fitted if method == FITTED else self.described
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; what is not known as None."""
+        """Plain data; unknown values are None."""
         names = ("amplitude", "hysteresis", "t0", "t1", "period", "variation", "swing", "static", "coulomb", "unlike",
                  "shape", "left")  # fmt: skip
         K_u, T_u = self.fitted.value
@@ -100,7 +103,7 @@ class RelayLevel:
 
 @dataclass(frozen=True, eq=False)
 class RelayFound(Examined):
-    """What one trial says; its numbers are those of the largest oscillation, in which friction weighs least."""
+    """Result of one trial; its values are those of the largest oscillation, in which friction matters least."""
 
     levels: tuple[RelayLevel, ...]
 
@@ -111,19 +114,19 @@ class RelayFound(Examined):
 
     @property
     def pair(self) -> Pair:
-        """Of the fitted loop; nothing where it is refused."""
+        """K_u and T_u of the fitted loop; NaN if refused."""
         return NOTHING if self.best is None or self.refused else self.best.fitted
 
 
 def search_of(trial: TrialData) -> Mapping[str, Any] | None:
-    """What the law `relay` wrote down in this trial."""
+    """Record of the law `relay` in this trial; None without one."""
     return next((found for found in trial.found.values() if found.get("relay")), None)
 
 
 def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayFound:
-    """Both ways to K_u and T_u for each amplitude of a trial, or why there are none.
+    """K_u and T_u by both methods for each amplitude of a trial, or why there are none.
 
-    `search` is what the law `relay` wrote down.
+    `search` is the record of the law `relay`.
     """
     lag = {name: info.sensor_lag for name, info in run.channels.items()}
     hold = 0.5 / run.rate if run.rate > 0 else 0.0
@@ -148,9 +151,10 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
 
 
 def _friction(levels: tuple[RelayLevel, ...], sample: float) -> tuple[list[str], list[str]]:
-    """What a change of the oscillation with its size says: a linear loop has one period and one gain at all sizes.
+    """Reasons to refuse, and doubts, because the oscillation changes with its size, which that of a linear loop does
+    not.
 
-    `sample` is the time between samples [s].
+    `sample` is the sample period [s].
     """
     ratio = [level.hysteresis / level.amplitude for level in levels]
     if len(levels) < 2 or max(ratio) > (1 + ALIKE) * min(ratio):
@@ -238,23 +242,25 @@ SAYS = {
     FITTED: "the method part is the difference between the amplitudes, and what the loop's form is worth",
     DESCRIBED: "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit",
 }
-"""Method -> what is noted of its values."""
+"""Method -> note on its values."""
 OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
-"""What K_u and T_u may be off, over friction as a share of the amplitude, over the distance of the third harmonic, and
-over their change between the amplitudes: play, a second lag and a slew of the regulator make less of known loops."""
+"""Errors of K_u and T_u per friction as a share of the amplitude, per distance of the third harmonic, and per change
+between the amplitudes: upper bounds found with play, a second lag and a rate limit in known loops.
+"""
 OF_LEFT = {"K_u": 9.0, "T_u": 1.0}
-"""What they may be off over the square of what is left of the pressure: venting 1.5 to 3 times as slow as filling."""
+"""Errors per square of the pressure's residual, found with venting 1.5 to 3 times as slow as filling."""
 LEFT, MOST_LEFT = 0.02, 0.1
-"""What is left of the pressure's harmonics from which on the regulator is not the fitted one, noise makes 0.006; a
-share of a value above which that withholds it."""
+"""Residual of the pressure's harmonics from which on the regulator has another form (noise makes 0.006); and share of a
+value above which its effect withholds it.
+"""
 FORM = {"K_u": 0.012, "T_u": 0.0045}
-"""Half width, over the value, of what the form of the fitted loop is worth with damping alike in both directions."""
+"""Relative half width for the form of the fitted loop, with equal damping in both directions."""
 UNLIKE, BEYOND = {"K_u": 0.08, "T_u": 0.035}, 0.2
-"""The same by damping that is not, per difference of the two lags over their sum, four times that beyond `BEYOND`:
-lags of 1 to 2 are worth up to 5 % of K_u, of 1 to 3 up to 6 %.
+"""The same for unequal damping, per difference of the two lags over their sum, and four times as much beyond `BEYOND`:
+lags of 1 to 2 give up to 5 % of K_u, of 1 to 3 up to 6 %.
 
-Both so that 95 % of 200 simulated tests hold, without friction: two muscles at 12 to 50 mm, masses of 2 to 13 kg, dead
-times of 20 to 60 ms, lags of 50 to 250 ms, amplitudes of 10 to 60 kPa. The largest errors are 2.5 % and 1.0 %.
+Both are chosen to cover 95 % of 200 simulated tests without friction: two muscles at 12 to 50 mm, masses of 2 to 13 kg,
+dead times of 20 to 60 ms, lags of 50 to 250 ms, amplitudes of 10 to 60 kPa. The largest errors are 2.5 % and 1.0 %.
 """
 
 
@@ -277,7 +283,7 @@ class RelayCell(GainCell[RelayFound]):
         return e if described else weighed(e, _doubts([one.found for one in trials], e.symbol, e.value or 0.0))
 
     def findings(self) -> list[Finding]:
-        """What speaks against the trials, and what the fitted loop is."""
+        """Problems of the trials, and the fitted loop."""
         lines, loop = self.said(), self.loop
         if loop is None:
             return lines
@@ -306,9 +312,9 @@ class RelayCell(GainCell[RelayFound]):
 
 
 def _doubts(trials: Sequence[RelayFound], symbol: str, value: float) -> list[Doubt]:
-    """What friction or play in the balance of pressures, and another form of the loop, are worth of a value.
+    """Effects on a value of friction or play in the pressure balance, and of another form of the loop.
 
-    Friction is alike at all amplitudes: what a bend makes of it at the largest one alone does not count.
+    Friction is the same at all amplitudes; the smallest one counts, since curvature adds to it at the largest only.
     """
     rubs, shape, left = 0.0, 0.0, 0.0
     for trial in trials:

@@ -1,6 +1,6 @@
-"""The loop behind a relay oscillation: dead time, lags and gain by the harmonics of command, pressure and displacement.
+"""The loop from a relay oscillation: dead time, lags and gain by the harmonics of command, pressure and displacement.
 
-Knows samples and the switching of the command; no trial.
+Uses samples and the switching times of the command; knows no trial.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from pmabench.model.loop import ComplexArray, Loop
 from pmabench.store.records import Array
 
 ONE_LAG = 0.003
-"""Distance of the pressure from what one lag makes of the command, over its first harmonic, from which on there may be
-two, real or as a pair that swings. Noise makes 0.001."""
+"""Distance of the pressure from that of one lag, relative to its first harmonic, from which on two lags, real or a
+complex pair, may be fitted. Noise makes 0.001.
+"""
 BETTER = 0.5
-"""Below this share of what one lag leaves, as a square, two are the form: they do not make lags that differ between
-filling and venting.
+"""Two lags are used if their residual (squared) is below this share of that of one lag; lags that differ between
+filling and venting do not reduce it that much.
 """
 ROOTS = (0.05, 0.1, 0.2)
-"""Where the root of b begins, over the period."""
+"""Start values of the root of b, relative to the period."""
 
 
 def shape_of(t: Array, x: Array, switches: Array, ups: Array, loop: Loop) -> float:
-    """Distance of the third harmonic of `x`, over its first, from what `loop` makes of the command's."""
+    """Distance of the third harmonic of `x` from that of `loop` with the given command, relative to the first."""
     t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
     omega = 2 * pi * periods / (t1 - t0)
     X = mode_amplitudes(t - t0, x, 1j * omega)[1]
@@ -56,11 +57,11 @@ def command_over(switches: Array, t0: float, t1: float, periods: int, harmonics:
 def fit(
     t: Array, x: Array, P: Array, switches: Array, ups: Array, lag: Mapping[str, float], hold: float
 ) -> tuple[Loop, float] | None:
-    """The loop behind whole periods between `ups` [s]: command to pressure, and pressure to displacement, apart.
+    """The loop from whole periods between `ups` [s]: command to pressure, and pressure to displacement, separately.
 
     P = exp(-L s)/(1 + a s + b s^2) U and P = (1 + tau s + beta s^2) X / k_g at the harmonics of the oscillation; sensor
-    lags are taken off. `hold` [s], half a sample period, is added to L for the hold of a sampled controller. None where
-    no such loop comes out. With the loop the distance of the pressure from it, over its first harmonic [1].
+    lags are corrected. `hold` [s], half a sample period, is added to L for a sampled controller. Also the distance of
+    the pressure from the loop, relative to its first harmonic [1]. None where no such loop results.
     """
     t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
     at = (t >= t0) & (t < t1)
@@ -87,7 +88,7 @@ def fit(
 
 
 def _regulator(s: ComplexArray, U: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...], float]:
-    """Dead time [s] and lags [s] of the pressure Q behind the command U at the harmonics `s` [1/s], and what is left.
+    """Dead time [s] and lags [s] of the pressure Q behind the command U at the harmonics `s` [1/s], and the residual.
 
     Q = exp(-L s) U / (1 + a s + b s^2) by least squares.
     """
@@ -95,7 +96,7 @@ def _regulator(s: ComplexArray, U: ComplexArray, Q: ComplexArray) -> tuple[float
     z = s * period
 
     def misfit(p: Array) -> Array:
-        """With L, a and the root of b over the period."""
+        """Residual with L, a and the root of b relative to the period."""
         off = (U * np.exp(-p[1] * z) / (1 + np.exp(p[0]) * z + sum(p[2:] ** 2) * z**2) - Q) / abs(Q[0])
         return np.concatenate([off.real, off.imag])
 
@@ -104,10 +105,10 @@ def _regulator(s: ComplexArray, U: ComplexArray, Q: ComplexArray) -> tuple[float
 
 
 def simplest(misfit: Callable[[Array], Array], enough: float) -> tuple[float, tuple[complex, ...], float]:
-    """Dead time and lags, over the period, of the simplest regulator with so little `misfit`; and its sum of squares.
+    """Dead time and lags, relative to the period, of the simplest sufficient regulator; and its sum of squares.
 
-    `misfit` is of (ln a, L, root of b) or of the first two, b = 0; all over the period. One lag does where its sum of
-    squares is `enough`, or where two are not much better.
+    `misfit` takes (ln a, L, root of b), or the first two for b = 0, relative to the period. One lag is used if its sum
+    of squares is at most `enough`, or if two lags are not much better.
     """
     found = least_squares(misfit, [log(0.2), 0.02])
     if 2 * found.cost > enough:
@@ -121,7 +122,7 @@ def simplest(misfit: Callable[[Array], Array], enough: float) -> tuple[float, tu
 def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...]] | None:
     """Gain k_g [m/Pa] and lags [s] of the displacement X behind the pressure Q at the harmonics `s` [1/s].
 
-    Q = (1 + tau s + beta s^2) X / k_g by least squares; without beta where that comes out negative.
+    Q = (1 + tau s + beta s^2) X / k_g by least squares; without beta if that is negative.
     """
     for powers in ((0, 1, 2), (0, 1)):
         columns = np.column_stack([X * s**power for power in powers])

@@ -1,4 +1,4 @@
-"""Trials of ultimate-gain runs at one operating point, and what several ways to K_u and T_u say about each other."""
+"""Trials of ultimate-gain runs at one operating point, and the comparison of several methods for K_u and T_u."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, T
 from pmabench.store.records import Array, RunData, TrialData
 
 SYMBOLS = (("K_u", "Pa/m", "gain"), ("T_u", "s", "time"))
-"""What every way gives: symbol, unit, quantity."""
+"""Symbol, unit and quantity that every method gives."""
 DESCRIBED = "relay-describing-function"
 LEAST_DEAD = 0.1
-"""Share of a dead time that is left where clocks may be further apart."""
+"""Smallest remaining share of a dead time after correction for the time between clocks."""
 COLUMNS = {"t": "time", "displacement": "length", "model": "length", "pressure": "pressure",
            "pressure_command": "pressure", "gain": "gain", "log_ratio": "count", "fit": "count", "period": "time",
            "used": "count"}  # fmt: skip
@@ -43,7 +43,7 @@ class Pair:
 
     @classmethod
     def of(cls, loop: Loop | None, parts: Sequence[Ultimate]) -> Pair:
-        """Of the loop behind a trial, and what parts of the trial alone give."""
+        """From the loop of a trial, with the scatter of parts of the trial."""
         if loop is None:
             return NOTHING
         truth = ultimate(loop)
@@ -56,18 +56,18 @@ NOTHING = Pair()
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Examined:
-    """What was found in one trial."""
+    """Result of one trial."""
 
     refused: tuple[str, ...] = ()
-    """Why it gives no value; empty where it does."""
+    """Reasons why it gives no value; empty if it does."""
     doubts: tuple[str, ...] = ()
-    """What weakens its value."""
+    """Weaknesses of its value."""
     loop: Loop | None = None
-    """The loop behind it; None where it does not show."""
+    """The loop that explains the trial; None if none was found."""
 
     @property
     def pair(self) -> Pair:
-        """What it gives."""
+        """K_u and T_u of the trial."""
         return NOTHING
 
 
@@ -76,7 +76,7 @@ Found = TypeVar("Found", bound=Examined)
 
 @dataclass(frozen=True, eq=False)
 class Member(Generic[Found]):
-    """A trial and what was found in it."""
+    """A trial and its result."""
 
     run: RunData
     trial: TrialData
@@ -85,12 +85,12 @@ class Member(Generic[Found]):
 
 @dataclass(frozen=True)
 class GainCell(ABC, Generic[Found]):
-    """The trials of one operating point `at` [SI], in the order that they came, looked at in one way."""
+    """The trials of one operating point `at` [SI], in chronological order, evaluated by one method."""
 
     called: ClassVar[str] = "trials"
-    """What its trials are called in findings."""
+    """Name of its trials in findings."""
     methods: ClassVar[tuple[str, ...]]
-    """The first one counts."""
+    """Methods; the first one is used first."""
     at: Mapping[str, float]
     members: tuple[Member[Found], ...]
 
@@ -106,15 +106,15 @@ class GainCell(ABC, Generic[Found]):
 
     @abstractmethod
     def _estimate(self, place: int, method: str) -> Estimate:
-        """K_u (`place` 0) or T_u (1) by a method: the mean of the trials, with its interval in parts."""
+        """K_u (`place` 0) or T_u (1) by a method: mean of the trials, with its interval in parts."""
 
     @abstractmethod
     def findings(self) -> list[Finding]:
-        """What speaks against the trials, and what the loop is."""
+        """Problems of the trials, and the loop."""
 
     @abstractmethod
     def traces(self) -> list[Trace]:
-        """What a figure shows of the first trial with a value (else the first)."""
+        """Traces of the first trial with a value, else of the first."""
 
     @property
     def good(self) -> list[Member[Found]]:
@@ -133,12 +133,12 @@ class GainCell(ABC, Generic[Found]):
 
     @property
     def apart(self) -> float:
-        """Bound of the time between pressure and displacement [s]: the loop's dead time holds all of it."""
+        """Bound of the time between pressure and displacement [s], all of which is in the loop's dead time."""
         return skew.apart([one.run for one in self.members], ("pressure", "displacement"))
 
     @property
     def dropped(self) -> list[Dropped]:
-        """Trials that give nothing, with the reason."""
+        """Trials without result, with the reason."""
         refused = [one for one in self.members if one.found.refused]
         return [Dropped(one.trial.name, one.trial.point, "; ".join(one.found.refused)) for one in refused]
 
@@ -153,7 +153,7 @@ class GainCell(ABC, Generic[Found]):
         ]
 
     def empty(self, place: int, method: str) -> Estimate:
-        """No K_u (`place` 0) or T_u (1), because of what was refused in all trials."""
+        """K_u (`place` 0) or T_u (1) without value, with the reasons for which all trials were refused."""
         symbol, unit, quantity = SYMBOLS[place]
         note = "; ".join(dict.fromkeys(reason for one in self.members for reason in one.found.refused))
         parents = tuple(one.trial.name for one in self.members)
@@ -163,10 +163,10 @@ class GainCell(ABC, Generic[Found]):
         self, place: int, method: str, of: Sequence[Member[Found]], pairs: Sequence[Pair], parts: Parts,
         notes: Sequence[str], *, alone: str, bias: float | None = None, by_command: bool = True,
     ) -> Estimate:  # fmt: skip
-        """The mean of K_u (`place` 0) or of T_u (1) over the `pairs` of the trials `of`.
+        """The mean of K_u (`place` 0) or T_u (1) over the `pairs` of the trials `of`.
 
-        `parts` holds those by method and clocks; `alone` is what is noted of one trial. `by_command`: the calibration
-        is that of the commanded pressure if that has one, else that of the measured pressure.
+        `parts` has those by method and clocks; `alone` is the note for a single trial. `by_command`: the calibration is
+        that of the commanded pressure if it has one, else that of the measured pressure.
         """
         scales = Scales.of(one.run for one in self.members)
         numbers, halves = [pair.value[place] for pair in pairs], [pair.half[place] for pair in pairs]
@@ -192,7 +192,7 @@ class GainCell(ABC, Generic[Found]):
         )
 
     def said(self) -> list[Finding]:
-        """Each reason and doubt with the number of trials that it is said of."""
+        """Each reason and doubt with the number of trials concerned."""
         said = [("fault", reason) for one in self.members for reason in one.found.refused]
         said += [("doubt", doubt) for one in self.members for doubt in one.found.doubts]
         return [
@@ -213,12 +213,12 @@ class GainCell(ABC, Generic[Found]):
         )
 
     def facts(self, levels: Callable[[Found], Iterable[Any]]) -> list[dict[str, Any]]:
-        """What is written down of every trial, as plain data."""
+        """Facts of every trial as plain data."""
         return [{"trial": one.trial.name, **level.to_dict()} for one in self.members for level in levels(one.found)]
 
     def by_clocks(self, place: int) -> float:
-        """Change of K_u (`place` 0) or T_u (1) by clocks: pressure and displacement may be so far apart, either
-        way, and the dead time holds all of it.
+        """Change of K_u (`place` 0) or T_u (1) by clock errors: the time between pressure and displacement, either
+        sign, is all in the dead time.
         """
         if self.apart <= 0 or self.loop is None:
             return 0.0
@@ -236,7 +236,7 @@ def lags_of(tau: float, beta: float) -> tuple[complex, ...]:
 
 
 def oscillating(gain: float, dead_time: float, lags: Sequence[complex]) -> Loop | None:
-    """The loop with that gain, dead time and lags [SI]; None where it could not oscillate."""
+    """The loop with this gain, dead time and lags [SI]; None if it could not oscillate."""
     try:
         loop = Loop(gain, dead_time, tuple(lags))
         ultimate(loop)
@@ -263,23 +263,26 @@ def limit_of(loop: Loop) -> str:
 
 
 APART = {"K_u": 0.25, "T_u": 0.1}
-"""How far open-loop steps, relay and rising gain may be apart without friction; with it they are 30 % to 300 %."""
+"""Largest relative difference between open-loop steps, relay and rising gain without friction; with friction 30 % to
+300 %.
+"""
 SCHEDULE = 1.3
-"""Ratio of K_u between set-points above which one set of gains does not do."""
+"""Ratio of K_u between set-points above which a single set of gains is not enough."""
 
 
 def findings(estimates: Sequence[Estimate], loops: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """The spread of the ways, each way against the fitted loop of its operating point, and K_u over the set-points.
+    """Differences between the methods, each method compared with the fitted loop of its operating point, and K_u over
+    set-points.
 
-    `loops` are those that were fitted: `at` [SI], `gain` [m/Pa], `dead_time` [s], `lags` [s].
+    `loops` are the fitted ones: `at` [SI], `gain` [m/Pa], `dead_time` [s], `lags` [s].
     """
     return [*_spread(estimates), *_against_loops(estimates, loops), *_schedule(estimates)]
 
 
 def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
-    """How far the ways to K_u and T_u at one operating point are apart.
+    """Differences of the methods for K_u and T_u at one operating point.
 
-    The describing function is reported but not counted: without friction it is low in K_u by a fifth and more.
+    The describing function is reported but not counted: even without friction its K_u is too low by a fifth or more.
     """
     lines = []
     for symbol in ("K_u", "T_u"):
@@ -303,7 +306,7 @@ def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
 
 
 def _against_loops(estimates: Sequence[Estimate], loops: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """Other ways' K_u and T_u held against the loop that was fitted at the same operating point."""
+    """K_u and T_u of other methods compared with the loop fitted at the same operating point."""
     lines = []
     for entry in loops:
         lags = [complex(*lag) if isinstance(lag, list) else lag for lag in entry["lags"]]
@@ -320,7 +323,7 @@ def _against_loops(estimates: Sequence[Estimate], loops: Sequence[Mapping[str, A
 
 
 def _schedule(estimates: Sequence[Estimate]) -> list[Finding]:
-    """K_u belongs to its set-point: say so where it changes much."""
+    """A finding if K_u differs much between set-points."""
     known = [e for e in estimates if e.symbol == "K_u" and e.value and "setpoint" in e.at]
     known = [e for e in known if e.method == known[0].method]
     if len({e.at["setpoint"] for e in known}) < 2:

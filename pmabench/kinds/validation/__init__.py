@@ -1,4 +1,4 @@
-"""Steps of pressure without load, against the contraction that a model gives.
+"""Pressure steps without load, compared with the contraction by a model.
 
 - `reduction`, with the figure and one trial on the display; protocol files: `protocol`
 - `sensors`: zeros, steps and filters of the channels of one step

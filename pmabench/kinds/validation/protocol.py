@@ -1,4 +1,4 @@
-"""Steps of pressure at no load, to hold a model against what the muscle does (paper 0, validation)."""
+"""Pressure steps without load, to compare a model with the muscle (paper 0, validation)."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from pmabench.protocol.sweep import PressureAxis, Sweep, expand
 
 
 class ValidationAxes(Strict):
-    """What is swept: loads, and the pressures stepped to."""
+    """What is swept: loads, and target pressures of the steps."""
 
     load: Annotated[list[Load], Field(min_length=1)]
     pressure: PressureAxis
 
 
 class ValidationTrial(Strict):
-    """One step from rest, and hold."""
+    """One step from rest, and a hold."""
 
     baseline: Time = 0.2
     hold: Time
     window: tuple[Time, Time]
-    """Part of the hold, counted from the step, over which measured and simulated contraction are averaged."""
+    """Part of the hold, from the step on, over which measured and simulated contraction are averaged."""
     rest: Time = 3.0
     """Time without pressure between two steps."""
 

@@ -1,6 +1,6 @@
-"""Reduction of validation runs: measured contraction after a step of pressure against the one that a model gives.
+"""Reduction of validation runs: measured contraction after a pressure step compared with that of a model.
 
-Its figure, and with `measure` what one trial says by itself, for the display.
+Also the figure, and with `measure` the values of one trial for the display.
 """
 
 from __future__ import annotations
@@ -40,11 +40,13 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "validation"
 COMMANDED = "commanded pressure"
-"""As paper 0: the simulation gets the pressure that was asked for."""
+"""As in paper 0: the input of the simulation is the commanded pressure."""
 MEASURED = "measured pressure"
-"""The simulation gets the pressure that was there: what the regulator does wrong is none of the model's."""
+"""The input of the simulation is the measured pressure, so that errors of the regulator are not attributed to the
+model.
+"""
 STRAIGHT = "measured pressure, straight lines"
-"""Where the model is a muscle as a surface: the straight form of the same tests, for comparison."""
+"""For a surface model of the muscle: the straight form fitted to the same tests, for comparison."""
 METHODS = (COMMANDED, MEASURED, STRAIGHT)
 ALONE = "one run: no repeats part"
 NO_MODEL = "the plan holds no model to compare with"
@@ -54,7 +56,7 @@ NOISE = "noise of the displacement"
 OF_SIM = {LAGS: "lag", ZEROS: "zero"}
 """Line of the budget of e_sim -> end of the names of its causes."""
 MOVES = 5e-4
-"""Share of the contraction by which it may move in the window without a word."""
+"""Motion in the window, as a share of the contraction, from which on it is reported."""
 FEWEST = 8
 """Fewest samples of the window."""
 
@@ -73,13 +75,14 @@ class _Step:
     window: Mapping[str, float]
     """Mean of each simulation in the window [m]."""
     open: Mapping[str, Array]
-    """Channel and `gain`, `offset`, `zero` or `lag` of it -> what that may move simulated less measured contraction by
-    [m]."""
+    """Channel and `gain`, `offset`, `zero` or `lag` of it -> possible change of simulated minus measured contraction
+    [m].
+    """
     zeros: Mapping[str, float]
-    """Channel -> what it reads before the step [SI], 0 where calibration and noise allow it."""
+    """Channel -> reading before the step [SI]; 0 within calibration and noise."""
 
     def moved(self, name: str) -> float:
-        """The same, one cause, as a mean in the window [m]."""
+        """Mean in the window of one entry of `open` [m]."""
         low, high = _window(self.run)
         return float(self.open[name][(self.t >= low) & (self.t <= high)].mean())
 
@@ -89,11 +92,12 @@ class _Step:
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """Error of the model's contraction at each pressure (paper 0, validation): mean in the window, by two inputs.
+    """Error of the model's contraction at each pressure (paper 0, validation): mean in the window, for two inputs.
 
-    e_ss = (simulated - measured) / measured; e_fs is the same difference over the largest measured contraction of the
-    runs; e_sim is the rms difference over the whole hold [m], rise included. Windows come from the plan. Lags of
-    sensors (`sensor_lag`, first order) are undone; a fifth of them, or a filter of `UNDECLARED`, is left open.
+    e_ss = (simulated - measured) / measured; e_fs is the same difference relative to the largest measured contraction
+    of the runs; e_sim is the rms difference over the whole hold [m], including the rise. Windows come from the plan.
+    Lags of sensors (`sensor_lag`, first order) are corrected; a fifth of them, or a filter of `UNDECLARED`, remains as
+    uncertainty.
     """
     dropped: list[Dropped] = []
     found: list[_Step] = []
@@ -170,7 +174,7 @@ def unusable(run: RunData, trial: TrialData) -> str:
 
 
 def _rest(trial: TrialData) -> float:
-    """Where it rested before the step [m]: friction keeps something of what was before."""
+    """Rest position before the step [m], which friction makes depend on earlier motion."""
     before = _usable(trial) & (trial.t < (_begin(trial) or 0.0))
     return float(trial.channels["displacement"][before].mean()) if before.any() else 0.0
 
@@ -203,16 +207,16 @@ def _steps(run: RunData, recorded: Sequence[TrialData], model: Described) -> lis
 
 
 def _unsure(run: RunData, trial: TrialData, zeros: Mapping[str, float]) -> dict[str, float]:
-    """What the zero of each channel, and the steps that it is read in, leave open of its mean in the window [SI]."""
+    """Error of each channel's mean in the window [SI] because of its zero, and because it is read in steps."""
     inside = inside_window(run, trial)
     return {name: max(abs(zeros[name]), coarse(run, trial, name, inside)) for name in CHANNELS}
 
 
 def _open(run: RunData, t: Array, x: Array, simulated: Array, between: float) -> dict[str, Array]:
-    """What of the simulated less the measured contraction is open by the displacement, and by the lag of the pressure.
+    """Uncertainty of simulated minus measured contraction because of the displacement, and of the lag of the pressure.
 
-    A model whose pressure comes earlier contracts as much earlier. One that is polled may come earlier or later by
-    half the time `between` two new values [s]. Arrays of shape (n,), as in `_Step.open`.
+    A model with an earlier pressure contracts earlier. A polled pressure may be early or late by half the time
+    `between` two new values [s]. Arrays of shape (n,), as in `_Step.open`.
     """
     scales = Scales.of([run])
     found = {"displacement gain": scales.gains.get("displacement", 0.0) * x}
@@ -225,9 +229,9 @@ def _open(run: RunData, t: Array, x: Array, simulated: Array, between: float) ->
 def _by_pressure(
     run: RunData, trials: Sequence[TrialData], model: Described, origins: Sequence[float], zeros: Sequence[float]
 ) -> dict[str, list[Array]]:
-    """Simulations by the measured pressure with its gain, offset and zero at the end of what is known of them.
+    """Simulations with the measured pressure, with its gain, offset or zero changed by its uncertainty.
 
-    By the names of `_Step.open`, where that is anything.
+    Keys as in `_Step.open`; causes without any uncertainty are left out.
     """
     scales = Scales.of([run])
     gain, offset = scales.gains.get("pressure", 0.0), scales.offsets.get("pressure", 0.0)
@@ -262,14 +266,14 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
         return part if part is None else hypot(part, *others)
 
     def zeros(by: float) -> list[Doubt]:
-        """What zeros and steps of the channels make of an error in the window; `by` as for `of_mean`."""
+        """Effect of zeros and steps of the channels on an error in the window; `by` as for `of_mean`."""
         each = [max(abs(step.moved(name)) for step in members) for name in causes if name.endswith("zero")]
         return [Doubt(ZEROS, "method", by * hypot(*each), seen=False)]
 
     def grows(end: str) -> float:
-        """What e_sim is open by the causes of that name [m]; each at the end that makes it larger.
+        """Uncertainty of e_sim by the causes whose names end like that [m], each with the sign that increases it.
 
-        An rms is convex: by no more is it smaller where the cause is the other way, or less.
+        An rms is convex, so the opposite sign decreases it by no more than that.
         """
         usual = _mean_rms(members, method)
         found = [name for name in causes if name.endswith(end)]
@@ -289,8 +293,8 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
 
 
 def _rms(step: _Step, method: str, cause: str = "", way: int = 0) -> float:
-    """Of the difference after the step without noise [m], with all that a cause leaves open added or taken off: `way`
-    1 or -1.
+    """Rms difference after the step, corrected for noise [m], with the largest effect of a cause added (`way` 1) or
+    subtracted (-1).
     """
     after, off = step.t >= 0, step.simulated[method] - step.x
     off = off + way * step.open[cause] if cause else off
@@ -298,13 +302,13 @@ def _rms(step: _Step, method: str, cause: str = "", way: int = 0) -> float:
 
 
 def _by_noise(step: _Step, method: str) -> float:
-    """What noise leaves open of that [m]: the mean of its square over n samples is known to sqrt(2 / n) of it."""
+    """Uncertainty of `_rms` by noise [m]: the mean square of n samples is known to sqrt(2 / n) of it."""
     after, rms = step.t >= 0, _rms(step, method)
     return sqrt(rms**2 + 2 * noise_of(step.x[after]) ** 2 * sqrt(2 / after.sum())) - rms
 
 
 def _mean_rms(members: Sequence[_Step], method: str, cause: str = "", way: int = 0) -> float:
-    """The mean of that over the tests of one pressure [m]."""
+    """Mean of `_rms` over the tests at one pressure [m]."""
     return float(np.mean([_rms(step, method, cause, way) for step in members]))
 
 
@@ -339,7 +343,7 @@ def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> l
 
 
 def _moving(steps: Sequence[_Step]) -> list[Finding]:
-    """Where the measured contraction goes on in the window, and the one by the commanded pressure does not."""
+    """A doubt where the measured contraction still moves in the window, and that by the commanded pressure does not."""
     found = []
     for step in steps:
         low, high = _window(step.run)
@@ -361,7 +365,7 @@ def _moving(steps: Sequence[_Step]) -> list[Finding]:
 
 
 def _next_to_straight(steps: Sequence[_Step], model: Described) -> list[Finding]:
-    """How far a surface and the straight form of the same tests are off, and where either goes beyond its tests."""
+    """Errors of a surface model and of the straight form of the same tests, and where either is outside its tests."""
     off = [float(np.sqrt(np.mean([_rms(step, method) ** 2 for step in steps]))) for method in (MEASURED, STRAIGHT)]
     surface, lines = (show(value, "length", 3) for value in off)
     text = f"from the step on the surface is {surface} rms off, the straight form of the same tests {lines} rms"
@@ -400,7 +404,7 @@ def mean_in_window(run: RunData, trial: TrialData) -> float | None:
 
 
 MOST = 12
-"""Most steps."""
+"""Most steps in a figure."""
 
 
 def validations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -411,7 +415,7 @@ def validations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """The contraction in the window and the one that the specimen's file expects."""
+    """Contraction in the window, and the expected one from the specimen file."""
     reason = unusable(run, trial)
     if reason:
         return [Measured("x", "length", None)], [reason]

@@ -1,4 +1,4 @@
-"""What the sensors of one step leave open, besides their calibration and lags: zeros, steps, noise; knows no model."""
+"""Uncertainty by the sensors in one step, besides calibration and lags: zeros, steps, noise; knows no model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pmabench.store.records import Command, RunData, TrialData
 CHANNELS = {"displacement": "length", "pressure": "pressure"}
 """Channel -> its quantity."""
 SURE = 5.0
-"""Standard deviations of its mean from which on a reading at rest is none by noise."""
+"""Standard errors from which on a reading at rest is significant."""
 WHY = {
     "displacement": "its zero is off, or friction, creep or a load hold the muscle. Vent, wait and take the zero",
     "pressure": "its zero is off, or the regulator does not vent. Vent the muscle and take the zero of the gauge",
@@ -32,10 +32,10 @@ def step_of_pressure(trial: TrialData) -> Command | None:
 
 
 def followed(run: RunData, trial: TrialData) -> TrialData:
-    """The trial without the filters that its channels declare: where one reads y, y + lag y' was there.
+    """The trial with the declared filters of its channels undone: for a reading y the input is y + lag y'.
 
-    Where they are read less often than they are recorded, the pressure goes straight from one new value to the next,
-    and the displacement is known only where it is new.
+    If they are read less often than recorded, the pressure is interpolated between new values, and the displacement is
+    nan where it is not new.
     """
     channels, lags = dict(trial.channels), lags_of(run, trial)
     x = trial.channels["displacement"]
@@ -51,12 +51,12 @@ def followed(run: RunData, trial: TrialData) -> TrialData:
 
 
 def apart(trial: TrialData) -> float:
-    """How far the new values of the pressure are apart where it is polled [s], else 0."""
+    """Time between new values of a polled pressure [s]; 0 for others."""
     return between_new(trial.t, trial.channels["pressure"])[1]
 
 
 def off_zero(run: RunData, trial: TrialData, channel: str) -> float:
-    """What a channel reads before a step from 0, beyond its calibration and its noise [SI]; else 0."""
+    """Reading of a channel before a step from 0, if it exceeds calibration and noise [SI]; else 0."""
     command = step_of_pressure(trial)
     if command is None or command.before > 0:
         return 0.0
@@ -71,10 +71,10 @@ def off_zero(run: RunData, trial: TrialData, channel: str) -> float:
 
 
 def coarse(run: RunData, trial: TrialData, channel: str, inside: NDArray[np.bool_]) -> float:
-    """What the steps of a channel may make of a mean over the rows `inside` [SI].
+    """Error of a mean over the rows `inside` because a channel is read in steps [SI].
 
-    Noise that is small next to a step does not average it away, and a converter that cuts off reads half a step too
-    low, which a calibration to less than that was not made through.
+    Noise much smaller than a step does not average it out; and a converter that truncates reads half a step too low,
+    unless it was calibrated to better than that.
     """
     step = count_of(run, trial, channel)
     if not 0 < step < inf:
@@ -84,7 +84,7 @@ def coarse(run: RunData, trial: TrialData, channel: str, inside: NDArray[np.bool
 
 
 def off_zero_findings(steps: Sequence[Mapping[str, float]]) -> list[Finding]:
-    """Channels that read something else than 0 before the steps, by what `off_zero` gives for each of them."""
+    """Doubts for channels that do not read 0 before the steps, from the results of `off_zero`."""
     found = []
     for channel, quantity in CHANNELS.items():
         sizes = [one[channel] for one in steps if one[channel]]

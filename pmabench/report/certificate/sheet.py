@@ -203,7 +203,8 @@ def _sentence(verdict: Verdict, main: Analysis | None, known: str, failed: Seque
     elif verdict.level == "good":
         parts.append(verdict.text)
     if main is not None and main.dropped:
-        parts.append(f"{len(main.dropped)} trials are left out: {left_out(main.dropped)}.")
+        count = "1 trial is" if len(main.dropped) == 1 else f"{len(main.dropped)} trials are"
+        parts.append(f"{count} left out: {left_out(main.dropped)}.")
     text = " ".join(part.replace("..", ".") for part in parts)
     return text if known else f"{text[:1].upper()}{text[1:]}"
 

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
-from pmabench.store.formats.record import Column, Format, Layout, Recorded, begins, distinct
+from pmabench.store.formats.record import TOGETHER, Column, Format, Layout, Recorded, begins, distinct
 from pmabench.store.records import Array
 
 MAGIC = (b"LabVIEW Measurement", b"\xef\xbb\xbfLabVIEW Measurement")
@@ -232,8 +232,8 @@ def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array
         later = (at - times[0]).total_seconds() if at is not None and times[0] is not None else 0.0
         if file.x == "No":
             begin, steps = _floats(file, segment, "X0"), _floats(file, segment, "Delta_X")
-            if len(set(steps)) != 1 or len(set(begin)) > 1:
-                raise invalid(file.path, "its channels have different X (X0, Delta_X differ)", segment.first, 1)
+            if len(set(steps)) != 1:
+                raise invalid(file.path, "its channels have different X (Delta_X differs)", segment.first, 1)
             if not steps[0] > 0:
                 raise invalid(file.path, "has no X, and Delta_X is not above 0", segment.first, 1)
             x = (begin[0] if begin else 0.0) + np.arange(len(table)) * steps[0]
@@ -243,9 +243,23 @@ def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array
                 others = table[:, 2::2]
                 if not np.array_equal(others, np.broadcast_to(x[:, None], others.shape), equal_nan=True):
                     raise invalid(file.path, "its channels have different X", segment.first, 1)
+        _together(file, segment, float(np.median(np.diff(x))) if len(x) > 1 else 0.0)
         parts.append(np.asarray(x + later, dtype=np.float64))
     unit = segments[0].keys.get("X_Dimension", ["Time"])
     return [Column("X_Value", np.concatenate(parts), "s" if unit and unit[0] == "Time" else "")]
+
+
+def _together(file: _File, segment: _Segment, step: float) -> None:
+    """Raises InvalidFile where channels begin apart, by their Time and X0; `step`: distance of the samples [s]."""
+    starts = dict(enumerate(_floats(file, segment, "X0")))
+    clocks = [_started(segment, file.keys, k) for k in range(len(segment.keys.get("Time", [])))]
+    for k, at in enumerate(clocks if segment.keys.get("X_Dimension", ["Time"])[:1] == ["Time"] else ()):
+        if at is not None and clocks[0] is not None:
+            starts[k] = starts.get(k, 0.0) + (at - clocks[0]).total_seconds()
+    every = starts.values()
+    if (apart := max(every, default=0.0) - min(every, default=0.0)) > TOGETHER * abs(step):
+        text = f"its channels begin up to {apart:.3g} s apart (Time, X0): they have no X in common"
+        raise invalid(file.path, f"{text}; put them on one clock before you export them", segment.first, 1)
 
 
 def _floats(file: _File, segment: _Segment, key: str) -> list[float]:
@@ -257,10 +271,11 @@ def _floats(file: _File, segment: _Segment, key: str) -> list[float]:
     return values if np.isfinite(values).all() else []
 
 
-def _started(segment: _Segment, header: dict[str, str]) -> datetime | None:
-    """Date and time of a segment, else of the file, in no time zone."""
-    date = (segment.keys.get("Date") or [header.get("Date", "")])[0]
-    time = (segment.keys.get("Time") or [header.get("Time", "")])[0]
+def _started(segment: _Segment, header: dict[str, str], channel: int = 0) -> datetime | None:
+    """Date and time of a channel of a segment, else of the file, in no time zone."""
+    dates = segment.keys.get("Date") or [header.get("Date", "")]
+    times = segment.keys.get("Time") or [header.get("Time", "")]
+    date, time = dates[min(channel, len(dates) - 1)], times[min(channel, len(times) - 1)]
     whole, _, part = time.replace(",", ".").partition(".")
     try:
         begin = datetime.strptime(f"{date} {whole}", "%Y/%m/%d %H:%M:%S")  # local, zone unknown

@@ -27,6 +27,8 @@ from pmabench.store.records import Array
 
 TIME = "@time"
 """Column of times [s] that are made from the distance of the samples."""
+TOGETHER = 0.5
+"""Channels that begin within this share of a sample have one clock."""
 
 
 class Layout(Strict):

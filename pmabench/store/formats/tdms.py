@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pmabench.base.errors import invalid
-from pmabench.store.formats.record import TIME, Column, Format, Layout, Recorded, begins, damaged, numbers
+from pmabench.store.formats.record import TIME, TOGETHER, Column, Format, Layout, Recorded, begins, damaged, numbers
 
 MAGIC = b"TDSm"
 
@@ -27,7 +27,7 @@ def read_tdms(path: str, content: bytes, layout: TdmsLayout | None, only: Collec
     """The channels of numbers in `only` (None: all); raises InvalidFile.
 
     Values are those that the file's own scales give, as every other program shows them. `group/@time` [s] comes from
-    `wf_increment` where all channels of a group have the same. Time stamps count from the first one.
+    `wf_increment` where all channels of a group have the same and begin together. Time stamps count from the first one.
     """
     if not content.startswith(MAGIC):
         raise invalid(path, f'is no TDMS file: it does not begin with "{MAGIC.decode()}"')
@@ -44,7 +44,7 @@ def read_tdms(path: str, content: bytes, layout: TdmsLayout | None, only: Collec
                 f"the segments end at byte {ends}, the file at byte {len(content)}: bytes were lost or put in"
             )
         for group in file.groups():
-            _group(recorded, group, only)
+            _group(path, recorded, group, only)
         return recorded
 
 
@@ -81,17 +81,22 @@ def _end(content: bytes) -> int | None:
     return at
 
 
-def _group(recorded: Recorded, group: Any, only: Collection[str] | None) -> None:
-    times: set[tuple[float, float, int]] = set()
+def _group(path: str, recorded: Recorded, group: Any, only: Collection[str] | None) -> None:
+    times: set[tuple[float, int]] = set()
+    starts: list[float] = []
+    zero: np.datetime64 | None = None
     for channel in group.channels():
         name, found = f"{group.name}/{channel.name}", channel.properties
         if len(channel) == 0:
             continue
         step = found.get("wf_increment")
         begin = found.get("wf_start_offset", 0.0)
-        if isinstance(step, float) and isinstance(begin, float):
-            times.add((step, begin, len(channel)))
         stamp = found.get("wf_start_time")
+        if isinstance(step, float) and isinstance(begin, float):
+            times.add((step, len(channel)))
+            stamped = isinstance(stamp, np.datetime64)
+            zero = zero if zero is not None or not stamped else stamp
+            starts.append(begin + (float((stamp - zero) / np.timedelta64(1, "ns")) * 1e-9 if stamped else 0.0))
         if recorded.started is None and isinstance(stamp, np.datetime64):
             recorded.started = stamp.astype("datetime64[us]").astype(datetime)
         if only is not None and name not in only:
@@ -109,10 +114,19 @@ def _group(recorded: Recorded, group: Any, only: Collection[str] | None) -> None
         else:
             recorded.columns.append(Column(name, column, unit if isinstance(unit, str) else ""))
     name = f"{group.name}/{TIME}"
-    if len(times) == 1 and (only is None or name in only):
-        step, begin, count = times.pop()
-        if step > 0 and np.isfinite([step, begin]).all():
-            recorded.columns.append(Column(name, np.asarray(begin + np.arange(count) * step, dtype=np.float64), "s"))
+    apart = max(starts, default=0.0) - min(starts, default=0.0)
+    if len(times) != 1:
+        return
+    step, count = times.pop()
+    if not (step > 0 and np.isfinite([step, *starts]).all()):
+        return
+    if apart > TOGETHER * step:
+        text = f'the channels of "{group.name}" begin up to {apart:.3g} s apart (wf_start_time, wf_start_offset)'
+        if only is not None and name in only:
+            raise invalid(path, f"{text}: they have no clock in common; put them on one before you export them")
+        recorded.doubts.append(f"{text}: their rows are of other moments")
+    elif only is None or name in only:
+        recorded.columns.append(Column(name, starts[0] + np.arange(count, dtype=np.float64) * step, "s"))
 
 
 FORMAT = Format("tdms", "TDMS", TdmsLayout, begins(MAGIC), read_tdms, modules=("nptdms",), package="npTDMS")

@@ -91,8 +91,17 @@ class TextReader:
             rows = self.joined([rows, self.end()])
         head = {"columns": list(rows.columns), "rows": len(rows.lines), "starts": rows.starts, "head": self.head}
         if last:
-            head |= {"cut_end": self.cut_end, "cut_row": self.cut_row}
+            head |= {"cut_end": self.cut_end, "cut_row": self.cut_row, "above": self._above()}
         return head, [*rows.columns.values(), rows.lines]
+
+    def _above(self) -> list[list[str]]:
+        """What each line that is no row, and is as wide as one, has at the columns that are read: a line of units."""
+        plain = (line.lstrip().removeprefix(self.layout.comment or "").lstrip() for line in self.head)
+        cut = (next(csv.reader([line], delimiter=MARKS[self.layout.delimiter]), []) if self.layout.quoted
+               else self._split(line) for line in plain)  # fmt: skip
+        rows = ([text.strip().strip('"').strip() for text in fields] for fields in cut)
+        at = [self._names.index(name) for name in self.taken]
+        return [[row[k] for k in at] for row in rows if len(row) == len(self._names) and row != self._names]
 
     def feed(self, piece: bytes) -> Rows:
         """The rows that are whole by now, but for the last line, which may turn out to be cut."""

@@ -29,6 +29,8 @@ POINT_QUANTITY = {name: POINT_QUANTITIES[name] for name in get_args(map_file.Poi
 """Coordinate of an operating point that a map can name -> its quantity."""
 G = 9.80665
 """Standard gravity [m/s2], for a load that is given as a mass."""
+NUMBER = r"(?<![\d.,])(?<!\dp)(?:(?<![^_ =(])-)?\d+(?:[.,p]\d+)?"
+"""A number in a name: `8`, `0.5`, `0,5`, `0p5`; `-8` behind a sign that separates, else the minus does."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
 _SPECIAL = {"test": r"\d{1,6}", "date": r"\d{4}-\d{2}-\d{2}", "clock": r"\d{6}"}
 
@@ -387,12 +389,17 @@ def factor_of(unit: str, quantity: str) -> float:
     return unit_factor(unit, quantity)
 
 
+def number_in(text: str) -> float:
+    """The number that a part of a name is: `8p5` is 8.5, as people write it where a point is no part of a name."""
+    return float(re.sub("[,p]", ".", text))
+
+
 def form_pattern(form: str, comma: bool, used: set[str]) -> re.Pattern[str]:
     """`Kinked{contraction}mm_Test{test}` as a pattern; adds its placeholders to `used`. At most two `*`.
 
     Two placeholders are separated by some other text, so that matching takes a time that is bounded.
     """
-    number = r"[+-]?\d{1,9}(?:[,.]\d{1,9})?" if comma else r"[+-]?\d{1,9}(?:\.\d{1,9})?"
+    number = r"[+-]?\d{1,9}(?:[,.p]\d{1,9})?" if comma else r"[+-]?\d{1,9}(?:[.p]\d{1,9})?"
     parts: list[str] = []
     here: set[str] = set()
     end, stars = 0, 0

@@ -197,6 +197,30 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
     return True
 
 
+LED = 0.03
+"""By so much [s], and three samples, the pressure is surely before its command: a command is polled, too."""
+
+
+def led(report: Report, pressure: Checked, command: Checked, good: Bools) -> None:
+    """Report where the measured pressure moves before its command does, of what is `good`, shape (n,)."""
+    rows = np.flatnonzero(good & motion.later(report.t))
+    if len(rows) < 200:
+        return
+    t = report.t[rows]
+    usual = float(np.median(np.diff(t)))
+    period = max(usual, float(t[-1] - t[0]) / POINTS)
+    grid = np.arange(t[0], t[-1], period)
+    C, P = (np.interp(grid, t, _averaged(channel.si[rows], period / usual)) for channel in (command, pressure))
+    most = int(min(MOST / period, len(grid) / 8))
+    if most < 3 or np.ptp(C) == 0 or np.ptp(P) == 0:
+        return
+    seconds = _lag(C, P, most, alone=True) * period
+    if seconds < max(LED, 3.0 * period):
+        return
+    text = f"moves {show(seconds, 'time', 3)} before its command: the columns of command and measured pressure look "
+    report.add("doubt", "led", f"{text}exchanged, or the command is recorded late", "pressure")
+
+
 def _averaged(values: Array, over: float) -> Array:
     """Mean of so many neighbours, shape (n,)."""
     width = max(1, round(over))
@@ -204,8 +228,11 @@ def _averaged(values: Array, over: float) -> Array:
     return np.asarray(np.convolve(padded, np.ones(width) / width, mode="valid"))
 
 
-def _lag(F: Array, P: Array, most: int) -> float:
-    """By how many points `F` lies after `P`, both of shape (n,); 0 where that explains it no better."""
+def _lag(F: Array, P: Array, most: int, *, alone: bool = False) -> float:
+    """By how many points `F` lies after `P`, both of shape (n,); 0 where that explains it no better.
+
+    `alone`: nor where `F` may as well lie before `P`, as in a sine.
+    """
     shifts = np.arange(-most, most + 1)
     for smooth in SMOOTH:
         a, b = F[smooth:] - F[:-smooth], P[smooth:] - P[:-smooth]
@@ -215,7 +242,8 @@ def _lag(F: Array, P: Array, most: int) -> float:
         alike = together[shifts] / (float(np.sqrt((a @ a) * (b @ b))) or 1.0)
         best = int(np.argmax(alike))
         if alike[best] >= ALIKE:
-            return float(shifts[best]) if alike[best] >= alike[most] + BETTER else 0.0
+            others = alike[: most + 1] if alone else alike[most]
+            return float(shifts[best]) if alike[best] >= np.max(others) + BETTER else 0.0
     return 0.0
 
 
@@ -339,6 +367,8 @@ def _judged(report: Report, channels: Sequence[Checked], muscle: Muscle) -> tupl
     if good.mean() <= 1.0 - CONDEMNED or "pressure" not in roles:
         return [], []
     pair = _pair(channels, muscle.held)
+    if "pressure_command" in roles:
+        led(report, roles["pressure"], roles["pressure_command"], good)
     if not midfile.swapped(report, channels, good) and pair is not None:
         changed = midfile.jumped(report, *pair, good, follows=muscle.held)
         if muscle.held and not changed and not midfile.regained(report, *pair, good):

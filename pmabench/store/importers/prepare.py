@@ -20,7 +20,7 @@ from pmabench.store.importers.found import Checked, Found, Summary
 from pmabench.store.importers.long import Seen
 from pmabench.store.importers.magnitude import Muscle, slope_of_held
 from pmabench.store.importers.map_file import Question, made, spelled
-from pmabench.store.importers.map_rules import ColumnRule, ImportMap
+from pmabench.store.importers.map_rules import ColumnRule, ImportMap, number_in
 from pmabench.store.importers.plausible import pressure_late
 from pmabench.store.importers.segments import Segment, segments
 from pmabench.store.importers.table import Table, read_table, with_made
@@ -166,6 +166,10 @@ def _units_agree(path: Path, columns: Sequence[ColumnRule], units: Mapping[str, 
         said, mapped = spelled(units.get(column.column, "")), spelled(column.raw_unit)
         if said and mapped and said != mapped and column.back == (1.0, 0.0):
             text = f'says that the unit of "{column.column}" is {said}, the map says {mapped}'
+            way = f'"written: index" with "period: 1 {mapped}"'
+            if column.is_channel:
+                way = f'"unit: {said}" with "line: {{slope: 1 {mapped}/{said}, offset: 0 {mapped}}}"'
+            text += f"; where its label is wrong write {way}"
             problems.append(Problem(str(path), 0, 0, text))
     if problems:
         raise InvalidFile(problems)
@@ -341,7 +345,7 @@ def _named(path: Path, rules: ImportMap, started: datetime | None) -> Named:
         raise invalid(path, f'the name of its {rule.of}, "{name[:80]}", fits none of the forms in the map')
     data = {key: text for key, text in match.groupdict().items() if text is not None}
     point |= rule.otherwise
-    point |= {key: float(data[key].replace(",", ".")) * factor for key, factor in rule.factors.items() if key in data}
+    point |= {key: number_in(data[key]) * factor for key, factor in rule.factors.items() if key in data}
     if "date" in data:
         try:
             at = datetime.strptime(data["date"] + data.get("clock", "000000"), "%Y-%m-%d%H%M%S")

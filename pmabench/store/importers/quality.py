@@ -273,7 +273,10 @@ def _twice(report: Report, channels: Sequence[Checked]) -> None:
 def _channel(report: Report, channel: Checked) -> None:
     rule, raw, name = channel.rule, channel.raw, channel.rule.role
     nothing = ~np.isfinite(raw) | ~np.isfinite(channel.si)
-    report.mark(nothing, Flag.DROPOUT, "note", "missing", "no value in the file", name)
+    text = "no value in the file"
+    if often := float(np.mean(nothing)) > OFTEN:
+        text += ": such rows are left out whole, of all channels; hold its last value if it was only read less often"
+    report.mark(nothing, Flag.DROPOUT, "doubt" if often else "note", "missing", text, name)
     absurd = ((np.abs(raw) > LARGEST) | ((np.abs(raw) < 1.0 / LARGEST) & (raw != 0))) & ~nothing
     text = f"reads below {1 / LARGEST:.0e} or above {LARGEST:.0e}, as no device does: the file is damaged here"
     report.mark(absurd, Flag.SUSPECT, "fault", "absurd", text, name)

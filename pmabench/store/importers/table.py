@@ -23,6 +23,7 @@ from pmabench.base.text import printable
 from pmabench.store.formats.record import TIME, Layout, formats
 from pmabench.store.formats.text import Clock, Stamps, step_in
 from pmabench.store.importers.apart import Answer, read_apart
+from pmabench.store.importers.map_file import spelled
 from pmabench.store.records import Array
 
 KEPT = 16_000_000
@@ -239,12 +240,23 @@ def _read(path: Path, question: Mapping[str, Any], stamps: Stamps | None, most: 
         lines=rows.lines,
         cut_end=bool(head.get("cut_end")),
         started=rows.started or started,
-        units=dict(zip(rows.columns, head.get("units", []), strict=False)),
+        units=dict(zip(head.get("columns", ()), head.get("units") or _line_of_units(head), strict=False)),
         doubts=tuple(printable(text) for text in doubts),
         left_out=tuple(printable(text) for text in head.get("left_out", [])),
         cut_row=printable(head.get("cut_row", "")),
         starts=tuple(rows.starts),
     )
+
+
+def _line_of_units(head: Mapping[str, Any]) -> Sequence[str]:
+    """The last line above the rows of a text that has units in more than half of its columns.
+
+    An oscilloscope writes "Volt" whatever it was fed.
+    """
+    if step_in(head.get("head", ())):
+        return ()
+    lines = ([str(text) for text in line] for line in reversed(head.get("above", ())))
+    return next((line for line in lines if 2 * sum(bool(spelled(text)) for text in line) > len(line)), ())
 
 
 def _pieces(file: IO[bytes], digest: Any, most: int | None, size: int) -> Iterator[bytes]:

@@ -4,8 +4,9 @@ import time
 from itertools import pairwise
 
 import pytest
+from pmabench_drivers.festo_cmmt import telegram as t
 
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from pmabench.bench.interface import Segment
 from tests.drivers.common import timed, until
 from tests.drivers.festo_cmmt.rigs import drive, served
@@ -136,6 +137,19 @@ def test_a_drive_that_does_not_stop_is_reported(rig, monkeypatch):
     assert until(lambda: why in str(timed(device.halt, "position")[1]), 2)
 
 
+@pytest.mark.parametrize(("pace", "obeys"), [(lambda t: 450 * t, False), (lambda t: 2e5 * t - 3e5 * t * t, True)])
+def test_a_drive_that_creeps_on_after_its_stop_is_switched_off_and_one_that_brakes_is_not(
+    rig, monkeypatch, pace, obeys
+):
+    """It crept for 5.7 s, and was told to stop 40 times."""
+    device, begun = on(rig), time.monotonic()
+    monkeypatch.setattr(device, "_look", lambda _until: t.Status(0x0B07, round(pace(time.monotonic() - begun)), 0))
+    with pytest.raises(DeviceError, match="and still moves") as raised:
+        device.halt("position")
+    assert isinstance(raised.value, NotSent) != obeys
+    assert until(lambda: rig.inside.enabled == obeys, 2)
+
+
 # -- refusals -------------------------------------------------------------------------------------------------------
 
 
@@ -263,3 +277,16 @@ def test_disarmed_it_has_its_time_out_back_and_is_switched_off(rig):
     device.close()
     assert until(lambda: not rig.inside.enabled, 1)
     device.close()
+
+
+def test_a_place_that_leaps_is_a_lost_zero_until_it_is_begun_anew(rig):
+    """The drive went on by what its reference was shifted, and the run was finished."""
+    device = on(rig)
+    device.start(100.0)
+    device.follow("position", Segment("ramp", device._clock.now(), 0.0, 40000.0, rate=400_000.0))
+    time.sleep(0.2)
+    assert device.collect().time, "no more than the actuator does"
+    rig.inside.motion._zero += 30_000
+    assert until(lambda: "was its zero set anew?" in str(timed(device.collect)[1]), 2)
+    device.start(100.0)
+    assert until(lambda: len(device.collect().time), 2), "the vent sees whether it rests"

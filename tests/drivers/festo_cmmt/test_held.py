@@ -30,6 +30,7 @@ def test_it_is_read_anew_in_time_and_stays_as_it_is(armed):
         "watchdog": 20.0,
         "telegram": 111.0,
         "unit of the position": "1e-6 m",
+        "unit of the velocity": "1e-3 m/s",
         "serial number": "EMULATED1",
         "fault": 0.0,
         "control": "by the network",
@@ -81,9 +82,10 @@ def test_another_telegram_unit_or_drive_shows_and_no_serial_number_is_no_error(a
     device, inside, before = armed
     inside.parameters[3490] = (1).to_bytes(2, "little")
     inside.parameters[11724] = (0xFB).to_bytes(1, "little")
+    inside.parameters[11725] = (0xFE).to_bytes(1, "little")
     inside.parameters[2076] = b"ANOTHER"
-    changed = {"telegram": 1.0, "unit of the position": "1e-5 m", "serial number": "ANOTHER"}
-    assert device.held() == {**before, **changed}
+    units = {"unit of the position": "1e-5 m", "unit of the velocity": "1e-2 m/s"}
+    assert device.held() == {**before, "telegram": 1.0, "serial number": "ANOTHER", **units}
     del inside.parameters[2076]
     assert device.held()["serial number"] == ""
 

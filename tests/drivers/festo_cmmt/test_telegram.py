@@ -1,6 +1,7 @@
 """Telegram 111 as words written out by hand, and the path of a sine through a drive with perfect manners or none."""
 
 import math
+from itertools import pairwise
 
 import pytest
 from pmabench_drivers.festo_cmmt import telegram as t
@@ -14,6 +15,7 @@ def test_a_command_is_the_words_that_the_drive_expects():
     # bits 0 to 6 and 10; MDI, absolute, continuous; target and velocity low word first; 100 % acceleration
     assert command.words() == [0x047F, 0x9100, 0, 0, 0x2000, 0xEE90, 0xFFFE, 95, 0, 0x4000, 0x4000]
     assert t.Command(on=True, stop=True).words()[0] == 0x042F  # the task is rejected, the power stays on
+    assert t.Command(stop=True).words()[0] == 0x042A  # a quick stop, and no power after it
     assert t.Command(acknowledge=True).words()[0] == 0x04BE
 
 
@@ -59,17 +61,20 @@ class Drive:
         self.x = self.target if way >= abs(left) else self.x + math.copysign(way, left)
 
 
-def driven(loss=0.0, late=lambda k: 0.0, frequency=1.0, cycles=8):
-    """Positions of a drive in steps of 1 ms, and the sine's; a cycle is 10 ms, its command comes late(k) after."""
+def driven(loss=0.0, late=lambda k: 0.0, frequency=1.0, cycles=8, stalls=(), fastest=math.inf):
+    """Positions of a drive in steps of 1 ms, and the sine's; a cycle is 10 ms, its command comes late(k) after.
+
+    Nothing is done in the cycles of `stalls`.
+    """
     now, drive, places, wanted = 0.0, Drive(loss), [], []
-    path = Path(lambda: now)
+    path = Path(lambda: now, fastest)
     path.rest_at(10000.0)
     segment = Segment("sine", 0.0, 10000.0, amplitude=5000.0, frequency=frequency, cycles=cycles)
     path.follow(segment)
     coming = []
     for ms in range(round(1000 * cycles / frequency) + 200):
         now = ms / 1e3
-        if ms % 10 == 0:
+        if ms % 10 == 0 and ms // 10 not in stalls:
             piece = path.next(0.01)
             if piece is not None:
                 coming.append((ms + late(ms // 10), piece))
@@ -108,6 +113,16 @@ def test_what_a_drive_loses_by_its_acceleration_is_made_up():
     assert min(settled) < 5200
     assert max(places) <= 15000
     assert places[-1] == pytest.approx(10000.0, abs=1)
+
+
+@pytest.mark.parametrize("fastest", [math.inf, 40e3])
+def test_after_a_stall_it_catches_up_as_fast_as_the_sine_and_the_actuator_allow(fastest):
+    """A drive of 100 mm/s was sent on at 719 mm/s after 0.12 s."""
+    places, wanted = driven(stalls=range(200, 222), fastest=fastest)
+    own = 5000 * 2 * math.pi
+    assert max(abs(b - a) for a, b in pairwise(places)) <= min(1.5 * own, fastest) / 1000 + 0.1
+    assert error(places, wanted, 3000) < 400, "caught up within 0.8 s"
+    assert places[-1] == pytest.approx(10000.0, abs=0.5)
 
 
 def test_a_ramp_is_one_target_at_its_start():

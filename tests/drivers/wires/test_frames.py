@@ -14,7 +14,7 @@ from pmabench_drivers.modbus import ModbusDevice
 from pmabench_drivers.modbus.adapter import Line, Unanswered
 
 from pmabench.base.clock import RealClock
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, NotSent
 from tests.drivers.common import timed
 from tests.drivers.wires.rigs import Peer, regulator
 
@@ -124,6 +124,9 @@ def test_each_exception_code_is_said_in_words(code):
         line = line_to(peer)
         with pytest.raises(DeviceError, match=rf"^regulator.pressure: answers with exception {code}: .*{CODES[code]}"):
             line.read("input", 0, 1, soon(), "pressure")
+        with pytest.raises(DeviceError) as raised:
+            line.write(6, 0, [1], soon(), "pressure")
+        assert isinstance(raised.value, NotSent) == (code in {1, 2, 3, 4, 7, 8, 99})  # the others may be done yet
         line.close()
 
 

@@ -2,9 +2,10 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
-from pmabench_drivers.shared.device import Stepped, refuse_nonsense
+from pmabench_drivers.shared.device import Stepped, refuse_nonsense, stepped
 from pmabench_drivers.shared.link import Unanswered
 
 from pmabench.base.clock import VirtualClock
@@ -42,6 +43,10 @@ class Steps(Stepped):
 
     lost = False
 
+    def __init__(self, *made):
+        super().__init__(*made)
+        self.sent = []
+
     @staticmethod
     def read_options(device, reader):
         return None
@@ -56,6 +61,7 @@ class Steps(Stepped):
         pass
 
     def _send_step(self, output, value, still, *, last):
+        self.sent.append(value)
         if self.lost:
             self.write_between()
             raise Unanswered("regulator", "no answer within 0.1 s", output)
@@ -77,3 +83,23 @@ def test_a_step_that_is_not_answered_is_known_although_a_vent_took_over_meanwhil
     device.lost = True
     assert device._step() is None, "nobody waits for the segment any more"
     assert device.unanswered == 1.5
+
+
+@pytest.mark.parametrize(("quantity", "leap"), [("length", 1.5 * 0.05), ("angle", 1.5 * 0.05), ("pressure", 0.22)])
+@pytest.mark.parametrize("segment", [RAMP, SINE])
+def test_a_motion_is_led_back_to_its_course_after_a_stall_and_does_not_leap(quantity, leap, segment):
+    """Closed form: at 100 steps a second, 0.22 s of stall in the fastest part of the course; the end comes all the same."""
+    clock = VirtualClock()
+    output = OutputRecord("x", quantity, "dac", "p", Scale(), 0.0, 0.0, 0.0, 10.0, rate=8.0)
+    device = Steps(DeviceRecord("dac", "x:Y", outputs=(output,)), clock)
+    device.follow("p", segment)
+    fastest = 2 * math.pi * 0.5 * 2.0 if segment is SINE else 2.0
+    steps = [0.01 * k for k in range(90, 1000) if not 200 <= k < 222]
+    for moment in steps:
+        clock.wait_until(moment)
+        device._step()
+    assert max(abs(b - a) for a, b in pairwise(device.sent)) == pytest.approx(fastest * leap, rel=0.2)
+    assert device.sent[-1] == (5.0 if segment is RAMP else segment.origin)
+    assert device._following == {}
+    before = [stepped(segment, moment)[0] for moment in steps if 1.0 <= moment < 2.0]
+    assert device.sent[: len(before)] == before, "as it is without a stall"

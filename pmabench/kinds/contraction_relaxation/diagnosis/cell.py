@@ -1,8 +1,8 @@
-"""The force cell against the weights that hang on it: its drift, its gain, or one weight that is not as it is marked.
+"""Comparison of the force cell with the weights that hang on it: drift, gain, or one wrongly marked weight.
 
 At a plateau nothing moves and the cell reads the weight; before a trial the weight lies on its support and the cell
-reads the same in every trial. What both scatter by is seen in them, so the friction of a pulley needs no assumption.
-Knows no muscle.
+should read the same in every trial. The scatter of both is estimated from the readings, so no assumption about pulley
+friction is needed. Uses no model of the muscle.
 """
 
 from __future__ import annotations
@@ -21,75 +21,75 @@ from pmabench.store.records import Array
 
 G = 9.80665
 HANGING = 0.9
-"""A load hangs where the moving mass weighs at least this share of it."""
+"""A load counts as hanging where the moving mass weighs at least this share of it."""
 LYING = 0.1
-"""Before a trial the load lies on a support where the cell reads less than this share of it."""
+"""Before a trial the load counts as supported where the cell reads less than this share of it."""
 FEWEST = 6
 """Fewest readings for a straight line over them."""
 LEAST = 5e-5
-"""Least scatter of a reading, as a share of the typical weight: smaller differences change nothing."""
+"""Smallest scatter of a reading, as a share of the typical weight."""
 BEYOND = 0.99865
 """Probability of a normal value below three standard deviations."""
 TERM = 9.0
-"""So much a further term lowers the sum of squares, in units of the scatter, to be taken: three standard deviations."""
+"""Fall of the sum of squares, in units of the scatter, that justifies one more term: three standard deviations."""
 SMALL = 5e-4
-"""A gain, a drift as a share of the typical weight, or an error of one weight as a share of it, that is not worth a
-correction or a name: lines of the budget hold it.
+"""Smallest gain, drift (as a share of the typical weight) or error of one weight (as a share of it) that is corrected
+or named; smaller ones are in lines of the budget.
 """
 SAME = 1e-3
-"""Weights this near are one [N]."""
+"""Weights closer than this count as equal [N]."""
 PART_OF_GAIN, OR_OF_GUIDE = 1.1, 1.5
-"""Share of a gain by the weights that may be wrong: the marks may be, or what hangs may swing; and of one that a guide
-may make as well: then all of it is wrong, and what else is unsure comes on top.
+"""Share of the gain correction that may be wrong: because of the marks of the weights or a swinging load (above 1,
+since the whole gain is uncertain and other errors come on top); and where friction of a guide may cause it as well.
 """
 PIECES, EACH = 8, 4
-"""Most straight pieces of a drift that is no straight line itself, and fewest readings for each."""
+"""Most straight pieces of a nonlinear drift, and fewest readings for each."""
 FEWEST_LOADS = 3
-"""Fewest weights of which one can be found to be wrong."""
+"""Fewest different weights among which a wrong one can be found."""
 NOTHING: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What the cell read while nothing moved; arrays of shape (n,)."""
+    """Readings of the cell while nothing moved; arrays of shape (n,)."""
 
     course: Array
-    """Share of the campaign that was over, from 0 to 1."""
+    """Share of the campaign elapsed at the reading, 0 to 1."""
     weight: Array
-    """What hung on it [N]; 0 where that lay on its support."""
+    """Weight on the cell [N]; 0 while it lay on its support."""
     read: Array
     """[N]"""
     guide: float | None = None
-    """Friction between cell and weight [N], in the middle, taken off; None where nothing shows whether there is any."""
+    """Typical friction between cell and weight [N], subtracted from `read`; None where the data do not show it."""
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """What the weights say of the cell; standard deviations from the scatter of the readings, widened for few."""
+    """Result of the comparison; standard deviations from the scatter of the readings, widened for few readings."""
 
     drift: tuple[float, float] | None = None
     """Change of the zero over the campaign [N] and its standard deviation."""
     gain: tuple[float, float] | None = None
-    """How much too much the cell reads, as a share of the weight, and its standard deviation [1]."""
+    """Relative excess of the cell's reading and its standard deviation [1]."""
     offset: tuple[float, float] | None = None
-    """The same at no weight, in the middle of the campaign [N]."""
+    """Excess of the reading at zero weight, in the middle of the campaign, and its standard deviation [N]."""
     wrong: tuple[float, float, float] | None = None
-    """Weight [N] that is not as it is marked, how much more the cell reads of it, and its standard deviation [N]."""
+    """Wrongly marked weight [N], excess of the cell's reading with it, and its standard deviation [N]."""
     found: tuple[Explanation, ...] = ()
-    """Drift and gain, where the readings ask for them: to be taken off."""
+    """Significant drift and gain, to be corrected."""
     errors: tuple[Array, ...] = ()
-    """Standard deviation of each size of these."""
+    """Standard deviations of the sizes, one array for each of `found`."""
     guide: float | None = None
-    """As in `Readings`."""
+    """See `Readings`."""
     unsure: float = 0.0
-    """Share of the correction that may be wrong [1]: by the course of a drift, or as the cell may not be straight."""
+    """Share of the correction that may be wrong [1]: nonlinear drift, or a nonlinear cell."""
 
 
 def readings(campaign: Campaign) -> Readings:
-    """The mean reading of each trial at rest before it, and at its plateau; none without a cell.
+    """Mean reading of each trial at rest before it and at its plateau; none without a cell.
 
-    Of loads that rest once more after they have come down a little, what lies in the middle of both counts: friction of
-    a guide makes them heavier after the way up, and as much lighter after the way down.
+    Where loads also come to rest after a partial descent, the plateau is the middle of both readings: friction of a
+    guide increases the reading after the ascent and decreases it equally after the descent.
     """
     if not campaign.cell:
         return Readings(np.empty(0), np.empty(0), np.empty(0))
@@ -107,8 +107,8 @@ def readings(campaign: Campaign) -> Readings:
 
 
 def _of_guide(held: Array, lower: Array, loads: Array) -> Array | None:
-    """Friction below the cell [N] at each of the loads (n,), by what it reads less after the way down: a constant and a
-    share of the load. 0 where none shows, None where too few loads come down.
+    """Friction below the cell [N] at each of the loads (n,), as a constant plus a share of the load, from the lower
+    reading after a descent. 0 where not significant, None where too few loads descend.
     """
     both = np.isfinite(held - lower)
     if both.sum() < FEWEST:
@@ -122,9 +122,10 @@ def _of_guide(held: Array, lower: Array, loads: Array) -> Array | None:
 
 
 def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed:
-    """The cell against the weights: of {constants}, drift, gain and one wrong weight, what the readings ask for.
+    """Comparison of the cell with the weights: a drift, a gain and one wrong weight, as far as the readings justify
+    them.
 
-    `known` holds the drift [N] and gain [1] that the record allows: smaller ones are lines of the budget already.
+    `known` holds bounds of the drift [N] and gain [1] from the record: smaller ones already are lines of the budget.
     """
     error = _errors(readings)
     rows = np.isfinite(error)
@@ -152,7 +153,7 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
         return cost, {name: (size, own) for name, size, own in both if own > 0}
 
     def best(several: Sequence[float]) -> tuple[tuple[str, ...], float | None]:
-        """Names of the terms and the wrong weight of the model that costs least."""
+        """Names of the terms and the wrong weight (None for none) of the model with the lowest cost."""
         models = [
             ((*by_time, *more), load) for by_time in ((), drift) for more in ((), gain) for load in (None, *several)
         ]
@@ -164,7 +165,7 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
         chosen, load = best(())
     sizes = sized(every, load)[1]
     lying = bool((weight == 0).any())
-    # without a weight nothing says how small a drift is: none is corrected
+    # without a weight there is no scale for a small drift: none is corrected
     small = {"drift": SMALL * float(np.median(weight[weight > 0])) if len(loads) else inf, "gain": SMALL}
     explanations, errors = list[Explanation](), list[Array]()
     for kind, names in (("drift", drift), ("gain", gain)):
@@ -185,7 +186,7 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
 def _unsure(
     explanations: Sequence[Explanation], errors: Sequence[Array], bent: Mapping[str, tuple[float, float]]
 ) -> float:
-    """See `Weighed`; `bent` has the size of a parabola next to a line and its standard deviation [N]."""
+    """See `Weighed.unsure`; `bent`: size and standard deviation [N] of `bow`, a parabola added to the drift."""
     gains = [one.which for one in explanations if one.kind == "gain"]
     if gains:
         return OR_OF_GUIDE if GUIDE in gains else PART_OF_GAIN
@@ -197,7 +198,7 @@ def _unsure(
 
 
 def _pieces(readings: Readings) -> int:
-    """Straight pieces that the drift has: 1 where a line does nearly as well for what is read without a load."""
+    """Number of straight pieces of the drift: 1 where a line fits the unloaded readings nearly as well as `PIECES`."""
     rows = readings.weight == 0
     course, read, count = readings.course[rows], readings.read[rows], min(PIECES, int(rows.sum()) // EACH)
     if count < 2:
@@ -210,14 +211,14 @@ def _pieces(readings: Readings) -> int:
 
 
 def _rising(course: Array, count: int) -> Array:
-    """Columns of a drift in even pieces over the campaign, each its size at the end of a piece; shape (n, count)."""
+    """Columns of a drift in equal pieces over the campaign, one for its value at the end of each; shape (n, count)."""
     ends = np.linspace(0.0, 1.0, count + 1)
     return np.column_stack([np.interp(course, ends, one) for one in np.eye(count + 1)[1:]])
 
 
 def _errors(readings: Readings) -> Array:
-    """Standard deviation of each reading, by their scatter about a drift, of each weight about its own mean; widened
-    for few, and inf where they are too few; shape (n,).
+    """Standard deviation of each reading, shape (n,): scatter about a drift and the mean of each weight, widened for
+    few readings; inf where there are too few.
     """
     weight, found = readings.weight, np.full(len(readings.weight), inf)
     typical = float(np.median(weight[weight > 0])) if (weight > 0).any() else 0.0
@@ -235,14 +236,14 @@ def _errors(readings: Readings) -> Array:
 
 
 def _left(values: Array, columns: Array) -> tuple[float, int]:
-    """Sum of squares that columns leave of values, and its degrees of freedom, at least 1."""
+    """Residual sum of squares of a least squares of `values` on `columns`, and its degrees of freedom, at least 1."""
     left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
     return float(left @ left), max(1, len(values) - int(np.linalg.matrix_rank(columns)))
 
 
 def _means(campaign: Campaign, where: str) -> Array:
-    """Mean reading of the cell in each trial [N], at rest before it, at its plateau, or after the command that follows
-    it; nan where there is none.
+    """Mean reading of the cell in each trial [N]: `rest` before it, `plateau`, or `lower` after the command that
+    follows the plateau; nan where there is none.
     """
     found = np.full(len(campaign.trials), np.nan)
     for i, (samples, trial) in enumerate(zip(campaign.samples, campaign.trials, strict=True)):
@@ -261,7 +262,9 @@ def _means(campaign: Campaign, where: str) -> Array:
 
 
 def _solved(values: Array, design: Array) -> tuple[Array, Array]:
-    """Least squares of rows of error 1, and the standard deviation of each unknown; 0 for one in no row."""
+    """Least squares of rows with unit error: unknowns and their standard deviations; the latter is 0 for an unknown
+    without rows.
+    """
     scale = np.sqrt(np.sum(design**2, axis=0))
     used = scale > 0
     columns = design[:, used] / scale[used]

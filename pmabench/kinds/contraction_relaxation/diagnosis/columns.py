@@ -1,7 +1,7 @@
-"""Ways in which a measurement can depart from the straight form, as forces at each segment; knows no interval.
+"""Possible departures of a measurement from the straight form, as forces at each segment; knows no interval.
 
-Each is a column: the change of F_L [N] that a departure of size 1 makes of each segment, at first order. Columns
-are compared with what the fit leaves over. See docs/uncertainty.md, "Is the form right?".
+Each is a column: the first-order change of F_L [N] at each segment by a departure of size 1. The columns are compared
+with the residual of the fit. See docs/uncertainty.md, "Is the form right?".
 """
 
 from __future__ import annotations
@@ -22,38 +22,41 @@ from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segme
 from pmabench.store.records import Array
 
 MOST_PLACES = 40
-"""Most trials before which a slip is looked for."""
+"""Most trials before which a slip is tried."""
 GONE = 1e-16
-"""A lag that keeps less than this share of a row keeps nothing."""
+"""A first-order lag that keeps less than this share from one row to the next is treated as having no memory."""
 STROKE = 1e-6
-"""Contractions that differ by less count as one [m]."""
+"""Contractions that differ by less are taken as equal [m]."""
 GRID = 0.008
-"""Period at which hysteresis and creep follow the contraction [s]."""
+"""Time step at which hysteresis and creep are computed from the contraction [s]."""
 RADII = (0.3e-3, 1e-3, 3e-3, 8e-3)
-"""Contraction over which a stop gives way [m]: those of a braid lie between."""
+"""Contraction over which a friction element of the hysteresis model yields [m]; those of a braid lie between these."""
 TIMES = (0.16, 0.5, 1.6, 5.0, 16.0, 50.0, 160.0, 500.0)
-"""Time constants of creep [s], two a decade, up to the length of a campaign: a trial goes on in the next ones."""
+"""Time constants of creep [s], two per decade, up to the length of a campaign: creep goes on in later trials."""
 TYPICAL = 350e3
-"""Pressure [Pa] by which what grows with pressure is scaled."""
+"""Reference pressure [Pa] of departures that grow in proportion to pressure."""
 LOADED = 250.0
-"""Force [N] by which what grows with the load is scaled."""
+"""Reference force [N] of departures that grow in proportion to the load."""
 BY_LOAD, BY_WAY = "by time and load", "by way"
 FINER: Mapping[str, str] = {"creep": BY_LOAD, "hysteresis": BY_WAY}
-"""Variant that is put in only where the cause is found, and its other variants, the same at all loads or in both
-directions, are not enough: loops of braids are not symmetric (Liu et al. 2017, Strojniski vestnik 63(1))."""
+"""Finest variant of a cause, tried only where the cause is found and its variants that are the same at all loads or in
+both directions are not enough: hysteresis loops of braids are not symmetric (Liu et al. 2017, Strojniski vestnik
+63(1)).
+"""
 STEEP = 0.15
-"""Share of the contractions tested over which K falls that is steep near none: from three contractions of a fluidic
-muscle of 20 mm on, K is nearly straight, and its force falls with exp(-x / 3 % of the length)."""
+"""Decay length of the steep part of K, as a share of the tested contractions: for a fluidic muscle of 20 mm K is nearly
+straight beyond three contractions, and its force falls with exp(-x / 3 % of the length).
+"""
 WHEELS = (6e-3, 8e-3, 11e-3, 15e-3, 20e-3)
-"""Radii of wheels that turn an encoder [m]; with larger ones an error is nearly a straight line over a stroke."""
+"""Radii of an encoder's measuring wheel [m]; on larger ones an eccentricity error is nearly straight over a stroke."""
 PHASES = (0.0, 0.25, 0.5, 0.75)
-"""Where on the wheel the stroke begins [half turns]; the other half differs by the sign."""
+"""Wheel angle at the start of the stroke [half turns]; the other half turn only changes the sign."""
 UNDECLARED = 0.05e-3
-"""What a displacement sensor may read off [m], depending on the way that it came, where its record gives nothing."""
+"""Assumed hysteresis of a displacement sensor [m] where its record gives none."""
 
 
 def order(campaign: Campaign) -> Array:
-    """Place of each trial in the campaign by time, from -0.5 to 0.5, shape (trials,)."""
+    """Chronological rank of each trial in the campaign, scaled from -0.5 to 0.5, shape (trials,)."""
     started = {run.id: str(run.manifest.get("started_utc", "")) for run in campaign.runs}
     place = {run.id: number for number, run in enumerate(campaign.runs)}
     keys = [(started[t.run], place[t.run], float(t.t[0])) for t in campaign.trials]
@@ -63,9 +66,9 @@ def order(campaign: Campaign) -> Array:
 
 
 def course(campaign: Campaign) -> tuple[Array, ...]:
-    """Share of the campaign that is over at each sample of each trial, from 0 to 1; time between runs does not count.
+    """Share of the campaign elapsed, 0 to 1, at each sample of each trial; time between runs does not count.
 
-    Where the times of trials do not follow each other, as in files of single trials, their order takes the place.
+    Where the times of trials overlap, as in files of single trials, the rank from `order` is used instead.
     """
     place = order(campaign)
     rank = np.argsort(place)
@@ -83,7 +86,7 @@ def course(campaign: Campaign) -> tuple[Array, ...]:
 
 
 def drift(campaign: Campaign, segments: Segments) -> Array:
-    """The cell reads more by 1 N at the end of the campaign, in proportion to time from its begin on; shape (n,)."""
+    """Cell zero that drifts by +1 N over the campaign, in proportion to time; shape (n,)."""
     shares = course(campaign)
     found = np.empty(len(segments))
     for i in np.unique(segments.trial):
@@ -93,18 +96,18 @@ def drift(campaign: Campaign, segments: Segments) -> Array:
 
 
 def clock(campaign: Campaign) -> Array:
-    """Course of a clock that runs fast, of 1 s in a run, at each trial: from -0.5 s to 0.5 s; shape (trials,)."""
+    """Time error at each trial of a clock that gains 1 s per run, from -0.5 s to 0.5 s; shape (trials,)."""
     return np.asarray(0.5 * skew.courses(campaign.trials)[1])
 
 
 def slip(campaign: Campaign, segments: Segments, fit: Fit, first: int) -> Array:
-    """From trial number `first` on contractions read less by 1 m: a mount or the sensor slipped; shape (n,)."""
+    """Slip of a mount or the sensor: from trial number `first` on, contractions read 1 m less; shape (n,)."""
     place = order(campaign)
     return np.asarray(-fit.values("K", segments.pressure) * (place[segments.trial] >= place[first]))
 
 
 def slip_places(campaign: Campaign, segments: Segments) -> list[int]:
-    """Numbers of the trials before which a slip is looked for, in their order."""
+    """Trial numbers before which a slip is tried, in chronological order."""
     place = order(campaign)
     later = sorted(np.unique(segments.trial).tolist(), key=lambda i: place[i])[1:]
     chosen = np.unique(np.linspace(0, len(later) - 1, min(MOST_PLACES, len(later))).round().astype(np.intp))
@@ -112,7 +115,7 @@ def slip_places(campaign: Campaign, segments: Segments) -> list[int]:
 
 
 def late(segments: Segments, fit: Fit, cell: bool) -> dict[str, tuple[Array, Array]]:
-    """A channel late by 1 s, or behind a filter of that time constant: first and second change of F_L, (n,) each."""
+    """Channel -> first and second derivative of F_L by its delay, or by a filter's time constant, (n,) each."""
     slope = force_by_pressure(segments, fit)
     push = [slope * of(segments.P_mid, segments.dt) for of in (_rate, _second)]
     pull = [float(cell) * of(segments.F_mid, segments.dt) for of in (_rate, _second)]
@@ -122,30 +125,30 @@ def late(segments: Segments, fit: Fit, cell: bool) -> dict[str, tuple[Array, Arr
 
 @dataclass(frozen=True)
 class Span:
-    """Which contractions were tested: a straight line over pressure through all segments, and their range [m]."""
+    """Tested contractions: a straight line over pressure fitted to all segments, and their range [m]."""
 
     line: Array
     reach: float
 
     @classmethod
     def of(cls, segments: Segments) -> Span:
-        """Those of the segments."""
+        """From the segments of a fit."""
         x, P = segments.contraction, segments.pressure
         line = np.linalg.lstsq(np.column_stack((np.ones(len(P)), P / TYPICAL)), x, rcond=None)[0]
         reach = float(np.ptp(x))
         return cls(np.asarray(line), reach if reach > STROKE else 1.0)
 
     def middle(self, P: Array) -> Array:
-        """The contraction [m] that K of a bent muscle belongs to at pressures [Pa], near the middle of those tested."""
+        """Contraction [m] near the middle of those tested at pressures [Pa], where K of a bent curve is defined."""
         return np.asarray(self.line[0] + self.line[1] * P / TYPICAL)
 
 
 def bent(which: str, x: Array, P: Array, K: Array, span: Span) -> Array:
-    """How much more the muscle pulls at contractions x [m] and pressures P [Pa], by sizes of a bend; shape (n, sizes).
+    """Extra force of the muscle at contractions x [m] and pressures P [Pa] per size of a bend; shape (n, sizes).
 
-    K falls over the contractions that were tested `as K`, by its own size; as a `line`, by 1 N/m, and by that in
-    proportion to pressure; `steep`: besides by 1 N/m near no contraction (see `STEEP`), and that in proportion to
-    pressure. K of the straight line stays the slope at the middle, F_ce the force without contraction.
+    Over the tested contractions K falls: `as K`, in proportion to K; `line`, by 1 N/m, and by 1 N/m in proportion to
+    pressure; `steep`, additionally by 1 N/m near zero contraction (see `STEEP`), and the same in proportion to
+    pressure. K remains the slope at the middle, F_ce the force at zero contraction.
     """
     middle = span.middle(P)
     shape = x * (x - 2 * middle) / (2 * span.reach)
@@ -165,8 +168,8 @@ def bend(which: str, followed: Followed, segments: Segments, fit: Fit) -> Array:
 
 
 def bent_sensor(followed: Followed, segments: Segments, fit: Fit) -> Array:
-    """K and B fall alike over the contractions that were tested, by their own size: so it looks where the displacement
-    sensor is not straight; shape (n, 1).
+    """K and B both fall in proportion over the tested contractions, as they seem to where the displacement sensor is
+    nonlinear; shape (n, 1).
     """
     x, P, span = segments.contraction, segments.pressure, Span.of(segments)
     by_speed = fit.damping(segments) * segments.v.mean(axis=1) * (x - span.middle(P)) / span.reach
@@ -174,8 +177,8 @@ def bent_sensor(followed: Followed, segments: Segments, fit: Fit) -> Array:
 
 
 def off_straight(segments: Segments, fit: Fit, radius: float, phase: float) -> Array:
-    """The displacement sensor reads off by a sine of the contraction of 1 m, as an encoder on a wheel of `radius` [m]
-    that turns about a point off its middle; `phase` in half turns; shape (n,).
+    """Sinusoidal error of 1 m of the displacement sensor, as of an encoder on an eccentric wheel of `radius` [m];
+    `phase` in half turns; shape (n,).
     """
     x, P = segments.contraction, segments.pressure
     damping = fit.damping(segments) * segments.v.mean(axis=1)
@@ -184,26 +187,30 @@ def off_straight(segments: Segments, fit: Fit, radius: float, phase: float) -> A
 
 
 def play(segments: Segments, fit: Fit) -> Array:
-    """The displacement sensor reads less by 1 m while it contracts, and more while it relaxes; shape (n,)."""
+    """Backlash: the displacement sensor reads 1 m too little while the muscle contracts, too much while it relaxes;
+    (n,).
+    """
     return np.asarray(-fit.values("K", segments.pressure) * segments.way)
 
 
 def hysteresis(followed: Followed, segments: Segments, fit: Fit) -> Array:
-    """Frictions of 1 N that need some contraction after each turn, of each of `RADII` constant and in proportion to
-    pressure; shape (n, 8). What F_c holds of it is taken off.
+    """Hysteresis of 1 N that develops over some contraction after each reversal: for each of `RADII` constant, and in
+    proportion to pressure; shape (n, 8). The part that F_c describes is subtracted.
     """
     return _less_friction(followed.stops(segments).T, segments)
 
 
 def _less_friction(stops: Iterable[Array], segments: Segments) -> Array:
-    """Forces (n,) each, and the same in proportion to pressure, without what F_c holds of them; shape (n, columns)."""
+    """Each of the forces (n,), and the same in proportion to pressure, minus the part that F_c describes; shape (n,
+    columns).
+    """
     both = [column for stop in stops for column in (stop, stop * segments.pressure / TYPICAL)]
     return np.column_stack([float(np.mean(one * segments.way)) * segments.way - one for one in both])
 
 
 def hysteresis_by_way(followed: Followed, segments: Segments, fit: Fit) -> Array:
-    """The same of each of `RADII` while it contracts, then while it relaxes; shape (n, 16). What F_ce holds of it, the
-    middle of both branches, is taken off, too.
+    """`hysteresis` in contraction only, then in relaxation only; shape (n, 16). The part that F_ce describes, the
+    middle of both branches, is subtracted as well.
     """
     found = []
     for way in (1.0, -1.0):
@@ -214,8 +221,8 @@ def hysteresis_by_way(followed: Followed, segments: Segments, fit: Fit) -> Array
 
 
 def creep(which: str, followed: Followed, segments: Segments, fit: Fit) -> Array:
-    """The muscle goes on contracting by its whole contraction in a decade of time, shape (n, sizes): `by time` of each
-    of `TIMES`, `by decade` of two of them at a time, `even` in every decade.
+    """Creep by the whole contraction per decade of time, shape (n, sizes): `by time` for each of `TIMES`, `by decade`
+    for pairs of them, `even` for all of them together.
     """
     parts = 0.5 * fit.values("K", segments.pressure)[:, None] * followed.slow(segments)
     if which == "by decade":
@@ -224,7 +231,7 @@ def creep(which: str, followed: Followed, segments: Segments, fit: Fit) -> Array
 
 
 def creep_by_load(followed: Followed, segments: Segments, fit: Fit) -> Array:
-    """The same by time at every load, and in proportion to the load; shape (n, 16)."""
+    """`creep` by time, the same at every load, and in proportion to the load; shape (n, 16)."""
     even = creep("by time", followed, segments, fit)
     return np.hstack((even, even * (segments.force / LOADED)[:, None]))
 
@@ -239,7 +246,9 @@ OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Fit], Array]]
 
 
 def allowed(campaign: Campaign, segments: Segments, fit: Fit) -> Array:
-    """What departures of known size may do to each segment, constant or growing over the campaign [N], shape (n, m)."""
+    """Effect on each segment of departures whose bounds are known, constant or growing over the campaign [N], shape (n,
+    m).
+    """
     course = 2 * order(campaign)[segments.trial]
     columns: list[Array] = []
     zero = zero_known(campaign)
@@ -260,17 +269,17 @@ def zero_known(campaign: Campaign) -> float:
 
 
 def sensor_known(campaign: Campaign) -> float:
-    """What a reading of the displacement may be off by according to its calibration [m]; 0 where it gives nothing."""
+    """Uncertainty of the displacement's zero from its calibration [m]; 0 where none is given."""
     return Scales.of(campaign.runs).offsets.get("displacement", 0.0)
 
 
 def clock_bounds(campaign: Campaign) -> dict[str, float]:
-    """How far the clock of each channel may be off [s], where channels have different ones."""
+    """Channel -> largest error of its clock [s]; empty where all channels share one clock."""
     return {name: bound for names, bound in skew.causes(campaign.runs, campaign.channels).items() for name in names}
 
 
 def _rate(values: Array, dt: float) -> Array:
-    """Slope of each row of `values` (n, s) over time [1/s]; its noise has nothing in common with that of the mean."""
+    """Slope over time [1/s] of each row of `values` (n, s); its noise is uncorrelated with that of the mean."""
     t = (np.arange(values.shape[1]) - 0.5 * (values.shape[1] - 1)) * dt
     return np.asarray(values @ t / (t @ t))
 
@@ -284,21 +293,21 @@ def _second(values: Array, dt: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """What follows the contraction of each trial, over time from its begin on; of each of `RADII`, or of `TIMES`."""
+    """Friction elements (`RADII`) and lags (`TIMES`) driven by the contraction of each trial, over its time."""
 
     begins: Array
-    """Of the trials [s], shape (trials,)."""
+    """Start times of the trials [s], shape (trials,)."""
     column: NDArray[np.intp]
-    """Where each trial is in `sums`, shape (trials,); the last place of these is for those that did not lift."""
+    """Index of each trial on the last axis of `sums`, shape (trials,); trials that did not lift share the last one."""
     sums: Array
-    """Sums over rows of `GRID` of frictions by their size, from -1 to 1, and of lags of the contraction [m];
-    shape (rows, radii + times, trials that lifted + 1).
+    """Running sums over time steps of `GRID` of the friction elements' states, -1 to 1, and the lagged contractions
+    [m]; shape (steps, radii + times, trials that lifted + 1).
     """
 
     @classmethod
     def of(cls, campaign: Campaign) -> Followed:
-        """From rest at the begin of the campaign on: what a trial leaves of slow lags decays until the next one, and a
-        braid that was strained stays so.
+        """Computed from rest at the start of the campaign: slow lags decay until the next trial, a strained braid stays
+        strained.
         """
         begins = np.array([samples.t[0] for samples in campaign.samples])
         lifted = [i for i, samples in enumerate(campaign.samples) if np.any(samples.x[samples.ok] > Gate.lift)]
@@ -311,12 +320,12 @@ class Followed:
             x[:, place] = np.interp(grid, samples.t[samples.ok] - samples.t[0], samples.x[samples.ok])
         x -= x[0]
         parts, keep = len(RADII), np.exp(-GRID / np.array(TIMES))[:, None]
-        now = 1 - (1 - keep) * np.array(TIMES)[:, None] / GRID  # exact for straight lines
+        now = 1 - (1 - keep) * np.array(TIMES)[:, None] / GRID  # exact for a piecewise linear contraction
         sums = np.empty((len(grid), parts + len(TIMES), x.shape[1]))
         np.divide(np.diff(x, axis=0, prepend=x[:1])[:, None, :], np.array(RADII)[:, None], out=sums[:, :parts])
         np.multiply(x[:, None, :], now, out=sums[:, parts:])
         for place, before in enumerate((1 - keep - now)[:, 0].tolist(), parts):
-            sums[1:, place] += before * x[:-1]  # one by one: all at once would be two thirds of `sums` once more
+            sums[1:, place] += before * x[:-1]  # one by one: together it would need two thirds more memory than `sums`
         state = _left(campaign, column, sums, keep)
         total = np.zeros_like(state)
         stops, slow = state[:parts], state[parts:]
@@ -329,7 +338,7 @@ class Followed:
         return cls(begins, column, sums)
 
     def stops(self, segments: Segments) -> Array:
-        """Mean over each segment of a friction that needs one of `RADII` after each turn, shape (n, radii)."""
+        """Mean over each segment of the friction elements' states, shape (n, radii)."""
         return self._means(segments)[:, : len(RADII)]
 
     def slow(self, segments: Segments) -> Array:
@@ -343,17 +352,17 @@ class Followed:
         return np.asarray((self._at(row + length / GRID, trial) - self._at(row, trial)) * GRID / length)
 
     def _at(self, row: Array, trial: NDArray[np.intp]) -> Array:
-        """The integrals between rows, shape (n, k)."""
+        """Running sums at fractional time steps `row`, shape (n, k)."""
         left = np.clip(row.astype(np.intp), 0, len(self.sums) - 2)
         share = np.clip(row - left, 0.0, 1.0)[:, None]
         return np.asarray((1 - share) * self.sums[left, :, trial] + share * self.sums[left + 1, :, trial])
 
 
 def _left(campaign: Campaign, column: NDArray[np.intp], steps: Array, keep: Array) -> Array:
-    """What each trial begins with of what the one before has left, shape (radii + times, trials).
+    """State at the start of each trial that is left from the trial before, shape (radii + times, trials).
 
-    `column` is as in `Followed`, `steps` (rows, radii + times, trials) what each row adds, `keep` (times, 1) what lags
-    keep of themselves in a row.
+    `column` as in `Followed`; `steps` (rows, radii + times, trials): input of each time step; `keep` (times, 1): decay
+    of the lags per time step.
     """
     parts, times = len(RADII), np.array(TIMES)
     left, stops = np.zeros(steps.shape[1:]), np.zeros((parts, steps.shape[2]))
@@ -369,17 +378,18 @@ def _left(campaign: Campaign, column: NDArray[np.intp], steps: Array, keep: Arra
             rows = min(len(steps) - 1, round(float(np.ptp(campaign.samples[i].t)) / GRID)) + 1
             moved = np.einsum("kn,nk->k", weights[:, -rows:], steps[:rows, parts:, own])
             kept = moved + left[parts:, own] * keep[:, 0] ** rows
-            left[parts:, to] = kept * np.exp((GRID - pause) / times)  # the first row takes that off
-            if m == n + 1:  # a pressure that did not lift it strains the braid, too, nobody knows how
+            left[parts:, to] = kept * np.exp((GRID - pause) / times)  # the first time step subtracts one GRID
+            if m == n + 1:  # a trial in between that did not lift strains the braid by an unknown amount
                 left[:parts, to] = stops[:, own]
     return left
 
 
 def lagged(values: Array, constant: float) -> Array:
-    """Rows of `values` (n, ...) after a filter of first order, its time constant in rows; exact for straight lines.
+    """Rows of `values` (n, ...) after a first-order filter with a time constant in rows; exact for piecewise linear
+    values.
 
-    Each pass adds what twice as many rows before have left (a recursion by doubling): scipy.signal has this filter, but
-    takes longer to import than a reduction.
+    Recursion by doubling: each pass adds what twice as many earlier rows contribute. scipy.signal has this filter, but
+    importing it takes longer than a reduction.
     """
     keep = float(np.exp(-1 / constant))
     now = 1 - (1 - keep) * constant
@@ -395,7 +405,7 @@ def lagged(values: Array, constant: float) -> Array:
 
 
 def _pause(campaign: Campaign, one: int, after: int) -> float:
-    """How long after the end of trial `one` trial `after` begins [s]; inf where that is not known."""
+    """Time from the end of trial `one` to the start of trial `after` [s]; inf where unknown."""
     if campaign.trials[one].run != campaign.trials[after].run:
         return np.inf
     pause = float(campaign.samples[after].t[0] - campaign.samples[one].t[-1])

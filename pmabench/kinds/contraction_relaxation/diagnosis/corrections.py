@@ -1,8 +1,8 @@
-"""Explanations of a misfit and their corrections: samples moved in time, a drift or a slip taken off, forces added.
+"""Explanations of a misfit and their corrections: samples shifted in time, a drift or a slip removed, forces added.
 
-What is wrong with the bench is corrected in the samples. What the muscle does beyond the straight form is a force at
-each segment, which is taken off the force there: then the straight part is left. In words: what it is and how large,
-and what to look at. Knows no test of a fit.
+Faults of the bench are corrected in the samples. What the muscle does beyond the straight form is a force at each
+segment, subtracted from the measured one so that the straight part remains. Also sentences: the cause, its size, and
+what to check. Does not test fits.
 """
 
 from __future__ import annotations
@@ -22,15 +22,17 @@ from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments, m
 from pmabench.store.records import Array
 
 SOFTEST = 1.0
-"""Least K that creep acts through [N/m]: a fit to hardly any motion may give any K."""
+"""Least K for converting creep to a force [N/m]: a fit to almost no motion may give any K."""
 MOST_LATE = 0.06
 """Longest time that a stream is moved or filtered by [s]."""
 TIMES = ("late", "lag", "clock")
 """Explanations whose size is a time of a stream."""
 GUIDE = "gain or guide"
-"""Variant of a gain that friction between cell and weight may be as well."""
+"""Variant of a gain that may also be friction between cell and weight."""
 AGAINST = 0.3
-"""Share of the largest part of a creep that another may go against it, by noise and by time constants between ours."""
+"""Largest part of a creep with opposite sign, as a share of its largest part, that noise and the spacing of the time
+constants can cause.
+"""
 
 
 @dataclass(frozen=True)
@@ -40,10 +42,10 @@ class Explanation:
     kind: str
     """`drift`, `gain`, `slip`, `late`, `lag`, `clock`, `bend`, `sensor`, `hysteresis` or `creep`."""
     which: str = ""
-    """Channel that is late or lagged or whose clock runs fast, number of the first trial after a slip, or variant."""
+    """Channel of `late`, `lag` or `clock`; number of the first trial after a slip; or variant."""
     sizes: tuple[float, ...] = ()
-    """[SI]: N, share, m, s; of a drift at the ends of so many even pieces of the campaign; of a clock the delay in the
-    middle of a run and how much it grows from begin to end; of the muscle one for each column of `columns`.
+    """[SI]: N, ratio, m or s. Drift: values at the ends of equal pieces of the campaign. Clock: delay in the middle of
+    a run, and its growth from start to end. Muscle: one for each column of `columns`.
     """
 
     @property
@@ -53,7 +55,7 @@ class Explanation:
 
     @property
     def cause(self) -> str:
-        """What counts as one cause: a delay, a filter and a clock of one channel do, and slips at any trial."""
+        """Key of the cause: delay, filter and clock error of one channel count as one, slips at any trial, too."""
         return f"late {self.which}" if self.kind in TIMES else self.kind
 
     @property
@@ -63,13 +65,15 @@ class Explanation:
 
     @property
     def family(self) -> str:
-        """Causes of which a model needs one at most: a bend of the muscle and of the displacement sensor are."""
+        """Key of alternatives of which a model needs one at most: bend of the muscle and of the displacement sensor are
+        one.
+        """
         return "bend" if self.kind == "sensor" else self.cause
 
 
 def plausible(one: Explanation) -> bool:
-    """Whether a muscle can be so: it creeps the way that it went, hysteresis takes work away, and where K is steep near
-    no contraction it falls.
+    """Whether a muscle can behave like that: creep goes with the motion, hysteresis dissipates work, and K that is
+    steep near zero contraction falls.
     """
     if one.kind == "creep":
         near = np.array([0.5, 0.5] if one.which.startswith("by time") else [1.0])
@@ -83,7 +87,7 @@ def plausible(one: Explanation) -> bool:
 def muscle_columns(
     one: Explanation, followed: columns.Followed, segments: Segments, fit: Fit, others: Sequence[Explanation]
 ) -> Array:
-    """Columns of a property of the muscle; of a bend, over the contraction without the part that crept."""
+    """Columns of a property of the muscle; for a bend, over the contraction minus its creep."""
     creeps = [other for other in others if other.kind == "creep"] if one.family == "bend" else []
     for other in creeps:
         forces = columns.OF_MUSCLE["creep"][other.which](followed, segments, fit) @ np.array(other.sizes)
@@ -93,7 +97,7 @@ def muscle_columns(
 
 
 def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campaign:
-    """The campaign with what is wrong with the bench corrected in its samples."""
+    """The campaign with faults of the bench corrected in its samples."""
     faults = [one for one in explanations if not one.of_muscle]
     if not faults:
         return campaign
@@ -119,7 +123,9 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
 
 
 def _filtered(samples: Samples, channel: str, constant: float, rate: float) -> Samples:
-    """All other channels behind the filter that one has [s]; that one behind it where the constant is negative."""
+    """All other channels filtered like `channel`, by a time constant [s]; `channel` itself where the constant is
+    negative.
+    """
     return samples.having(
         {
             name: _behind(values, abs(constant) * rate)
@@ -130,7 +136,7 @@ def _filtered(samples: Samples, channel: str, constant: float, rate: float) -> S
 
 
 def _behind(values: Array, constant: float) -> Array:
-    """Samples behind a filter with a time constant in samples, gaps bridged."""
+    """Samples after a first-order filter with a time constant in samples; gaps are interpolated for it and stay nan."""
     known = np.isfinite(values)
     if constant < 1e-3 or not known.any():
         return values
@@ -140,16 +146,16 @@ def _behind(values: Array, constant: float) -> Array:
 
 
 def forces_of(followed: columns.Followed, segments: Segments, fit: Fit, explanations: Sequence[Explanation]) -> Array:
-    """What the muscle pulls beyond the straight form [N], shape (n,); `fit` is of the straight part."""
+    """Force of the muscle beyond the straight form [N], shape (n,); `fit` is that of the straight part."""
     mine = [one for one in explanations if one.of_muscle]
     forces = [muscle_columns(one, followed, segments, fit, mine) @ np.array(one.sizes) for one in mine]
     return np.asarray(np.sum(forces, axis=0)) if mine else np.zeros(len(segments))
 
 
 LASTING = 100.0
-"""Creep is stated for the decades of time below this one [s]: what is slower hardly shows in one trial."""
+"""Creep is stated for time constants below this [s]: slower creep hardly shows in one trial."""
 KIND_IS_A_GUESS = 8e-3
-"""Below so long a time [s] a delay cannot be distinguished from a filter."""
+"""Below this time [s] a delay cannot be distinguished from a filter."""
 TO_TELL = "relax in steps (`relax.by`): after the way down a guide makes the cell read too little, a gain does not"
 TITLES: Mapping[str, str] = {
     "drift": "drift of the force cell",
@@ -194,7 +200,7 @@ class Named:
 
     explanation: Explanation
     key: str
-    """Of `TITLES` and `ADVICE`."""
+    """Key in `TITLES` and `ADVICE`."""
     size: float
     """[SI]"""
     error: float
@@ -209,7 +215,7 @@ class Named:
 
     @property
     def advice(self) -> str:
-        """What to look at."""
+        """Advice on what to check."""
         found = ADVICE[self.key]
         one = self.explanation
         if one.kind == "late" or (one.kind == "lag" and abs(self.size) < KIND_IS_A_GUESS):
@@ -220,8 +226,8 @@ class Named:
 def named(one: Explanation, off: Array, fit: Fit, highest: float, trial: str = "") -> Named:
     """An explanation in words.
 
-    `off` (groups, sizes) [SI] is what its sizes are off by without each group of trials (jackknife), `fit` that to the
-    corrected samples, `highest` the highest pressure tested [Pa], `trial` the name of the first one after a slip.
+    `off` (groups, sizes) [SI]: deviations of its sizes without each group of trials (jackknife); `fit`: to the
+    corrected samples; `highest`: highest tested pressure [Pa]; `trial`: name of the first trial after a slip.
     """
     weights = _weights(one, fit, highest)
     size = float(weights @ np.array(one.sizes))
@@ -233,8 +239,8 @@ def named(one: Explanation, off: Array, fit: Fit, highest: float, trial: str = "
 
 
 def _weights(one: Explanation, fit: Fit, highest: float) -> Array:
-    """What makes one size of all, shape (sizes,)."""
-    if one.kind == "drift":  # the farthest that it went
+    """Weights that combine the sizes into one, shape (sizes,)."""
+    if one.kind == "drift":  # its largest value
         return np.where(np.arange(len(one.sizes)) == np.argmax(np.abs(one.sizes)), 1.0, 0.0)
     if one.kind == "clock":
         return np.array([0.0, 1.0])
@@ -283,7 +289,7 @@ def _text(one: Explanation, size: float, error: float, highest: float, trial: st
 
 
 def shown(value: float, quantity: str) -> str:
-    """A size without its sign, in the units that people read."""
+    """Absolute size with its unit."""
     if quantity == "time":
         return f"{1e3 * abs(value):.2g} ms"
     return f"{100 * abs(value):.2g} %" if quantity == "ratio" else show(abs(value), quantity, 2)

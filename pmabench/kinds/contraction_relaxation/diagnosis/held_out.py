@@ -1,11 +1,11 @@
-"""Trials and loads left out: whether the form of a fit holds, and how far a corrected one can be trusted.
+"""Leaving out trials and loads: whether the form of a fit holds, and how uncertain a corrected fit is.
 
-Whether it holds: how well it predicts trials that were left out, and whether neighbours agree, both compared with what
-noise allows. Knows no cause of a misfit: columns of forces are given.
+Test of the form: how well a fit predicts trials that were left out, and whether neighbouring residuals are correlated,
+both compared with what noise allows. Independent of the cause of a misfit: columns of forces are given.
 
-How far a corrected fit can be trusted: by loads and trials left out, the correction itself, other explanations. The
-spread over loads that are left out does not see what biases all of them alike. So a part of the correction counts, as
-large as what it leaves of the misfit, within bounds that campaigns with known faults gave. Decision 0019.
+Uncertainty of a corrected fit: from loads and trials left out, the correction itself, and other explanations. The
+spread over left-out loads does not show a bias that all share. So a share of the correction is added, as large as the
+misfit that it leaves, within bounds found on campaigns with known faults. Decision 0019.
 """
 
 from __future__ import annotations
@@ -32,46 +32,46 @@ if TYPE_CHECKING:
     from pmabench.kinds.contraction_relaxation.diagnosis.search import Search, State
 
 MOST_RATIO = 1.2
-"""Rms of what trials that were left out are missed by, over what noise allows, from which on the form is doubted."""
+"""Ratio of the rms prediction error of left-out trials to what noise allows, from which on the form is doubted."""
 MOST_ALIKE = 0.3
-"""Mean product of neighbouring residuals, over the variance of the noise, from which on the form is doubted."""
+"""Mean product of neighbouring residuals, as a share of the noise variance, from which on the form is doubted."""
 SURE = 4.0
-"""Both count only beyond so many standard deviations of them by chance, which few segments make large."""
+"""Both must also exceed what chance gives by this many standard deviations, which matters where segments are few."""
 NEAR = 5e-4
-"""A residual this small, as a share of the typical force, says nothing against the form."""
+"""Smallest residual, as a share of the typical force, that counts against the form."""
 FOLDS = 6
-"""Every sixth trial is left out at a time."""
+"""Number of folds: every sixth trial is left out at a time."""
 ENOUGH = 50
-"""Fewest segments that a fit to other trials predicts well for a comparison with noise."""
+"""Fewest well predicted segments for a comparison of left-out trials with noise."""
 HICCUPS = 0.02
-"""Share of the rows of polled devices that answers may displace which came much later than usual: a busy computer."""
+"""Share of the rows of polled devices that may be displaced by answers that were much too late (busy computer)."""
 FEWEST_REPEATS = 10
 """Fewest repetitions in all from which the scatter between trials is estimated."""
 TINY = 1e-9
-"""Columns of which less than this share of the squares is left by the coefficients have no size."""
+"""Relative singular value below which a column, after removal of the coefficients, is not sized."""
 
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """A fit, what it leaves over, and what noise allows."""
+    """A fit, its residual, and what noise allows."""
 
     campaign: Campaign
     segments: Segments
     fit: Fit
     expected: float
-    """Root mean square of the noise that the fit was made with [N]."""
+    """Root mean square noise that the fit was made for [N]."""
     own: Array
     """Variance of each row by noise [N^2], shape (n,)."""
     after: Array
-    """Covariance of it with the next, shape (n - 1,)."""
+    """Covariance of each row with the next one [N^2], shape (n - 1,)."""
     may: Array
-    """What departures of known size may do, shape (n, m)."""
+    """Effects of departures with known bounds [N], shape (n, m); see `columns.allowed`."""
     scatter: float
     """Variance between repeats beyond noise [N^2]."""
 
     @classmethod
     def of(cls, campaign: Campaign, segments: Segments, fit: Fit, expected: float) -> Test:
-        """The test of a fit to `segments`; `expected` [N] is the noise that it was made with."""
+        """The test of a fit to `segments`; `expected` [N] is the rms noise it was made for."""
         own, after = _noise(campaign, segments, fit)
         least = max((FLOOR * rms_of(segments.force)) ** 2, 1e-24)  # a dead force cell has none at all
         own = np.maximum(own, least)
@@ -80,7 +80,7 @@ class Test:
 
     @cached_property
     def whole(self) -> Array:
-        """Variance of each row that is no misfit [N^2], shape (n,)."""
+        """Variance of each row that does not count as misfit [N^2], shape (n,)."""
         near = (NEAR * rms_of(self.segments.force)) ** 2
         return np.asarray(self.own + np.sum(self.may**2, axis=1) + self.scatter + near)
 
@@ -95,13 +95,13 @@ class Test:
 
     @property
     def _displaced(self) -> float:
-        """Share of rows that late answers of a device may have displaced."""
+        """Share of rows that may be displaced by late answers of a device."""
         return HICCUPS if any(vars(self.campaign.late).values()) else 0.0
 
     @property
     def ratio(self) -> float:
-        """Rms of what trials are missed by that were left out, over what noise and the fit's own uncertainty make of
-        it; where the others predict too few rows as well as one row is known, of the residual of the fit to all.
+        """Rms prediction error of left-out trials, relative to noise and uncertainty of the fit; where the other trials
+        predict too few rows as well as one row is known, rms residual of the fit to all, relative to noise.
         """
         return self._left_out[0]
 
@@ -117,12 +117,12 @@ class Test:
 
     @cached_property
     def _pairs(self) -> NDArray[np.intp]:
-        """Segments that are followed at once by the next."""
+        """Indices of segments directly followed by the next one."""
         return np.flatnonzero(self.segments.followed)
 
     @cached_property
     def alike(self) -> float:
-        """Mean product of neighbouring residuals, beyond what noise makes of it, over its variance."""
+        """Mean product of neighbouring residuals beyond that of noise, relative to the variance."""
         pairs, residual, may = self._pairs, self.fit.residual, self.may
         expected = self.after[pairs] + np.sum(may[pairs] * may[pairs + 1], axis=1) + self.scatter
         product = residual[pairs] * residual[pairs + 1] - expected
@@ -130,22 +130,22 @@ class Test:
 
     @property
     def most_alike(self) -> float:
-        """Agreement of neighbours from which on the form is doubted."""
+        """Correlation of neighbours from which on the form is doubted."""
         return max(MOST_ALIKE, SURE / sqrt(max(1, len(self._pairs))))
 
     @property
     def doubted(self) -> bool:
-        """Whether the data speak against the form."""
+        """Whether the data contradict the form."""
         return self.ratio >= self.most_ratio or self.alike >= self.most_alike
 
     @property
     def excess(self) -> float:
-        """Mean square of what is missed beyond noise, over that of noise: 0 where the form is right."""
+        """Mean square prediction error in excess of noise, relative to noise: 0 where the form is right."""
         return max(0.0, self.ratio**2 - 1)
 
     @cached_property
     def _folds(self) -> list[_Fold]:
-        """Each sixth of the trials, left out."""
+        """The fits with one sixth of the trials left out."""
         found = []
         segments, fit = self.segments, self.fit
         trials, trial = np.unique(segments.trial, return_inverse=True)
@@ -160,7 +160,7 @@ class Test:
         return found
 
     def with_columns(self, groups: Sequence[Array]) -> list[float]:
-        """The ratio with forces of free size in the fit, for each group of them, shape (n, k) each [N]."""
+        """The ratio with each group of forces (n, k) [N], one group at a time, added to the fit with free sizes."""
         every = np.hstack(groups)
         every = every / np.maximum(np.sqrt(np.mean(every**2, axis=0)), 1e-300)
         ends = np.cumsum([group.shape[1] for group in groups])
@@ -183,7 +183,7 @@ class Test:
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """Trials that were left out: their rows, the fit to the others, and what it misses them by."""
+    """Left-out trials: their rows, the fit to the others, and the prediction error."""
 
     rows: NDArray[np.bool_]
     inverse: Array
@@ -197,9 +197,9 @@ class _Fold:
 def _noise(campaign: Campaign, segments: Segments, fit: Fit) -> tuple[Array, Array]:
     """Variance of each row [N^2], shape (n,), and covariance with the next, shape (n - 1,).
 
-    The times of polled samples scatter by no more than half a poll; how much of that they do is estimated from the
-    residuals, which grow with the speed by it. Of each row that counts which the fit leaves free: the few fast ones are
-    fitted closely, and would say that nothing scatters.
+    The times of polled samples scatter by half a poll at most; the actual share is estimated from the residuals, which
+    then grow with speed. Each row counts by the freedom that the fit leaves it: the few fast rows are fitted closely
+    and alone would suggest no scatter.
     """
     still, after = noise_covariance(segments, fit, campaign.noise_of_means)
     moving, following = noise_covariance(segments, fit, campaign.noise_of_means, campaign.late)
@@ -214,7 +214,9 @@ def _noise(campaign: Campaign, segments: Segments, fit: Fit) -> tuple[Array, Arr
 
 
 def _scatter(campaign: Campaign, segments: Segments, residual: Array, own: Array) -> float:
-    """Variance between repeats of a cell beyond that of noise, as a force that is constant in each trial [N^2]."""
+    """Variance between repeats of a cell beyond noise, as a force that is constant in each trial [N^2]; 0 for few
+    repeats.
+    """
     trials, rows, count = np.unique(segments.trial, return_inverse=True, return_counts=True)
     mean = np.bincount(rows, residual) / count
     noise = np.bincount(rows, own) / count**2
@@ -228,9 +230,9 @@ def _scatter(campaign: Campaign, segments: Segments, residual: Array, own: Array
 
 
 def _mean_without(squares: Array, share: float) -> float:
-    """Mean of squares without the largest `share` of them, scaled so that it is 1 for normal noise of size 1.
+    """Mean of `squares` without the largest `share` of them, scaled to 1 for normal noise of unit variance.
 
-    Infinite where there are none: what no trial that was left out can show explains nothing.
+    inf for no squares: a departure that no left-out trial can show explains nothing.
     """
     if not len(squares):
         return inf
@@ -244,38 +246,41 @@ def _mean_without(squares: Array, share: float) -> float:
 
 
 STEP = 1.5e-3
-"""By which times of streams are moved to see what they change [s]."""
+"""Time shift of a stream for numerical derivatives [s]."""
 PART_OF_MUSCLE, PART_OF_BENCH = (0.05, 0.17), (0.002, 0.01)
-"""Least and greatest share of a correction by the fit that may be wrong: of what a muscle does no form is exact, of a
-delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known faults."""
+"""Least and greatest share of a correction by the fit that may be wrong: no form describes a muscle exactly, while a
+delay, drift or slip has a nearly exact form. Chosen and confirmed on campaigns with known faults.
+"""
 CHANCE = 0.1
 """Excess that a right form leaves by chance."""
 UNSHOWN = 25.0
-"""A size whose variance grows by so much without a group is determined by that group alone."""
+"""Growth of the variance of a size without a group from which on that group alone determines the size."""
 FEWEST_LEFT = 3
 """Fewest loads, or trials, of which one is left out at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """A corrected state and the segments as they were recorded: what a fit to both says of its interval."""
+    """A corrected state and the recorded segments, for the interval of a corrected fit."""
 
     search: Search
     before: State
-    """Without a correction by the fit."""
+    """State before any correction by the fit."""
     state: State
     recorded: Segments
     others: tuple[State, ...]
-    """With other explanations, between which and the corrected ones the data do not decide."""
+    """States with other explanations, which the data do not exclude."""
     unsure: float
     """Share of the correction by the weights that may be wrong [1]."""
     factor: float
-    """By which all widths grow, for what the form still misses."""
+    """Factor on all widths for the remaining misfit."""
 
     def of(self, fit: Fit, rows: NDArray[np.bool_], noise: float) -> Correction:
-        """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
+        """Uncertainty due to the correction, for a fit to some `rows` of the corrected segments with expected noise
+        [N].
+        """
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
-        # loads left out show where a form is not exact; without an explanation by the fit nothing is sized anew
+        # leaving out loads shows where a form is not exact; without an explanation there are no sizes to find again
         samples, trial = self.state.test.campaign.samples, self.state.test.segments.trial[rows]
         groups = [np.arange(len(samples), dtype=np.float64)] if self.state.explanations else []
         groups += [np.array([round(one.load, 2) for one in samples])] if self._of_muscle else []
@@ -286,8 +291,8 @@ class Spread:
         return Correction(self._unsure(fit, noise), tuple(spreads), others_of, self.factor)
 
     def _unsure(self, fit: Fit, noise: float) -> Array:
-        """The part of each step of the correction that may be wrong, as changes of theta, shape (2, p): by the weights,
-        and by the fit.
+        """Possible error of each step of the correction as a change of theta, shape (2, p): by the weights, and by the
+        fit.
         """
         weighed = fit.again(self.search.uncorrected, noise).theta
         by_weights = weighed - fit.again(self.recorded, noise).theta
@@ -298,7 +303,7 @@ class Spread:
     def _part(self) -> float:
         """Share of the correction by the fit that may be wrong: as much as it leaves of the misfit.
 
-        The most where a coarser form of a muscle's property failed: nobody knows which one it has.
+        The greatest share where a coarser form of a muscle's property failed, since its form is unknown.
         """
         if any(one.which == FINER.get(one.kind) for one in self.state.explanations):
             return PART_OF_MUSCLE[1]
@@ -310,9 +315,9 @@ class Spread:
         return any(one.of_muscle for one in self.state.explanations)
 
     def sizes(self) -> tuple[Array, ...]:
-        """What the sizes of each explanation are off by without each trial, shape (trials, sizes) [SI].
+        """Deviation of the sizes of each explanation without each trial, shape (trials, sizes) [SI].
 
-        Not without each load: a slip is seen from one load on, and has no size without it.
+        Not without each load: a slip shows only from some load on and has no size without it.
         """
         trial, group = self.state.test.segments.trial, np.arange(len(self.state.test.campaign.trials), dtype=np.float64)
         if not self.state.explanations:
@@ -330,8 +335,8 @@ class Spread:
         return tuple(found)
 
     def _spread(self, fit: Fit, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
-        """Covariance of theta by the jackknife over groups of rows, widened for few, shape (p, p); `group` (trials,)
-        has the group of each trial.
+        """Jackknife covariance of theta over groups of rows, widened for few groups, shape (p, p); `group` (trials,) is
+        the group of each trial.
         """
         theta, _ = self._left_out(fit, rows, group)
         names = np.unique(group[self.state.test.segments.trial[rows]])
@@ -349,9 +354,9 @@ class Spread:
         return np.asarray(wide**2 * (count - 1) / count * off.T @ off)
 
     def _left_out(self, fit: Fit, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
-        """Theta and sizes off those of the state, without each group in turn; shapes (groups, p), (groups, sizes).
+        """Changes of theta and of the sizes without each group in turn; shapes (groups, p), (groups, sizes).
 
-        nan where only that group determines a size: without the loads after a slip its size is unknown.
+        nan where only that group determines a size, such as a slip without the loads after it.
         """
         forces, of_row = self._forces[rows], group[self.state.test.segments.trial[rows]]
         scale = np.maximum(np.sqrt(np.mean(forces**2, axis=0)), 1e-300)
@@ -373,7 +378,7 @@ class Spread:
 
     @property
     def _forces(self) -> Array:
-        """Columns of all explanations but of times, shape (n, sizes)."""
+        """Columns of all explanations whose size is not a time, shape (n, sizes)."""
         test = self.state.test
         found = [
             self.search.columns(one, test.campaign, test.segments, self.state.straight, self.state.explanations)
@@ -383,7 +388,7 @@ class Spread:
         return np.hstack([np.empty((len(test.segments), 0)), *found])
 
     def _moved(self, place: int, number: int, by: float) -> tuple[Segments, Array]:
-        """Segments with a time moved by so much [s], and the residual of the fit to them."""
+        """Segments with one time of an explanation changed by `by` [s], and the residual of the fit to them."""
         explanations = list(self.state.explanations)
         sizes = np.array(explanations[place].sizes) + by * (np.arange(len(explanations[place].sizes)) == number)
         explanations[place] = replace(explanations[place], sizes=tuple(sizes.tolist()))
@@ -408,7 +413,7 @@ class Spread:
 
 
 def _inverse(normal: Array) -> Array:
-    """Inverse of a normal matrix, scaled to its diagonal first; the least one where that does not exist."""
+    """Inverse of a normal matrix, scaled to its diagonal first; pseudo-inverse where it is singular."""
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray(
         np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13, hermitian=True) / np.outer(scale, scale)

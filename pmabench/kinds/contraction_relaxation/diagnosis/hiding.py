@@ -1,7 +1,7 @@
-"""Departures from the form that could hide in a fit that passes its tests, and what they would do to its coefficients.
+"""Departures that could hide in a fit that passes its tests, and their effect on its coefficients.
 
-Each cause is sized by generalised least squares together with the coefficients; its effect on each coefficient, at the
-size that could be there, is a line of the budget.
+Each is sized by generalised least squares together with the coefficients. The effect of the largest possible size on
+each coefficient is a line of the budget.
 """
 
 from __future__ import annotations
@@ -31,49 +31,56 @@ from pmabench.store.records import Array
 FALSE_ALARMS = 0.01
 """Share of campaigns without any departure of which one or more is called significant (Bonferroni)."""
 HIDES = 2.0
-"""A departure may be as large as it was found, and so many standard deviations more."""
+"""Possible size of a departure: the size found plus this many standard deviations."""
 EVEN = 2.0
-"""A departure of so many standard deviations is as likely to be there as not: the fit is better for it by as much as
-two more coefficients cost by Akaike's criterion."""
+"""A departure of this many standard deviations is as likely present as not: it improves the fit as much as two more
+coefficients cost by Akaike's criterion.
+"""
 RARELY = 3.5
-"""The same of a drift of scales: they are hardly distinguished from the coefficients, and would make all intervals of
-campaigns without any twice as wide."""
+"""The same for a drift of scales, which is hardly distinguishable from the coefficients and would double all intervals
+of campaigns without it.
+"""
 MOST_HIDDEN = 0.02
-"""A significant departure that could change a coefficient by more than this share is not left to its interval."""
+"""Largest change of a coefficient, as a share, that a significant departure may cause and still be covered by the
+interval; beyond it the value is withheld.
+"""
 GAIN, ZERO = "gain of the force cell against the weights", "zero of the force cell against the weights"
 REVERSAL = "backlash of the displacement sensor"
 GAUGE = "hysteresis of the pressure gauge, a third of its uncertainty"
+LATE = "{} is late by {{size}} against the other channels, or filtered with that time constant"
 ALONE = 1e-6
 """A column of which the coefficients leave a smaller share than this cannot be distinguished from them."""
 HARDLY = 0.01
-"""A column of which less than this share is left is hardly distinguished from the coefficients: its size may be that of
-the columns' noise, and of bends between the knots."""
+"""Share of a column not explained by the coefficients below which its size may be due to noise in the columns or bends
+between the knots.
+"""
 REPLAYS, FEWEST_REPLAYS = 6, 3
-"""Replays that show what noise alone makes of sizes, where one is significant; and how many have to show it."""
+"""Replays run where a departure is significant, to find what size noise alone makes; fewest that must show it."""
 INEXACT = 0.1
-"""Share of the effect of a known delay that its first and second order may miss. Another delay is not sized beyond what
-a known one may do at all: the two differ by such small terms only."""
+"""Share of the effect of a known delay that its first and second order may miss. For a departure that is itself a delay
+the whole effect counts, since both differ only by such small terms.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """One way to depart, at one place or of one kind."""
+    """One departure, at one place or of one kind."""
 
     text: str
-    """Completes `it fits that ...`, with `{size}` for the size that was found."""
+    """Completes `it fits that ...`; `{size}` is replaced by the size found."""
     quantity: str
-    """Of the size, for its unit."""
+    """Quantity of the size, for its unit."""
     column: Array
     """Change of F_L by size 1 [N per SI unit of the size], shape (n,)."""
     known: float = 0.0
-    """Size [SI] that other lines of the budget hold already."""
+    """Size [SI] that other lines of the budget already cover."""
     most: float = inf
-    """Size [SI] that a calibration allows; a larger one that is sure counts all the same."""
+    """Size [SI] that a calibration allows; a larger one counts only if significant."""
 
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """Ways of one kind, of which at most one is expected at a time."""
+    """Departures of one kind, of which at most one is expected at a time."""
 
     name: str
     """For the budget."""
@@ -81,12 +88,12 @@ class Departure:
     """Field of `Parts` that it belongs to."""
     ways: tuple[Way, ...]
     even: float = EVEN
-    """From so many standard deviations on it is as likely to be there as not."""
+    """Standard deviations at which it is as likely present as not."""
 
 
 @dataclass(frozen=True, eq=False)
 class Size:
-    """How large a departure is by least squares, fitted together with the coefficients."""
+    """Size of a departure by least squares together with the coefficients."""
 
     cause: Departure
     way: Way
@@ -95,24 +102,24 @@ class Size:
     error: float
     """Standard deviation [SI of the way]."""
     other: float
-    """What departures of known size may make of it [SI of the way]."""
+    """Part of the size that departures with known bounds may cause [SI of the way]."""
     share: float
     """Share of its column that the coefficients do not explain [1]."""
 
     @property
     def beyond(self) -> float:
-        """Size in standard deviations, those that other lines of the budget hold among them."""
+        """Size in standard deviations, including the effect of departures with known bounds."""
         return abs(self.size) / sqrt(self.error**2 + self.other**2)
 
     @property
     def hidden(self) -> float:
-        """Largest size that could hide [SI of the way]."""
+        """Largest size that the data allow, beyond what other lines of the budget cover [SI of the way]."""
         least, most = abs(self.size) - HIDES * self.error, abs(self.size) + HIDES * self.error
         return max(0.0, (most if least > self.way.most else min(most, self.way.most)) - self.way.known)
 
     @property
     def text(self) -> str:
-        """What it is, with its size."""
+        """Sentence with the size."""
         return self.way.text.format(
             size=f"{shown(self.size, self.way.quantity)} +- {shown(2 * self.error, self.way.quantity)}"
         )
@@ -125,7 +132,7 @@ def causes(test: Test, followed: Followed) -> tuple[Departure, ...]:
 
 
 def _over_time(test: Test) -> Iterator[Departure]:
-    """Drifts over the campaign, slips between two of its trials, and channels that are late."""
+    """Drifts over the campaign, slips between two trials, and late channels."""
     campaign, segments, fit, P = test.campaign, test.segments, test.fit, test.segments.pressure
     course = columns.drift(campaign, segments) - 0.5  # its mean is a zero, which `of_the_sensors` has
     text = "the zero of the force cell drifted by {size} over the campaign"
@@ -141,23 +148,22 @@ def _over_time(test: Test) -> Iterator[Departure]:
     yield Departure("drift of a scale, or of the muscle, that the fit does not exclude", "drift", ways, RARELY)
 
     text = "the mount or the displacement sensor slipped by {{size}} before trial {}"
-    ways = tuple(  # all later contractions are off by as much
+    ways = tuple(  # shifts all later contractions equally
         Way(text.format(campaign.name(place)), "length", columns.slip(campaign, segments, fit, place))
         for place in columns.slip_places(campaign, segments)
     )
     yield Departure("slip of the mount that the fit does not exclude", "drift", ways)
 
     bounds, late = columns.clock_bounds(campaign), columns.late(segments, fit, campaign.cell)
-    text = "{} is late by {{size}} against the other channels, or filtered with that time constant"
     ways = tuple(  # a delay and a first-order filter are the same at first order
-        Way(text.format(name), "time", column, bounds.get(name, 0.0)) for name, (column, _) in late.items()
+        Way(LATE.format(name), "time", column, bounds.get(name, 0.0)) for name, (column, _) in late.items()
     )
     yield Departure("delay or filter of a channel that the fit does not exclude", "method", ways)
 
 
 def _of_the_muscle(test: Test, followed: Followed) -> Iterator[Departure]:
-    """What a muscle does beyond the straight form. Of a bend, K of a straight line is the slope at the middle of the
-    contractions tested; of hysteresis, what F_c holds of it is taken off.
+    """Behaviour of the muscle beyond the straight form. With a bend, K is the slope at the middle of the tested
+    contractions; from hysteresis the part that F_c describes is subtracted.
     """
     both, grows = (followed, test.segments, test.fit), ", in proportion to pressure"
     text = "the force over contraction is bent: K changes by {size} over the contractions tested"
@@ -179,8 +185,8 @@ def _of_the_muscle(test: Test, followed: Followed) -> Iterator[Departure]:
 
 
 def _of_the_displacement(test: Test) -> Iterator[Departure]:
-    """A displacement sensor that is not straight, whose slope over the stroke is not known then either; and one that
-    follows late after each turn, by a length: nearly a friction that grows with K.
+    """Nonlinearity of the displacement sensor, which also changes its slope over the stroke; and backlash after each
+    reversal, which looks nearly like a friction that grows with K.
     """
     known = columns.sensor_known(test.campaign)
     text = "the displacement sensor is off its straight line by {{size}}, as on a wheel of {:g} mm off its middle"
@@ -204,9 +210,13 @@ class Hidden:
 
     sizes: tuple[Size, ...]
     found: tuple[Size, ...]
-    """Those that are significant, and move a coefficient by more than its interval; the clearest first."""
+    """Significant departures that move a coefficient by more than its interval, the clearest first."""
     moved: str
-    """The coefficient that the clearest of `found` moves most, and by how much; empty without."""
+    """The coefficient that the first of `found` moves most, and by how much; empty without."""
+
+    def late(self, channel: str) -> float:
+        """How late a channel may be against the others [s]; infinite where that was not sized."""
+        return next((size.hidden for size in self.sizes if size.way.text == LATE.format(channel)), inf)
 
     def lines(self, fit: Fit, rows: NDArray[np.bool_]) -> list[Cause]:
         """Lines of the budget of a fit to some `rows` of the segments."""
@@ -227,7 +237,9 @@ class Hidden:
 def hidden(
     test: Test, followed: Followed, weights: Weighed, trust: Trust, replays: Callable[[int], Sequence[Test]]
 ) -> Hidden:
-    """What could hide in a fit; `trust` is that of the fit without it, `replays` tests so many replays of it."""
+    """Departures that could hide in a fit; `trust`: of the fit without them; `replays(count)`: tests of replays of the
+    fit.
+    """
     sizes = _sizes(test, causes(test, followed))
     limit = NormalDist().inv_cdf(1 - 0.5 * FALSE_ALARMS / max(1, len(sizes)))
     if any(size.beyond > limit for size in sizes):
@@ -240,14 +252,14 @@ def hidden(
 
 
 def of_the_sensors(campaign: Campaign, weights: Weighed, segments: Segments, fit: Fit) -> Iterator[Cause]:
-    """What sensors may do that no fit can show.
+    """Sensor errors that no fit can show.
 
-    The cell against the weights, as far as its calibration does not hold the difference: either may be right. Backlash
-    of the displacement sensor, what its calibration allows, else an assumed one: it looks like Coulomb friction of K
-    times its size, and where K is the same at all pressures, no data can separate them. Hysteresis of the pressure
-    gauge, a third (`HYSTERESIS`) of the uncertainty of its zero; none where that is not declared. It shows less while
-    the pressure rises and more while it falls. Where it stays so at rest, that looks like a friction. One that sticks
-    is let go by noise at rest: then the pressure is late by an amount while it moves.
+    The cell against the weights, where the difference exceeds the cell's calibration: either may be right. Backlash of
+    the displacement sensor, from its calibration or assumed: it looks like Coulomb friction of K times its size; where
+    K is the same at all pressures, no data can separate them. Hysteresis of the pressure gauge, a third (`HYSTERESIS`)
+    of the uncertainty of its zero; none where that is not declared. The gauge reads low while pressure rises and high
+    while it falls. If that persists at rest, it looks like friction. A sticking gauge is freed by noise at rest; then
+    the reading lags by a fixed amount while pressure changes.
     """
     scales, cell = Scales.of(campaign.runs), np.where(segments.mass > 0, 0.0, 1.0)
     kinds = ((GAIN, weights.gain, scales.gains, segments.force * cell), (ZERO, weights.offset, scales.offsets, cell))
@@ -274,9 +286,9 @@ def of_the_sensors(campaign: Campaign, weights: Weighed, segments: Segments, fit
 
 
 def _sizes(test: Test, known: Sequence[Departure]) -> list[Size]:
-    """Size of each column, fitted together with the coefficients and with what departures of known size may do.
+    """Size of each departure, fitted together with the coefficients and with departures of known bounds (`Test.may`).
 
-    One at a time, by generalised least squares. See `Test.may`.
+    One departure at a time, by generalised least squares.
     """
     segments, fit, own, after, scatter, may = test.segments, test.fit, test.own, test.after, test.scatter, test.may
     members = [(cause, way) for cause in known for way in cause.ways]
@@ -296,7 +308,7 @@ def _sizes(test: Test, known: Sequence[Departure]) -> list[Size]:
     whole = np.zeros((trial.max() + 1, weights.shape[1]))
     np.add.at(whole, trial, weights)
     variance += scatter * np.sum(whole**2, axis=0)
-    # noise that is larger than rest shows widens all; what the departure itself explains does not count
+    # noise above that at rest widens all errors, except the part that the departure itself explains
     more = (fit.residual @ fit.residual - size**2 * left) / (own.sum() + scatter * len(own) + np.sum(may**2))
     error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more))
     kept = [member for member, one in zip(members, seen, strict=True) if one]
@@ -307,8 +319,8 @@ def _sizes(test: Test, known: Sequence[Departure]) -> list[Size]:
 
 
 def _weights(columns: Array, design: Array, may: Array, noise: float) -> Array:
-    """Weight of each row in the size of each column, shape (n, k): best where rows have the variance `noise` [N^2] and
-    `may` (n, m) adds columns of size 0 +- 1; no change of the coefficients of `design` has an effect.
+    """Weight of each row in the size of each column, shape (n, k): optimal for rows of variance `noise` [N^2] plus the
+    columns `may` (n, m) with sizes of 0 +- 1; insensitive to the coefficients of `design`.
     """
 
     def weigh(rows: Array) -> Array:
@@ -321,8 +333,8 @@ def _weights(columns: Array, design: Array, may: Array, noise: float) -> Array:
 
 
 def _as_replayed(size: Size, replays: Sequence[Sequence[Size]]) -> Size:
-    """The size less what replays of the fitted muscle, which has none of it, show by noise alone, and as unsure as they
-    scatter: noise in the columns makes sizes, as it makes biased coefficients.
+    """The size minus its mean in replays of the fitted muscle, which have no departure, with at least their scatter as
+    error: noise in the columns biases sizes as it biases coefficients.
     """
     seen = [one.size for replay in replays for one in replay if one.way.text == size.way.text]
     if len(seen) < FEWEST_REPLAYS:
@@ -333,7 +345,7 @@ def _as_replayed(size: Size, replays: Sequence[Sequence[Size]]) -> Size:
 
 
 def _with_weights(size: Size, weights: Weighed) -> Size:
-    """The drift of the cell by the fit and by the weights together, each as sure as it is."""
+    """The drift of the cell as the weighted mean of the fit's and the weights' result."""
     if weights.drift is None or size.way.quantity != "force" or size.cause.part != "drift":
         return size
     drift, error = weights.drift
@@ -347,7 +359,9 @@ def _with_weights(size: Size, weights: Weighed) -> Size:
 
 
 def _matter(significant: Sequence[Size], fit: Fit, trust: Trust, tested: Sequence[float]) -> tuple[list[Size], str]:
-    """Those that move a coefficient by more than its interval, the clearest of each cause; the first one's effect."""
+    """Significant departures that move a coefficient by more than its interval, the clearest of each cause; and the
+    effect of the first one, in words.
+    """
     places: list[tuple[str, float | None]] = [(symbol, P) for symbol in SYMBOLS for P in tested]
     places += [("F_c", None)] if fit.friction else []
     rows = np.array([fit.row(symbol, P or 0.0) for symbol, P in places])

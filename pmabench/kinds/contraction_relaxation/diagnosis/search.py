@@ -1,11 +1,11 @@
-"""Why a fit fails: competing explanations, each put in with its correction, in at most four rounds.
+"""Why a fit fails: competing explanations, each corrected and tested, in at most four rounds.
 
-A `State` is a campaign with explanations put in: their sizes, the fit and the test of the rest. Every explanation is
-sized by least squares together with the coefficients; times of streams are searched for.
+A `State` is a campaign with some explanations corrected: their sizes, the fit, and the test of the rest. Every
+explanation is sized by least squares together with the coefficients; times of streams are searched numerically.
 
-In each round every explanation that is left is put in, and the one that predicts trials which were left out best is
-kept. At the end each of those kept is taken out again and the others are tried in its place: where one does nearly as
-well, the data do not decide between them.
+In each round all remaining explanations are tried, and the one that predicts left-out trials best is kept. At the end
+each of those kept is removed again and the others are tried in its place: where one does nearly as well, the data do
+not decide between them.
 """
 
 from __future__ import annotations
@@ -32,30 +32,32 @@ from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segmen
 from pmabench.store.records import Array
 
 MOST_CUTS = 3
-"""Corrected campaigns that are kept: what a round tries has most of them in common."""
+"""Number of corrected campaigns that are cached: the attempts of a round share most of them."""
 ALONE = 2.0
-"""An explanation is the only one where the best of another kind leaves more than so many times its excess ..."""
+"""An explanation is the only one if the best of another kind leaves more than this many times its excess ..."""
 LEAST_EXCESS = 0.15
-"""... counted from this excess on."""
+"""... which counts as at least this."""
 PASSES = 3
-"""Times that sizes are found anew with the samples as the last ones corrected them."""
+"""Iterations of the sizes, each with samples corrected by the one before."""
 PLACES = 2
-"""Places of a slip that are tried in whole, the best by first order."""
+"""Number of places of a slip that are tried completely: the best to first order."""
 MOST_COMPARED = 3
 """Most explanations of a round that are compared with knots of their own."""
 FROM_BEGIN = (0.5, 1.0)
-"""Sizes of a clock that is right when a run begins, as most are, over the second size: where the search begins."""
+"""Start of the search for both sizes of a clock error, relative to the second one: a clock that is right at the start
+of a run, as most are.
+"""
 STEPS = (5e-3, 1.5e-3)
 """Steps of the search for a time [s]; only the last one where a size is known already."""
 WORTH = 0.9
-"""An explanation that by first order leaves more than this share of the excess is not tried in whole."""
+"""An explanation that to first order leaves more than this share of the excess is not tried completely."""
 ALL_OF_MUSCLE = (
     Explanation("bend", "as K"),
     Explanation("hysteresis"),
     Explanation("creep", "by time"),
 )
 FINEST = (Explanation("bend", "steep"), *(Explanation(kind, variant) for kind, variant in columns.FINER.items()))
-"""All properties of the muscle in their finest forms, for a muscle that no coarser ones describe."""
+"""All properties of the muscle in their finest forms, for a muscle that coarser ones do not describe."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +67,9 @@ class State:
     explanations: tuple[Explanation, ...]
     test: Test
     straight: Fit
-    """The fit by whose K the properties of the muscle were made forces."""
+    """Fit whose K converts properties of the muscle to forces."""
     own_knots: bool = False
-    """Whether its knots were put where its own residual needs them."""
+    """Whether its knots were placed for its own residual."""
 
     @property
     def excess(self) -> float:
@@ -76,25 +78,25 @@ class State:
 
     @property
     def last(self) -> Explanation:
-        """The explanation that was put in last."""
+        """The explanation that was added last."""
         return self.explanations[-1]
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """A campaign as it was recorded, and how segments and knots come of it."""
+    """A recorded campaign, and how it is cut into segments and fitted."""
 
     campaign: Campaign
     cut: Cut
     knots: Array
-    """That a fit begins with [Pa]."""
+    """First knots of a fit [Pa]."""
     drifts: bool = True
-    """Whether the cell may have drifted: not where weights show it, and it is taken off already."""
+    """Whether the cell may have drifted; False where weights show the drift, which is then corrected already."""
     cuts: dict[tuple[Explanation, ...], tuple[Campaign, Segments]] = field(default_factory=dict)
-    """Faults of the bench -> campaign and segments without them, of the last few."""
+    """Cache: faults of the bench -> campaign and segments corrected for them."""
 
     def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
-        """Explanations corrected, from the sizes of `begin` on, with knots where the residual needs them."""
+        """State with these explanations, starting from sizes in `begin`, with knots where the residual needs them."""
         segments = self._corrected(explanations)[1] if begin is None else begin.test.segments
         solved, noise = fit(segments, self.knots, self.campaign.noise)
         if begin is None:
@@ -109,16 +111,16 @@ class Search:
 
     @cached_property
     def followed(self) -> columns.Followed:
-        """What follows the contraction as it was recorded."""
+        """Friction elements and lags driven by the recorded contraction."""
         return columns.Followed.of(self.campaign)
 
     def state(
         self, explanations: tuple[Explanation, ...], solved: Fit, expected: float, *, timed: bool = True
     ) -> State:
-        """Explanations sized together with the coefficients at the knots of `solved`, and corrected.
+        """State with the explanations sized together with the coefficients at the knots of `solved`, and corrected.
 
-        Times of streams are searched for, of the last explanation alone if not `timed`: the noise of a derivative
-        would make a size by least squares too small.
+        Times of streams are searched numerically, since the noise of a derivative would make a least-squares size too
+        small; if not `timed`, they keep their sizes.
         """
         straight = solved
         linear = [i for i, one in enumerate(explanations) if one.kind not in TIMES]
@@ -138,13 +140,13 @@ class Search:
     def _rest(
         self, explanations: tuple[Explanation, ...], straight: Fit, like: Fit, noise: float
     ) -> tuple[Segments, Fit]:
-        """What is left when all is corrected, and the fit to it at the knots of `like`."""
+        """The rest after all corrections, and the fit to it at the knots of `like`."""
         segments = self._corrected(explanations)[1]
         off = forces_of(self.followed, segments, straight, explanations)
         return segments.pulled(-off), like.again(segments, noise).pulled(-off)
 
     def _corrected(self, explanations: Sequence[Explanation]) -> tuple[Campaign, Segments]:
-        """The campaign with what is wrong with the bench corrected, and its segments; the last few are kept."""
+        """The campaign corrected for faults of the bench, and its segments; the last few are cached."""
         faults = tuple(one for one in explanations if not one.of_muscle)
         found = self.cuts.pop(faults, None)
         if found is None:
@@ -158,7 +160,7 @@ class Search:
     def columns(
         self, one: Explanation, campaign: Campaign, segments: Segments, fit: Fit, others: Sequence[Explanation] = ()
     ) -> Array:
-        """Change of F_L by each size of an explanation, at first order [N per SI], shape (n, sizes)."""
+        """First-order change of F_L by each size of an explanation [N per SI], shape (n, sizes)."""
         if one.kind == "drift":
             return columns.drift(campaign, segments)[:, None]
         if one.kind == "slip":
@@ -172,7 +174,7 @@ class Search:
     def _timed(
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
     ) -> tuple[Explanation, ...]:
-        """The explanations with the size of one of them, a time, where the squares of the residual are least."""
+        """The explanations with the time of one of them at the least sum of squares of the residual."""
         one = explanations[place]
         known: dict[float, float] = {}
 
@@ -204,7 +206,7 @@ class Search:
     def _clocked(
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
     ) -> tuple[Explanation, ...]:
-        """The same of both sizes of a clock together, from those that it has on (Gauss-Newton)."""
+        """The same for both sizes of a clock together, from their present values (Gauss-Newton)."""
         for _ in range(PASSES):
             campaign, segments = self._corrected(explanations)
             raw, one = fit.again(segments, noise), explanations[place]
@@ -215,7 +217,7 @@ class Search:
         return explanations
 
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
-        """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
+        """Corrected segments and the residual of the fit to them; properties of the muscle are sized anew."""
         campaign, segments = self._corrected(explanations)
         raw = fit.again(segments, noise)
         mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
@@ -226,7 +228,7 @@ class Search:
         return segments.pulled(-off), raw.pulled(-off).residual
 
     def others(self, now: State, but: str = "") -> list[State]:
-        """`now` with one more explanation each, the best of every cause that it has not, `but` one; the best first."""
+        """`now` with one more explanation each: the best of every cause that it lacks, except `but`; best first."""
         known = {one.family for one in now.explanations}
         tried = [one for one in self._possible(now) if one.family not in known and one.cause != but]
         test = now.test
@@ -249,8 +251,8 @@ class Search:
         return sorted(best.values(), key=lambda state: state.test.ratio)
 
     def compared(self, tried: Sequence[State]) -> list[State]:
-        """The same, the best first; where several are near the best, these are fitted with knots for their own
-        residuals first, for those that they were tried with were put for another one.
+        """The same, best first. If several are near the best, these are fitted again with knots for their own residuals
+        first, since their knots were placed for another one.
         """
         limit = ALONE * max(tried[0].excess, LEAST_EXCESS) if tried else 0.0
         near = [state for state in tried[:MOST_COMPARED] if state.excess < limit]
@@ -285,8 +287,8 @@ class Search:
                 yield self._added(replace(now, explanations=rest), replace(one, kind=kind))
 
     def finer(self, now: State) -> State | None:
-        """`now` with creep that may grow with the load, or hysteresis that may differ by direction, in place of one
-        that does not; None without.
+        """`now` with creep that may depend on the load, or hysteresis that may differ by direction, in place of the
+        simpler form; None where there is none, or it is not plausible.
         """
         found = []
         for one in now.explanations:
@@ -300,7 +302,7 @@ class Search:
         return min(found, key=lambda state: state.excess, default=None)
 
     def with_more(self, now: State, kept: tuple[Explanation, ...], more: Sequence[Explanation]) -> State:
-        """`now` with the explanations that are `kept` and more properties of the muscle."""
+        """`now` with only the explanations `kept`, and more properties of the muscle."""
         test = now.test
         sizes = [self.columns(one, test.campaign, test.segments, test.fit).shape[1] for one in more]
         sized = (replace(one, sizes=(0.0,) * many) for one, many in zip(more, sizes, strict=True))
@@ -308,7 +310,7 @@ class Search:
 
 
 def _promising(tried: Sequence[Explanation], ratios: Sequence[float], now: State) -> list[Explanation]:
-    """Those worth to be tried in whole: by first order they explain something; streams that are late always."""
+    """Explanations worth trying completely: those that explain something to first order; delays and filters always."""
     slips = sorted((r, i) for i, (one, r) in enumerate(zip(tried, ratios, strict=True)) if one.kind == "slip")
     best_slips = {i for _, i in slips[:PLACES]}
     return [
@@ -333,7 +335,7 @@ def _with(explanations: Sequence[Explanation], place: int, sizes: tuple[float, .
 
 
 def _sized(explanations: tuple[Explanation, ...], places: Sequence[int], sizes: Array) -> tuple[Explanation, ...]:
-    """The explanations with new sizes: of the muscle as they are, of the bench added to what is corrected already."""
+    """The explanations with new sizes: replaced for the muscle, added to the existing correction for the bench."""
     begin = 0
     for place in places:
         one = explanations[place]
@@ -345,31 +347,31 @@ def _sized(explanations: tuple[Explanation, ...], places: Sequence[int], sizes: 
 
 MOST_ROUNDS = 4
 EXPLAINS = 0.7
-"""Share of the excess that an explanation removes to be one."""
+"""Share of the excess that an explanation must remove."""
 FURTHER = 0.25
-"""Share of what is left that another round removes to be kept, by a property of the muscle."""
+"""Share of the remaining excess that a property of the muscle must remove in a later round."""
 STILL_APART = 1.25
-"""Up to so many times the ratio at which the form is doubted, corrected values are printed, though not accepted."""
+"""Ratio to the limit of doubt up to which corrected values are printed, though not accepted."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rivals:
-    """The best of other kinds in the place of an explanation that was kept."""
+    """The best explanations of other kinds in place of one that was kept."""
 
     before: float
-    """Ratio without that."""
+    """Ratio without that explanation."""
     others: tuple[State, ...]
-    """With others in its place, the best first; the last explanation of each is the other one."""
+    """States with another one in its place, best first; it is the last explanation of each."""
     alone: bool
     """Whether none of the others does nearly as well."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rounds:
-    """What the rounds found."""
+    """Result of the rounds."""
 
     before: State
-    """Without a correction by the fit."""
+    """State before any correction by the fit."""
     after: State
     rivals: tuple[Rivals, ...]
     """For each explanation of `after` that the fit found."""
@@ -410,8 +412,8 @@ def explained(search: Search, before: State) -> Rounds:
 
 
 def _together(search: Search, before: State, now: State, limit: float) -> State | None:
-    """`now` with all properties of the muscle, in finest forms where one is found already and coarser ones fail; None
-    where no muscle can be so, or the excess is not below a limit.
+    """`now` with all properties of the muscle, in their finest forms if one was found already and coarser ones fail;
+    None if the result is not plausible for a muscle, or its excess not below `limit`.
     """
     known, mine = {one.family for one in now.explanations}, now.explanations[len(before.explanations) :]
     more = [one for one in ALL_OF_MUSCLE if one.family not in known]
@@ -424,10 +426,10 @@ def _together(search: Search, before: State, now: State, limit: float) -> State 
 
 
 def _worth(found: State, now: State, first: bool) -> bool:
-    """Whether an explanation of a round, the first one or a further, removes enough to be kept.
+    """Whether an explanation of a round, the `first` or a later one, removes enough to be kept.
 
-    A fault of the bench has an exact form, and removes nearly all of what it makes. A small part of a misfit that
-    something else makes always looks like some delay.
+    A fault of the bench has an exact form and removes nearly all of its effect. A small part of any misfit looks like
+    some delay.
     """
     further = FURTHER if found.last.of_muscle else EXPLAINS
     return now.excess - found.excess >= (0.0 if first else further) * now.excess
@@ -441,8 +443,8 @@ def _rivals(without: State, now: State, kept: Explanation, tried: Sequence[State
 
 
 def _without_needless(search: Search, before: State, now: State) -> Rounds:
-    """Explanations that are not needed, or would not be put in last, are taken out, the others compared with others in
-    their place.
+    """Rounds without explanations that are not needed or would not be added last; the others are compared with
+    alternatives in their place.
     """
     given, found = before.explanations, []
     for one in now.explanations[len(given) :]:

@@ -45,23 +45,23 @@ from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array
 
 NEARLY = 0.9
-"""Share of the excess that an explanation removes of which values are printed though the form is still doubted."""
+"""Share of the excess that must be explained for values to be printed although the form is still doubted."""
 SURE = 2.0
-"""An explanation whose size is not beyond so many of its standard deviations explains nothing."""
+"""Smallest size of an explanation, in its standard deviations."""
 NOT_STRAIGHT = "bend of K and B alike, which may be of the displacement sensor"
 """Title of `sensor` next to another explanation."""
 REMEDY = "Look for the cause, mend it and measure again, or repeat trials if they differ by themselves"
 SURFACE = "`pmabench process RUN... --form surface` describes a muscle that does not follow this form"
 MOST_NAMED = 3
 MANY = 3
-"""From so many causes on values are not accepted: several seldom act at once, and each takes up a part of another."""
+"""Number of causes from which on values are not accepted: several rarely act at once; each absorbs part of others."""
 BEND_POINTS = 33
-"""Contractions at which a bend is written down, from 0 to a tenth beyond those tested."""
+"""Number of contractions at which a bend is recorded, from 0 to a tenth beyond those tested."""
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What was found of a campaign."""
+    """Diagnosis of a campaign."""
 
     search: Search
     weighed: Weighed
@@ -69,31 +69,31 @@ class Diagnosis:
     of_cell: tuple[Named, ...]
     """Faults of the cell that the weights show; corrected."""
     of_fit: tuple[Named, ...]
-    """What explains the misfit of the fit; corrected."""
+    """Explanations of the fit's misfit; corrected."""
     change: Array
     """Change of the coefficients by all corrections, as `Fit.theta`."""
     spread: Spread | None = None
-    """What the correction does to intervals; None without one."""
+    """Effect of the correction on intervals; None without one."""
     hidden: Hidden = field(default_factory=lambda: Hidden((), (), ""))
 
     def corrected(self, segments: Segments) -> Segments:
-        """Segments of corrected samples without the forces that the muscle has beyond the straight form."""
+        """Segments of corrected samples, minus the forces of the muscle beyond the straight form."""
         state = self.reported
         return segments.pulled(-forces_of(self.search.followed, segments, state.straight, state.explanations))
 
     @property
     def reported(self) -> State:
-        """The state that values and figures come from: nothing that is withheld is corrected."""
+        """State from which values and figures come: the uncorrected one if values are withheld."""
         return self.rounds.before if self.state == "withheld" else self.rounds.after
 
     @property
     def ratio(self) -> float:
-        """See `Test.ratio`, of what is reported."""
+        """`Test.ratio` after all corrections, also where these are withheld."""
         return self.rounds.after.test.ratio
 
     @property
     def missed(self) -> str:
-        """What the ratio is of, in words."""
+        """Start of a sentence about the ratio."""
         return (
             "trials that are left out of the fit are missed by"
             if self.rounds.after.test.held_out
@@ -119,20 +119,20 @@ class Diagnosis:
 
     @property
     def suspect(self) -> bool:
-        """Whether a cause may be missing in the list: the fit needs a fault of the bench next to something else, or a
-        bend that may be one of the displacement sensor, whose scale is then not known.
+        """Whether the list may lack a cause: the fit needs a fault of the bench and something else, or a bend that may
+        be of the displacement sensor, whose scale would then be unknown.
         """
         mixed = len(self.of_fit) > 1 and not all(one.of_muscle for one in self.of_fit)
         return mixed or any(one.key == "sensor" for one in self.of_fit)
 
     @property
     def bent(self) -> bool:
-        """Whether K changes over the contractions that were tested: then it is not one number."""
+        """Whether K changes over the tested contractions, so that it is not a single number."""
         return any(one.key == "bend" for one in self.of_fit)
 
     @property
     def factor(self) -> float:
-        """By which intervals are wider for what the form still misses."""
+        """Factor on intervals for the remaining misfit."""
         return max(1.0, self.ratio) if self.state == "doubtful" else 1.0
 
     @property
@@ -147,7 +147,7 @@ class Diagnosis:
 
     @property
     def misses(self) -> str:
-        """What speaks against the form before a correction, with numbers; empty for nothing."""
+        """Evidence against the form before any correction, with numbers; empty without."""
         test, parts = self.rounds.before.test, []
         if test.ratio >= test.most_ratio:
             limit = f"below {test.most_ratio:.3g} is expected"
@@ -199,25 +199,25 @@ class Diagnosis:
 
     @property
     def note(self) -> str:
-        """What is said of every value; empty where nothing was corrected."""
+        """Note on every value; empty where nothing was corrected."""
         return "" if self.state == "withheld" or not self.named else f"corrected for {self.titles}"
 
     def stiffness_is(self, P: float) -> str:
-        """Which K the one at a pressure [Pa] is, in words; empty where there is one only."""
+        """Which K the value at a pressure [Pa] is, in words; empty where there is only one."""
         x, creeps = self.slope_at(P), any(one.key == "creep" for one in self.of_fit)
         found = [] if x is None else [f"the slope at {show(x, 'length', 3)}"]
         found += ["before any creep"] if creeps and self.note else []
         return f"K is {', '.join(found)}" if found else ""
 
     def slope_at(self, P: float) -> float | None:
-        """The contraction [m] at which K at a pressure [Pa] is the slope; None where it is that at any."""
+        """Contraction [m] at which K at a pressure [Pa] is the slope; None where K is the same everywhere."""
         if self.state == "withheld" or not self.bent:
             return None
         return float(Span.of(self.reported.test.segments).middle(np.array([P]))[0])
 
     def more(self, x: Array, P: Array) -> Array:
-        """How much more than F_ce - K x the fitted muscle pulls [N] at contractions [m] and pressures [Pa], shape (n,):
-        its bend.
+        """Force of the fitted muscle beyond F_ce - K x because of its bend [N], at contractions [m] and pressures [Pa],
+        shape (n,).
         """
         test, found = self.reported.test, np.zeros(len(x))
         for one in self.reported.explanations:
@@ -227,13 +227,13 @@ class Diagnosis:
         return found
 
     def force_at(self, P: float, x: float) -> float:
-        """Force of the fitted muscle [N] at rest at a pressure [Pa] and a contraction [m], with what bends it."""
+        """Force of the fitted muscle [N] at rest at a pressure [Pa] and a contraction [m], including its bend."""
         there, at = np.array([x]), np.array([P])
         F_ce, K = (self.reported.test.fit.values(symbol, at) for symbol in ("F_ce", "K"))
         return float((F_ce - K * there + self.more(there, at))[0])
 
     def _bend(self) -> dict[str, Any]:
-        """What the fitted muscle pulls more than F_ce - K x [N] over contraction [m], at each tested pressure [Pa]."""
+        """Force beyond F_ce - K x [N] over contraction [m] at each tested pressure [Pa], as plain data."""
         tested = [P for P in self.reported.test.campaign.tested if self.slope_at(P) is not None]
         if not tested:
             return {}
@@ -250,7 +250,7 @@ class Diagnosis:
         return "; ".join(f"undecided between {one} and {other}" for one, other in found)
 
     def effect(self, fit: Fit, P: float) -> str:
-        """Each coefficient at a pressure [Pa] before and after all corrections, for people."""
+        """Each coefficient at a pressure [Pa] before and after all corrections, in words."""
         parts = []
         for symbol in SYMBOLS:
             row = fit.row(symbol, P)
@@ -260,9 +260,9 @@ class Diagnosis:
         return f"at {show(P, 'pressure', 4)} {', '.join(parts)}"
 
     def hides(self, estimates: Sequence[Estimate]) -> dict[int, str]:
-        """Place of each value that may not be reported although the form holds as a whole -> why.
+        """Index of each value that must be withheld although the form holds as a whole -> reason.
 
-        Values that one departure concerns have one reason, with the largest share that it could change one of them by.
+        Values affected by one departure share a reason, with the largest relative change among them.
         """
         found: dict[int, tuple[Size, float]] = {}
         for place, estimate in enumerate(estimates):
@@ -275,7 +275,7 @@ class Diagnosis:
         return {place: _why_hidden(one, most[id(one)]) for place, (one, _) in found.items()}
 
     def findings(self, fit: Fit, trust: Trust) -> Iterator[Finding]:
-        """What the tests of the form and the weights say, what was found and corrected, and what to look at."""
+        """Results of the tests of the form and of the weights, what was corrected, and advice."""
         if self.reason:
             yield Finding("doubt", f"form: {self.reason}")
         else:
@@ -309,7 +309,7 @@ class Diagnosis:
             yield Finding("note", f"{text}; no departure of {count} moves a coefficient beyond its interval")
 
     def _of_the_weights(self, seen: Set[str]) -> Iterator[Finding]:
-        """Where the force cell and the weights that hang on it contradict each other; `seen` are significant lines."""
+        """Contradictions between the force cell and the weights hung on it; `seen`: names of significant causes."""
         weighed = self.weighed
         if weighed.guide:
             size = show(weighed.guide, "force", 2)
@@ -333,7 +333,7 @@ class Diagnosis:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The same as plain data, sizes in SI."""
+        """The diagnosis as plain data, sizes in SI."""
         wrong = self.weighed.wrong
         return {
             "state": self.state,
@@ -382,7 +382,7 @@ def _title(state: State) -> str:
 
 
 def _why_hidden(one: Size, share: float) -> str:
-    """Why values may not be reported that a departure could change by up to this share."""
+    """Why values are withheld that a departure could change by up to this share."""
     effect = f"could change these values by up to {100 * share:.2g} %"
     limit = f"more than {100 * MOST_HIDDEN:g} % is not left to an interval"
     if one.share < HARDLY:
@@ -395,7 +395,7 @@ def _why_hidden(one: Size, share: float) -> str:
 
 
 def examined(recorded: Campaign, knots: Array, segments_of: Cut, segments: Segments) -> Diagnosis:
-    """The diagnosis of a campaign with these first knots [Pa]; `segments` are those of its samples as recorded."""
+    """The diagnosis of a campaign with these first knots [Pa]; `segments` are cut from the samples as recorded."""
     gain = Scales.of(recorded.runs).gains.get("force", 0.0)
     weights = weighed(readings(recorded), {"drift": zero_known(recorded), "gain": gain})
     search = Search(in_samples(recorded, weights.found), segments_of, knots, weights.drift is None)

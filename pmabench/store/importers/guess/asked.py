@@ -19,6 +19,7 @@ from pmabench.store.importers.guess.columns import value_of, words
 from pmabench.store.importers.guess.proposal import Guess, Proposal
 from pmabench.store.importers.guess.shapes import is_whole, lattice, lone
 from pmabench.store.importers.map_file import OPEN, QUANTITY
+from pmabench.store.importers.map_rules import NUMBER, number_in
 from pmabench.store.records import Array
 
 WEIGHT = {"g": 0.00980665, "kg": 9.80665}
@@ -50,7 +51,7 @@ CHANGES = 0.02
 """A threshold that moves the slope by more than this share is asked for."""
 SAME_MOMENT = 1e-3
 """Two clocks that differ by less than this [s] in each row count the same moments."""
-LENGTH = re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?mm)")
+LENGTH = re.compile(rf"{NUMBER}(?=[ _]?mm)")
 """A length in the name of a file or of a test [mm]."""
 CONTRACTIONS = words("contraction disp displacement stroke shortening hub verkurzung kontraktion")
 """Words of a column that is a contraction by its name."""
@@ -230,7 +231,7 @@ def contraction_of(guess: Guess) -> Asked | str:
     head = "at which contraction was the muscle held? No name gives it"
     in_name = LENGTH.findall(guess.files[0].stem)
     if len(set(in_name)) == 1 and column is None:
-        number = in_name[0].replace(",", ".")
+        number = f"{number_in(in_name[0]):g}"
         text = f"at which contraction was the muscle held? The name has {number} mm, which may be another length, too"
         return Asked(f"{number} mm", f"{text}: is that it?")
     if column is None or QUANTITY.get(column.unit) != "length":

@@ -277,6 +277,12 @@ FASTEST, SLOWEST = 2e4, 2.0
 """Usual samples a second."""
 SHORTEST = 2.0
 """A test of a muscle lasts at least so long [s]."""
+ROUND = (1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 10.0)
+"""Rates that people set, but for powers of ten."""
+EXACT = 0.005
+"""A rate is that to so large a share."""
+FULL = 120.0
+"""A file without a unit of time that lasts longer than this [s] is not taken for minutes."""
 BRIEF, RARE = 0.5, 0.5
 """A file that lasts less than this [s], or has fewer samples a second, is doubted: a muscle takes 0.1 s to fill."""
 
@@ -352,20 +358,40 @@ def _how_written(time: Proposal) -> None:
 def _in_each_unit(time: Proposal) -> dict[str, tuple[float, float, str]]:
     """Unit that a time may have -> samples a second, how long the file lasts [s], and both in words."""
     step, many = usual_step(time.values), len(time.values)
-    found = {unit: (1.0 / (step * SECONDS[unit]), step * many * SECONDS[unit]) for unit in USUAL}
+    found = {unit: (1.0 / (step * SECONDS[unit]), step * many * SECONDS[unit]) for unit in (*USUAL, "min")}
     return {unit: (rate, lasts, f"{rate:.4g} samples a second, {lasts:.4g} s") for unit, (rate, lasts) in found.items()}
 
 
 def _usual_units(time: Proposal, slowest: float) -> list[str]:
     """The units in which a time is that of a usual test, of so many samples a second at least, in words."""
-    each = _in_each_unit(time).items()
-    return [f"{unit}: {text}" for unit, (rate, lasts, text) in each if FASTEST >= rate >= slowest and lasts >= SHORTEST]
+    each = _in_each_unit(time)
+    if not _may_be_minutes(time):
+        del each["min"]
+    return [
+        f"{unit}: {text}"
+        for unit, (rate, lasts, text) in each.items()
+        if FASTEST >= rate >= slowest and lasts >= SHORTEST
+    ]
+
+
+def _may_be_minutes(time: Proposal) -> bool:
+    """Whether a time that would be short in seconds has a rate that people set in minutes only: 50 for 3000."""
+    step, lasts = usual_step(time.values), float(np.ptp(time.values))
+    rates = np.array([1.0 / step, (len(time.values) - 1) / lasts])
+    usual = lasts <= FULL and bool(np.all(rates / 60.0 > 4.0 * SLOWEST))
+    return usual and _is_round(rates / 60.0) and not _is_round(rates)
+
+
+def _is_round(rates: Array) -> bool:
+    """Whether one of these rates, shape (n,), is one that people set."""
+    lead = rates / 10.0 ** np.floor(np.log10(rates))
+    return bool(np.any(np.abs(lead[:, None] / np.array(ROUND) - 1.0) < EXACT))
 
 
 def _time_unit(time: Proposal) -> None:
     step = usual_step(time.values)
     for unit, (rate, _, _) in _in_each_unit(time).items():
-        if FASTEST >= rate >= SLOWEST:
+        if unit != "min" and FASTEST >= rate >= SLOWEST:
             time.unit = unit
             time.reasons.append(f"steps of {step:.4g}: in {unit} these are {rate:.4g} samples a second")
             _which_time(time)
@@ -387,6 +413,8 @@ def _said_time(time: Proposal) -> None:
 def _which_time(time: Proposal) -> None:
     """Ask for the unit of a time without one, where several are possible or its heading may mean another one."""
     possible = _usual_units(time, SLOWEST)
+    if possible and possible[-1].startswith("min") and len(possible) == 1:
+        possible.insert(0, f"{time.unit}: {_in_each_unit(time)[time.unit][2]}")
     text = "; ".join(possible)
     if bool(np.all(np.diff(time.values) == 1.0)):
         head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or does it count the samples'

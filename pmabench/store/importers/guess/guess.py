@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from pmabench.store.importers.guess.proposal import Guess, Proposal
 from pmabench.store.importers.guess.shapes import is_whole
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_file import PLACE, spelled
-from pmabench.store.importers.map_rules import read_map
+from pmabench.store.importers.map_rules import NUMBER, number_in, read_map
 from pmabench.store.importers.table import content_of, read_all, read_table
 from pmabench.store.records import Array
 
@@ -209,54 +210,97 @@ def _as_known(known: Known, unit: str) -> dict[str, str]:
 _PARTS = (
     (re.compile(r"\d{4}-\d{2}-\d{2}"), "date", ""),
     (re.compile(r"(?<=\{date\}[_T -])\d{6}(?!\d)"), "clock", ""),
-    (re.compile(r"(?<=rads[-_])\d+(?:[.,]\d+)?|(?<=rad-s[-_])\d+(?:[.,]\d+)?"), "frequency", "rad/s"),
-    (re.compile(r"\d+(?:[.,]\d+)?(?=[_-]?Hz)"), "frequency", "Hz"),
-    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?kPa(?![A-Za-z]))"), "pressure", "kPa"),
-    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?bar(?![A-Za-z]))"), "pressure", "bar"),
-    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?psi(?![A-Za-z]))"), "pressure", "psi"),
-    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?kg(?![A-Za-z]))"), "mass", "kg"),
-    (re.compile(r"(?<=[A-Za-z_ -])\d+(?:[.,]\d+)?(?=[ _]?mm(?![A-Za-z]))"), "contraction", "mm"),
+    (re.compile(rf"(?<=rads[-_]){NUMBER}|(?<=rad-s[-_]){NUMBER}"), "frequency", "rad/s"),
+    (re.compile(rf"{NUMBER}(?=[_-]?Hz)"), "frequency", "Hz"),
+    (re.compile(rf"{NUMBER}(?=[ _]?kPa(?![A-Za-z]))"), "pressure", "kPa"),
+    (re.compile(rf"{NUMBER}(?=[ _]?bar(?![A-Za-z]))"), "pressure", "bar"),
+    (re.compile(rf"{NUMBER}(?=[ _]?psi(?![A-Za-z]))"), "pressure", "psi"),
+    (re.compile(rf"{NUMBER}(?=[ _]?kg(?![A-Za-z]))"), "mass", "kg"),
+    (re.compile(rf"{NUMBER}(?=[ _]?g(?![A-Za-z]))"), "mass", "g"),
+    (re.compile(rf"{NUMBER}(?=[ _]?N(?![A-Za-z]))"), "load", "N"),
+    (re.compile(rf"(?<=[A-Za-z_ -]){NUMBER}(?=[ _]?mm(?![A-Za-z]))"), "contraction", "mm"),
     (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
 )
+WHERE_APART = {"g", "N", "mm"}
+"""Units of what is read only where it differs among the names: it may as well be a size, or the range of a sensor."""
 CONTRACTED = re.compile(
     r"(kink(ed)?|contract(ion|ed)?|contr|held|hold|at|shortened|short|x|dx|eps)[-_ ]?$", re.IGNORECASE
 )
 """What comes before a length that is a contraction, and no diameter."""
+OTHER_LENGTH = re.compile(
+    r"([a-z]|(?<![a-z])(l|len(gth)?|lange|stretch(ed)?|elong(ation|ated)?|ext(ension|ended)?|d|dia(m|meter)?|gap)"
+    r"[-_ ])$",
+    re.IGNORECASE,
+)
+"""What comes before a length that need be no contraction: any word that is one with it, or one of these."""
 
 
-def found_in(
-    files: Sequence[Path], of: str, *, lengths: bool = True
-) -> tuple[set[str], str, list[str], dict[str, str], bool]:
-    """Keys in the names, from files or folders, their forms, units, and whether they have a decimal comma.
+@dataclass(frozen=True)
+class Names:
+    """What the names of files or folders give."""
+
+    keys: set[str]
+    of: str
+    forms: list[str]
+    units: dict[str, str]
+    comma: bool
+    """Numbers have a decimal comma."""
+    asked: dict[str, str]
+    """Key -> why it is asked whether the number is that."""
+
+
+def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset()) -> Names:
+    """Keys in the names, from files or folders, with their forms; none for numbers with a unit of `without`.
 
     A length that nothing calls a contraction, and that is the same in all names, may as well be a diameter: none then.
     """
-    sizes: set[str] = set()
+    sizes: dict[str, set[str]] = {}
     units: dict[str, str] = {}
+    why: dict[str, str] = {}
     comma = False
     forms: dict[str, None] = {}
     for path in files:
         form = re.sub(r"[{}*]", "?", path.stem if of == "file" else path.resolve().parent.name)
         for pattern, key, unit in _PARTS:
-            found = [match for match in pattern.finditer(form) if key != "contraction" or lengths]
-            called = [match for match in found if CONTRACTED.search(form[: match.start()])]
-            match = next(iter(called or found), None)
+            found = [match for match in pattern.finditer(form) if unit not in without]
+            found.sort(key=lambda match: _doubtful(form[: match.start()]) if unit == "mm" else 0)
+            match = next(iter(found), None)
             if match is None or "{" + key + "}" in form or (unit and units.get(key, unit) != unit):
                 continue
             if form[: match.start()].endswith("}") or form[match.end() :].startswith("{"):
                 continue
-            sizes |= {match[0]} if key == "contraction" and not called else set()
+            doubtful = _doubtful(form[: match.start()])
+            if unit in WHERE_APART and (unit != "mm" or doubtful):
+                sizes.setdefault(unit, set()).add(match[0])
+            if reason := _asked(match[0], unit, doubtful):
+                why.setdefault(key, f'"{form}" has {match[0]} {unit}: {reason}')
             comma |= "," in match[0]
             form = f"{form[: match.start()]}{{{key}}}{form[match.end() :]}"
             if unit:
                 units[key] = unit
         forms[form] = None
-    if len(sizes) == 1:
-        return found_in(files, of, lengths=False)
+    if same := {unit for unit, values in sizes.items() if len(values) == 1}:
+        return found_in(files, of, without | same)
     keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
     if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
         keys = set()
-    return keys, of, list(forms), units, comma
+    return Names(keys, of, list(forms), units, comma, why)
+
+
+def _doubtful(before: str) -> int:
+    """How doubtful it is by what comes before a length that it is a contraction: 0 called so, 1 as usual, 2 a word."""
+    return 0 if CONTRACTED.search(before) else 2 if OTHER_LENGTH.search(before) else 1
+
+
+def _asked(number: str, unit: str, doubtful: int) -> str:
+    """What else a number in a name may be; empty where it is sure."""
+    if number.startswith("-"):
+        return "is the minus its sign, as of a muscle that is stretched? If it only separates, write it into the form"
+    if "p" in number:
+        return f"is it {number_in(number):g} {unit}?"
+    if unit == "mm" and doubtful == 2:
+        return "is it the contraction? A length of the muscle, a diameter or a stretch is none: take it out of the form"
+    return {"N": "is it the load?", "g": "is it the mass?"}.get(unit, "")
 
 
 def frequency_of(path: Path, of: str, units: Mapping[str, str]) -> float | None:
@@ -265,7 +309,7 @@ def frequency_of(path: Path, of: str, units: Mapping[str, str]) -> float | None:
     for pattern, key, unit in _PARTS:
         match = pattern.search(name) if key == "frequency" and units.get(key) == unit else None
         if match is not None:
-            return float(match[0].replace(",", ".")) / (2 * pi if unit == "rad/s" else 1.0)
+            return number_in(match[0]) / (2 * pi if unit == "rad/s" else 1.0)
     return None
 
 
@@ -383,11 +427,11 @@ def _sampling(guess: Guess) -> None:
 def _names(guess: Guess) -> None:
     """Use the dates, test numbers and points in the names of the files or of their folders, whichever contain more."""
     found = (found_in(guess.files, of) for of in ("file", "folder"))
-    best = max(found, key=lambda names: (len(names[0]), names[1] == "file"))
-    keys, guess.form_of, forms, guess.form_units, guess.form_comma = best
-    if keys and len(forms) <= 20:
-        guess.forms = forms
-        guess.reasons["name_tells"] = [f"the name of the {guess.form_of} gives {', '.join(sorted(keys))}"]
+    best = max(found, key=lambda names: (len(names.keys), names.of == "file"))
+    guess.form_of, guess.form_units, guess.form_comma, guess.form_asked = best.of, best.units, best.comma, best.asked
+    if best.keys and len(best.forms) <= 20:
+        guess.forms = best.forms
+        guess.reasons["name_tells"] = [f"the name of the {guess.form_of} gives {', '.join(sorted(best.keys))}"]
 
 
 def _frequency(guess: Guess) -> None:

@@ -104,6 +104,8 @@ MOST_BELOW = 20
 """Lines between the names and the first row that a map can give."""
 FAULTS = 0.05
 """Share of texts that are neither numbers nor known for "no value", up to which a column holds numbers, and faults."""
+FEWEST = 3
+"""Numbers among the first rows that make a column one of numbers: others may be blank, where rates are mixed."""
 _QUOTED = re.compile(r'"\s*[+-]?[\d.,]+(?:[eE][+-]?\d{1,3})?\s*"')
 _POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 _COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
@@ -484,7 +486,8 @@ def _words(body: _Body, names: Sequence[str], reasons: list[str]) -> tuple[list[
         strange = [text.strip() for text in every if not _is_number(text, number, body.decimal, grouped)]
         known = {text for text in strange if text.lower() in NO_VALUE}
         faults = sum(text not in known for text in strange)
-        if len(strange) > len(cells) / 2 or faults > max(1.0, FAULTS * len(cells)):
+        numbers = len(cells) - len(strange)
+        if numbers < min(FEWEST, len(cells)) or faults > max(1.0, FAULTS * numbers):
             texts.append(column)
             if all(otherwise.fullmatch(text) for text in strange):
                 other[column] = strange[0] if all(map(_GROUPED[body.decimal].fullmatch, strange)) else ""

@@ -84,6 +84,8 @@ class Guess:
     form_of: str = "file"
     form_units: dict[str, str] = field(default_factory=dict)
     form_comma: bool = False
+    form_asked: dict[str, str] = field(default_factory=dict)
+    """Key of a form -> why it is asked whether a number in the names is that."""
     rate: tuple[float, float] = (1.0, 1000.0)
     gap: float = 1.0
     reasons: dict[str, list[str]] = field(default_factory=dict)

@@ -17,6 +17,7 @@ from pmabench.store.importers.guess.asked import Asked, quantity_of
 from pmabench.store.importers.guess.columns import UNLIKE_TIME
 from pmabench.store.importers.guess.proposal import Guess, Proposal
 from pmabench.store.importers.map_file import NUMBERS, OPEN, QUANTITY
+from pmabench.store.importers.map_rules import number_in
 
 TRUTH = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 """Texts that YAML may take for something else."""
@@ -124,7 +125,7 @@ def _tests(guess: Guess) -> list[str]:
         value: Entries = {"name": scalar(test)}
         if guess.open_point("contraction"):
             text = f'at which contraction was "{test}" held? For instance 8 mm'
-            in_name = next((f"{each} mm" for each in asked.LENGTH.findall(test)), "")
+            in_name = next((f"{number_in(each):g} mm" for each in asked.LENGTH.findall(test)), "")
             value["point"] = {"contraction": Asked(in_name, text)}
         lines += entry("- ", value, "")
     return lines
@@ -413,7 +414,9 @@ def _name_lines(guess: Guess) -> list[str]:
     if guess.form_comma:
         lines.append("  decimal: comma")
     if guess.form_units:
-        lines.append(f"  units: {{{', '.join(f'{key}: {unit}' for key, unit in guess.form_units.items())}}}")
+        texts = guess.form_asked
+        units = {key: Asked(unit, texts[key]) if key in texts else unit for key, unit in guess.form_units.items()}
+        lines += entry("units: ", units)
     keys = set(guess.form_units)
     lacking = sorted(key for key in keys if any("{" + key + "}" not in form for form in guess.forms))
     if lacking:
