@@ -1,11 +1,11 @@
-"""What reductions share: results, intervals, verdicts; pure functions over loaded runs. Knows no kind of test.
+"""What reductions share, independent of the kind of test: pure functions over loaded runs.
 
-- what one trial says by itself: `trial`; a result is an `Analysis` of `store.analyses.results`
-- `imported`: what imports say besides their samples; `tuning`: controller settings
-- `many` works on many runs at once, here or on a Dask cluster
-- a library model fitted to a table: `model_fit`, made of `model_problem`
-- what speaks for or against a result, and results next to each other: `verdict`
-- a muscle with hysteresis and creep, from all its slow tests: `surface`
-- what further trials would add, and which to do next: `next_trial`
+- quantities of one trial: `trial`; a result is an `Analysis` of `store.analyses.results`
+- `imported`: what imported runs hold besides samples; `tuning`: controller settings
+- `many`: many runs in parallel, on this machine or on a Dask cluster
+- fit of a library model to a table: `model_fit`, which uses `model_problem`
+- checks of a result, and comparison of results: `verdict`
+- model of a muscle with hysteresis and creep, fitted to all its slow tests: `surface`
+- choice of the next trial by what it would add: `next_trial`
 - parts of reductions: `shared`
 """

@@ -1,6 +1,6 @@
-"""What runs made of old files hold besides their samples: the rule written beforehand, time skew, what was found wrong.
+"""What imported runs hold besides samples: the analysis rule of the map, lateness of channels, findings of the import.
 
-Knows the manifest of imports; no reduction.
+Reads the manifest of imports; reduces nothing.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ NUMBER = re.compile(r"(\d+)")
 
 
 def import_of(run: RunData) -> Mapping[str, Any]:
-    """What the importer wrote into the manifest; empty for runs of a bench."""
+    """The `imported` entry of the manifest; empty for runs of a bench."""
     entry = run.manifest.get("imported")
     return entry if isinstance(entry, Mapping) else {}
 
 
 def in_time(runs: Iterable[RunData]) -> list[RunData]:
-    """Runs in the order in which they began; files that tell no time by their names, in which T10 comes after T9."""
+    """Runs in order of their start; those without a time by file and test name, with T10 after T9."""
 
     def key(run: RunData) -> tuple[str, list[tuple[int, str]]]:
         name = f"{import_of(run).get('file', '')} {import_of(run).get('test', '')}"
@@ -41,7 +41,7 @@ def in_time(runs: Iterable[RunData]) -> list[RunData]:
 
 
 def rule_of(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[dict[str, Any], list[Finding]]:
-    """The analysis rule of the map, options before it; a doubt where the maps of these runs disagree."""
+    """The analysis rule of the map, overridden by options, and findings: a doubt where maps of the runs disagree."""
     rules = [dict(import_of(run).get("analysis") or {}) for run in runs]
     findings: list[Finding] = []
     if any(rule != rules[0] for rule in rules):
@@ -54,7 +54,7 @@ def rule_of(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[dict[s
 
 
 def late_by(run: RunData, channel: str) -> tuple[float, float] | None:
-    """How much older a channel's values are than their time stamps, least and most [s]; None where it is not known."""
+    """Age of a channel's values at their time stamps, least and most [s]; None where it is not known."""
     late = (import_of(run).get("late_by") or {}).get(channel)
     return None if late is None else (float(late[0]), float(late[1]))
 
@@ -64,10 +64,10 @@ def measured(
     options: Mapping[str, Any],
     measure: Callable[[RunData, TrialData, tuple[float, float]], Measured | str],
 ) -> tuple[list[tuple[RunData, Measured]], list[Dropped], bool]:
-    """The results of `measure` for every trial with its run and the lateness of its pressure; the trials it refuses.
+    """Results of `measure` with their runs, the trials that it refused, and whether all runs state their lateness.
 
-    The lateness [s] is that of `late_by`, or the option of that name; the last value says whether all runs give it, of
-    the pressure or of the displacement.
+    `measure` gets run, trial and lateness of the pressure [s], which is that of `late_by` or the option of that name;
+    it returns a reason as text where it refuses. The last value counts a lateness of pressure or displacement.
     """
     found: list[tuple[RunData, Measured]] = []
     dropped: list[Dropped] = []
@@ -85,9 +85,9 @@ def measured(
 
 
 def import_findings(runs: Sequence[RunData]) -> list[Finding]:
-    """What was found wrong with the files: faults and doubts of each, notes counted by kind over all of them.
+    """Findings of the import: faults and doubts of each file, and one note per kind with its count over all files.
 
-    Spikes, which are samples and no files, are reported once for each channel.
+    Spikes are reported once per channel.
     """
     findings: list[Finding] = []
     notes: dict[str, list[Mapping[str, Any]]] = {}
@@ -111,14 +111,14 @@ def import_findings(runs: Sequence[RunData]) -> list[Finding]:
 
 
 def _file_of(run: RunData) -> str:
-    """Folder and file that an imported run is of."""
+    """`folder/file` from which a run was imported."""
     return f"{import_of(run).get('folder', '')}/{import_of(run).get('file', run.id)}"
 
 
 def without_doubtful(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
-    """The analysis with all withheld that rests on files whose findings say so, for instance on a doubtful unit.
+    """The analysis without values that rest on files with a withholding finding, for instance a doubtful unit.
 
-    Such a fault changes numbers and no rule can set it right, so a value would be wrong without a sign of it.
+    Such a fault changes numbers without a trace, and no rule can correct it.
     """
     reasons = {run.id: reason for run in runs if (reason := _withholding(run))}
     if not reasons:
@@ -137,7 +137,7 @@ def without_doubtful(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
 
 
 def _withholding(run: RunData) -> str:
-    """Why nothing that rests on an imported file is reported; empty where it may be."""
+    """Why values from an imported run are withheld; empty where they are not."""
     found = [found for found in import_of(run).get("findings") or () if found.get("withholds")]
     answer = ", ".join(dict.fromkeys(str(each.get("kind")) for each in found))
     texts = "; ".join(str(each.get("text", "")) for each in found)
@@ -145,14 +145,14 @@ def _withholding(run: RunData) -> str:
 
 
 def unusable_because(trial: TrialData) -> str:
-    """Which flags keep samples of a trial from use, with counts, for instance `29000 suspect, 3 dropout`."""
+    """Flags that exclude samples of a trial, with counts, for instance `29000 suspect, 3 dropout`; else `none`."""
     against = [flag for flag in Flag if flag and flag not in {Flag.LATE, Flag.SLACK}]
     counts = {str(flag.name).lower(): int(np.count_nonzero(trial.flags & np.uint16(flag))) for flag in against}
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "none"
 
 
 def flagged_counts(runs: Sequence[RunData]) -> dict[str, int]:
-    """Number of flagged samples by flag over all runs."""
+    """Number of flagged samples of all imported runs, by flag name."""
     counts: Counter[str] = Counter()
     for run in runs:
         counts.update({str(name): int(count) for name, count in (import_of(run).get("flagged") or {}).items()})

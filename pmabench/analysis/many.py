@@ -1,11 +1,11 @@
-"""Many runs or cells at once: in this process, by an executor of `concurrent.futures`, or on a Dask cluster.
+"""Work on many runs or cells: in this process, by an executor of `concurrent.futures`, or on a Dask cluster.
 
-The order of results, and what they are, never depend on how many work at once: each thing is worked on alone, and its
-number goes with it. Standard library only; `distributed` is imported where a cluster is used.
+Results do not depend on the number of workers: each item is processed alone, and its number is returned with it.
+Standard library only; `distributed` is imported where a cluster is used.
 
-Workers of a cluster read the runs and write the analyses themselves: they see the same folders under the same names,
-and have the same pmabench. Dask usually starts each with `MALLOC_TRIM_THRESHOLD_=65536`, which hands memory back so
-often that numpy takes twice as long.
+Workers of a cluster read the runs and write the analyses themselves: they must see the same folders under the same
+names, and have the same pmabench. Dask usually starts each with `MALLOC_TRIM_THRESHOLD_=65536`, which returns memory
+so often that numpy takes twice as long.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from pmabench.store.since import program
 
 TRIM = "MALLOC_TRIM_THRESHOLD_"
 SMALL_TRIM = 1_000_000
-"""Bytes below which the allocator hands memory back all the time."""
+"""Trim threshold [bytes] below which the allocator returns memory so often that workers are slow."""
 PATIENCE = 10.0
-"""Seconds to wait for the scheduler and for its first worker."""
+"""Time to wait for the scheduler, and for its first worker [s]."""
 
 
 class Cluster:
     """The workers of a Dask scheduler at `address`, for instance `tcp://10.0.0.5:8786`."""
 
     def __init__(self, address: str) -> None:
-        """Raise UsageError where nobody answers, no worker is there, or one has another pmabench."""
+        """Connect; raise UsageError without a scheduler or worker, or where a worker has another pmabench."""
         try:
             distributed: Any = import_module("distributed")
         except ImportError as error:
@@ -52,7 +52,7 @@ class Cluster:
         self._executor: Executor = self._client.get_executor()
 
     def _workers(self, address: str) -> int:
-        """Threads of all workers together."""
+        """Number of threads of all workers; raises UsageError where one cannot be used."""
         try:
             self._client.wait_for_workers(1, timeout=PATIENCE)
         except TimeoutError as error:
@@ -69,7 +69,7 @@ class Cluster:
         return sum(self._client.nthreads().values())
 
     def doubts(self) -> Iterator[str]:
-        """What makes the workers slow, in words."""
+        """Reasons why the workers are slow, as text."""
         trims = [str(value) for value in self._client.run(os.environ.get, TRIM, "").values()]
         slow = sum(value.isdigit() and int(value) < SMALL_TRIM for value in trims)
         if slow:
@@ -79,33 +79,33 @@ class Cluster:
             )
 
     def executor(self) -> Executor:
-        """The cluster, which replaces workers that die by itself."""
+        """The executor of the cluster, which replaces dead workers itself."""
         return self._executor
 
     def close(self) -> None:
-        """Take back what was not begun, and leave the cluster running."""
+        """Cancel what has not begun, and leave the cluster running."""
         self._executor.shutdown(wait=False)
         self._client.close()
 
 
 BATCH = 50
-"""Most things that are handed over together: handing over costs less than work, and a batch is soon done."""
+"""Largest number of items submitted together."""
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 Thing = TypeVar("Thing")
 Result = TypeVar("Result")
 
 
 class Pool(Protocol):
-    """Who does the work."""
+    """Workers for `share`."""
 
     width: int
-    """How many work at once."""
+    """Number of parallel workers."""
 
     def executor(self) -> Executor:
-        """An executor that takes work; a new one where the last one broke."""
+        """A working executor; a new one where the last one broke."""
 
     def close(self) -> None:
-        """Take back what was not begun, and let go."""
+        """Cancel what has not begun, and release the workers."""
 
 
 class Processes:
@@ -130,7 +130,7 @@ class Processes:
         return self._executor
 
     def close(self) -> None:
-        """Let the workers end what each has in hand."""
+        """Stop the workers after the item that each is working on."""
         self._stop.set()
         if self._executor is not None:
             self._executor.shutdown(wait=True, cancel_futures=True)
@@ -140,7 +140,7 @@ _stop: Any = None
 
 
 def _begin(stop: Any) -> None:
-    """In a worker: Ctrl-C is for the process that it works for, which says when to stop."""
+    """Initialise a worker: it ignores Ctrl-C and stops when `stop` is set by its parent."""
     global _stop
     _stop = stop
     with suppress(ValueError):
@@ -148,7 +148,7 @@ def _begin(stop: Any) -> None:
 
 
 def stopped() -> bool:
-    """Whether a worker should leave the rest of its batch."""
+    """Whether this worker should skip the rest of its batch."""
     return _stop is not None and bool(_stop.is_set())
 
 
@@ -158,10 +158,10 @@ def share(
     lost: Callable[[Thing, str], Result],
     pool: Pool | None = None,
 ) -> Iterator[tuple[int, Result]]:
-    """Number and result of each thing as they come; `work` is a function of a module, things and results plain data.
+    """Yield number and result of each item as they are done; without a pool in order, in this process.
 
-    Without a pool each is worked on here, in order. Where a worker dies, what it had in hand is tried once more, one
-    by one; `lost` makes the result of a thing that ends its worker again, and of the reason.
+    `work` must be a function of a module, items and results plain data. The batches of a worker that fails are tried
+    once more, item by item; `lost(item, reason)` gives the result of an item that fails again.
     """
     if pool is None:
         for number, thing in enumerate(things):

@@ -1,7 +1,7 @@
-"""A model of the library fitted to measured rows: unknown inputs with intervals, residual, what stays open.
+"""Fit of a library model to measured rows: unknown inputs with intervals, residual, identifiability.
 
-Least squares in scipy's trust region within the domains of the inputs, from several starts; intervals from the profile
-of the sum of squares (Bates and Watts 1988, chapter 6). Knows no file and no units; all values SI.
+Least squares by scipy within the domains of the inputs, from several starts; intervals from the profile of the sum of
+squares (Bates and Watts 1988, chapter 6). All values SI.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
 
 EXACT = 1e-7
-"""Residual rms, as a share of the output's span, below which the data were computed by the model itself."""
+"""Residual rms over the output's span below which the data are taken to be computed by the model itself."""
 ENOUGH = 4
-"""Starts that ended as low as the best, after which no more are tried."""
+"""Number of starts with the lowest sum of squares after which no more are tried."""
 SAME = 1e-6
 BETTER = 6
-"""Better ends that profiles may find before the fit counts as not converged."""
+"""Number of better minima found by profiles from which on the fit counts as not converged."""
 WALK = 60
-"""Places that a search for one end of an interval tries."""
+"""Most iterations of the search for one end of an interval."""
 AHEAD = 3.0
-"""A step of it is shortened until the tangent's sum of squares is below that of this multiple of the limit."""
+"""A step of this search is shortened until the sum of squares is below that at this multiple of the limit."""
 CLOSE = 0.01
-"""An end is found to this share of the half width, or of the limit."""
+"""Tolerance of an end, as a share of the half width or of the limit."""
 ALIKE = 0.5
-"""Correlation of neighbouring residuals from which on rows do not count as independent."""
+"""Correlation of neighbouring residuals above which rows do not count as independent."""
 
 
 Interval = tuple[float | None, float | None]
-"""Ends of a 95 % interval; one that is None is not reached within the domain."""
+"""Ends of a 95 % interval; None for an end that is not reached within the domain."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Unknown:
     name: str
     value: float
     standard_error: float | None
-    """From the Jacobian; None where it is not identifiable."""
+    """From the Jacobian; None where the input is not identifiable or without degrees of freedom."""
     ci95: Interval | None
     start: float
     note: str = ""
@@ -69,7 +69,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Follows:
-    """Another output of the model that is one number for all rows [SI]; no error where the unknowns do not move it."""
+    """Another output that is one number for all rows [SI]; no error where it does not depend on the unknowns."""
 
     name: str
     value: float
@@ -86,24 +86,24 @@ class ModelFit:
     unknowns: tuple[Unknown, ...]
     follows: tuple[Follows, ...]
     fixed: Mapping[str, Any]
-    """Inputs that were given or stayed at their reference values."""
+    """Inputs that were not fitted."""
     idle: tuple[str, ...]
-    """Names of the fixed inputs that do not change the output here."""
+    """Names of the fixed inputs that do not affect the output here."""
     columns: Mapping[str, Array]
     measured: Array
     computed: Array
     covariance: Array
-    """Of the unknowns, in their order; NaN where not identifiable."""
+    """Covariance of the unknowns, in their order; NaN where not identifiable."""
     correlation: Array
     residual_rms: float
-    """With the degrees of freedom [SI of the output]."""
+    """Root of the sum of squares over the degrees of freedom [SI of the output]."""
     freedom: int
     starts: int
     agreeing: int
-    """How many of the starts ended at the values that are given."""
+    """Number of starts that ended at these values."""
     converged: bool
     method: str
-    """Of the intervals: `profile` or `jacobian`."""
+    """How intervals were found: `profile` or `jacobian`."""
     findings: tuple[Finding, ...] = ()
 
     @property
@@ -112,9 +112,9 @@ class ModelFit:
         return {unknown.name: unknown.value for unknown in self.unknowns}
 
     def identified(self, name: str, unit: str) -> tuple[float | None, float | None, str]:
-        """Value and half width of an unknown [SI] with its note; both None, and why, where it is not identifiable.
+        """Value, half width [SI] and note of an unknown; None, None and the reason where it is not identifiable.
 
-        The half width reaches to the further end of the interval.
+        The half width is the distance to the farther end of the interval. `unit` is used in the reason only.
         """
         (one,) = (unknown for unknown in self.unknowns if unknown.name == name)
         low, high = one.ci95 or (None, None)
@@ -125,9 +125,9 @@ class ModelFit:
         return one.value, max(high - one.value, one.value - low), one.note
 
     def band(self, values: Mapping[str, Any]) -> tuple[Array, Array | None]:
-        """The output at other inputs and the half width of its 95 % confidence band; None without degrees of freedom.
+        """The output at other inputs, and the half width of its 95 % confidence band.
 
-        Raises OutsideDomain where the model does not hold.
+        The half width is None where the covariance is not known. Raises OutsideDomain where the model does not hold.
         """
         at = np.array([u.value for u in self.unknowns])
         problem = Problem(self.model, self.output, [u.name for u in self.unknowns], {**self.fixed, **values}, None)
@@ -152,9 +152,9 @@ def fit_model(
 ) -> ModelFit:
     """Fit the inputs `unknown` of `model` so that `output` follows `measured` (n,) at `columns` (n,) and `fixed`, SI.
 
-    `start` replaces reference values as the first start. Without `profiles` intervals are linear ones, which takes a
-    fraction of the time. Raises ValueError where there are fewer rows than unknowns or
-    the model holds at none of the starts.
+    `start` replaces reference values in the first start. Without `profiles` intervals are linear, which takes a
+    fraction of the time. Raises ValueError where there are fewer rows than unknowns, or where the model holds at none
+    of the starts.
     """
     problem = Problem(model, output, unknown, {**fixed, **columns}, measured)
     if len(measured) < len(unknown):
@@ -202,7 +202,7 @@ def fit_model(
 
 
 def _ends(problem: Problem, starts: Sequence[Array]) -> list[End]:
-    """The end of the fit from each start, until enough ends are as low as the best; ValueError where none can begin."""
+    """Results of the fit from each start, until `ENOUGH` are as low as the best; ValueError without a valid start."""
     begun = [at for at in starts if np.isfinite(problem.residuals(at)).all()]
     if not begun:
         raise ValueError("the model holds at none of the start values; give better ones with --start")
@@ -218,7 +218,7 @@ def _ends(problem: Problem, starts: Sequence[Array]) -> list[End]:
 def _intervals(
     problem: Problem, best: End, freedom: int, net: Sequence[Array], *, profiled: bool
 ) -> tuple[Spread, list[Interval | None], list[End]]:
-    """The interval of each unknown, and better ends that the profiles found, the best first."""
+    """Spread, interval of each unknown, and better minima that the profiles found, the best first."""
     better: list[End] = []
     for _ in range(BETTER if profiled else 0):
         spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
@@ -243,7 +243,7 @@ def _wald(value: float, error: float | None, freedom: int) -> Interval | None:
 def _profiles(
     problem: Problem, best: End, spread: Spread, freedom: int, net: Sequence[Array]
 ) -> tuple[list[Interval | None], Array | None]:
-    """Where the sum of squares, the others refitted, rises by t^2 s^2; or a point that is better than `best`."""
+    """Intervals at whose ends the sum of squares, others refitted, has risen by t^2 s^2; or a point below `best`."""
     limit = float(student.ppf(0.975, freedom))
     found: list[Interval | None] = []
     for i, error in enumerate(spread.errors):
@@ -260,9 +260,9 @@ def _profiles(
 def _end(
     problem: Problem, best: End, i: int, reach: float, limit: float, variance: float, net: Sequence[Array]
 ) -> tuple[float | None, Array | None]:
-    """One end of a profile interval, by secants; None where the domain or the search ends before.
+    """One end of a profile interval by secants, or None beyond the domain; and a point better than `best`, or None.
 
-    An end counts only where no start of the net comes lower either: a refit may be caught far from a long valley.
+    An end counts only where no start of the net gives less either: a refit may end in a local minimum.
     """
     middle, stop = float(best[1][i]), float(problem.high[i] if reach > 0 else problem.low[i])
     inner, point, outer, wanted = middle, best[1], None, middle + reach
@@ -297,7 +297,7 @@ def _as_low(end: End, best: End) -> bool:
 
 
 def _same(end: End, best: End, spread: Spread, size: Array) -> bool:
-    """Whether a start ended at the best values."""
+    """Whether the fit from a start ended at the best values."""
     if not _as_low(end, best):
         return False
     errors = np.array([np.inf if e is None else e for e in spread.errors])
@@ -306,7 +306,7 @@ def _same(end: End, best: End, spread: Spread, size: Array) -> bool:
 
 
 def _at_ends(problem: Problem, at: Array) -> list[str]:
-    """Whether each unknown ended at an end of its domain, in words."""
+    """For each unknown the end of its domain at which it lies, as text, or an empty one."""
     words = []
     for value, low, high, size in zip(at, problem.low, problem.high, problem.size, strict=True):
         ends = {"lower": low, "upper": high}
@@ -316,7 +316,7 @@ def _at_ends(problem: Problem, at: Array) -> list[str]:
 
 
 def _other_minima(names: Sequence[str], ends: Sequence[End], best: End, spread: Spread, freedom: int) -> list[Finding]:
-    """A doubt where another start ended elsewhere, nearly as well."""
+    """A doubt where the fit from another start ended at other values with nearly the same residual."""
     if freedom < 1 or any(e is None for e in spread.errors):
         return []
     ratio = 1 + 4 * len(names) / freedom
@@ -334,7 +334,7 @@ def _other_minima(names: Sequence[str], ends: Sequence[End], best: End, spread: 
 
 
 def _of_residuals(residual: Array, *, exact: bool, freedom: int) -> list[Finding]:
-    """Notes on rows that are no independent measurements."""
+    """Findings on the degrees of freedom and on correlated residuals."""
     if freedom < 1:
         return [Finding("doubt", "as many rows as unknowns: nothing is left to take an interval from")]
     if exact:
@@ -349,7 +349,7 @@ def _of_residuals(residual: Array, *, exact: bool, freedom: int) -> list[Finding
 
 
 def _idle(problem: Problem, fixed: Mapping[str, Any], at: Array) -> tuple[str, ...]:
-    """Numbers among the fixed inputs that do not move the output at the best values."""
+    """Names of fixed numeric inputs that do not affect the output at the best values."""
     held = {p.name: float(fixed[p.name]) for p in problem.model.parameters if p.name in fixed and not p.choices}
     inputs = {**problem.inputs, **dict(zip(problem.names, at.tolist(), strict=True))}
     moving = acting(problem.model, problem.output, list(held), inputs, held)
@@ -357,7 +357,7 @@ def _idle(problem: Problem, fixed: Mapping[str, Any], at: Array) -> tuple[str, .
 
 
 def _follows(problem: Problem, at: Array, spread: Spread, freedom: int) -> tuple[Follows, ...]:
-    """Outputs that are one number for all rows and follow from the unknowns."""
+    """Other outputs that are one number for all rows."""
     found = []
     for output in problem.model.outputs:
         other = Problem(problem.model, output.name, problem.names, problem.inputs, None)

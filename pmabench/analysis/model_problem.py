@@ -1,6 +1,6 @@
-"""A library model as a least-squares problem over some of its inputs, and how well a fit identifies each of them.
+"""A library model as a least-squares problem over some of its inputs, and the identifiability of each of them.
 
-Knows no file, no units and no statistics; all values SI.
+All values SI.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
 
 RANK = 1e-6
-"""Singular value of the Jacobian with columns of length 1, by the largest, below which nothing is identifiable."""
+"""Ratio to the largest singular value of the scaled Jacobian below which a combination is not identifiable."""
 TOGETHER = 0.99
-"""Correlation from which on two unknowns move together."""
+"""Correlation above which two unknowns are reported as correlated."""
 MOST = 4
-"""Pairs that are named."""
+"""Largest number of pairs named in a finding."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How well the unknowns are known [SI]; shapes (p,), (p, p)."""
+    """Standard errors, covariance and correlation of p unknowns [SI]; shapes (p,), (p, p)."""
 
     errors: tuple[float | None, ...]
     """Standard errors; None where not identifiable or without degrees of freedom."""
     covariance: Array
-    """NaN in rows and columns that are not identifiable."""
+    """NaN for unknowns that are not identifiable."""
     correlation: Array
     tied: tuple[tuple[int, ...], ...]
-    """Unknowns that the data determine in combination only: for each combination left open, their places."""
+    """Indices of the unknowns in each combination that the data do not determine."""
 
 
 def spread_of(slopes: Array, squares: float, freedom: int) -> Spread:
-    """From derivatives of the output (n, p) and the sum of squares at the best values [squares of the output]."""
+    """Spread from derivatives of the output (n, p) and the sum of squares at the best values [square of the output]."""
     count = slopes.shape[1]
     lengths = np.linalg.norm(slopes, axis=0)
     dead = lengths == 0
@@ -72,7 +72,7 @@ def identifiability(
     intervals: Sequence[tuple[float | None, float | None] | None],
     at_end: Sequence[str],
 ) -> list[Finding]:
-    """Doubts on single unknowns: no effect, tied to others, open intervals, an end of the domain; then pairs."""
+    """Doubts about unknowns: without effect, tied, open intervals, at an end of the domain; then correlated pairs."""
     found = []
     for group in spread.tied:
         several = " are not identifiable separately: these rows determine only a combination of them; "
@@ -97,46 +97,46 @@ def identifiability(
 
 
 STARTS = 8
-"""Starts from which is fitted, the reference values among them; these alone where a net cannot fill the domain."""
+"""Most starts of a fit, including the reference values, which are the only one with more than `FEW` unknowns."""
 TRIED = 200
-"""Points of the domain of which the best become starts."""
+"""Points of the domain that are evaluated; the best become starts."""
 STEP = 6e-6
-"""Step of central differences, as a share of a parameter's size."""
+"""Relative step of central differences."""
 WIDE = 20.0
-"""A domain that reaches further than this beyond the reference value is searched within a factor of 5 of it."""
+"""A domain that extends beyond this multiple of the reference value is searched within a factor of 5 of it."""
 FLAT = 1e-5
-"""Cosine between the residuals and the slopes by an unknown, up to which a fit is at its end."""
+"""Cosine between residuals and each column of the Jacobian below which a fit has converged."""
 MOST_EVALUATIONS = 400
-"""Of the residual, in one fit from one start."""
+"""Most evaluations of the residual in one fit."""
 TOGETHER_AT_MOST = 1_000_000
-"""Outputs that are computed in one call, for their memory."""
+"""Most output values computed in one call, which limits memory."""
 FEW = 8
-"""Unknowns up to which a net can fill the domain."""
+"""Most unknowns for which a net of points is used."""
 ELSEWHERE = 3
-"""Points of the net from which is fitted again where a profile seems to end."""
+"""Points of the net from which the fit is repeated where a profile seems to end."""
 SHORTEST = 6
-"""Halvings of a step along a valley to keep near it,"""
+"""Halvings of a step after which any finite sum of squares is accepted."""
 REFUSED = 12
-"""and to get past places where the model does not hold."""
+"""Halvings of a step after which the model counts as not valid there."""
 
 
 @dataclass
 class Problem:
-    """A model over its unknowns at the measured rows, all SI: output, residuals, slopes, bounds."""
+    """A model as a function of its unknowns at the measured rows, all SI: output, residuals, derivatives, bounds."""
 
     model: Model
     output: str
     names: Sequence[str]
     inputs: Mapping[str, Any]
     measured: Array | None
-    """None where only the output is asked for."""
+    """None where only the output is needed."""
     count: int = field(init=False)
     span: float = field(init=False)
     size: Array = field(init=False)
     low: Array = field(init=False)
     high: Array = field(init=False)
     fixed: Mapping[str, Any] | None = field(init=False, default=None)
-    """All inputs but the unknowns, once each was looked at; None where one of them is refused."""
+    """All inputs but the unknowns, where they passed the check of their domains; else None."""
 
     def __post_init__(self) -> None:
         known = {p.name: p for p in self.model.parameters}
@@ -154,11 +154,11 @@ class Problem:
                 self.fixed = fixed
 
     def output_at(self, at: Array) -> Array:
-        """The output, shape (count,); raises OutsideDomain."""
+        """Output at values of the unknowns, shape (count,); raises OutsideDomain."""
         return np.array(self.outputs_at(at[None])[0])
 
     def outputs_at(self, every: Array) -> Array:
-        """The outputs at several places (places, unknowns), shape (places, count); raises OutsideDomain at any."""
+        """Outputs at several points (k, unknowns), shape (k, count); raises OutsideDomain where one is outside."""
         named = {name: every[:, [i]] for i, name in enumerate(self.names)}
         if self.fixed is not None and bool(np.all((every >= self.low) & (every <= self.high))):
             found = self.model.unchecked(**self.fixed, **named)
@@ -167,11 +167,11 @@ class Problem:
         return np.broadcast_to(found[self.output], (len(every), self.count))
 
     def off_measured(self, output: Array) -> Array:
-        """Computed less measured in units of the span."""
+        """Computed minus measured, over the span."""
         return (output - (0.0 if self.measured is None else self.measured)) / self.span
 
     def residuals(self, at: Array) -> Array:
-        """Computed less measured in units of the span; NaN where the model does not hold."""
+        """Computed minus measured, over the span; all NaN where the model does not hold."""
         try:
             return np.asarray(self.off_measured(self.output_at(at)))
         except OutsideDomain:
@@ -185,7 +185,7 @@ class Problem:
         return np.array([np.sum(self.residuals(point) ** 2) for point in points])
 
     def slopes(self, at: Array) -> Array:
-        """Derivatives of the output by the unknowns, shape (count, unknowns); one-sided at the end of a domain."""
+        """Jacobian of the output, shape (count, unknowns), by central differences, at ends of the domain one-sided."""
         step = STEP * np.maximum(np.abs(at), 1e-3 * self.size)
         ends = [np.minimum(np.maximum(at + way * step, self.low), self.high) for way in (1.0, -1.0)]
         every = np.vstack([np.where(np.eye(len(at), dtype=bool), end, at) for end in ends])
@@ -201,7 +201,7 @@ class Problem:
         return np.asarray((rise / np.where(wide > 0, wide, np.inf)[:, None]).T)
 
     def _output_or(self, at: Array, middle: Array) -> Array:
-        """The output, or `middle` where the model refuses."""
+        """The output; `middle` outside the domain."""
         try:
             return self.output_at(at)
         except OutsideDomain:
@@ -209,7 +209,7 @@ class Problem:
 
 
 def _size(p: Parameter) -> float:
-    """Typical size of an input: its reference value, or a usual value of its quantity."""
+    """Typical size of an input: its reference value, else the width of its range, else 1."""
     value = abs(float(p.value))
     if value > 0:
         return value
@@ -219,7 +219,7 @@ def _size(p: Parameter) -> float:
 def acting(
     model: Model, output: str, names: Sequence[str], inputs: Mapping[str, Any], start: Mapping[str, float] | None = None
 ) -> list[str]:
-    """Those of `names` that change the output on these inputs, at or near `start` or the reference values."""
+    """Those of `names` that affect the output at these inputs, within 10 % of `start` or of the reference values."""
     known = {p.name: p for p in model.parameters}
     problem = Problem(model, output, names, inputs, None)
     first = np.array([float((start or {}).get(name, known[name].value)) for name in names])
@@ -231,7 +231,7 @@ def acting(
 
 
 def net_of(problem: Problem, start: Array) -> list[Array]:
-    """Points of a scrambled net of the domain around `start`, best first; none where it cannot fill the domain."""
+    """Points of a scrambled Halton net around `start`, best first; none with more than `FEW` unknowns."""
     if len(start) > FEW:
         return []
     ranges = list(map(_range, start, problem.low, problem.high, problem.size))
@@ -242,13 +242,13 @@ def net_of(problem: Problem, start: Array) -> list[Array]:
 
 
 def _best_first(problem: Problem, points: Sequence[Array]) -> list[Array]:
-    """Those of the points where the model holds."""
+    """Those of the points where the model holds, by rising sum of squares."""
     costs = problem.costs(points)
     return [points[i] for i in np.argsort(costs) if isfinite(costs[i])]
 
 
 def _range(start: float, low: float, high: float, size: float) -> tuple[float, float, bool]:
-    """Where an unknown is searched, and whether evenly in its logarithm."""
+    """Search range of an unknown, and whether it is searched on a logarithmic scale."""
     middle = abs(start) or size
     if low >= 0:
         ends = max(low, middle / 5), min(high, middle * 5)
@@ -259,11 +259,11 @@ def _range(start: float, low: float, high: float, size: float) -> tuple[float, f
 
 
 End = tuple[float, Array, bool]
-"""Sum of squares in units of the span, unknowns, whether it converged."""
+"""Result of a fit: sum of squares over span squared, unknowns, whether it converged."""
 
 
 def solve(problem: Problem, start: Array, held: int | None = None) -> End:
-    """Least squares from `start`; unknown `held` stays where it is."""
+    """Least squares from `start`; the unknown with index `held` is not changed."""
     free = [i for i in range(len(start)) if i != held]
     if not free:
         return float(np.sum(problem.residuals(start) ** 2)), start, True
@@ -301,8 +301,10 @@ def solve(problem: Problem, start: Array, held: int | None = None) -> End:
 
 
 def along(problem: Problem, point: Array, i: int, wanted: float, most: float) -> tuple[float, Array | None]:
-    """`point` moved along the tangent of a valley towards `wanted` of unknown `i`, as far as the sum of squares stays
-    below `most`, but a part of the way at least; None where the model refuses at once.
+    """Move `point` along the tangent of the valley towards `wanted` of unknown `i`; return that value and the point.
+
+    The step is halved until the sum of squares is below `most`, `SHORTEST` times at most where the model holds. The
+    point is None where the model does not hold even after `REFUSED` halvings.
     """
     slopes = problem.slopes(point) / problem.span
     others = np.delete(slopes, i, axis=1)
@@ -320,8 +322,9 @@ def along(problem: Problem, point: Array, i: int, wanted: float, most: float) ->
 
 
 def lowest(problem: Problem, guess: Array, net: Sequence[Array], i: int, enough: float) -> tuple[float, Array]:
-    """Sum of squares and unknowns of the refit with unknown `i` held as in `guess`: from there, and from the best of
-    the net where that is not below `enough`.
+    """Sum of squares and unknowns of the refit with unknown `i` held as in `guess`.
+
+    The fit starts there, and where it is not below `enough` also from the best points of the net.
     """
     cost, point, _ = solve(problem, guess, held=i)
     if cost >= enough:

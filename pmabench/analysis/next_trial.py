@@ -1,14 +1,12 @@
-"""Which cell the next trial is done in, so that few trials bring all intervals to their goals; knows no kind of test.
+"""Choice of the cell of the next trial, so that few trials bring all intervals to their goals.
 
-`fewest` finds the trials that are still needed, and `choose` takes the one of them with the largest gain per minute in
-the smooth maximum of U_k / goal_k. To see drift and models that do not fit, there are also a reference trial every
-eighth and a random cell every fourteenth, and each row and column of the sweep is done once before any cell is
-repeated.
+`fewest` finds the trials that are still needed, and `choose` takes the one of them with the largest gain per time in
+the smooth maximum of U_k / goal_k. To reveal drift and models that do not fit, every eighth trial is a reference trial
+and every fourteenth in a random cell, and each load and pressure of the sweep is tested once before cells are repeated.
 
-How well the coefficients will be known by then: covariance of a least squares whose trials are clusters. A trial in
-cell c has rows X of the fit and N_c = X'X. Trials scatter: the coefficients of each lie about theirs, with the
-covariance T; samples scatter by the noise sigma. Least squares weighs all rows alike, so that (Liang and Zeger 1986,
-Biometrika 73, 13: working independence, clusters)
+The predicted covariance of the coefficients is that of least squares with trials as clusters. A trial in cell c has
+rows X of the fit and N_c = X'X. Coefficients scatter from trial to trial with the covariance T, samples with the noise
+sigma. Least squares weighs all rows alike, so that (Liang and Zeger 1986, Biometrika 73, 13: working independence)
 
     C = N^-1 (sum S_i) N^-1,   S_c = sigma^2 N_c + N_c T N_c,   N = N_0 + sum N_i,
 
@@ -29,19 +27,19 @@ from numpy.typing import NDArray
 from pmabench.store.records import Array
 
 SCATTER = 0.02
-"""Scatter between trials where no repeats show it, of each coefficient; muscles show 0.3 to 2 %."""
+"""Relative scatter of each coefficient between trials where no repeats show it; muscles show 0.3 to 2 %."""
 FEWEST_FREEDOM = 10
-"""Degrees of freedom among repeats from which on their scatter takes the place of that."""
+"""Degrees of freedom among repeats from which on their scatter is used instead of `SCATTER`."""
 NORMAL = 1.96
-"""Half width of a 95 % interval by its standard deviation."""
+"""Half width of a 95 % interval over the standard deviation."""
 LEAST, MOST = 1e-5, 0.2
-"""Of the scatter between trials that is found."""
+"""Bounds of the scatter between trials that `scatter_like` finds."""
 BISECTIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What one more trial in each cell adds to a fit with p unknowns, of which m combinations are wanted."""
+    """Information that a trial in each cell adds to a fit with p unknowns, of which m combinations are wanted."""
 
     prior: Array
     """N_0, shape (p, p)."""
@@ -59,7 +57,7 @@ class Design:
         return np.asarray(self._variances(*self._sums(counts)))
 
     def after_each(self, counts: Array) -> Array:
-        """The same after one more trial in each cell in turn, shape (cells, m)."""
+        """Variances after one more trial in each cell in turn, shape (cells, m)."""
         normal, spread = self._sums(counts)
         return np.asarray(self._variances(normal + self.cells, spread + self._spreads))
 
@@ -73,9 +71,9 @@ class Design:
         return np.asarray(own - 2 * np.einsum("pm,cpm->cm", left, cells))
 
     def without_each(self, counts: Array, cells: NDArray[np.intp]) -> Array:
-        """The same after one trial less in each of some cells in turn, which have at least one; shape (len(cells), m).
+        """Variances after one trial less in each of `cells` in turn, shape (len(cells), m).
 
-        Infinite where nothing is left that tells a combination.
+        Each of these cells needs at least one trial. Infinite where a combination is no longer determined.
         """
         normal, spread = self._sums(counts)
         found = self._variances(normal - self.cells[cells], spread - self._spreads[cells])
@@ -108,10 +106,10 @@ class Design:
 
 
 def scatter_like(design: Design, counts: Array, halves: Array, prior: float) -> float:
-    """How much trials scatter, so that the design has the intervals that an analysis found from the repeats.
+    """Scatter between trials at which the design has the half widths `halves` (m,) that an analysis found.
 
-    `design.between` is for a scatter of 1. The share is that at which the median of the design's half widths over
-    `halves` (m,) is 1, between `LEAST` and `MOST`; `prior` where there are none.
+    `design.between` is for a scatter of 1. At the result the median of the design's half widths over `halves` is 1; it
+    is limited to `LEAST` and `MOST`. `prior` where `halves` is empty.
     """
     if not len(halves):
         return prior
@@ -127,27 +125,27 @@ def scatter_like(design: Design, counts: Array, halves: Array, prior: float) -> 
 
 
 POWER = 8
-"""Of the smooth maximum: nearly the largest U / goal, with a share of those close to it."""
+"""Exponent of the smooth maximum of U / goal."""
 REFERENCE_EVERY = 8
 RANDOM_EVERY = 14
-"""With those that confirm a goal, which are drawn by lot as well, a tenth of some eighty trials."""
+"""With those that confirm a goal, which are drawn at random too, a tenth of about eighty trials."""
 MOST_IN_CELL = 6
 LOOKED_AT = 8
-"""Cells whose trials are looked at exactly first, the best by the derivatives."""
+"""Number of cells, the best by the derivatives, that are evaluated exactly first."""
 
 REFERENCE, RANDOM, SPREAD, NARROW = "reference", "random", "spread", "narrow"
 CONFIRM, REPEAT = "confirm", "repeat"
-"""Why a cell was chosen."""
+"""Reasons for which a cell is chosen."""
 SWEEP = "sweep"
-"""In place of a symbol: a goal for all coefficients."""
+"""Stands for a symbol in a goal for all coefficients."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """How well a coefficient is wanted: at all pressures, or at one."""
+    """Wanted half width of a coefficient, at all pressures or at one."""
 
     symbol: str
-    """`SWEEP` for all coefficients, by what the whole sweep is predicted to give."""
+    """`SWEEP` for all coefficients, relative to the half widths predicted for the whole sweep."""
     size: float
     """Half width of the 95 % interval: a share of the value, or SI; of `SWEEP`, a multiple."""
     relative: bool
@@ -155,9 +153,9 @@ class Goal:
     """[Pa]"""
 
     def of(self, name: tuple[str, float], value: float, whole: float) -> float | None:
-        """Half width [SI] that is wanted of a value by its symbol and pressure; None where this goal is another's.
+        """Wanted half width [SI] of the value with this symbol and pressure; None where the goal does not apply to it.
 
-        `whole` is the half width that all trials of the sweep together are predicted to give.
+        `whole` is the half width predicted for all trials of the sweep together.
         """
         symbol, pressure = name
         if self.symbol == SWEEP:
@@ -169,21 +167,21 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """How the interval of each wanted value follows from its variance, and what it should become; shape (m,) each."""
+    """Goal of each wanted value, and how its half width follows from its variance; shape (m,) each."""
 
     goal: Array
-    """Half width that is wanted."""
+    """Wanted half width."""
     factor: Array
-    """Half width of the part that more trials narrow, by the root of the design's variance."""
+    """Half width of the part that more trials reduce, over the root of the design's variance."""
     rest: Array
-    """Half width of what more trials do not narrow."""
+    """Half width of the part that more trials do not reduce."""
 
     def halves(self, variances: Array) -> Array:
         """Half widths for variances of shape (..., m)."""
         return np.asarray(np.hypot(self.rest, self.factor * np.sqrt(variances)))
 
     def reached(self, variances: Array) -> NDArray[np.bool_]:
-        """Which goals are reached with variances of shape (..., m)."""
+        """Whether each goal is reached with variances of shape (..., m); same shape."""
         return np.asarray(self.halves(variances) <= self.goal)
 
     def worst(self, variances: Array) -> Array:
@@ -195,21 +193,21 @@ class Aim:
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The cells of a sweep: where they lie and what a trial there costs."""
+    """Cells of a sweep: their operating points, and the duration of a trial in each."""
 
     places: tuple[tuple[float, float], ...]
     """Load and pressure of each cell."""
     seconds: Array
-    """Duration of a trial in each, shape (cells,)."""
+    """Duration of a trial in each cell [s], shape (cells,)."""
     change: float
-    """What another load takes [s]."""
+    """Time to change the load [s]."""
     reference: int | None
-    """The cell of the reference trials; None where they are not chosen here."""
+    """Index of the cell of reference trials; None where these are not chosen here."""
     seed: str
-    """Of the random choices."""
+    """Seed of the random choices."""
 
     def cost(self, here: float | None) -> Array:
-        """Seconds of the next trial in each cell, with the load `here` on."""
+        """Duration of the next trial in each cell [s], with the load `here` mounted, shape (cells,)."""
         change = np.array([0.0 if load == here else self.change for load, _ in self.places])
         return np.asarray(self.seconds + change)
 
@@ -221,20 +219,20 @@ class Choice:
     cell: int
     role: str
     worst: int
-    """The value whose interval it is done for: the farthest from its goal."""
+    """Index of the value whose interval the trial is meant to reduce, usually the farthest from its goal."""
     before: float
     after: float
-    """Half width of that one now, and as predicted after the trial."""
+    """Predicted half width of that value after the trial; `before` is that of now."""
 
 
 def choose(
     design: Design, aim: Aim, field: Field, counts: Array, target: Array, number: int, here: float | None,
     only: str = "",
 ) -> Choice:  # fmt: skip
-    """The next trial after `number` trials, `counts` (cells,) of them in each cell, with the load `here` on.
+    """The next trial after `number` trials, `counts` (cells,) in each cell, with the load `here` mounted.
 
-    `target` (cells,) is what `fewest` found: cells that have fewer trials go first.
-    `only`: `CONFIRM`, a cell that was done least; `REPEAT`, one that was done before.
+    `target` (cells,) is the result of `fewest`; cells with fewer trials than that go first.
+    `only`: `CONFIRM` for one of the cells with fewest trials, `REPEAT` for a cell that has trials.
     """
     now = design.variances(counts)
     after = design.after_each(counts)
@@ -250,7 +248,7 @@ def _cell(
     aim: Aim, field: Field, counts: Array, target: Array, number: int, here: float | None, now: Array, after: Array,
     only: str,
 ) -> tuple[int, str]:  # fmt: skip
-    """The cell and why it is chosen."""
+    """Index of the cell, and the reason for which it is chosen."""
     open_ones = np.flatnonzero(counts < MOST_IN_CELL)
     if field.reference is not None and (number % REFERENCE_EVERY == 0 or not len(open_ones)):
         return field.reference, REFERENCE
@@ -276,26 +274,26 @@ def _drawn(cells: NDArray[np.intp], field: Field, number: int) -> int:
 
 
 def _uncovered(field: Field, counts: Array) -> NDArray[np.intp]:
-    """Cells at a load or a pressure where nothing was done yet."""
+    """Cells at a load or pressure without a trial."""
     done = [place for place, count in zip(field.places, counts, strict=True) if count > 0]
     loads, pressures = {load for load, _ in done}, {pressure for _, pressure in done}
     return np.array([n for n, (load, P) in enumerate(field.places) if load not in loads or P not in pressures], int)
 
 
 def out_of_reach(design: Design, aim: Aim, counts: Array) -> list[int]:
-    """The values whose goals would not be reached with the most trials in every cell."""
+    """Indices of values whose goals are not reached with `MOST_IN_CELL` trials in every cell."""
     most = np.maximum(counts, MOST_IN_CELL)
     return np.flatnonzero(aim.halves(design.variances(most)) > aim.goal).tolist()
 
 
 def fewest(design: Design, aim: Aim, counts: Array, reference: int | None) -> Array:
-    """Trials in each cell, shape (cells,), that reach all goals with few trials more than `counts` (cells,).
+    """Trials in each cell, shape (cells,), that reach all goals with few trials in addition to `counts` (cells,).
 
-    From a sweep of all cells, as often as it takes, the trial that matters least is left out again and again, as long
-    as the goals are reached: a backward elimination, for the smooth maximum. Choosing forward, one trial after the
-    other, took a fifth more. Then one more trial is tried where it helps most, as long as two others are not needed
-    with it. Trials in the cell `reference` come anyway, and are left out only as the others become fewer. Where the
-    most trials in every cell do not reach the goals, all of these are returned.
+    Backward elimination: of as many full sweeps as are needed, the trial that matters least for the smooth maximum is
+    removed again and again while goals are reached; forward selection took a fifth more. Then a trial is added where it
+    helps most as long as it makes two others unnecessary. Trials in the cell `reference` are done anyway, and are
+    removed only as the others become fewer. Where `MOST_IN_CELL` trials in every cell do not reach the goals, these are
+    the start.
     """
     level = 1
     while level < MOST_IN_CELL and not aim.reached(design.variances(np.maximum(counts, level))).all():
@@ -310,7 +308,7 @@ def fewest(design: Design, aim: Aim, counts: Array, reference: int | None) -> Ar
 
 
 def _eliminated(design: Design, aim: Aim, counts: Array, target: Array, reference: int | None) -> Array:
-    """The target without the trials that are not needed."""
+    """The target without trials that are not needed, shape (cells,)."""
     target, least = target.copy(), counts.copy()
     while True:
         if reference is not None:
@@ -330,7 +328,7 @@ def _eliminated(design: Design, aim: Aim, counts: Array, target: Array, referenc
 
 
 def _exchanged(design: Design, aim: Aim, counts: Array, target: Array, reference: int | None) -> Array | None:
-    """The target with one more trial and at least two fewer; None where none of the most useful ones allows it."""
+    """The target with one trial more and at least two fewer; None where none of the `LOOKED_AT` best allows it."""
     ones = np.flatnonzero(target < MOST_IN_CELL)
     expected = np.maximum(design.variances(target) + design.slopes(target)[ones], 0.0)
     for cell in ones[np.argsort(aim.worst(expected))][:LOOKED_AT]:
@@ -344,19 +342,19 @@ def _exchanged(design: Design, aim: Aim, counts: Array, target: Array, reference
 
 @dataclass(frozen=True)
 class Step:
-    """A trial that is proposed, and how far all goals are then."""
+    """A proposed trial, and the state of the goals after it."""
 
     choice: Choice
     seconds: float
     worst: float
-    """Largest half width over goal after it."""
+    """Largest half width over goal after this trial."""
 
 
 def propose(
     design: Design, aim: Aim, field: Field, counts: Array, number: int, here: float | None, *, most: int,
     seconds: float = np.inf,
 ) -> list[Step]:  # fmt: skip
-    """At most `most` trials, one after the other, that take at most so many seconds; fewer where goals are reached."""
+    """At most `most` successive trials within `seconds` [s]; fewer where all goals are reached."""
     target = fewest(design, aim, counts, field.reference)
     counts, steps, spent = counts.copy(), list[Step](), 0.0
     while len(steps) < most and not aim.reached(design.variances(counts)).all():
@@ -372,7 +370,7 @@ def propose(
 
 
 def middle(places: Sequence[tuple[float, float]]) -> int:
-    """A cell for reference trials: of the middle load, at the highest pressure there is for it."""
+    """Index of the cell for reference trials: the middle load at its highest pressure."""
     loads = sorted({load for load, _ in places})
     load = loads[len(loads) // 2]
     return max((n for n, place in enumerate(places) if place[0] == load), key=lambda n: places[n][1])

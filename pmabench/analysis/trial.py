@@ -1,4 +1,4 @@
-"""Quantities of a single trial, and their prediction from the specimen file; judges nothing, fits nothing."""
+"""Quantities of a single trial, and their prediction from the specimen file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from pmabench.store.records import Array
 
 DRIFT = 0.02
-"""Share of a step that the last fifth of its hold may still move."""
+"""Largest motion in the last fifth of a hold, over the step."""
 
 
 @dataclass(frozen=True)
@@ -21,31 +21,32 @@ class Measured:
     value: float | None
     expected: float | None = None
     tolerance: float = 0.0
-    """Largest difference from the prediction that friction can make [SI]."""
+    """Largest difference from the prediction that friction can cause [SI]."""
     noise: float = 0.0
-    """Differences smaller than this between repeats mean nothing [SI]."""
+    """Difference between repeats below which they count as equal [SI]."""
     assumed: bool = False
     pooled: bool = False
-    """Whether earlier trials are in it, so that it cannot be compared with them."""
+    """Whether it contains earlier trials, so that it cannot be compared with them."""
     half: float | None = None
-    """Half width of the 95 % interval by the scatter of trials alone [SI]; None where it is not known."""
+    """95 % half width from the scatter of trials alone [SI]; None where it is not known."""
 
 
 Found = tuple[list[Measured], list[str]]
-"""Quantities of a trial, and doubts from its samples."""
+"""Quantities of a trial, and doubts about its samples."""
 
 
 @dataclass
 class Quick:
-    """Kept between trials: load [N] and final contraction [m] of each trial, by pressure [Pa]."""
+    """State between trials: load [N] and final contraction [m] of each trial, by pressure [Pa]."""
 
     ends: dict[float, dict[int, tuple[float, float]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Coefficients at rising `pressure` [Pa], all of shape (n,), with straight lines between: F_ce [N], K [N/m],
-    B_c, B_r [N.s/m]; F_c [N].
+    """Expected coefficients at rising `pressure` [Pa], all of shape (n,), interpolated linearly.
+
+    F_ce [N], K [N/m], B_c, B_r [N.s/m]; one F_c [N].
     """
 
     source: str
@@ -64,12 +65,12 @@ class Expected:
         return float(np.interp(pressure, self.pressure, getattr(self, symbol)))
 
     def holds(self, pressure: float, load: float) -> bool:
-        """Whether the muscle does not lift `load` [N] at `pressure` [Pa], its friction included."""
+        """Whether the muscle, with its friction, does not lift `load` [N] at `pressure` [Pa]; False where unknown."""
         pull = self.at("F_ce", pressure)
         return pull is not None and pull - load <= 2 * self.F_c
 
     def lifts(self, force: float) -> float | None:
-        """Pressure [Pa] at which F_ce is `force` [N]; None outside the points."""
+        """Pressure [Pa] at which F_ce is `force` [N]; None outside the points, or where F_ce does not rise."""
         if not float(self.F_ce[0]) <= force <= float(self.F_ce[-1]) or np.any(np.diff(self.F_ce) <= 0):
             return None
         return float(np.interp(force, self.F_ce, self.pressure))

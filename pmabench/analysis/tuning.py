@@ -1,4 +1,4 @@
-"""Controller settings from an ultimate gain and period: by the rules, and whether the two can be true; no data.
+"""Controller settings from an ultimate gain and period by tuning rules, and plausibility of these two.
 
 Paper 0 prints 2.195 and 3 for the PI settings of K_u = 7.1 and T_u = 9 s; its own table gives 3.195 and 7.5 s.
 """
@@ -19,7 +19,7 @@ from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts
 FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
     "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain"))
 }
-"""Unit of K_p: units and quantities of K_i and K_d."""
+"""Unit of K_p -> units and quantities of K_i and K_d."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,13 @@ class Gains:
     K_i: Estimate | None = None
     K_d: Estimate | None = None
     margins: Margins | None = None
-    """Where a model of the loop is known."""
+    """Stability margins; None without a model of the loop."""
     answer: Answer | None = None
-    """To a simulated set-point step."""
+    """Response to a simulated set-point step; None without a model of the loop."""
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
-        """Estimates of the settings that the rule's form has."""
+        """Estimates of all settings of the rule."""
         return tuple(e for e in (self.K_p, self.T_i, self.T_d, self.K_i, self.K_d) if e is not None)
 
     def to_dict(self) -> dict[str, Any]:
@@ -60,7 +60,7 @@ class Gains:
 
 
 def rules_named(text: str) -> tuple[Rule, ...]:
-    """The rules whose name, form or title is `text`, in any case; raises ValueError with the nearest name."""
+    """Rules whose name, form or title is `text`, ignoring case; raises ValueError with the nearest name."""
     every = all_rules()
     wanted = text.casefold().replace("_", "-")
     chosen = tuple(r for r in every if wanted in (r.name.casefold(), r.form.casefold(), r.title.casefold()))
@@ -75,9 +75,9 @@ def tune(
 ) -> tuple[Gains, ...]:
     """Settings of every rule from the ultimate gain `K_u` [Pa/m, or any unit] and period `T_u` [s], with intervals.
 
-    Relative half widths of K_u and T_u are added as squares in K_i and K_d, cause by cause: taken as independent.
-    With the model `loop`, each rule also gets its margins and its answer to a simulated set-point step. Rules that
-    need the loop itself are left out where it is not known or not of their kind; theirs have no intervals.
+    Relative half widths of K_u and T_u are added as squares for each cause, as if independent. With the model `loop`
+    each rule also gets its margins and its response to a simulated set-point step. Rules that use the loop itself are
+    left out where it is not known or not of their kind; their settings have no intervals.
 
     Raises ValueError where K_u or T_u has no value, or one that is not above 0.
     """
@@ -99,9 +99,9 @@ def tune(
 
 
 def _made(rule: Rule, K_u: Estimate, common: Estimate, settings: Mapping[str, tuple[float, Parts]]) -> Gains:
-    """The settings of a rule as estimates like `common`, by their symbols; units follow from that of K_u.
+    """The settings of a rule as estimates like `common`, by symbol, with units from that of K_u.
 
-    The budget of K_u, whose lines are in its unit, is not theirs.
+    They have no budget, because that of K_u is in its unit.
     """
     bare = (f"{K_u.unit}/s", ""), (f"{K_u.unit}.s" if K_u.unit != "1" else "s", "")
     time, (of_i, of_d) = ("s", "time"), FOLLOWING.get(K_u.unit, bare)
@@ -116,7 +116,7 @@ def _made(rule: Rule, K_u: Estimate, common: Estimate, settings: Mapping[str, tu
 
 
 def _scaled(rule: Rule, K_u: Estimate, gain: float, T_u: Estimate, period: float) -> Gains:
-    """Each setting is a factor times K_u^n T_u^m."""
+    """Settings that are a factor times K_u^n T_u^m."""
     terms: dict[str, tuple[float, int, int]] = {"K_p": (rule.gain, 1, 0)}
     if rule.integral is not None:
         terms |= {"T_i": (rule.integral, 0, 1), "K_i": (rule.gain / rule.integral, 1, -1)}
@@ -128,7 +128,7 @@ def _scaled(rule: Rule, K_u: Estimate, gain: float, T_u: Estimate, period: float
 
 
 def _of_loop(rule: Rule, K_u: Estimate, c: Controller) -> Gains:
-    """Settings that a rule takes from the loop; units and operating point are those of K_u."""
+    """Settings that a rule takes from the loop, with the units and operating point of K_u."""
     common = replace(K_u, method=rule.title, bias=None, corrected=False, note="from the fitted loop, no interval")
     values = {"K_p": c.K_p, "T_i": c.T_i, "K_i": c.K_p / c.T_i}
     values |= {"T_d": c.T_d, "K_d": c.K_p * c.T_d} if c.T_d > 0 else {}
@@ -136,7 +136,7 @@ def _of_loop(rule: Rule, K_u: Estimate, c: Controller) -> Gains:
 
 
 def _combine(value: float, K_u: Estimate, n: int, T_u: Estimate, m: int) -> Parts:
-    """Half widths of K_u^n T_u^m by cause: relative half widths, |n| and |m| times, added as squares."""
+    """Half widths of K_u^n T_u^m by cause: relative half widths times |n| and |m|, added as squares."""
 
     def part(cause: str) -> float | None:
         terms = []
@@ -152,13 +152,13 @@ def _combine(value: float, K_u: Estimate, n: int, T_u: Estimate, m: int) -> Part
 
 
 AGREES, DOUBTED = 0.15, 0.5
-"""Relative distance from the model below which a measured value agrees, and above which it cannot be true."""
+"""Relative difference from the model up to which a measured value agrees, and above which it is impossible."""
 
 
 def plausibility(T_u: float, loop: Loop, K_u: float | None = None) -> Finding:
-    """One sentence on whether T_u [s], and K_u [Pa/m] where given, can come from the linear model `loop`.
+    """Finding on whether T_u [s], and K_u [Pa/m] where given, can come from the linear model `loop`.
 
-    T_u is compared with the period of `loop`, and the dead time is named that the measured period would need.
+    Where T_u is impossible, it names the dead time that the measured period would need.
     """
     expected = ultimate(loop)
     lags = ", ".join(f"{abs(complex(lag)):.3g} s" for lag in loop.lags)
@@ -182,9 +182,9 @@ def plausibility(T_u: float, loop: Loop, K_u: float | None = None) -> Finding:
 
 
 def loop_of(K_u: float, T_u: float, dead_time: float, lags: Sequence[float]) -> tuple[Loop | None, Finding]:
-    """The loop of `dead_time` and `lags` [s] that oscillates at `K_u`, and whether T_u [s] can be its period.
+    """The loop of `dead_time` and `lags` [s] with the ultimate gain `K_u`, and a finding on its period T_u [s].
 
-    None where it cannot. Raises ValueError for times that make no loop, or one that never oscillates.
+    The loop is None unless T_u agrees. Raises ValueError for times that form no loop, or one that never oscillates.
     """
     loop = Loop(1.0, dead_time, tuple(lags))
     finding = plausibility(T_u, loop)
@@ -192,7 +192,7 @@ def loop_of(K_u: float, T_u: float, dead_time: float, lags: Sequence[float]) -> 
 
 
 def measured_loops(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
-    """K_u, T_u and the identified loop, if there is one, at each operating point, by the first method with values."""
+    """K_u, T_u and the identified loop or None at each operating point, by the first method with values."""
     loops = {}
     for fact in analysis.facts.get("loops", []):
         lags = tuple(complex(*lag) if isinstance(lag, list) else float(lag) for lag in fact["lags"])
@@ -209,5 +209,5 @@ def _point(at: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
 
 
 def facts(gains: Iterable[Gains], at: Mapping[str, float]) -> list[dict[str, Any]]:
-    """The settings at one operating point `at` [SI] as plain data, for `Analysis.facts`."""
+    """Settings at the operating point `at` [SI] as plain data, for `Analysis.facts`."""
     return [{"at": dict(at), **g.to_dict()} for g in gains]

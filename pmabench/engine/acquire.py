@@ -1,4 +1,7 @@
-"""Acquisition: collects blocks from the streams, scales, watches and records them; knows no steps."""
+"""Acquisition: collects blocks from the streams, scales them, checks them against limits and records them.
+
+Knows no steps.
+"""
 
 from __future__ import annotations
 
@@ -23,19 +26,20 @@ from pmabench.store.records import Flag
 Array = NDArray[np.float64]
 
 VIRTUAL_BLOCK = 1.0
-"""Bench time between two looks at the samples in virtual time [s]: no more is lost when the program dies."""
+"""Longest bench time between two reads of the streams in virtual time [s]: a crash loses no more than this."""
 REAL_BLOCK = 0.05
 SILENCE = 1.0
-"""A stream that gives nothing for so long [s], and for a block, has failed."""
+"""A stream that delivers nothing for longer than this [s], and longer than a block, has failed."""
 OLD = 0.25
-"""A sample that is older when it is here [s], by the shortest delay of its stream, counts as none for `SILENCE`.
+"""A sample that is older than this [s] on arrival does not count as a sign of life of its stream (see `SILENCE`).
 
-The guard lets an engine be silent for as long; a computer that is busy for a moment gives newer ones within a second.
+Its age is relative to the shortest delay of its stream. The guard tolerates an engine that is silent for as long;
+a computer that is busy for a moment delivers newer samples within a second.
 """
 CATCHES_UP = 0.01
-"""At the end of a recording samples that are under way are looked for so often [s]."""
+"""Interval at which samples still in transit are collected at the end of a recording [s]."""
 HUNG = 2.0
-"""An executor that asks for no sample for so long [s] has failed; real time only."""
+"""An executor that asks for no sample for longer than this [s] has failed; real time only."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class Samples:
 
 
 COUNTED = {"gaps": Flag.GAP, "late": Flag.LATE, "overrange": Flag.OVERRANGE, "slack": Flag.SLACK}
-"""What is counted of recorded samples."""
+"""Name of each count of recorded samples -> the flag that it counts."""
 Stop = Callable[[Samples], int | None]
 """Index of the sample at which to stop, or None to go on."""
 
@@ -72,18 +76,18 @@ class Acquisition:
         self.counts = {"rows": 0, **dict.fromkeys(COUNTED, 0)}
         self._ranges = Ranges(bench.slack_below)
         self.rates: dict[str, float] = {}
-        """What each device really samples at [Hz]."""
+        """Actual sampling rate of each device [Hz]."""
         self.check: Callable[[], None] = lambda: None
         self._recorder = recorder
         self.commanded = Commanded()
         self.on_trip: Callable[[str, bool, bool], None] = lambda _why, _latches, _hurry: None
-        """Begins the safe state, from whatever thread finds its cause; whether that latches, and waits for no ramp."""
+        """Begins the safe state; may be called from any thread. Arguments: cause, latching, skip the ramps."""
         self.question: Callable[[float], None] = lambda _now: None
-        """Asks devices whether they are as they were when the bench was armed, and does not wait; at bench time [s]."""
+        """Starts to check at a bench time [s] whether devices are as they were when armed; never waits."""
         self.beat: Callable[[], None] = lambda: None
-        """Reports to the guard that the program lives, while it is not asked for samples."""
+        """Reports to the guard that this program is alive, at times when it does not ask the guard for samples."""
         self.holding: set[str] = set()
-        """Limits with the action `hold` that are crossed now."""
+        """Limits with the action `hold` that are exceeded now."""
         self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded)
         self._bench = bench
         self._tripped: Exception | None = None
@@ -93,9 +97,9 @@ class Acquisition:
         self._collected = self._asked = self._beaten = 0.0
         guarded = {device.name for device in bench.devices if device.guarded and device.channels}
         self._mute = bench.realtime and not guarded
-        """Whether no stream is the guard's: asking it for samples says that the program lives."""
+        """Whether the guard serves no stream: `beat` must replace the requests for samples as a sign of life."""
         self._changed = ""
-        """The device that is not what it was: its values confirm nothing."""
+        """A device that was exchanged or restarted: its values cannot confirm the safe state."""
         self._supervisors: list[threading.Thread] = []
         self._ending = threading.Event()
         self._realtime = bench.realtime
@@ -107,7 +111,7 @@ class Acquisition:
                 self._sources.append(Source(device.name, opened, device.channels, record, device.drift))
 
     def switched(self, name: str, *, safe: bool) -> None:
-        """Note in the record the position of a valve from now on: as in the safe state, or the other way."""
+        """Record that a valve is switched now: to its safe position, or to the opposite one."""
         at_rest = next(valve.safe for valve in self._bench.valves if valve.name == name)
         position = at_rest if safe else "closed" if at_rest == "open" else "open"
         self._recorder.event("valve", self.clock.now(), valve=name, position=position, text=f"{name} {position}")
@@ -121,7 +125,7 @@ class Acquisition:
         self._collected = self._asked = self.clock.now()
 
     def listen_anew(self) -> None:
-        """Silence counts from now on: nobody has collected while the bench was armed."""
+        """Restart the measurement of silence: no samples were collected while the bench was being armed."""
         with self._lock:
             for source in self._sources:
                 source.heard = self.clock.now()
@@ -134,16 +138,16 @@ class Acquisition:
         return self._ranges.extremes
 
     def supervise(self) -> None:
-        """Start threads that check the samples whenever the executor does not: limits act although it hangs.
+        """Start two threads that check the samples whenever the executor does not, so that limits act even if it hangs.
 
-        Where one of them waits for a device, the other one reports that the program lives.
+        While one of them waits for a device, the other one reports to the guard that the program is alive.
         """
         self._supervisors = [threading.Thread(target=self._supervise, name="pmabench-watch", daemon=True) for _ in "12"]
         for supervisor in self._supervisors:
             supervisor.start()
 
     def stop(self) -> None:
-        """End sampling; harmless when repeated."""
+        """End sampling; may be called again."""
         self._ending.set()
         for supervisor in self._supervisors:
             supervisor.join()
@@ -158,7 +162,7 @@ class Acquisition:
         return not self._realtime and len(self._sources) == 1
 
     def record(self, *, on: bool) -> None:
-        """Record samples from now on, or no longer."""
+        """Start or stop recording."""
         with self._lock:
             for source in self._sources:
                 source.flag(source.spacing.settle())
@@ -166,7 +170,7 @@ class Acquisition:
             self.recording = on
 
     def begin_controlled_stop(self) -> None:
-        """From now on act only on limits that vent at once: the others would stop a run that is stopping already."""
+        """From now on act only on limits that vent at once: the others would stop a run that is already stopping."""
         with self._lock:
             limits = [limit for limit in self._bench.trips if limit.action == "vent"]
             self._watch = Watch(limits, self._bench.channels, self.commanded)
@@ -174,7 +178,7 @@ class Acquisition:
             self.holding.clear()
 
     def begin_safe_state(self) -> None:
-        """No more trips, and a record that fails stops nothing any more: nothing may cancel the safe state."""
+        """From now on raise no trips and ignore failures of the record: nothing may cancel the safe state."""
         self.check = lambda: None
         with self._lock:
             self._watch = None
@@ -182,17 +186,17 @@ class Acquisition:
 
     @property
     def lost(self) -> RecordError | None:
-        """Why samples of the safe state were not recorded."""
+        """Why samples of the safe state were not recorded; None if they were."""
         return self._recorder.lost if isinstance(self._recorder, Forgiving) else None
 
     def pass_time(self, duration: float, stop: Stop | None = None) -> float | None:
-        """Let bench time pass; see `until`."""
+        """Let `duration` [s] of bench time pass; see `until`."""
         return self.until(self.clock.now() + duration, stop)
 
     def until(self, deadline: float, stop: Stop | None = None) -> float | None:
-        """Sample until `deadline` [s], or until `stop` says so; the time of the stop [s], or None.
+        """Sample until `deadline` [s] or until `stop` ends it; returns the time of that stop [s], or None.
 
-        Raises LimitTripped when a measured limit is crossed; time is then at that sample where it can be.
+        Raises LimitTripped when a measured limit is exceeded; bench time is set back to that sample where possible.
         """
         with self._lock:
             self._stop, self._stopped = stop, None
@@ -223,7 +227,7 @@ class Acquisition:
         return self.clock.now(), self.latest
 
     def measure(self) -> Mapping[str, float]:
-        """A tenth of a second of samples; the latest of them [SI], nothing older. For confirming the safe state."""
+        """Sample for at least 0.1 s and return the latest values [SI], none older: they confirm the safe state."""
         self.latest.clear()
         begun = self.clock.now()
         self.clock.wait_until(begun + max(0.1, 1.5 / self.rate))
@@ -237,7 +241,7 @@ class Acquisition:
         return {name: value for name, value in self.latest.items() if name not in late}
 
     def catch_up(self) -> float:
-        """Now [s]; returns when all that was sampled until then is here, at once in virtual time."""
+        """Wait until all samples taken up to now have arrived; returns that time [s]. No wait in virtual time."""
         now = self.clock.now()
         while self._realtime and any(
             source.recorded and source.newest + 1.0 / self.rates[source.name] <= now for source in self._sources
@@ -246,9 +250,9 @@ class Acquisition:
         return now
 
     def _collect(self, *, single: bool = False) -> None:
-        """Take what is new of every stream; `single`: one sample by itself in plain numbers, where it is one."""
+        """Take the new samples of every stream; with `single`, a lone sample is handled as plain numbers (faster)."""
         with self._lock:
-            self._raise_trip()  # before a device is asked whose line the guard may have closed since
+            self._raise_trip()  # before a device is asked: the guard may have closed its line
             self._collected = self.clock.now()
             if self._mute and self._collected - self._beaten > self._block:
                 self._beaten = self._collected
@@ -263,14 +267,14 @@ class Acquisition:
                     self._refuse_silence(source)
                 except PmaError:
                     if self._watch is not None:
-                        raise  # while it vents, the others are measured all the same
+                        raise  # in the safe state the other streams are still read
             if self._watch is not None:
                 self._act(self._watch.silent(self.clock.now()))
                 self._question()
             self._raise_trip()
 
     def _question(self) -> None:
-        """A device that has changed or restarted ends the run as a limit does: what it measures may be anything."""
+        """End the run like a limit if a device was exchanged or restarted: its values may be wrong."""
         try:
             self.question(self.clock.now())
         except LimitRefused as error:
@@ -283,44 +287,44 @@ class Acquisition:
             raise self._tripped
 
     def _supervise(self) -> None:
-        """The thread: looks when nobody else did for longer than a block, and at whether the executor lives."""
+        """Thread body: collects if nobody did for longer than a block, and checks that the executor is alive."""
         while not self._ending.wait(self._block / 2):
             now = self.clock.now()
             if now - self._collected <= 1.2 * self._block:
                 continue
             try:
                 if not self._lock.acquire(timeout=self._block / 2):
-                    # another thread waits for a device or the disk, which have their deadlines
+                    # another thread waits for a device or the disk; both have deadlines
                     if now - self._collected < HUNG:
                         self.beat()
                     continue
                 try:
-                    self._collect()  # first: a guard that has taken over says why
+                    self._collect()  # first: a guard that has taken over reports why
                 except Exception as error:
-                    self._end_by(error)  # before anybody else may ask
+                    self._end_by(error)  # before the lock is released, so that no other thread collects first
                 finally:
                     self._lock.release()
                 if now - self._asked > HUNG and self._watch is not None:
                     raise LimitTripped(f"the program has not asked for samples for {now - self._asked:.1f} s")
-            except Exception as error:  # an error in the program ends the run as a lost device does
+            except Exception as error:  # an error in the program ends the run like a lost device
                 self._end_by(error)
 
     def trip(self, why: str) -> None:
-        """End the run by a fault that several channels show together: the safe state begins, and this raises."""
+        """End the run because of a fault seen only in several channels together: start the safe state and raise."""
         with self._lock:
             self._raise_trip()
             self._end_by(LimitTripped(why))
             self._raise_trip()
 
     def _end_by(self, error: Exception) -> None:
-        """Let the executor raise this, and the guard begin the safe state."""
+        """Store the error for the executor to raise, and let the guard begin the safe state; only the first counts."""
         if self._tripped is None:
             self._tripped = error
             why = str(error) if isinstance(error, PmaError) else f"{type(error).__name__}: {error}"
             self.on_trip(why, isinstance(error, LimitTripped), False)
 
     def _take(self, source: Source, block: Block) -> None:
-        """Scale, watch, flag and record a block; notes when the stop rule ends it. Raises Tripped."""
+        """Scale, check, flag and record a block; notes the time at which the stop rule applies. Raises Tripped."""
         time_ns = np.asarray(block.time, dtype=np.int64)
         count = len(time_ns)
         if count == 0:
@@ -346,9 +350,9 @@ class Acquisition:
         self._act(trips)
 
     def _hear(self, source: Source, newest: int, host: int) -> float:
-        """What is added to the device's clock to get bench time [s]; in virtual time they are the same.
+        """Offset from the device's clock to bench time [s]; 0 in virtual time.
 
-        Notes when the newest sample was taken, and that it came, unless it is old.
+        Also notes when the newest sample was taken, and its arrival unless it is old.
         """
         now, ahead = self.clock.now(), 0.0
         if self._realtime:
@@ -360,7 +364,7 @@ class Acquisition:
         return ahead
 
     def _refuse_silence(self, source: Source) -> None:
-        """Raise DeviceError where a stream has given nothing, or nothing but old samples, for too long."""
+        """Raise DeviceError where a stream has delivered nothing, or only old samples, for too long."""
         now, longest = self.clock.now(), max(SILENCE, self._block)
         if now - source.heard <= longest + 1.5 / self.rate:
             return
@@ -371,14 +375,14 @@ class Acquisition:
         raise DeviceError(source.name, f"has sent no sample for {longest:g} s")
 
     def _rewound(self, source: Source, t: Array, index: int) -> bool:
-        """Take time back to a sample inside the block, where the clock can; what came after it did not happen."""
+        """Set time back to a sample inside the block where the clock can; later samples are then discarded."""
         if index >= len(t) - 1 or not self.clock.back_to(float(t[index])):
             return False
-        source.stream.collect()  # nothing new; lets the device see that time went back before it goes on
+        source.stream.collect()  # gives nothing new, but the device notices that time went back
         return True
 
     def _act(self, trips: Sequence[Trip]) -> None:
-        """Do what the limits say: note a warning, hold, or end the run."""
+        """Carry out the actions of the limits: warn, hold, or end the run."""
         for trip in trips:
             if trip.limit.action in ENDS:
                 self._tripped = Tripped(trip)

@@ -1,8 +1,8 @@
-"""Whether a bench is what it is said to be: its drivers, its vent path, and the weight of a load at rest.
+"""Checks of a bench before and during a run: its drivers, its vent path, and the weight of a load at rest.
 
 - Drivers that nobody has tried on hardware: the operator is asked once for each bench, and the run records it.
-- The proof test of the vent path: fill to a low pressure, vent, look; before anything else is commanded.
-- The load: looked at once after hands put it on, when it hangs still.
+- The proof test of the vent path: fill to a low pressure, vent, check the pressure; before any other command.
+- The load: checked once after it was put on by hand, when it hangs still.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ AGREED = "drivers"
 
 
 def as_data(bench: CompiledBench) -> dict[str, dict[str, str]]:
-    """For the manifest: each device's driver, its version and what it was verified on."""
+    """Entry of the manifest: each device's driver, its version and what it was verified on."""
     return {
         one.name: {"driver": one.driver, "version": driver_version(one.driver), "verified": one.verified}
         for one in bench.devices
@@ -42,7 +42,7 @@ def as_data(bench: CompiledBench) -> dict[str, dict[str, str]]:
 
 
 def doubt(device: DeviceRecord, identity: Identity) -> str:
-    """Why the driver of a device that answers as hardware is not verified for it; empty where it is, or simulated."""
+    """Why the driver is not verified for this real device; empty where it is verified, or the device is simulated."""
     if identity.simulated:
         return ""
     if not device.verified.startswith(HARDWARE):
@@ -53,12 +53,12 @@ def doubt(device: DeviceRecord, identity: Identity) -> str:
 
 
 def not_proven(identities: Mapping[str, Identity]) -> list[str]:
-    """The emulated devices whose wiring and scales were taken from the bench file, so that its errors cancel out."""
+    """Emulated devices with wiring and scales taken from the bench file: errors of that file stay invisible."""
     return [name for name, identity in identities.items() if identity.model.startswith(UNPROVEN)]
 
 
 def refuse_twice(bench: CompiledBench, identities: Mapping[str, Identity]) -> None:
-    """Raise DeviceError where one device answers as two of the bench: a vent of the other would be read at it."""
+    """Raise DeviceError where one device answers under two names: the vent of the other could not be verified."""
     seen: dict[tuple[str, str, str], str] = {}
     for name, one in identities.items():
         who = one.maker, one.model, one.serial
@@ -70,7 +70,10 @@ def refuse_twice(bench: CompiledBench, identities: Mapping[str, Identity]) -> No
 
 
 def refuse_other_zeros(bench: CompiledBench, zeroed: Mapping[str, str], identities: Mapping[str, Identity]) -> None:
-    """Raise DeviceError where a channel's zero was taken with another device; `zeroed` has those serial numbers."""
+    """Raise DeviceError where a channel's zero was taken with another device.
+
+    `zeroed`: device name -> serial number at the time of the zeros.
+    """
     for device in bench.devices:
         then, now = zeroed.get(device.name, ""), identities[device.name].serial
         if then and now != then and any(channel.zero is not None for channel in device.channels):
@@ -79,7 +82,7 @@ def refuse_other_zeros(bench: CompiledBench, zeroed: Mapping[str, str], identiti
 
 
 def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:
-    """Ask once per bench, driver, version and doubt, with nothing armed yet; a person's answer is remembered."""
+    """Ask once per bench, driver, version and doubt, before anything is armed; a person's answer is stored."""
     station = Station(executor.bench.name)
     for device in executor.bench.devices:
         identity = identities[device.name]
@@ -92,7 +95,7 @@ def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:
             answer = _ask(executor, device, identity, why)
             if "--yes" not in answer:
                 at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-                with suppress(PmaError):  # it is asked again then
+                with suppress(PmaError):  # if it cannot be stored, it is asked again
                     station.write(AGREED, {**agreed, key: {"answer": answer, "at": at}})
 
 
@@ -115,17 +118,20 @@ def _ask(executor: Executor, device: DeviceRecord, identity: Identity, why: str)
 
 
 QUESTIONS, SIGNS = 3, 8
-"""Within so many answers a command is carried out (behind a question, and read back), and a watchdog is fed [1]."""
+"""Answer times that a command takes (after a pending question, with read-back), and that a watchdog must allow [1]."""
 NEARLY, SAMPLES = 0.99, 0.7
-"""A rate that is nearly the one that was asked counts as that, and a line that is used by so much has gaps [1]."""
+"""Share of the requested rate that is accepted as reached, and share of the possible rate that is recommended [1]."""
 APART, SPARE = 3.0, 0.1
-"""So many periods, and so long [s], there may be no sample where one answer is lost or has to wait."""
+"""A lost or delayed answer may leave no sample for this many periods [1] plus this time [s]."""
 
 
 def refuse_slow(
     bench: CompiledBench, identities: Mapping[str, Identity], wanted: float, used: Mapping[str, float]
 ) -> None:
-    """Raise DeviceError where a device answers too slowly for its samples [Hz], commands, watchdog, `stale` limits."""
+    """Raise DeviceError where a device answers too slowly for its rate, commands, watchdog or `stale` limits.
+
+    `wanted`: rate of the plan; `used`: device name -> actual rate [Hz].
+    """
     for device in bench.devices:
         takes, most = identities[device.name].answers, min(wanted, device.fastest or wanted)
         rate, signs = used.get(device.name, most), SIGNS * takes
@@ -151,7 +157,7 @@ def refuse_slow(
 
 
 def _too_strict(bench: CompiledBench, device: DeviceRecord, rate: float) -> str:
-    """What is wrong where a `stale` limit is crossed by one lost answer at a rate [Hz]; empty where none is."""
+    """What is wrong where one lost answer at `rate` [Hz] would exceed a `stale` limit; empty where none would."""
     own, apart = {channel.name for channel in device.channels}, APART / rate + SPARE
     for trip in bench.trips:
         if trip.kind == "stale" and trip.channel in own and trip.delay < apart * (1 - 1e-9):
@@ -164,15 +170,16 @@ def _too_strict(bench: CompiledBench, device: DeviceRecord, rate: float) -> str:
 
 
 ARRIVES = 0.5
-"""A drive on its way to where arming sent it comes nearer within so long [s]."""
+"""Time within which a drive that moves to its safe position must come nearer [s] ..."""
 NEARER = 0.1
-"""By this share of what its watch allows."""
+"""... by at least this share of the deviation that its `following` limit allows."""
 
 
 def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
-    """Wait until each drive that is watched is measured where arming sent it.
+    """Wait until each drive with a `following` limit is measured at its safe position, where arming sent it.
 
-    Raises LimitTripped where it is not and comes no nearer: one that lost its zero says that it is there.
+    Raises LimitTripped where it is elsewhere and comes no nearer: a drive that lost its zero reports that it has
+    arrived.
     """
     drives = {output.name: output for output in bench.outputs if output.rate}
     for trip in bench.trips:
@@ -192,20 +199,20 @@ def await_drives(bench: CompiledBench, acquisition: Acquisition) -> None:
 
 
 FILLED = 0.8
-"""Of the asked pressure, from where on the bench counts as filled."""
+"""Share of the commanded pressure from which on the bench counts as filled."""
 RESTS = 0.2
-"""So long must the pressure be where it was commanded [s]."""
+"""Time for which the pressure must stay within its bounds [s]."""
 OFF = 0.1, 0.01
-"""How far from its command a pressure may rest, for gains and offsets of gauge and regulator: shares of the command and
-of the regulator's range [1]."""
+"""Largest deviation of a resting pressure from its command, as shares of the command and of the regulator's range [1],
+for gains and offsets of gauge and regulator."""
 GIVES_WAY = 0.1
-"""By this share must the pressure fall at an open dump valve while the regulator still commands it."""
+"""Relative fall of the pressure that an open dump valve must cause while the regulator still commands it."""
 ALONE = 1.0
-"""So long may that take [s]."""
+"""Largest time until that fall [s]."""
 
 
 def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recorder: Recorder) -> None:
-    """Try the vent path of a bench that declares a proof test; raises LimitTripped where it does not vent in time."""
+    """Do the proof test of the vent path where the bench declares one; LimitTripped if it does not vent in time."""
     proof = bench.proof
     if proof is None:
         return
@@ -227,7 +234,7 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
     vented_at = clock.now()
     for output in bench.pressures:
         guard.set(output.name, output.safe)
-        acquisition.commanded.set(output.name, vented_at, output.safe)  # it falls as commanded: no burst
+        acquisition.commanded.set(output.name, vented_at, output.safe)  # so that the fall is no burst
     guard.valves(closed=False)
     vented = acquisition.pass_time(proof.within, _crossing(names, below=proof.below))
     if vented is None:
@@ -243,7 +250,7 @@ def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recor
 
 
 def _refuse_astray(bench: CompiledBench, acquisition: Acquisition, proof: ProofTest, filled_in: float) -> None:
-    """Raise LimitTripped where a pressure does not come to rest where it was commanded, from either side."""
+    """Raise LimitTripped where a pressure does not settle near its command, above or below."""
     channels = {channel.name: channel for channel in bench.channels}
     within = {
         output.name: OFF[0] * proof.pressure
@@ -261,7 +268,7 @@ def _refuse_astray(bench: CompiledBench, acquisition: Acquisition, proof: ProofT
 
 
 class _Resting:
-    """Stop rule: each of these channels was between its two bounds for `RESTS`."""
+    """Stop rule: all channels have been within their bounds for `RESTS`."""
 
     def __init__(self, bounds: Mapping[str, tuple[float, float]]) -> None:
         self._bounds = bounds
@@ -281,7 +288,7 @@ class _Resting:
 
 
 def _valves_alone(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, proof: ProofTest) -> float | None:
-    """Open the dump valves while the regulators still command the pressure; the time until it gives way [s].
+    """Open the dump valves while the regulators still command the pressure; returns the time until it falls [s].
 
     None where the bench has no dump valve, or fewer than muscles and not all gave way. Raises LimitTripped where one
     that has its own did not, or none did: a valve that is not connected passes every vent of a regulator that works.
@@ -311,7 +318,7 @@ def _measured(acquisition: Acquisition, names: Sequence[str]) -> str:
 
 
 def _crossing(names: Sequence[str], above: float = float("-inf"), below: float = float("inf")) -> Stop:
-    """The sample at which the last of these channels has come between the bounds."""
+    """Stop rule: the sample at which the last of these channels has come between the bounds."""
     left = set(names)
 
     def crossed(block: Samples) -> int | None:
@@ -327,26 +334,26 @@ def _crossing(names: Sequence[str], above: float = float("-inf"), below: float =
 
 
 LIFTED = 1e-3
-"""Contraction since the load was put on from which on it hangs [m]."""
+"""Contraction since the load was put on from which on it hangs freely [m]."""
 STILL = 0.1e-3
 """A load moves by less than this within `SPAN` while it hangs still [m]."""
 SPAN = 0.5
-"""How long it is looked at [s]."""
+"""Time over which the load is observed [s]."""
 
 
 GROSS = 0.5
-"""A reading that is off by more than this share of the load is of a wrong unit, sign or plug [1]."""
+"""Relative deviation of a reading from the load above which unit, sign or plug must be wrong [1]."""
 UNDER_PRESSURE = 100e3
-"""At so much more than when the load was put on a muscle contracts, and its free end does not go down [Pa]."""
+"""Rise of the pressure since the load was put on at which a muscle must contract [Pa]."""
 
 
 class LoadImplausible(VerdictFailed):
-    """The load cell and the plates do not agree, or the free end goes the wrong way."""
+    """Raised where load cell and plates do not agree, or the free end moves the wrong way."""
 
 
 @dataclass(frozen=True)
 class LoadVerdict:
-    """What the cell reads of a load at rest, mean over `SPAN` [N], and the contraction since it was put on [m]."""
+    """Reading of the load cell for a load at rest, mean over `SPAN` [N], and contraction since it was put on [m]."""
 
     expected: float
     measured: float
@@ -356,12 +363,12 @@ class LoadVerdict:
 
     @property
     def ok(self) -> bool:
-        """Whether they agree."""
+        """Whether reading and weight agree within the tolerance, and the muscle did not extend under pressure."""
         return self.contraction > 0 and abs(self.measured - self.expected) <= self.tolerance
 
     @property
     def gross(self) -> bool:
-        """Whether a channel must be wrong, whatever is tolerated: of another sign, unit or plug."""
+        """Whether sign, unit or plug of a channel must be wrong, whatever the tolerance."""
         return self.contraction < 0 or abs(self.measured - self.expected) > max(self.tolerance, GROSS * self.expected)
 
     def __str__(self) -> str:
@@ -381,7 +388,7 @@ class LoadVerdict:
 
 
 class LoadCheck:
-    """Remembers the load that was put on until it was seen hanging; judges it once."""
+    """Keeps the load that was put on until it hangs still, then compares it once with the load cell."""
 
     def __init__(self, bench: CompiledBench) -> None:
         channels = {channel.name: channel for channel in bench.channels}
@@ -392,13 +399,13 @@ class LoadCheck:
         self._kept: dict[str, tuple[Array, Array]] = {}
 
     def put_on(self, force: float, asked: str, latest: Mapping[str, float]) -> None:
-        """Hands put F_L = `force` [N] on, while `latest` was measured."""
+        """Note that a load of `force` [N] was put on by hand; `latest` are the values measured then [SI]."""
         place, P = (latest.get(name, 0.0) for name in ("displacement", "pressure"))
         self._pending = (force, asked, place, P) if self._possible and force > 0 else None
         self._kept = {}
 
     def watch(self) -> Stop | None:
-        """Stop rule for the acquisition while it waits: looks at the samples and never stops."""
+        """Stop rule that keeps the samples of a wait and never stops; None where no load is to be checked."""
         if self._pending is None:
             return None
         self._kept = {}
@@ -413,7 +420,7 @@ class LoadCheck:
                 self._kept[name] = t[recent], y[recent]
 
     def verdict(self) -> LoadVerdict | None:
-        """The verdict when the load has hung still at the end of what was watched, else None."""
+        """The verdict if the load hung still at the end of the observed samples, else None."""
         if self._pending is None or not {"force", "displacement"} <= self._kept.keys():
             return None
         force, asked, before, vented = self._pending

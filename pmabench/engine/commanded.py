@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pmabench.guard.remote import AnyGuard
 
 SETTLES = 2.0
-"""After the command went down, a pressure that falls may still follow it for so long [s], and no deeper."""
+"""Time for which a pressure may still fall after the end of a falling command [s]."""
 
 
 @dataclass
@@ -26,18 +26,18 @@ class _Course:
     at: course.Course
     begun: float
     before: course.Course | None
-    """What was commanded until then."""
+    """Course before `begun`."""
 
 
 @dataclass
 class _Lows:
-    """The lowest values of the commands that still count, rising, and until when each does [s]: the last for ever."""
+    """Lowest values of the commands that still count, ascending, and until when each counts [s]; the last: for ever."""
 
     until: list[float] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
 
     def add(self, t: float, low: float) -> None:
-        """From `t` [s] on the command is nowhere below `low` [SI]; the one before counts for `SETTLES` more."""
+        """Note that from `t` [s] on the command is never below `low` [SI]; the former one counts for `SETTLES` more."""
         if self.until:
             self.until[-1] = t + SETTLES
         gone = bisect_right(self.until, t)
@@ -52,9 +52,10 @@ class _Lows:
 def _with_fall(
     before: Iterable[tuple[float, float, float]], t: float, until: float, rate: float
 ) -> list[tuple[float, float, float]]:
-    """The falls that count, and a new one from `t` until `until` [s] where `rate` [SI/s] is not 0.
+    """The falls (begin [s], end [s], rate [SI/s]) that still count, and a new one from `t` to `until` if `rate` > 0.
 
-    From `t` on it stands for those that were no faster. What was over long before `t` no sample asks for any more.
+    From `t` on it replaces those that were not faster. Falls that ended long before `t` are dropped: no sample needs
+    them.
     """
     kept, begins = [], t
     for first, last, fall in before:
@@ -67,27 +68,27 @@ def _with_fall(
 
 @dataclass
 class Commanded:
-    """The course of each output [SI over s of bench time], noted when it was commanded: `t` is before it was sent."""
+    """Course of each output [SI] over bench time [s]. Times of commands are those just before they were sent."""
 
     _courses: dict[str, _Course] = field(default_factory=dict)
     _falls: dict[str, list[tuple[float, float, float]]] = field(default_factory=dict)
-    """From when on, and until when a pressure may follow each command down [s], and how fast that is [SI/s]."""
+    """Output -> falls: begin and end [s] of the time in which the pressure may follow it down, and rate [SI/s]."""
     _lows: dict[str, _Lows] = field(default_factory=dict)
 
     def set(self, output: str, t: float, value: float) -> None:
-        """A step at `t` [s]."""
+        """Note a step to `value` [SI] at `t` [s]."""
         before = self.at(output, t)
         falls = math.inf if before is not None and value < before else 0.0
         self._note(output, course.step(value), t, t, falls, value)
 
     def ramp(self, output: str, t: float, origin: float, target: float, rate: float) -> None:
-        """A ramp that begins at `t` [s]; `rate` [SI/s] is above zero."""
+        """Note a ramp that begins at `t` [s]; `rate` [SI/s] is above zero."""
         ends = t + abs(target - origin) / rate
         falls = rate if target < origin else 0.0
         self._note(output, course.ramp(t, origin, target, rate), t, ends, falls, min(origin, target))
 
     def sine(self, output: str, t: float, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
-        """A sine that begins at `t` [s]; frequency in Hz."""
+        """Note a sine that begins at `t` [s]; frequency in Hz."""
         fastest = 2 * math.pi * frequency * abs(amplitude)
         at, ends = course.sine(t, mean, amplitude, frequency, cycles), t + cycles / frequency
         self._note(output, at, t, ends, fastest, mean - abs(amplitude))
@@ -99,9 +100,9 @@ class Commanded:
         return None if at is None else at(t)
 
     def falling(self, output: str, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How fast the output was commanded down [SI/s], of shape (n,) as `t` [s]: a pressure may fall as fast.
+        """Fastest fall that commands explain at each time `t` [s] [SI/s], shape (n,); 0 where none does.
 
-        A sample that is looked at late is explained by the commands before it alone.
+        Only commands before a sample count, even if the sample is processed late.
         """
         allowed = np.zeros(len(t))
         for begins, until, rate in self._falls.get(output, ()):
@@ -109,7 +110,7 @@ class Commanded:
         return allowed
 
     def lowest(self, output: str, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The lowest value [SI] that was commanded up to `SETTLES` before `t` [s], of shape (n,) as `t`.
+        """Lowest value [SI] that was commanded within the last `SETTLES` before each time `t` [s], shape (n,).
 
         Infinite before the first command: nothing explains a fall then.
         """
@@ -126,27 +127,27 @@ class Commanded:
 
 
 class Commander:
-    """The guard as steps and laws see it: what is commanded is noted, and waits while a limit says `hold`."""
+    """The guard as steps and laws use it: notes each command, and delays it while a limit holds the bench."""
 
     def __init__(self, guard: AnyGuard, commanded: Commanded, clock: Clock, wait: Callable[[], None]) -> None:
         self._guard, self._commanded, self._clock = guard, commanded, clock
         self.wait = wait
-        """Returns when nothing holds the bench any more."""
+        """Blocks until no limit holds the bench any more."""
 
     def _wait(self) -> float:
-        """When the next command can be sent [s]: now."""
+        """Wait while the bench is held; bench time [s] after that."""
         self.wait()
         return self._clock.now()
 
     def set(self, output: str, value: float) -> float:
-        """Command `value` [SI]; returns what the device got."""
+        """Command `value` [SI]; returns the value that was sent to the device."""
         t = self._wait()
         sent = self._guard.set(output, value)
         self._commanded.set(output, t, value)
         return sent
 
     def ramp(self, output: str, origin: float, target: float, rate: float) -> None:
-        """From `origin` to `target` [SI] at `rate` [SI/s]."""
+        """Ramp from `origin` to `target` [SI] at `rate` [SI/s]."""
         t = self._wait()
         self._guard.ramp(output, origin, target, rate)
         self._commanded.ramp(output, t, origin, target, rate)
@@ -158,12 +159,12 @@ class Commander:
         self._commanded.sine(output, t, mean, amplitude, frequency, cycles)
 
     def valve(self, name: str, *, safe: bool) -> None:
-        """One valve into its safe state, or as in a run."""
+        """Switch one valve to its safe state, or to its state in a run."""
         self.wait()
         self._guard.valves(closed=not safe, only=name)
 
     def steer(self, aims: Mapping[str, float], pulses: Mapping[str, float]) -> None:
-        """Open valves for so long [s], to bring muscles to `aims` [SI]."""
+        """Open valves for the times `pulses` [s], to bring muscles to `aims` [SI]."""
         t = self._wait()
         self._guard.steer(aims, pulses)
         for name, value in aims.items():

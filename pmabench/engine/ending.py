@@ -1,6 +1,6 @@
-"""How a run ends: the signals that end it, its end in the words of the record and as an exit code, and a last look.
+"""How a run ends: signals, the status in the record, the exit code, and a check of the zeros after the vent.
 
-When it is over and vented, the session's zeros are looked at again; knows no session.
+Knows no session.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from pmabench.guard.safe import Vent
 
 _NAMES = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP (terminal closed)"}
 SPAN = 0.3
-"""How long the zeros are looked at [s]."""
+"""Averaging time of the zero check [s]."""
 LONGEST = 5.0
-"""How long they are waited for to come to rest [s]."""
+"""Longest wait for the readings to settle [s]."""
 SET = 1.0
-"""A computer's clock that moved by more than this against time that passed was set [s]."""
+"""Change of the time of day relative to the monotonic clock above which it was set [s]."""
 
 
 class Signals:
     """While entered, SIGINT, SIGTERM and SIGHUP become an `Interrupted` at the next `check`.
 
     While `waiting` (for a person to type) they are raised at once. After `shut` they are only counted: the safe state
-    has begun and nothing cancels it; more signals only shorten its waits.
+    has begun and nothing cancels it; further signals only shorten its waits.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Signals:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Signals:
-        """Take the signals over; where that is not the main thread they stay as they are."""
+        """Install the handlers; outside the main thread, where Python does not allow it, nothing is changed."""
         for name in _NAMES:
             number = getattr(signal, name, None)
             if number is None:
@@ -56,7 +56,7 @@ class Signals:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Give the signals back."""
+        """Restore the former handlers."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -66,33 +66,33 @@ class Signals:
             self.check()
 
     def check(self) -> None:
-        """Raise what has been noted and not been acted on."""
+        """Raise Interrupted for a signal that came and was not yet acted on."""
         if len(self.pending) > self._acted_on and not self._shut:
             number = self.pending[self._acted_on]  # the first is the cause
             raise Interrupted(_NAMES[signal.Signals(number).name], 128 + number)
 
     def news(self) -> bool:
-        """Whether a signal has come since the last call; it counts as acted on then."""
+        """Whether a signal has come since the last call; all signals so far then count as acted on."""
         before, self._acted_on = self._acted_on, len(self.pending)
         return self._acted_on > before
 
     @property
     def gently(self) -> bool:
-        """Whether all that came is one Ctrl-C: a controlled stop before the safe state."""
+        """Whether the only signal was one Ctrl-C, which asks for a controlled stop before the safe state."""
         return self.pending == [signal.SIGINT]
 
     def shut(self) -> None:
-        """From now on signals are counted and end nothing."""
+        """From now on only count signals."""
         self._shut = True
 
 
 def ahead() -> float:
-    """How far the time of day is ahead of the clock that nobody sets [s]."""
+    """Difference of the time of day from the monotonic clock [s]."""
     return time.time() - time.monotonic()
 
 
 def clock_set(before: float) -> str:
-    """What is said where the time of day was set since it was `before` [s] ahead; empty where it was not."""
+    """Text that the time of day was set since its difference was `before` [s]; empty where it was not."""
     moved = ahead() - before
     if abs(moved) <= SET:
         return ""
@@ -104,14 +104,14 @@ def clock_set(before: float) -> str:
 
 
 def sentence(cause: BaseException) -> str:
-    """What happened; a traceback where it is an error in the program."""
+    """The message of the error; a traceback for an error in the program."""
     if isinstance(cause, PmaError):
         return str(cause)
     return "".join(traceback.format_exception(cause))
 
 
 def status_of(cause: BaseException | None) -> tuple[str, str]:
-    """The run's status and why."""
+    """Status of the run, and the reason (empty if it finished)."""
     if cause is None:
         return "finished", ""
     kinds = {Interrupted: "aborted", LimitTripped: "tripped", VerdictFailed: "failed", PmaError: "error"}
@@ -122,7 +122,10 @@ def status_of(cause: BaseException | None) -> tuple[str, str]:
 
 
 def exit_code(cause: BaseException | None, lost: RecordError | None, vent: Vent) -> int:
-    """When causes meet the worst wins: vent not confirmed, record lost, device, interrupted, verdict."""
+    """Exit code of the run: 5 if the vent is not confirmed or a limit tripped, else 7 if the record is lost.
+
+    Otherwise the code of the cause, 0 without one.
+    """
     if not vent.confirmed or isinstance(cause, LimitTripped):
         return 5
     if lost is not None:
@@ -133,9 +136,9 @@ def exit_code(cause: BaseException | None, lost: RecordError | None, vent: Vent)
 
 
 def zero_check(acquisition: Acquisition, zeroed: tuple[str, ...], *, unloaded: bool) -> dict[str, dict[str, Any]]:
-    """Mean of each zeroed channel now [SI]; it is a `drift` where the channel is at its zero again.
+    """Mean `reading` of each zeroed channel [SI]; also its `drift` where the true value is zero again, else None.
 
-    The pressure does, vented. The force does where hands took every load off. Nobody knows of the displacement.
+    This holds for a vented pressure, and for the force if every load was taken off; for the displacement it is unknown.
     """
     deadline = acquisition.clock.now() + LONGEST
     means, noise = _means(acquisition, zeroed)
@@ -151,7 +154,7 @@ def zero_check(acquisition: Acquisition, zeroed: tuple[str, ...], *, unloaded: b
 
 
 def _means(acquisition: Acquisition, names: tuple[str, ...]) -> tuple[dict[str, float], dict[str, float]]:
-    """Mean and rms noise over the next `SPAN`."""
+    """Mean and standard deviation of each channel over the next `SPAN` [SI]; channels without samples are left out."""
     kept: dict[str, list[float]] = {name: [] for name in names}
 
     def keep(block: Samples) -> None:

@@ -1,4 +1,4 @@
-"""The executor: runs the steps of a plan in order, whatever the clock; knows no device and no file format."""
+"""The executor: runs the steps of a plan in order, with any clock; independent of devices and file formats."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from pmabench.protocol.plan import (
 
 @dataclass(frozen=True)
 class Progress:
-    """Where the run is: all one needs to draw a line of progress."""
+    """How far the run is; the data of a progress line."""
 
     step: int
     """Number of the current step, from 0."""
@@ -55,20 +55,20 @@ class Progress:
 
 
 class TrialFailed(VerdictFailed):
-    """A step reached its limit and the plan says that the trial has failed then."""
+    """A step reached its limit, and the plan demands that this counts as a failure."""
 
 
 LIVE_EVERY = 1.0
-"""In real time, while nothing is recorded, the newest values become an event so often [s]: `watch` has no others."""
+"""Interval of events with the newest values while nothing is recorded in real time [s]; `watch` shows them."""
 AT_ONCE = 1e-3
-"""A command that took longer until its device answered [s] is recorded with that time."""
+"""If the device takes longer than this to acknowledge a command [s], the time is recorded."""
 LONGEST_HOLD = 60.0
-"""A limit that holds the bench for longer ends the run [s]."""
+"""Longest time that a limit may hold the bench before the run is ended [s]."""
 
 
 @dataclass
 class Executor:
-    """Runs the steps of one plan, all of them or those that are left."""
+    """Runs the steps of one plan: all of them, or those that remain after an interrupted run."""
 
     plan: Plan
     bench: CompiledBench
@@ -79,21 +79,21 @@ class Executor:
     clock: Clock
     progress: Callable[[Progress], None] = lambda _progress: None
     steps: Sequence[Step] | None = None
-    """The steps to run, where not all of the plan's."""
+    """The steps to run; None for all of the plan."""
     attempts: dict[int, int] = field(default_factory=dict)
-    """How often each trial was begun, also in the runs that this one continues."""
+    """Trial -> how often it was begun, including the runs that this one continues."""
     again: TrialRecord | None = None
-    """The reference trial that is repeated because this run continues another one; no trial of the plan."""
+    """The reference trial that is repeated because this run continues another one; not among the plan's trials."""
     further: Callable[[], Sequence[Step]] = tuple
-    """Asked for more steps at the end of all others; none ends the run."""
+    """Called after the last step for more steps; an empty answer ends the run."""
     beyond: dict[int, TrialRecord] = field(default_factory=dict)
     """Trials that were chosen during the run, by their index."""
     failed: list[int] = field(default_factory=list)
     """Trials that failed."""
     finished: set[int] = field(default_factory=set)
-    """Trials that came to their end, those of the run that this one continues included."""
+    """Trials that were completed, including those of the run that this one continues."""
     unloaded: bool = False
-    """Whether hands were asked last to take every load off."""
+    """Whether the last request to the operator was to take off every load."""
 
     def __post_init__(self) -> None:
         self._trial: int | None = None
@@ -118,14 +118,14 @@ class Executor:
         }
 
     def run(self) -> None:
-        """All steps in order; raises whatever ends the run before its time."""
+        """Run all steps in order; raises whatever ends the run early."""
         steps = self.plan.steps if self.steps is None else self.steps
         left = sum(step.longest() for step in steps)
         number = 0
         after: int | None = None
-        """What comes right after the trial before; hands and preconditioning are not repeated."""
+        """Step right after the last trial; from here on a trial is repeated, without operator requests before it."""
         again: int | None = None
-        """Where the last trial is begun again."""
+        """Step from which the last trial is repeated."""
         while True:
             self.acquisition.check()
             if self._trial is None and self._pause:
@@ -155,13 +155,13 @@ class Executor:
                 after = number
 
     def do(self, step: Step) -> None:
-        """One step, now."""
+        """Execute one step."""
         self._act[type(step)](step)
 
     def handle_keys(self) -> None:
-        """Take what the operator has typed: a note or a vent at once, a pause at the end of the trial.
+        """Handle the operator's keys: a note or a vent at once, a pause at the end of the trial.
 
-        A repeat means the trial under way, or between trials the one before.
+        A repeat applies to the current trial, or between trials to the last one.
         """
         self._record_live()
         for what, text in self.operator.poll(self.acquisition.latest):
@@ -177,7 +177,7 @@ class Executor:
                 raise Interrupted("the operator (key v)", 130)
 
     def _record_live(self) -> None:
-        """Put the newest values into the record where their samples do not go there."""
+        """Record the newest values as an event while samples are not recorded; real time only."""
         if not self.bench.realtime or self.acquisition.recording:
             return
         now = self.clock.now()
@@ -189,7 +189,7 @@ class Executor:
             self._event("live", values=values)
 
     def _stay_at_low_pressure(self) -> None:
-        """Between trials: the pressure at its safe value until the operator goes on."""
+        """Keep the pressure at its safe value between trials until the operator resumes."""
         before = {o.name: self._value[o.name] for o in self.bench.pressures if o.name in self._value}
         self._event("pause", pressure=max(before.values(), default=None))
         for output in self.bench.pressures:
@@ -202,7 +202,7 @@ class Executor:
             self._set(Set("pause", name, value))
 
     def _wait_while_held(self) -> None:
-        """Nothing new is commanded while a limit says `hold`."""
+        """Wait while a limit with action `hold` is exceeded; LimitTripped after `LONGEST_HOLD`."""
         until = self.clock.now() + LONGEST_HOLD
         while self.acquisition.holding:
             if self.clock.now() > until:
@@ -220,7 +220,7 @@ class Executor:
         self._value[output] = value
 
     def _set(self, step: Set) -> None:
-        self._wait_while_held()  # first: the record says when it was commanded, not when it was wanted
+        self._wait_while_held()  # first: the record states when it was commanded, not when it was requested
         before = self._value.get(step.output, 0.0)
         sent = self.guard.value_sent(step.output, step.value)
         self._command(step, step.output, "set", step.value, before, sent=sent)
@@ -283,7 +283,7 @@ class Executor:
         return self.beyond[index] if index in self.beyond else self.plan.trials[index]
 
     def end_trial(self, status: str) -> None:
-        """Close the trial that is under way when a run ends early."""
+        """Close the current trial when a run ends early."""
         if self._trial is not None:
             self._event("trial-end", trial=self._trial, status=status)
             self._trial = None
@@ -354,7 +354,7 @@ class Executor:
             self.guard.valves(closed=True)
 
     def _hands_at_pressure(self) -> float:
-        """Highest measured pressure for hands at pressure [Pa]: the bench's, and the uncertainty of its channel."""
+        """Highest measured pressure for work by hand [Pa]: the bench's limit plus the uncertainty of the channel."""
         most = self.bench.hands_at_pressure
         known = [c.calibration for c in self.bench.channels if c.name in self._pressures]
         if not known or most == 0.0:

@@ -1,4 +1,4 @@
-"""Who answers the prompts: a person at a terminal, or nobody with everything confirmed beforehand."""
+"""Who answers the prompts: a person at a terminal, nobody, or `--yes`, which confirms all of them beforehand."""
 
 from __future__ import annotations
 
@@ -16,10 +16,13 @@ class NoOperator(PmaError):
 
 
 class Operator(Protocol):
-    """Answers a prompt; returns what was answered, for the record."""
+    """Answers prompts, and reports what the operator typed."""
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
-        """Show the text and the live values; return when it is done. `wait` lets a block of bench time pass."""
+        """Show the text and live values [SI]; return the answer for the record when all is done.
+
+        `wait` lets a block of bench time pass.
+        """
         ...
 
     def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
@@ -34,19 +37,19 @@ class ConfirmedBeforehand(Operator):
     """`--yes`: every prompt counts as answered, and the record says so."""
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
-        """Answered without a person."""
+        """The fixed answer for the record; nobody is asked."""
         return "confirmed beforehand (--yes)"
 
 
 class AtTerminal(Operator):
-    """A person at a bench in virtual time, which waits: sees the pressure, types `clear` when hands are out."""
+    """A person at a bench in virtual time, which waits meanwhile; sees the pressure and types `clear`."""
 
     def __init__(self, read: Callable[[str], str], write: Callable[[str], None]) -> None:
         self._read = read
         self._write = write
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
-        """Ask until the word is `clear`; nothing else counts."""
+        """Ask until the answer is `clear`; raises Interrupted at the end of input."""
         pressure = highest_pressure(measured)
         shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
         self._write(f"{text}\nMeasured pressure: {shown}.")
@@ -63,5 +66,5 @@ class Nobody(Operator):
     """No operator: neither a terminal nor `--yes`."""
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
-        """Refused."""
+        """Raise NoOperator."""
         raise NoOperator(f"hands are needed ({text}) and there is no terminal; with --yes prompts count as answered")

@@ -1,7 +1,7 @@
-"""The watch on a platform of three muscles: finds the faults that no channel shows by itself, sample by sample.
+"""Monitors a platform of three muscles, sample by sample, for faults that no single channel shows.
 
-It compares what several channels say about one thing: set-point and pressure, pulses and pressure, three pressures and
-the attitude. Knows no devices and no steps; what it finds ends the run with the whole platform vented.
+It compares related channels: set-point and pressure, pulses and pressure, the three pressures and the attitude. A fault
+ends the run with the whole platform vented. Knows no devices and no steps.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ EVERY = 0.1
 
 @dataclass(frozen=True)
 class PlatformLimits:
-    """What counts as a fault, all SI; the first number is the size, the second how long it must last [s]."""
+    """What counts as a fault, in SI; of a pair, the first number is the size, the second how long it must last [s]."""
 
     following: tuple[float, float] = (0.6e5, 0.25)
-    """Set-point and pressure apart [Pa]."""
+    """Difference of set-point and pressure [Pa]."""
     lost: tuple[float, float] = (2.0e5, 0.8)
-    """Pressure that pulses should have made and that is not there [Pa], over this time; motion alone makes 1.1 bar."""
+    """Pressure missing compared with the pulses within this time [Pa]; motion alone causes 1.1 bar."""
     norm: tuple[float, float] = (3.0, 0.02)
-    """Length of the specific force away from gravity [m/s2]."""
+    """Deviation of the specific force's magnitude from gravity [m/s2]."""
     frozen: float = 0.2
-    """An accelerometer that shows the same numbers for so long [s] does not measure."""
+    """An accelerometer with unchanged readings for this long [s] does not measure."""
     disagrees: tuple[float, float] = (math.radians(7), 0.3)
-    """Attitude away from where the pressures hold the platform [rad]; hysteresis alone makes 4.3 deg."""
+    """Angle between the measured attitude and that of rest at the pressures [rad]; hysteresis alone causes 4.3 deg."""
     tilt: tuple[float, float] = (math.radians(22), 0.05)
-    """Tilt [rad]; 2 deg before the stops."""
+    """Tilt [rad]; 2 deg below the mechanical stops."""
     lift: float = 1.5
-    """From its first sample on the platform may still be lifted from a stop [s]: no limit of tilt, nor of lost air."""
+    """Time to lift off a stop at the start [s], without limits on tilt and lost air."""
 
 
 @dataclass
 class PlatformWatch:
-    """Looks at each sample and says what is wrong, or nothing."""
+    """Checks each sample for faults of the platform."""
 
     numbers: Mapping[str, float] = field(default_factory=dict)
-    """What the platform is made of, as in `model.many.platform.described`."""
+    """Geometry and muscles, as in `model.many.platform.described`."""
     limits: PlatformLimits = field(default_factory=PlatformLimits)
 
     def __post_init__(self) -> None:
@@ -56,16 +56,16 @@ class PlatformWatch:
         self._air = {i: _Air(self.limits.lost[1]) for i in MUSCLES}
         self._since: dict[str, float] = {}
         self._shown: tuple[tuple[float, ...], float] | None = None
-        """What the accelerometer showed last, and since when [s]."""
+        """Last readings of the accelerometer [m/s2], and since when they are unchanged [s]."""
         self._begun: float | None = None
         self._lifted = False
         self._compared = -math.inf
         self._at_rest: Pair = (0.0, 0.0)
-        """Attitude that the pressures hold [rad]."""
+        """Attitude of rest at the measured pressures (phi, psi) [rad]."""
         self._apart = 0.0
 
     def look(self, t: float, values: Mapping[str, float], orders: Orders) -> str:
-        """A sentence about the first fault that the sample `values` [SI] at `t` [s] shows, or an empty text.
+        """Describe the first fault in the sample `values` [SI] at `t` [s]; empty where there is none.
 
         `orders` are the commands that followed this sample.
         """
@@ -135,16 +135,16 @@ class PlatformWatch:
                 self._expect(t, pulse, values, eps)
 
     def _expect(self, t: float, pulse: Pulse, values: Mapping[str, float], eps: tuple[float, ...]) -> None:
-        """Note how far a pulse is to change the pressure of its muscle."""
+        """Note the expected change of the muscle's pressure by a pulse."""
         kind, _, muscle = pulse.valve.partition("_")
         i = int(muscle)
         rate = pressure_rate(self.platform, values[f"pressure_{i}"], eps[i - 1], fills=kind == "fill")
-        # of a fall twice as much is allowed: valves and hoses are never quite as they are described
+        # twice the calculated fall is allowed: valves and hoses differ from their description
         self._air[i].expect(t + pulse.seconds, rate * pulse.seconds * (1 if kind == "fill" else 2))
 
 
 class _Air:
-    """Pressure of one muscle over a sliding window, and how pulses should have changed it."""
+    """Pressure of one muscle over a sliding window, and the changes expected from pulses."""
 
     def __init__(self, window: float) -> None:
         self._window = window
@@ -152,13 +152,13 @@ class _Air:
         self._due: deque[tuple[float, float]] = deque()
 
     def expect(self, t: float, change: float) -> None:
-        """By `t` [s] a pulse will have changed the pressure by so much [Pa]."""
+        """Note that a pulse changes the pressure by `change` [Pa] until `t` [s]."""
         self._due.append((t, change))
 
     def lost(self, t: float, P: float) -> float:
-        """Pressure [Pa] that is missing at `t` [s] after a window's pulses; 0 before a window has passed.
+        """Pressure [Pa] missing at `t` [s] compared with the pulses of the last window; 0 before a window has passed.
 
-        A pulse that fills counts when it is over, one that lets air out from its beginning.
+        A filling pulse counts after its end, a venting pulse from its beginning.
         """
         self._seen.append((t, P))
         while self._seen[0][0] < t - self._window - 1e-9:
@@ -174,4 +174,4 @@ class _Air:
 
 
 SETTLES = 0.01
-"""A pulse has acted this long after its end [s]: valves open and shut late."""
+"""Delay after a pulse until its effect is complete [s]: valves open and shut late."""

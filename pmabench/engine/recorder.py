@@ -1,6 +1,6 @@
-"""Where samples and events go: a run folder, or nowhere; and a recorder whose failure stops nothing.
+"""Recorders of samples and events: the protocol, one that keeps only events, and one whose failure stops nothing.
 
-A plan that is only tried leaves what each trial comes to: highest contraction and force, and how long it takes.
+For a dry run there is one that keeps the peak values and the duration of each trial.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pmabench.bench.interface import CompiledBench
 
 
 class Recorder(Protocol):
-    """Where samples and events go: a run folder, or nowhere when a plan is only tried."""
+    """Takes samples and events: a run folder, or a recorder in memory for a dry run."""
 
     def append(
         self,
@@ -27,11 +27,11 @@ class Recorder(Protocol):
         flags: NDArray[np.uint16],
         host_ns: int | None = None,
     ) -> None:
-        """Samples as the device gave them; `host_ns` is when the newest was here [ns, bench time]."""
+        """Record raw samples, unscaled; `host_ns` is the arrival of the newest [ns, bench time]."""
         ...
 
     def event(self, kind: str, t: float, **data: Any) -> None:
-        """Something that happened at bench time `t` [s]."""
+        """Record an event at bench time `t` [s]."""
         ...
 
 
@@ -44,15 +44,15 @@ class NoRecord:
     def append(
         self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any, host_ns: int | None = None
     ) -> None:
-        """Nothing is kept."""
+        """Discard the samples."""
 
     def event(self, kind: str, t: float, **data: Any) -> None:
-        """Kept in memory."""
+        """Keep the event in memory."""
         self.events.append((kind, t, data))
 
 
 class Forgiving:
-    """Passes everything to another recorder; when that fails, notes it once and goes on without it."""
+    """Passes everything to another recorder and keeps its first RecordError in `lost` instead of raising it."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
@@ -77,7 +77,7 @@ class Forgiving:
 
 @dataclass
 class Peak:
-    """One trial."""
+    """Peak values and duration of one trial of a dry run."""
 
     trial: int
     """Its index in the plan."""
@@ -90,7 +90,7 @@ class Peak:
 
 
 class TrialPeaks(NoRecord):
-    """A recorder that keeps the peaks of trials, and no samples."""
+    """A recorder that keeps the peak values of each trial, and no samples."""
 
     def __init__(self, bench: CompiledBench) -> None:
         super().__init__()
@@ -101,7 +101,7 @@ class TrialPeaks(NoRecord):
     def append(
         self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any, host_ns: int | None = None
     ) -> None:
-        """Look at the samples of the trial that is under way."""
+        """Update the peak values of the current trial."""
         if not self._under_way:
             return
         highest = self.trials[-1].highest
@@ -111,7 +111,7 @@ class TrialPeaks(NoRecord):
                 highest[name] = max(highest.get(name, top), top)
 
     def event(self, kind: str, t: float, **data: Any) -> None:
-        """Begin and end of trials; all is kept as usual."""
+        """Keep the event, and note begin and end of trials."""
         super().event(kind, t, **data)
         if kind == "trial-begin":
             self.trials.append(Peak(int(data["trial"]), dict(data["point"]), begun=t))

@@ -1,8 +1,8 @@
-"""Trials that are left of a run that ended early, and trials that are chosen one by one while a run goes on.
+"""Remaining trials of a run that ended early, and trials that are chosen one by one during a run.
 
-To go on, bench, specimen and protocol must be as before. The steps of a choice are those that the plan has for a trial
-at the same point: whatever is chosen was checked against all limits before the run, and is checked again by the guard.
-Whoever chooses is asked after each trial, and knows nothing of a bench.
+To resume, bench, specimen and protocol must be unchanged. A chosen trial uses the steps of the plan's trial at the same
+point: they were checked against all limits before the run, and the guard checks them again. The choosing function is
+called after each trial, and knows nothing of a bench.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from pmabench.engine.run import Continues
 from pmabench.protocol.plan import Ask, Plan, Record, Step, TrialRecord
 
 CHANGES = ("bench", "calibration", "specimen", "protocol")
-"""What may have changed since, and can be accepted by name."""
+"""Inputs whose change can be accepted by name when a run is resumed."""
 
 
 def continue_run(
     folder: Path, plan: Plan, mounted: Mounted, protocol_text: str, accept: Sequence[str] = ()
 ) -> Continues:
-    """What a new run of `plan` must know to go on after `folder`, which is closed as interrupted if its writer died.
+    """Prepare a new run of `plan` that continues the run in `folder`.
 
-    Raises InvalidFile where bench, calibrations, specimen or protocol are not what they were (unless the change is
-    accepted), where another run already goes on after it, or where nothing is left to do.
+    A run whose writer died is first closed as interrupted. Raises InvalidFile where bench, calibrations, specimen or
+    protocol have changed (unless accepted), where another run already continues it, or where no trial is left.
     """
     from pmabench.store.chain import continued, goes_on, open_chain
     from pmabench.store.folder import read_manifest
@@ -60,9 +60,10 @@ def continue_run(
 
 
 def _changes(then: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]:
-    """Which of the files a run is made of differ, as the words of `CHANGES`; bench.json holds zeros and is no file.
+    """Which inputs of a run differ, as words of `CHANGES`, one for each changed file.
 
-    Files that a bench names, as maps and plants, are part of it.
+    Files that the bench refers to, such as maps and plants, count as bench. bench.json is skipped: it contains the
+    zeros.
     """
     for name in {*then, *now} - {"bench.json", "README.txt"}:
         digest = hashlib.sha256(now[name].encode()).hexdigest() if name in now else None
@@ -74,9 +75,9 @@ def _changes(then: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]:
 def remaining(plan: Plan, done: set[int]) -> tuple[Step, ...]:
     """The plan's steps without those of finished trials.
 
-    A request for hands stays where a trial is left before the next one; what comes before the first trial after it
-    (preconditioning, pressurising) stays too, and what lies right before a trial that is left. The preconditioning is
-    done again in any case: a run that goes on is a new start for the specimen.
+    An operator request is kept if a trial remains before the next request, with the steps between it and the first
+    trial after it (preconditioning, pressurising) and the steps right before each remaining trial. Preconditioning is
+    always repeated: after a pause the specimen starts anew.
     """
     kept: list[Step] = []
     prepares = [step for step in plan.steps if step.phase == "precondition"]
@@ -95,11 +96,11 @@ def remaining(plan: Plan, done: set[int]) -> tuple[Step, ...]:
 def with_reference(
     plan: Plan, steps: tuple[Step, ...], index: int, *, alone: bool = False
 ) -> tuple[tuple[Step, ...], TrialRecord | None]:
-    """`steps` with the plan's reference trial before them, done again as the trial `index`; None where it is not due.
+    """`steps` after a repeat of the plan's reference trial, with the number `index`; and that trial.
 
-    A new start shows by it whether the specimen is still the same. It is no trial of the plan and takes no place of
-    one. Where the first trial that is left is a reference trial, that one shows it. `alone`: without `steps`, where
-    trials are chosen after it.
+    It shows whether the specimen is still the same, and does not count as a trial of the plan. None where it is not
+    needed: no trial left, no reference trial in the plan, or the first remaining trial is a reference trial. `alone`:
+    without `steps`, for runs whose trials are chosen afterwards.
     """
     reference = next((trial for trial in plan.trials if trial.reference), None)
     first = next((step.trial for step in steps if isinstance(step, Record) and step.trial is not None), None)
@@ -118,7 +119,7 @@ def with_reference(
 
 
 def steps_of(plan: Plan, like: int, index: int) -> list[Step]:
-    """The steps of a plan's trial `like` as those of the trial `index`."""
+    """Steps of the plan's trial `like`, renumbered as trial `index`."""
     return [
         replace(step, trial=index) if isinstance(step, Record) and step.trial is not None else step
         for step in remaining(plan, {trial.index for trial in plan.trials} - {like})
@@ -126,7 +127,7 @@ def steps_of(plan: Plan, like: int, index: int) -> list[Step]:
 
 
 def _left_of(part: Sequence[Step], done: set[int]) -> list[Step]:
-    """One part without its finished trials."""
+    """The steps of one part without its finished trials."""
     kept: list[Step] = []
     gap: list[Step] = []
     inside: int | None = None
@@ -146,7 +147,7 @@ def _left_of(part: Sequence[Step], done: set[int]) -> list[Step]:
 
 
 def _parts(steps: Sequence[Step]) -> list[list[Step]]:
-    """The steps from one request for hands to the next."""
+    """The steps, split before each operator request that follows a trial."""
     parts: list[list[Step]] = [[]]
     for step in steps:
         if isinstance(step, Ask) and any(isinstance(other, Record) for other in parts[-1]):
@@ -156,7 +157,10 @@ def _parts(steps: Sequence[Step]) -> list[list[Step]]:
 
 
 def sources(folder: Path) -> dict[str, Any]:
-    """Which files a run was made from, as its manifest says: `protocol`, `bench`, `specimen`, `set`."""
+    """Source files of a run from its manifest: `protocol`, `bench`, `specimen`, `set`.
+
+    Raises InvalidFile where it has no planned trials or does not name its sources.
+    """
     from pmabench.store.folder import read_manifest
 
     manifest = read_manifest(folder)
@@ -171,7 +175,7 @@ def sources(folder: Path) -> dict[str, Any]:
 
 
 CHANGED, ENDED = "plan-change", "choice-end"
-"""Kinds of events: a trial that was chosen; why no other is."""
+"""Kinds of events: a trial was chosen; the choice of trials ended."""
 
 
 @dataclass(frozen=True)
@@ -180,26 +184,26 @@ class Chosen:
 
     trial: TrialRecord
     like: int
-    """Index of the plan's trial at the same point, whose steps are done."""
+    """Index of the plan's trial at the same point, whose steps are used."""
     why: str
     data: Mapping[str, Any]
-    """What the event says besides."""
+    """Additional data of the event."""
 
 
 @dataclass(frozen=True)
 class NoMore:
-    """The end of the run."""
+    """The choice ends: no further trial."""
 
     reached: bool
-    """Whether what was asked for is reached."""
+    """Whether the goal of the choice was reached."""
     why: str
 
 
 class Choosing:
-    """The steps of one trial after the other, as an executor asks for them.
+    """Supplies an executor with the steps of one chosen trial after the other.
 
-    `choose` gives the next trial, after all that is recorded; it calls its argument again and again while it takes
-    time.
+    `choose` returns the next trial from what is recorded; while it computes, it must call its argument repeatedly,
+    which lets bench time pass.
     """
 
     def __init__(self, executor: Executor, choose: Callable[[Callable[[], None]], Chosen | NoMore]) -> None:
@@ -211,7 +215,7 @@ class Choosing:
     def __call__(self) -> Sequence[Step]:
         """The steps of the next trial; none at the end."""
         executor = self.executor
-        if not self.prepared and executor.steps:  # a reference trial was done again before
+        if not self.prepared and executor.steps:  # a reference trial was repeated first
             self._take(executor.steps)
         answer = self.choose(self._wait)
         now = executor.clock.now()
@@ -226,7 +230,7 @@ class Choosing:
         )  # fmt: skip
         self.before = trial.index
         steps = steps_of(executor.plan, answer.like, trial.index)
-        if self.prepared:  # no hands where its load is on already
+        if self.prepared:  # no operator request if its load is already on
             steps = [s for s in steps if s.phase != "precondition" and not (_puts_on(s) and _puts_on(s) == self.load)]
         self._take(steps)
         return steps
@@ -240,5 +244,5 @@ class Choosing:
 
 
 def _puts_on(step: Step) -> tuple[float, float] | None:
-    """The load that hands put on at a step."""
+    """The load (force [N], mass [kg]) that is put on by hand in a step; None for other steps."""
     return step.load if isinstance(step, Ask) else None

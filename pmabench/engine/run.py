@@ -44,9 +44,10 @@ if TYPE_CHECKING:
 
 
 LOOK, FOLLOWS = 0.1, 1.5
-"""How often a controlled stop looks at the pressure, and from when on it must have fallen [s] ..."""
+"""Interval at which a controlled stop checks the pressure, and time after which it must have fallen [s] ..."""
 FALLEN, FOLLOWED, BEHIND = 20e3, 0.2, 0.5
-"""... where the command has fallen by so much [Pa]: by the first share of it, or be behind by less than the second."""
+"""... if the command fell by at least the first [Pa]. The pressure must fall by the second number's share of the
+command's fall [1], or lag behind it by less than the third number's share."""
 
 
 @dataclass(frozen=True)
@@ -64,24 +65,24 @@ class Outcome:
     extremes: Mapping[str, tuple[float, float]]
     """Lowest and highest value [SI] measured on each channel."""
     tripped: TripRecord | None = None
-    """The limit on a measured channel that ended it."""
+    """The limit on a measured channel that ended it, if one did."""
     events: tuple[tuple[str, float, dict[str, Any]], ...] = ()
-    """Events of a run that was only tried."""
+    """Events (kind, bench time [s], data) of a dry run; empty for a recorded run."""
     trials_done: int = 0
-    """How many trials came to their end, those of the run that this one continues included."""
+    """Number of completed trials, including those of the run that this one continues."""
     identities: Mapping[str, Identity] = field(default_factory=dict)
-    """Who answered, by device."""
+    """Identity that each device reported, by its name."""
 
 
 class Waiting:
-    """An operator who can be interrupted while the program waits for the answer."""
+    """Wraps an operator so that a signal interrupts the wait for an answer at once."""
 
     def __init__(self, operator: Operator, signals: Signals) -> None:
         self._operator, self._signals = operator, signals
         self.poll = operator.poll
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
-        """As the operator answers."""
+        """The operator's answer; raises Interrupted on a signal."""
         self._signals.waiting = True
 
         def waited() -> None:
@@ -97,19 +98,19 @@ class Waiting:
 
 @dataclass(frozen=True)
 class Continues:
-    """The run that a new one goes on from, by `pmabench run --resume`."""
+    """What a new run needs to continue an earlier one (`pmabench run --resume`)."""
 
     manifest: Mapping[str, Any]
-    """What the new manifest says of it."""
+    """Entry `continues` of the new manifest."""
     steps: tuple[Step, ...]
-    """What is left to do."""
+    """The remaining steps."""
     again: TrialRecord | None
-    """The reference trial that is done again before it."""
+    """The reference trial that is repeated first, if any."""
     attempts: Mapping[int, int]
 
     @property
     def left(self) -> dict[str, Any]:
-        """What an executor is given of it."""
+        """Keyword arguments for the executor."""
         done = set(self.manifest["trials_done"])
         return {"steps": self.steps, "again": self.again, "attempts": dict(self.attempts), "finished": done}
 
@@ -132,17 +133,16 @@ def run_plan(
     trying: NoRecord | None = None,
     further: Callable[[Executor], Callable[[], Sequence[Step]]] | None = None,
 ) -> Outcome:
-    """Execute `plan` on the mounted bench and record it in a new folder below `out` (None: try it, keep nothing).
+    """Execute `plan` on the mounted bench and record it in a new folder below `out` (None: dry run, nothing is stored).
 
-    `about` goes into the manifest. `procedure` is what is done on the armed bench: the plan's steps, or something
-    guided (session, calibration, jog) that uses the same executor's guard, acquisition, operator and recorder, under
-    the same watch and the same ending. `before_proof` is done before the proof test, without pressure. `trying` sees
-    the samples of a run that is only tried. With `further` (see `Choosing`) the plan's trials are not done in their
-    order, but as they are chosen one by one.
+    `about` is added to the manifest. `procedure` runs on the armed bench: the plan's steps, or a guided procedure
+    (session, calibration, jog) that uses the executor's guard, acquisition, operator and recorder, with the same limits
+    and the same ending. `before_proof` runs before the proof test, without pressure. `trying` receives the samples of a
+    dry run. With `further` (see `Choosing`) trials are chosen one by one instead of in the plan's order.
 
-    The bench is driven to its safe state on every way out, and the result of that is in the record before its end mark.
-    `begun` gets the folder before. Raises DeviceError, LimitRefused or RecordError only where nothing was commanded,
-    InvalidFile for a bench in real time with values that nobody has confirmed.
+    The bench is driven to its safe state whatever ends the run, and the result of that is recorded before the run is
+    sealed. `begun` is called with the new folder. Raises DeviceError, LimitRefused or RecordError only before anything
+    was commanded, InvalidFile for a bench in real time with unconfirmed values.
     """
     mounted.refuse_unconfirmed()
     bench = mounted.bench
@@ -185,8 +185,8 @@ def run_plan(
 def _no_long_collection() -> Iterator[None]:
     """Collect garbage once now, and keep the collector from pausing the run later.
 
-    A collection of everything stops all threads: 0.37 s were measured on a busy computer, longer than the guard
-    allows an engine to be silent.
+    A full collection stops all threads: 0.37 s were measured on a busy computer, longer than the guard tolerates a
+    silent engine.
     """
     gc.collect()
     gc.freeze()
@@ -197,9 +197,10 @@ def _no_long_collection() -> Iterator[None]:
 
 
 def _as_answered(bench: CompiledBench, zeroed: Mapping[str, Any], identities: Mapping[str, Identity]) -> CompiledBench:
-    """The bench, simulated where one of its devices is; raises DeviceError for a real device in virtual time.
+    """The bench, marked as simulated if one of its devices is.
 
-    Also where one device answers as two, or another one than those that gave the zeros: serial numbers by name.
+    Raises DeviceError for a real device in virtual time, where one device answers under two names, and where zeros were
+    taken with another device (`zeroed`: serial numbers by device name).
     """
     simulated = [identity.simulated for identity in identities.values()]
     if not bench.realtime and not all(simulated):
@@ -210,7 +211,7 @@ def _as_answered(bench: CompiledBench, zeroed: Mapping[str, Any], identities: Ma
 
 
 def _opened(bench: CompiledBench, identities: Mapping[str, Identity], priority: str) -> dict[str, Any]:
-    """What the manifest says of the devices that answered, and of the `priority` of this process."""
+    """Entries of the manifest about the devices that answered, and about the `priority` of this process."""
     entries: dict[str, Any] = {"devices": {name: vars(identity) for name, identity in identities.items()}}
     entries["drivers"] = as_data(bench)
     if bench.realtime:
@@ -233,7 +234,7 @@ def _new_folder(
     started = datetime.now(UTC)
     specimen = mounted.specimen_file
     muscles = {number: {"type": one.type, "serial": one.serial} for number, one in mounted.bench_file.muscles.items()}
-    """Which muscle has which number, where there are several."""
+    """Number -> type and serial number, where there are several muscles."""
     name = run_name(started, f"{specimen.type}-{specimen.serial}", plan.kind, bench.simulated)
     manifest = {
         "kind": plan.kind,
@@ -283,7 +284,7 @@ class _Run:
         self.ahead = ahead()
 
     def execute(self) -> Outcome:
-        """Run it; every way out leads through the safe state."""
+        """Run it; whatever ends it, the safe state follows."""
         acquisition, executor = self.acquisition, self.executor
         acquisition.check = self._check
         acquisition.on_trip = lambda why, latches, hurry: self.guard.begin_safe(tripped=latches, hurry=hurry, why=why)
@@ -312,7 +313,7 @@ class _Run:
             if executor.failed:
                 failed = ", ".join(str(index + 1) for index in executor.failed)
                 cause = VerdictFailed(f"{len(executor.failed)} of {len(executor.plan.trials)} trials failed: {failed}")
-        except BaseException as error:  # every way out leads through the safe state below
+        except BaseException as error:  # whatever it is, the safe state below follows
             cause = error
         gently = (isinstance(cause, Interrupted) and self.signals.gently) or isinstance(cause, LoadImplausible)
         if gently or (isinstance(cause, Tripped) and cause.trip.limit.action == "stop"):
@@ -320,7 +321,7 @@ class _Run:
         return self._end(cause)
 
     def _open_streams(self) -> None:
-        """One stream per device that is recorded, at the rate that the device itself says."""
+        """Open one stream in the record for each device with recorded channels, at the device's actual rate."""
         if self.writer is None:
             return
         for device in self.bench.devices:
@@ -333,7 +334,7 @@ class _Run:
         self.executor.handle_keys()
 
     def _controlled_stop(self) -> None:
-        """Take the pressure down at the bench's rate first; whatever comes meanwhile ends that at once."""
+        """Lower the pressures at the bench's stop rate before the safe state; any signal or error ends this at once."""
         now = self.clock.now()
         asked = {output: self.acquisition.commanded.at(output.name, now) for output in self.bench.pressures}
         above = {o: value - o.safe for o, value in asked.items() if value is not None and value > o.safe}
@@ -347,14 +348,14 @@ class _Run:
             furthest = max(above.values())
             highest = max(output.safe + way for output, way in above.items())
             self.executor.recorder.event("controlled-stop", now, origin=highest, rate=self.bench.stop_rate)
-            for output, way in above.items():  # all arrive together, so that muscles against each other stay balanced
+            for output, way in above.items():  # all arrive together: antagonistic muscles stay balanced
                 rate = self.bench.stop_rate * (way / furthest)
                 self.guard.ramp(output.name, output.safe + way, output.safe, rate)
                 self.acquisition.commanded.ramp(output.name, now, output.safe + way, output.safe, rate)
             self._wait_for_stop(now, furthest / self.bench.stop_rate, above)
 
     def _wait_for_stop(self, begun: float, lasts: float, above: Mapping[OutputRecord, float]) -> None:
-        """Let the ramps of a stop pass, as long as the pressures that are measured follow them: else vent now."""
+        """Wait for the ramps of a stop; return early, so that the bench is vented, if a pressure does not follow."""
         latest = self.acquisition.latest
         before = {output.name: latest.get(output.name) for output in above}
         while (since := self.clock.now() - begun) < lasts:
@@ -372,14 +373,14 @@ class _Run:
                     return
 
     def _measure(self) -> Mapping[str, float]:
-        """Newest values for the safe state; more signals shorten its waits."""
+        """Newest values for the safe state [SI]; further signals shorten its waits."""
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
         self.own.keep_measuring(self.acquisition.rate)
         values: Mapping[str, float] = {}
-        try:  # the guard still has the values measured before while this collects
+        try:  # meanwhile the guard still uses the former values
             values = self.acquisition.measure()
-        finally:  # what was measured before confirms nothing, should this have failed
+        finally:  # after a failure former values must not confirm anything
             if isinstance(self.guard, RemoteGuard):
                 self.guard.seen = {name: value for name, value in values.items() if name in self.own.channels}
         return values
@@ -389,7 +390,7 @@ class _Run:
         self.signals.news()
         self.signals.shut()
         why = str(cause) if cause is not None else "end of the run"
-        self.guard.begin_safe(tripped=isinstance(cause, LimitTripped), why=why)  # first: nothing else is waited for
+        self.guard.begin_safe(tripped=isinstance(cause, LimitTripped), why=why)  # first: it must not wait
         acquisition.begin_safe_state()
         ending = Forgiving(executor.recorder)
         if isinstance(cause, LimitTripped) and not isinstance(cause, Tripped):
@@ -403,14 +404,14 @@ class _Run:
         if why_set := clock_set(self.ahead):
             ending.event("warning", self.clock.now(), reason=why_set)
         if self.bench.realtime:
-            ordinary()  # the seal keeps nobody waiting
+            ordinary()  # closing the record needs no priority
         zeros = self._zeros() if vent.confirmed else {}
         if zeros:
             ending.event("zero-check", self.clock.now(), channels=zeros)
         lost = cause if isinstance(cause, RecordError) else acquisition.lost or ending.lost
         try:
             acquisition.stop()
-        except Exception as error:  # the run is over and vented; what is left is to say so
+        except Exception as error:  # the run is over and vented; only its status is left to report
             cause = cause or error
         status, why = status_of(cause)
         if not vent.confirmed and self.bench.safe_state:
@@ -435,13 +436,13 @@ class _Run:
         )
 
     def _zeros(self) -> dict[str, dict[str, Any]]:
-        """The session's zeros at the end of the run; empty where it took none, or where nothing can be measured."""
+        """Check of the session's zeros; empty where no channel was zeroed, or nothing can be measured."""
         zeroed = tuple(channel.name for channel in self.bench.channels if channel.zero is not None)
         if not zeroed:
             return {}
         try:
             return zero_check(self.acquisition, zeroed, unloaded=self.executor.unloaded)
-        except Exception:  # the run is over and vented; what is not measured is not there
+        except Exception:  # the run is over and vented; the check is optional
             return {}
 
     def _close(self, status: str, why: str, vent: Vent, zeros: Mapping[str, Any]) -> RecordError | None:

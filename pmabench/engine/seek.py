@@ -1,7 +1,7 @@
-"""Searches and closed loops: the ways to run a law, which cannot leave the output ranges of its step.
+"""Runs the laws of searches and closed loops; no law can leave the output ranges of its step.
 
-A sampled law steers one output, a script ramps and waits by its `Moves`, and a law of several quantities sends aims and
-pulses to the guard while a watch looks at every sample.
+A sampled law controls one output, a script ramps and waits through its `Moves`, and a law of several quantities sends
+aims and pulses to the guard while a watch checks every sample.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from pmabench.engine.platform_watch import PlatformWatch
 
 AT_ONCE = 100
-"""Samples that a law which rarely changes its command is given at once [1]."""
+"""Samples per block for a law that rarely changes its command [1]."""
 
 
 class SampledLaw(Protocol):
-    """A law that is called at every sample. With a true `rarely` it keeps its command for many of them."""
+    """A law that is called at every sample; a true `rarely` marks one that keeps its command for many samples."""
 
     done: bool
 
@@ -55,7 +55,7 @@ def run_seek(
 def _always(
     step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
 ) -> bool:
-    """Sample by sample; a command that is unchanged is not sent again."""
+    """Run the law sample by sample; unchanged commands are not sent again. Whether it ended before the deadline."""
     sent: float | None = None
     t, values = acquisition.sample()
     while not law.done:
@@ -74,12 +74,12 @@ def _always(
 def _rarely(
     step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
 ) -> bool:
-    """The same, block by block, where time can be taken back to the sample at which the law changes its command."""
+    """As `_always`, but block by block: needs a clock that can go back to the sample where the command changes."""
     sent: float | None = None
     command = step.low
 
     def changes(samples: Samples) -> int | None:
-        """The first sample of a block after which the command is another one, or the law is done."""
+        """Index of the first sample after which the command changes or the law is done; None if there is none."""
         nonlocal command
         columns = {name: column.tolist() for name, column in samples.values.items()}
         for i, t in enumerate(samples.t.tolist()):
@@ -106,7 +106,7 @@ def _late(step: Seek | Control) -> str:
 
 
 class Moves:
-    """What a scripted law may do: ramp its output inside the step's range, and let time pass until a crossing."""
+    """Actions of a scripted law: command its output inside the step's range, switch valves, and wait."""
 
     def __init__(self, step: Seek, guard: Commander, acquisition: Acquisition, clock: Clock, log: Callable[..., None]):
         self.step = step
@@ -124,14 +124,14 @@ class Moves:
     def set(self, value: float) -> None:
         """Command a value at once."""
         value = self.inside(value)
-        self._guard.wait()  # first: the record says when it was commanded
+        self._guard.wait()  # first: the record states the time of the command
         before = self.commanded
         self._log("set", value, value if before is None else before)
         self._guard.set(self.step.output, value)
         self.commanded = value
 
     def ramp(self, origin: float, target: float, rate: float) -> float:
-        """Start a ramp; returns the bench time [s] when it will be there."""
+        """Start a ramp; returns the bench time [s] of its end."""
         origin, target = self.inside(origin), self.inside(target)
         self._guard.wait()
         self._log("ramp", target, origin, rate=rate)
@@ -151,9 +151,10 @@ class Moves:
 
 
 def _watch_of(bench: CompiledBench) -> PlatformWatch | None:
-    """The watch on all muscles of a bench together, where it needs one; LimitRefused where there is none of its name.
+    """The watch on all muscles of a bench together; None where the bench needs none.
 
-    Set-points go to regulators, whose channels have limits; only valves that are steered need such a watch.
+    Raises LimitRefused for an unknown name. Only valves controlled by pulses need such a watch: with set-points the
+    regulators' channels have limits of their own.
     """
     if not bench.together:
         return None
@@ -165,11 +166,11 @@ def _watch_of(bench: CompiledBench) -> PlatformWatch | None:
 
 
 LOGGED_EVERY = 1.0
-"""What was steered becomes an event so often [s]: an event for each pulse would be sixty lines a second."""
+"""Interval of the events that log aims and pulses [s]: an event for each pulse would be sixty lines a second."""
 
 
 class _Steered:
-    """Set-points and pulses since the last event."""
+    """Collects aims and pulses, and logs them at intervals."""
 
     def __init__(self, log: Callable[..., None], begun: float) -> None:
         self._log, self._next = log, begun + LOGGED_EVERY
@@ -178,7 +179,7 @@ class _Steered:
         self._pulses: list[list[Any]] = []
 
     def note(self, t: float, orders: Orders) -> None:
-        """Keep what was sent at `t` [s]; an event where it is time."""
+        """Note what was sent at `t` [s], and log when the interval has passed."""
         self._names = list(orders.aims)
         self._aims.append([round(t, 6), *(float(f"{value:.6g}") for value in orders.aims.values())])
         self._pulses += [[round(t, 6), pulse.valve, round(pulse.seconds, 6)] for pulse in orders.pulses]
@@ -187,7 +188,7 @@ class _Steered:
             self._next = t + LOGGED_EVERY
 
     def flush(self) -> None:
-        """What is left becomes an event."""
+        """Log what was not logged yet."""
         if self._aims:
             self._log(columns=["t", *self._names], aims=self._aims, pulses=self._pulses)
         self._aims, self._pulses = [], []
@@ -199,8 +200,8 @@ def run_control(
 ) -> dict[str, Any]:  # fmt: skip
     """Run the step's law to its end; its result has `found` True or False and, when False, `reason`.
 
-    `log` gets what was steered, a second at a time, also where a fault ends it. Raises LimitTripped where the bench's
-    watch finds a fault, LimitRefused for a command outside its range.
+    `log` receives aims and pulses about once a second, also when a fault ends the loop. Raises LimitTripped where the
+    bench's watch finds a fault, LimitRefused for a command outside its range.
     """
     law: LawOfSeveral = law_of(step.law)(**step.parameters)
     watch = _watch_of(bench)

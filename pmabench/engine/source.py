@@ -1,7 +1,7 @@
-"""Where samples come from: devices that the engine opens itself, and each stream with its clock, flags and samples.
+"""Sources of samples: devices that the engine opens itself, and for each stream its clock, flags and kept samples.
 
-Devices that only measure are opened by the engine, each called from its own thread with a deadline. Missing or late
-samples are flagged by their times alone, overrange and slack by their values.
+The engine opens the devices that only measure; each is called from its own thread with a deadline. Missing and late
+samples are flagged from their times alone, overrange and slack from their values.
 """
 # mypy: disable-error-code="type-abstract"
 
@@ -25,27 +25,27 @@ from pmabench.guard.supervision import HELD, Supervision
 from pmabench.store.records import Flag
 
 COLLECTS_WITHIN = 0.5
-"""How long handing over samples may take [s]."""
+"""Longest time for a device to return its samples [s]."""
 SOON = 0.1
-"""A stream that gives nothing for so long [s] may be that of another device now."""
+"""A stream without samples for this long [s] may come from another device now, so its identity is checked."""
 
 
 class OwnLinks(Links):
-    """Links whose calls may take as long as handing over samples does."""
+    """Links with the longer deadline that a read of samples needs."""
 
     patience = hands_over = COLLECTS_WITHIN
 
 
 class OwnSupervision(Supervision):
-    """Questions of the engine."""
+    """Identity checks of the engine's own devices."""
 
     def hasten(self, name: str) -> None:
-        """Ask a device with the next look, whenever it was asked before."""
+        """Check a device at the next opportunity, even if it was checked recently."""
         self._since.pop(name + HELD[0], None)
 
 
 class OwnStream:
-    """The stream of a device that the engine calls itself; where it stops the device is asked at once what it is."""
+    """Stream of a device that the engine calls itself; if samples stop, the device's identity is checked at once."""
 
     def __init__(self, links: Links, name: str, clock: Clock, hasten: Callable[[str], None]) -> None:
         self._links, self._name, self._clock, self._hasten = links, name, clock, hasten
@@ -75,7 +75,7 @@ class OwnStream:
         return block
 
     def keep_measuring(self, rate: float) -> None:
-        """Begin it at `rate` [Hz], without waiting for that, where nothing has come for too long."""
+        """Restart the stream at `rate` [Hz] where nothing has arrived for too long, without waiting for the restart."""
         now = self._clock.now()
         if now - self._came > max(SILENT, self._soon) and (self._again is None or self._again.done.is_set()):
             device = self._links.need(self._name, Stream, "takes no samples")
@@ -83,7 +83,7 @@ class OwnStream:
 
 
 class OwnDevices:
-    """The devices of a bench that carry no output; none in virtual time, where the guard has all."""
+    """The devices of a bench without outputs; none in virtual time, where the guard has all devices."""
 
     def __init__(self, bench: CompiledBench, clock: Clock) -> None:
         self._records = [record for record in bench.devices if bench.realtime and not record.guarded]
@@ -92,22 +92,22 @@ class OwnDevices:
         self.streams: dict[str, OwnStream] = {}
         self.channels = frozenset(channel.name for record in self._records for channel in record.channels)
         self.supervision = OwnSupervision(bench, self._links, clock, lambda output: step(output.safe), {})
-        """Whether they are as they were when the bench was armed; they have no outputs."""
+        """Checks whether the devices are as they were when the bench was armed."""
 
     def open(self) -> None:
-        """Open all, at the same time; on failure those already open are closed."""
+        """Open all devices in parallel; on failure those already open are closed."""
         self._links.open(self._records, lambda _name: [], forgiving=False)
         for name, device in self._links.devices.items():
             if isinstance(device, Stream):
                 self.streams[name] = OwnStream(self._links, name, self._clock, self.supervision.hasten)
 
     def keep_measuring(self, rate: float) -> None:
-        """Begin each stream at `rate` [Hz] that has failed: what confirms a vent may be measured by it."""
+        """Restart each failed stream at `rate` [Hz], because it may measure what confirms a vent."""
         for stream in self.streams.values():
             stream.keep_measuring(rate)
 
     def close(self) -> None:
-        """Let go of all; harmless when repeated."""
+        """Close all devices; may be called again."""
         self._links.close(disarm=False)
 
 
@@ -115,23 +115,23 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.uint16]
 
 APART = 1.5
-"""A sample that comes more than so many periods after the one before is late or follows a missing one [1] ..."""
+"""A sample more than this many periods after the previous one is late, or follows a missing sample [1] ..."""
 LATE_ONLY = 1.75
-"""... up to here it is only late: with one missing before it, it would have come early."""
+"""... up to this many it is only late: after a missing sample it would itself be early."""
 CARRIED = 0.25
-"""A sample later than this shortens the step to the next one [periods]; less is jitter of the clock."""
+"""A delay longer than this shortens the step to the next sample [periods]; shorter ones are jitter of the clock."""
 MISSING = 0.75
-"""A sample counts as missing, not late, where steps are longer than they should be by so many periods [1]."""
+"""A sample counts as missing, not late, if the steps stay too long by this many periods [1]."""
 WAITING = 12
-"""At most so many samples wait for later ones to decide their flag: made-up polls come a few at once or never."""
+"""Largest number of samples that wait for later ones to decide their flag [1]: polls are caught up soon or never."""
 
 
 class Spacing:
     """Whether samples are missing before a sample (GAP), or it only came late (LATE), from block to block.
 
-    Polls at absolute deadlines that are late by x periods make one step of 1 + x and, with those that are made up, the
-    next ones shorter by x in all; where a sample is missing they stay longer. So where x is near 1 or more the samples
-    after decide, and until they are there the last ones are `open`.
+    A poll at an absolute deadline that is late by x periods makes one step of 1 + x; the next steps are shorter by x in
+    total when the polls catch up, but not if a sample is missing. So for x near 1 or more the following samples decide,
+    and until they arrive the newest samples are `open`.
     """
 
     def __init__(self, rate: float) -> None:
@@ -139,17 +139,17 @@ class Spacing:
         self._last: int | None = None
         self._late = 0.0
         self._open: list[float] = []
-        """How late the samples that are open would be, if none were missing [periods]."""
+        """Delay of each open sample if none is missing [periods]."""
 
     @property
     def open(self) -> int:
-        """How many of the newest samples still wait for the next one to decide their flag."""
+        """Number of newest samples whose flags are not decided yet."""
         return len(self._open)
 
     def look(self, time_ns: Sequence[int] | NDArray[np.int64]) -> tuple[list[int], list[int]]:
-        """The flags of the samples that were open, oldest first, and those of the samples at `time_ns`.
+        """Flags of the samples that were open, oldest first, and those of the samples at `time_ns`.
 
-        0 where a sample is open now.
+        0 where a sample is still open.
         """
         were = self.open
         flags = [0] * were
@@ -173,7 +173,7 @@ class Spacing:
         return flags[:were], flags[were:]
 
     def _even(self, time_ns: NDArray[np.int64]) -> bool:
-        """Whether no sample is late or missing, nor waits, so that nothing is carried over; they then count as seen."""
+        """Whether no sample is late, missing or open; if so the samples are marked as processed."""
         if self._open or self._late or not len(time_ns):
             return False
         first = 0 if self._last is None else int(time_ns[0]) - self._last
@@ -183,11 +183,11 @@ class Spacing:
         return True
 
     def settle(self) -> list[int]:
-        """The flags of the samples that still wait, at the end of the recording."""
+        """Flags of the samples that are still open at the end of the recording."""
         return self._decide(1.0)
 
     def _decide(self, step: float) -> list[int]:
-        """The flags of the samples that wait, decided by the `step` [periods] to the next sample."""
+        """Flags of the open samples, decided by the `step` [periods] to the next sample."""
         late, self._open = self._open, []
         if not late:
             return []
@@ -201,7 +201,7 @@ class Spacing:
 
 
 class Ranges:
-    """Overrange and slack, and how far each channel has gone: `extremes` [SI], lowest and highest."""
+    """Flags overrange and slack, and keeps each channel's lowest and highest value [SI] in `extremes`."""
 
     def __init__(self, slack_below: float) -> None:
         self._slack_below = slack_below
@@ -216,7 +216,7 @@ class Ranges:
             if low == low and high == high:
                 seen = self.extremes.get(name, (low, high))
                 self.extremes[name] = (min(seen[0], low), max(seen[1], high))
-            if not (low > channel.low and high < channel.high):  # also where one is no number
+            if not (low > channel.low and high < channel.high):  # also true for NaN
                 inside = (value > channel.low) & (value < channel.high)
                 if channel.raw_type != "int32":
                     inside = (value >= channel.low) & (value <= channel.high)
@@ -244,7 +244,7 @@ class Ranges:
 
 
 class Piece(NamedTuple):
-    """Samples as the recorder takes them: all of shape (n,); `host` is when the newest was here [ns, bench time]."""
+    """Samples for the recorder, arrays of shape (n,); `host` is the arrival of the newest [ns, bench time]."""
 
     time_ns: NDArray[np.int64]
     columns: Mapping[str, Any]
@@ -253,7 +253,7 @@ class Piece(NamedTuple):
 
 
 class Source:
-    """A stream with its clock offset, and the samples that were not handed to the recorder yet."""
+    """A stream with its clock offset, and the samples not yet passed to the recorder."""
 
     def __init__(
         self, name: str, stream: Stream, channels: Sequence[ChannelRecord], recorded: Sequence[str], drift: float
@@ -264,35 +264,35 @@ class Source:
         self.recorded = [channel.name for channel in channels if channel.name in recorded]
         self.spacing = Spacing(1.0)
         self.last: int | None = None
-        """The newest sample, on the device's clock [ns]."""
+        """Time of the newest sample on the device's clock [ns]."""
         self.newest = -inf
-        """When it was taken, by the shortest delay so far [s, bench time]."""
+        """Time of the newest sample, from the shortest delay so far [s, bench time]."""
         self.is_old = False
-        """Whether it was too old when it came to count as heard."""
+        """Whether the newest sample was too old on arrival to count as a sign of life."""
         self.heard = 0.0
-        """When one came last that was not too old [s]."""
+        """Arrival of the last sample that was not too old [s, bench time]."""
         self.scales = [(channel, channel.scale.slope, channel.scale.offset) for channel in channels]
         self.clock = DeviceClock(drift)
         self._rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []
         """Single samples: time [ns], raw columns of length 1, flags, arrival [ns].
 
-        The newest ones wait where only the next one shows whether they are late or samples are missing before them.
+        The newest may be open: only the next sample shows whether they are late or samples before them are missing.
         """
 
     def flag(self, flags: Sequence[int]) -> None:
-        """Set the flags of the samples that wait (the newest last), now that the next one has decided them."""
+        """Set the flags of the open samples (the newest last), now that they are decided."""
         for place, flag in enumerate(flags, len(self._rows) - len(flags)):
-            if flag and place >= 0:  # what came before the recording began is not kept
+            if flag and place >= 0:  # samples before the recording are not kept
                 time_ns, columns, before, arrival = self._rows[place]
                 self._rows[place] = time_ns, columns, before | flag, arrival
 
     def keep(self, time_ns: int, columns: Mapping[str, Sequence[float]], flags: int, host: int | None) -> int:
-        """Keep a single sample; how many are kept and can be handed over, 0 while the newest wait."""
+        """Keep a single sample; returns how many can be passed on: all that are kept, 0 while one is open."""
         self._rows.append((time_ns, columns, flags, host))
         return 0 if self.spacing.open else len(self._rows)
 
     def kept(self) -> Iterator[Piece]:
-        """The single samples, which are let go; none where there are none."""
+        """The kept single samples as one piece, if any; they are no longer kept afterwards."""
         if self._rows:
             rows, self._rows = self._rows, []
             yield Piece(
@@ -305,7 +305,7 @@ class Source:
     def pieces(
         self, time_ns: NDArray[np.int64], raw: Mapping[str, Any], flags: NDArray[np.uint16], host: int | None
     ) -> Iterator[Piece]:
-        """What was kept and then this block, but for the newest samples that wait for the next block."""
+        """The kept samples and then this block, without its open samples, which are kept for the next block."""
         ready = max(0, len(time_ns) - self.spacing.open)
         columns = {name: raw[name] for name in self.recorded}
         if ready == len(time_ns):

@@ -1,4 +1,4 @@
-"""The watch on what is measured: looks at every sample of every block; knows limits, not steps or devices."""
+"""Checks every measured sample against the limits; independent of steps and devices."""
 
 from __future__ import annotations
 
@@ -16,28 +16,29 @@ from pmabench.engine.commanded import Commanded
 Array = NDArray[np.float64]
 
 RATE_WINDOW = 0.02
-"""Over what time a rate is taken where the limit does not say [s]."""
+"""Window of a rate where the limit does not give one [s]."""
 FALLS, LEAST = 0.1, 0.5
-"""A value falls that fell by this share of what is allowed [1] in the time of its limit, at least so long [s]."""
+"""A value counts as falling if it fell by the first share of the allowed deviation [1] within the limit's delay, but
+not less than the second [s]."""
 ENDS = ("stop", "vent")
 """Actions that end the run."""
 
 
 @dataclass(frozen=True)
 class Trip:
-    """A limit that was crossed: at which sample of the block, when [s], with which value [SI]."""
+    """A limit that was exceeded: index of the sample in its block, time [s], and value [SI]."""
 
     limit: TripRecord
     index: int
     t: float
     value: float
     over: bool = False
-    """Whether this is the end of a crossing, not its beginning."""
+    """Whether the value came back inside the limit."""
     late: float = 0.0
-    """Of samples that come, but too old to count: how late they are [s]."""
+    """Age of samples that arrive too late to count [s]."""
 
     def too_high(self, commanded: Commanded) -> bool:
-        """Whether a pressure is above limit or command, or its line is open: no safe ramp or hold is for that."""
+        """Whether a pressure is above its limit or command, or its line burst: then vent without ramp or hold."""
         limit = self.limit
         asked = commanded.at(limit.channel, self.t) if limit.kind == "following" else limit.high
         above = limit.kind in {"range", "following"} and asked is not None and self.value >= asked
@@ -80,23 +81,23 @@ class _Watched:
     def __init__(self, limit: TripRecord) -> None:
         self.limit = limit
         self.since: float | None = None
-        """Since when the value is outside [s]."""
+        """Since when the value is outside [s]; None while inside."""
         self.active = False
-        """Whether an action that does not end the run was reported."""
+        """Whether the limit is exceeded and was reported, with an action that does not end the run."""
         self.heard: float | None = None
         self.old: float | None = None
-        """When the newest sample was taken, where it was too old to be heard [s]."""
+        """Time of the newest sample [s], where it was too old to count; else None."""
         self.t: Array = np.zeros(0)
         self.kept: Array = np.zeros(0)
-        """Samples before this block, as far back as the limit looks."""
+        """Samples of earlier blocks (`t`, `kept`) within the limit's window."""
         self.last: float | None = None
         self.changed = 0.0
         self.high: tuple[float, float] | None = None
-        """Since when a value is too far above its command, and is not falling [s], and the value then."""
+        """Since when the value is too far above its command without falling [s], and its value then."""
 
 
 class Watch:
-    """Holds each limit's state from block to block."""
+    """Checks blocks of samples against the limits, and keeps their state between blocks."""
 
     def __init__(
         self,
@@ -109,10 +110,10 @@ class Watch:
         self._commanded = commanded or Commanded()
 
     def look(self, t: Array, values: Mapping[str, Array], now: float | None = None) -> list[Trip]:
-        """What is crossed for longer than its delay in this block, and what is over, in the order of time.
+        """Limits exceeded in this block for longer than their delay, and those that are met again, in order of time.
 
-        `t` [s] has shape (n,), each of `values` [SI] too; one that was not old came last at `now` [s]. A value that is
-        no number counts as a crossing. Ends with the first crossing that ends the run.
+        `t` [s] and each of `values` [SI] have shape (n,); `now` [s] is the arrival of the last sample that was not old.
+        NaN counts as outside. Nothing is reported after the first trip that ends the run.
         """
         found: list[Trip] = []
         for watched in self._watched:
@@ -134,7 +135,7 @@ class Watch:
         return found[: next((n + 1 for n, trip in enumerate(found) if trip.limit.action in ENDS), None)]
 
     def look_once(self, t: float, values: Mapping[str, float], now: float | None = None) -> list[Trip]:
-        """As `look`, for a single sample in plain numbers: loops that are closed at every sample."""
+        """As `look`, for a single sample in plain numbers: faster, for loops that are closed at every sample."""
         if not all(
             watched.limit.kind == "range" and not watched.active and self._inside_once(watched, values)
             for watched in self._watched
@@ -143,7 +144,7 @@ class Watch:
         return []
 
     def silent(self, now: float) -> list[Trip]:
-        """Channels that have given nothing for too long at `now` [s]."""
+        """Trips of `stale` limits of channels that are silent for too long at `now` [s]."""
         found = []
         for watched in self._watched:
             limit = watched.limit
@@ -156,7 +157,7 @@ class Watch:
         return found
 
     def listen_anew(self) -> None:
-        """Silence counts from the next look on."""
+        """Restart the measurement of silence."""
         for watched in self._watched:
             watched.heard = watched.old = None
 
@@ -184,7 +185,7 @@ class Watch:
         outside, shown = self._outside(watched, t, samples)
         found: list[Trip] = []
         since, limit = watched.since, watched.limit
-        instant = limit.kind == "frozen"  # its delay is in what counts as outside
+        instant = limit.kind == "frozen"  # its delay is already part of the test
         for index in np.flatnonzero(outside | np.concatenate(([True], outside[:-1]))):
             if not outside[index]:
                 since = None
@@ -200,9 +201,9 @@ class Watch:
         return found
 
     def _not_falling(self, watched: _Watched, t: Array, samples: Array) -> list[Trip]:
-        """Where a value that is held for has risen above its command and stays there.
+        """A vent, if a value above its command does not fall while the bench is held.
 
-        While the bench holds nothing is sent: what another program commanded, or a stuck valve, is not corrected.
+        Nothing is sent during a hold, so a stuck valve or another program's command is not corrected.
         """
         limit = watched.limit
         most = limit.high or 0.0
@@ -223,7 +224,7 @@ class Watch:
             found.append(Trip(watched.limit, index, t, value, over=True))
 
     def _outside(self, watched: _Watched, t: Array, samples: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Which samples are outside, and the value that is reported of each."""
+        """Mask of samples outside the limit, and the value to report for each, both of shape (n,)."""
         limit = watched.limit
         if limit.kind in {"rate", "burst"}:
             return self._falls(watched, t, samples)
@@ -243,12 +244,12 @@ class Watch:
         return outside, samples
 
     def _asked(self, output: str, t: float) -> float:
-        """What is commanded [SI], or NaN, which nothing is far from."""
+        """The commanded value [SI]; NaN without a command, from which no deviation is found."""
         value = self._commanded.at(output, t)
         return float("nan") if value is None else value
 
     def _falls(self, watched: _Watched, t: Array, samples: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Change over the window before each sample: against a rate, or downwards as in a burst."""
+        """Check the change over the window before each sample: the size of its rate, or a fall as in a burst."""
         limit = watched.limit
         window = limit.window or RATE_WINDOW
         times, values = np.concatenate((watched.t, t)), np.concatenate((watched.kept, samples))
@@ -261,7 +262,7 @@ class Watch:
         if limit.kind == "rate":
             rate = np.abs(change) / np.maximum(times[first:] - times[before], 1e-9)
             return enough & (rate > (limit.high or 0.0)), rate
-        # What commands explain: a fall as fast as they were, and no deeper than the lowest of them.
+        # Commands explain a fall as fast as they were, and no deeper than the lowest of them.
         allowed = self._commanded.falling(limit.channel, t) * window
         if allowed.any():
             deep = np.maximum(0.0, values[before] - self._commanded.lowest(limit.channel, t))

@@ -1,14 +1,14 @@
-"""Air that a regulator moves in and out of a driven muscle: the pressure depends on the motion; knows no muscle.
+"""Air that a regulator moves into and out of a driven muscle, so that pressure depends on motion.
 
 With w = (P + P_atm) V^k the chamber equation of paper 3 is w' = (k r T C / V) (g - w), g = (u + P_atm) V^k, for a flow
-C (u - P) towards the regulator's pressure u: a first-order lag, whatever V(t) does. Over the lag's own time, the
-integral of k r T C / V (Simpson's rule), a step takes g as the parabola through its begin, middle and end, and is
-solved exactly; of w before a share between 0 and 1 is left, so that no step and no conductance can make it diverge.
-Where filling and venting differ and the flow turns within a step, the step is cut there. Without flow P_abs V^k is kept
-to the last digits.
+C (u - P) towards the regulator's pressure u: a first-order lag with a time-varying rate, for any V(t). A step uses as
+its variable the integral of k r T C / V (Simpson's rule) and for g the parabola through its begin, middle and end, and
+is then exact; a share between 0 and 1 of the former w remains, so no step and no conductance can make it diverge. Where
+filling and venting differ and the flow reverses within a step, the step is split there. Without flow P_abs V^k is
+constant to the last digits.
 
-The nodes of the steps are counted from where a command or the motion changes, never from a sample, so the samples are
-the same however the time is cut into stretches.
+Steps start where a command or the motion changes, never at a sample, so the results do not depend on how the time is
+divided into calls.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from pmabench.model.regulator import Regulated, Trace
 STEP = 4e-3
 """Time between two nodes [s]."""
 EARLY, QUICK = 8, 4
-"""The first steps of a piece, while lags fade, are so many and so many times as short [1]."""
+"""Number of shorter first steps of a piece, while lags fade, and their divisor [1]."""
 AT_ONCE = 20_000
-"""Most nodes made at once [1]."""
+"""Largest number of nodes calculated at once [1]."""
 NEAR = 1e-9
-"""A node that is nearer than this share of a step counts as reached; so little is no flow [1]."""
+"""A node closer than this share of a step counts as reached; also the relative tolerance for reversed flow [1]."""
 SLIGHT = 1e-6
-"""A step of fewer lags goes by the first terms of its series [1]."""
+"""Steps shorter than this many time constants use a series [1]."""
 
 Values = Any
 """Numbers or arrays of one shape."""
 Three = tuple[Values, ...]
-"""At the begin, the middle and the end of steps."""
+"""Values at the begin, the middle and the end of steps."""
 
 
 class Step(NamedTuple):
-    """Steps by what drives the pressure, and by their `duration` [s]."""
+    """Steps in time: the quantities that drive the pressure, and the `duration` [s]."""
 
     ends: tuple[Three, ...]
-    """1 / V [1/m3]; g, where w goes to but for a leak [Pa m^3k]; u V^k [Pa m^3k]."""
+    """1 / V [1/m3]; g, the target of w without a leak [Pa m^3k]; u V^k [Pa m^3k]."""
     duration: Values
 
     def one(self, which: int) -> Step:
@@ -53,7 +53,7 @@ class Step(NamedTuple):
         return Step(ends, float(self.duration[which]))
 
     def cut(self, share: float) -> tuple[Step, Step]:
-        """One step up to a share of its duration and from there on, by parabolas."""
+        """Split one step at a share of its duration, with parabolas for the drives."""
         first, second = [], []
         for begin, middle, end in self.ends:
             rise, bow = 4.0 * middle - 3.0 * begin - end, 2.0 * (begin + end - 2.0 * middle)
@@ -65,7 +65,7 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Air:
-    """How air flows: conductances of the regulator [kg/(s Pa)], and what the gas law needs."""
+    """Properties of the air flow: conductances of the regulator [kg/(s Pa)], and constants of the gas law."""
 
     fill: float
     vent: float
@@ -74,9 +74,9 @@ class Air:
     rT: float
     """Gas constant times temperature [J/kg]."""
     atmosphere: float
-    """Absolute pressure of the room [Pa]."""
+    """Absolute atmospheric pressure [Pa]."""
     leak: float = 0.0
-    """Share of the gauge pressure that a leak takes away per second, at no contraction [1/s]."""
+    """Relative loss of gauge pressure by a leak at zero contraction [1/s]."""
 
     def __post_init__(self) -> None:
         if min(self.fill, self.vent, self.leak) < 0 or min(self.polytropic, self.rT, self.atmosphere) <= 0:
@@ -84,16 +84,16 @@ class Air:
 
 
 class Chamber:
-    """The gauge pressure in a muscle of `volume`(x) [m3], from `start` [s] on at `pressure` [Pa].
+    """Gauge pressure in a muscle with the volume `volume`(x) [m3], from `start` [s] on, at first `pressure` [Pa].
 
-    `shut` is whether a valve before the muscle keeps the regulator away. Time only goes forward. A copy made with
-    `copy.copy` is independent.
+    `shut`: whether a valve separates the muscle from the regulator. Time can only advance. A copy by `copy.copy` is
+    independent.
     """
 
     def __init__(self, air: Air, volume: Callable[[Array], Array], pressure: float, start: float) -> None:
         self.air, self.volume, self.shut = air, volume, False
         self.pressure = pressure
-        """At the moment up to which it was brought [Pa]."""
+        """Gauge pressure at the time reached so far [Pa]."""
         self._time = start
         self._leak = air.leak * float(volume(np.zeros(1))[0])
         self._under: tuple[Trace, Trace, bool] | None = None
@@ -105,7 +105,7 @@ class Chamber:
         return made
 
     def pressures(self, supply: Regulated, path: Regulated, t: Array) -> Array:
-        """Gauge pressure [Pa] at rising times t [s], with the free end on `path` and the regulator at `supply`."""
+        """Gauge pressure [Pa] at increasing times t [s], for the contraction `path` and the regulator's `supply`."""
         P, last, done = np.empty(t.shape), float(t[-1]), 0
         while True:
             level, level_end = supply.piece(self._time)
@@ -133,7 +133,7 @@ class Chamber:
             self._time = end
 
     def _reach(self, level: Trace, place: Trace, t: Array) -> Array:
-        """Gauge pressure [Pa] at times t [s] of one piece, after the nodes up to there; they are kept."""
+        """Gauge pressure [Pa] at times t [s] within one piece; advances and keeps the nodes up to there."""
         node = np.maximum(_node_at((t - self._begin) / STEP + NEAR) - self._node, 0)
         steps, room = int(node[-1]), self.air.atmosphere
         grid = self._begin + STEP * _moment(np.arange(self._node, self._node + steps + 1))
@@ -153,7 +153,7 @@ class Chamber:
         return np.asarray(w / size[steps + 1 : middle] - room)
 
     def _course(self, step: Step) -> Array:
-        """The values of w [Pa m^3k] before steps that follow each other, and after the last."""
+        """Values of w [Pa m^3k] before each of successive steps, and after the last."""
         w, count = self._w, len(step.duration)
         if not self._two:
             keep, gain = self._answer(step, self._pace(True))
@@ -173,7 +173,7 @@ class Chamber:
         return np.array(course)
 
     def _after(self, step: Step, w: Array) -> Array:
-        """The values after steps of their own from w [Pa m^3k]."""
+        """Values after independent steps, each from its own w [Pa m^3k]."""
         begin, _, end = step.ends[1]
         fills = begin > w
         if len(w) == 1:
@@ -189,16 +189,16 @@ class Chamber:
 
     @property
     def _two(self) -> bool:
-        """Whether it makes a difference which way the air flows."""
+        """Whether the direction of the flow matters."""
         return not self.shut and self.air.fill != self.air.vent
 
     def _pace(self, fills: bool) -> float:
-        """How fast the flow drives w, times V [m3/s]."""
+        """Rate of the lag times V: k r T C [m3/s]; 0 while shut."""
         air = self.air
         return 0.0 if self.shut else air.polytropic * air.rT * (air.fill if fills else air.vent)
 
     def _answer(self, step: Step, pace: Values) -> tuple[Values, Values]:
-        """The share of w that steps leave, and what they add [Pa m^3k]."""
+        """The share of w that remains after steps [1], and what they add [Pa m^3k]."""
         (early, now, late), aims, pushes = step.ends
         if self._leak:
             pace = pace + self._leak
@@ -212,7 +212,7 @@ class Chamber:
         return 1.0 + gone, (mean - 1.0 - gone) * begin + (1.0 - mean) * end + bend * bow
 
     def _turned(self, step: Step, w: float, after: float, *, fills: bool) -> float:
-        """What one step from w comes to, that would go to `after` if its flow did not turn [Pa m^3k]."""
+        """Return w after one step with reversed flow [Pa m^3k]; `after`: the result if the flow did not reverse."""
         (_, room, _), (begin, _, end), _ = step.ends
         error, left = begin - w, end - after
         z = max(self._pace(fills) * step.duration * room, SLIGHT)
@@ -225,7 +225,7 @@ class Chamber:
 
 
 def _fading(z: Values) -> Three:
-    """For steps of z lags: what they take of w, less than 0; the mean of what is left; the weight of a bow [1]."""
+    """For steps of z time constants [1]: exp(-z) - 1, the mean of exp(-s) over 0 to z, and the weight of curvature."""
     if isinstance(z, float):
         gone = math.expm1(-z)
         mean = -gone / z if z > SLIGHT else 1.0 - 0.5 * z
@@ -236,11 +236,11 @@ def _fading(z: Values) -> Three:
 
 
 def _moment(node: Values) -> Array:
-    """When nodes are, in steps after the begin of their piece."""
+    """Times of nodes after the begin of their piece [steps]."""
     return np.asarray(np.where(node < EARLY, node / QUICK, node - EARLY + EARLY / QUICK))
 
 
 def _node_at(moment: Array) -> Array:
-    """The last node that is not later, by steps after the begin of the piece."""
+    """Number of the last node at or before a time after the begin of the piece [steps]."""
     late = moment - EARLY / QUICK
     return np.asarray(np.where(late < 0, QUICK * moment, late + EARLY).astype(np.intp))

@@ -1,8 +1,8 @@
-"""Muscles end to end, each with its own pressure steps, in time; knows no file and no drawing.
+"""Muscles in series, each with its own pressure steps, over time.
 
-Without inertia one force goes through the whole chain: the load F_L. So each muscle moves as if it were alone with
-this load, and the contractions add. What does not add is force: the sum of F_ce that paper 1 plots is a sum of
-coefficients, and no end of the chain ever feels it.
+Without inertia the same force F_L acts in the whole chain. So each muscle moves as if it were alone with this load, and
+the contractions add up. Forces do not: the sum of F_ce that paper 1 plots is a sum of coefficients, and never acts at
+an end of the chain.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Block:
-    """What one muscle did: pressure [Pa], contraction [m], F_ce [N], K [N/m], and its longest contraction [m]."""
+    """Result for one muscle: pressure [Pa], contraction [m], F_ce [N], K [N/m], and its largest contraction [m]."""
 
     P: Array
     x: Array
@@ -41,33 +41,33 @@ class Block:
 
 @dataclass(frozen=True)
 class Course:
-    """What a chain did at times `t` [s]; per muscle arrays of shape (muscles, times), SI."""
+    """Result for a chain at times `t` [s]; arrays per muscle have shape (muscles, times), SI."""
 
     t: Array
     P: Array
     x: Array
     F_ce: Array
     force: Array
-    """Force with which the chain pulls if it is held where it is [N], `held_force`."""
+    """Pull of the chain when held at its present length [N], see `held_force`."""
 
     @property
     def displacement(self) -> Array:
-        """Contraction of the chain, the sum of all [m]."""
+        """Contraction of the chain, the sum over all muscles [m]."""
         return np.asarray(self.x.sum(axis=0))
 
     @property
     def force_ce_sum(self) -> Array:
-        """Paper 1's total F_ce: a sum of coefficients, no force of the chain [N]."""
+        """Paper 1's total F_ce: a sum of coefficients, not a force of the chain [N]."""
         return np.asarray(self.F_ce.sum(axis=0))
 
     @property
     def force_ce(self) -> Array:
-        """F_ce of the chain, that of its strongest muscle: the pull with all of them held at their length [N]."""
+        """F_ce of the chain [N]: that of its strongest muscle, which is the pull at zero contraction of the chain."""
         return np.asarray(self.F_ce.max(axis=0))
 
 
 def simulate(members: Sequence[Member], times: Array) -> Course:
-    """The course of a chain from rest at 0 s on, at `times` [s], rising; another call goes on where one ended."""
+    """Simulate a chain from rest at 0 s, with results at increasing `times` [s]; another call continues."""
     blocks = [member.advance(times) for member in members]
     P, x, F_ce, K = (np.array([getattr(block, name) for block in blocks]) for name in ("P", "x", "F_ce", "K"))
     return Course(times, P, x, F_ce, held_force(F_ce, K, np.array([block.stop for block in blocks]), x.sum(axis=0)))
@@ -96,8 +96,8 @@ class PrintedMuscle:
     """DMSP-40-305 by paper 1's printed polynomials (eqs. 17-20), in closed form between the steps.
 
     Contraction towards (F_ce - F_L) / S with tau_c = D_c / S at the new pressure; relaxation with tau_r = D_r / S at
-    the pressure before the release, which is how the paper indexes it. F_ce is constant over a step, taken at x = 0
-    or at x_max (`fce_at`). The pressure follows a step at once.
+    the pressure before the release, as in the paper. F_ce is constant during a step, evaluated at x = 0 or at x_max
+    (`fce_at`). The pressure follows a step without delay.
 
     Raises
     ------
@@ -131,7 +131,7 @@ class PrintedMuscle:
 
     @staticmethod
     def _coefficients(pressure: float, load: float, fce_at: str) -> tuple[float, float, float]:
-        """F_ce [N], S [N/m] and tau_c [s]; F_ce at x = 0 where the load is more than it lifts."""
+        """F_ce [N], S [N/m] and tau_c [s]; F_ce at x = 0 if the muscle cannot lift the load."""
         one = np.asarray(1.0)
         radius, length, angle = (one * size for size in DMSP_SHAPE)
         least = dmsp_40_305_contraction(one * pressure, one * 0.0, radius, length, angle, "x0")
@@ -141,7 +141,7 @@ class PrintedMuscle:
         return float(least["force_ce"]), float(least["stiffness"]), float(tau_c)
 
     def advance(self, times: Array) -> Block:
-        """The muscle at `times` [s], in any order: it is a closed form."""
+        """The muscle at `times` [s] in any order, from the closed form."""
         starts = np.array([stretch.start for stretch in self._stretches])
         index = np.searchsorted(starts, times, side="right") - 1
         x = np.zeros(times.shape)
@@ -159,9 +159,9 @@ class PrintedMuscle:
 
 
 class PlantMuscle:
-    """A plant of the simulated bench, with its regulator, friction and dead time, alone with the load.
+    """A plant of the simulated bench with its regulator, friction and dead time, under the chain's load.
 
-    F_ce and K follow the pressure in the muscle.
+    F_ce and K are those at the pressure in the muscle.
     """
 
     def __init__(self, plant: Plant, steps: Sequence[Step]) -> None:
@@ -172,11 +172,11 @@ class PlantMuscle:
         plant.command(tuple(waves))
 
     def advance(self, times: Array) -> Block:
-        """Go on to the last of the `times` [s]."""
+        """Simulate to the last of the `times` [s]; results at all of them."""
         motion = self._plant.advance(float(times[-1]), times)
         muscle = self._plant.muscle
         return Block(motion.P, motion.x, muscle.F_ce.values(motion.P), muscle.K.values(motion.P), muscle.stop)
 
 
 Member = PrintedMuscle | PlantMuscle
-"""A muscle of a chain, from rest at 0 s on."""
+"""A muscle of a chain, at rest at 0 s."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 MANY = 6
-"""With more pieces each value looks up its own piece; with fewer all pieces are made for all values [1]."""
+"""Above this number of pieces `values` looks up the piece of each value; below it evaluates all pieces for all."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Curve:
     """A piecewise polynomial of the gauge pressure P.
 
     `pieces[i]` holds polynomial coefficients, highest power first (as `numpy.polyval`), valid for
-    `breaks[i - 1] <= P < breaks[i]` [Pa]; the first and the last piece go on to both sides for ever.
+    `breaks[i - 1] <= P < breaks[i]` [Pa]; the first and the last piece extend to infinity.
     """
 
     pieces: tuple[tuple[float, ...], ...]
@@ -38,7 +38,7 @@ class Curve:
         return value
 
     def function(self) -> Callable[[float], float]:
-        """The same as calling the curve, made for being called some thousand times: about three times faster."""
+        """A function equivalent to calling the curve, about three times faster, for thousands of calls."""
         pieces = [_closure(piece) for piece in self.pieces]
         if not self.breaks:
             return pieces[0]
@@ -64,7 +64,7 @@ class Curve:
         if self.breaks and P.size:
             low, high = float(P.min()), float(P.max())
             first = bisect_right(self.breaks, low)
-            if low <= high and first == bisect_right(self.breaks, high):  # not where one is no number
+            if low <= high and first == bisect_right(self.breaks, high):  # false for NaN
                 return _polynomial(self.pieces[first], P)
         value = _polynomial(self.pieces[0], P)
         for edge, piece in zip(self.breaks, self.pieces[1:], strict=True):
@@ -79,7 +79,7 @@ class Curve:
         return np.array(padded, dtype=np.float64).T
 
     def times(self, factor: float) -> Curve:
-        """The curve with all its values times `factor`."""
+        """The curve multiplied by `factor`."""
         return Curve(tuple(tuple(factor * c for c in piece) for piece in self.pieces), self.breaks)
 
     @classmethod
@@ -108,7 +108,7 @@ class Curve:
 
     @classmethod
     def through(cls, P: Sequence[float], values: Sequence[float]) -> Curve:
-        """Straight lines between tabulated points at rising pressures P [Pa], constant outside them."""
+        """Straight lines between points at increasing pressures P [Pa], constant outside them."""
         lines: list[tuple[float, ...]] = [(values[0],)]
         for i in range(len(P) - 1):
             slope = (values[i + 1] - values[i]) / (P[i + 1] - P[i])

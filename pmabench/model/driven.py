@@ -1,16 +1,17 @@
-"""The driven-end plant: an actuator sets the contraction, the muscle's force follows in closed form; knows no driver.
+"""The driven-end plant: an actuator sets the contraction, the force follows in closed form.
 
 Physics
 -------
-x(t) is where the actuator is: the commanded position, limited in speed and stroke, behind a first-order follow error.
-The cell at the fixed end reads F = F_0(P, x) - B(P) x' - F_c sign x' + F_h, and 0 where that is negative: a muscle
-cannot push. F_0 is what the muscle pulls at rest (F_ce(P) - K(P) x, or S(eps) P + F_e(eps)); F_h is a hysteresis by
-the way gone alone, if it has one. Rubber that relaxes passes on less and less of the pressure: then F_0 is that of
-P - P_c, where P_c creeps after the regulator's pressure. P is the regulator's, or where it has to move air what that
-makes of the motion (`pmabench.model.air`). The actuator carries the moving mass, so it has no part in F. Slower than
-1 um/s counts as no motion.
-Like muscles side by side pull with the sum of their forces.
-Where F passes the actuator's force it stalls: it holds its place until it is commanded again.
+x(t) is the actuator's position: the commanded one, limited in speed and stroke, with a first-order follow error. The
+cell at the fixed end reads F = F_0(P, x) - B(P) x' - F_c sign x' + F_h, or 0 if that is negative: a muscle cannot push.
+F_0 is the pull at rest (F_ce(P) - K(P) x, or S(eps) P + F_e(eps)); F_h is a rate-independent hysteresis, if the muscle
+has one. With relaxing rubber F_0 is that at P - P_c, where P_c creeps after the regulator's pressure. P is the
+regulator's pressure, or with air flow the solution of the chamber equation (`pmabench.model.air`). The actuator carries
+the moving mass, so inertia has no part in F. Speeds below 1 um/s count as rest.
+
+Equal muscles in parallel pull with the sum of their forces.
+
+If F exceeds the actuator's force it stalls: it holds its position until the next command.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ PARTS = ("supply", "wanted", "_drive", "_branch", "_chamber", "_creeping")
 
 @dataclass(frozen=True)
 class Actuator:
-    """What a displacement actuator can do, in the direction of contraction: stroke [m], speed [m/s], force [N].
+    """Limits of a displacement actuator, in the direction of contraction: stroke [m], speed [m/s], force [N].
 
-    `lag` is its first-order follow error [s]; 0 follows exactly.
+    `lag`: time constant of its first-order follow error [s]; 0 follows exactly.
     """
 
     low: float = -10e-3
@@ -53,9 +54,9 @@ class Actuator:
             raise ValueError(f"an actuator needs a stroke around 0, a speed and a force above 0, not {self}")
 
     def approach(self, waves: tuple[Wave, ...], position: float, start: float) -> tuple[Wave, ...]:
-        """The commanded positions `waves` as the actuator takes them from `position` [m] at `start` [s] on.
+        """The commanded positions `waves` as the actuator follows them, from `position` [m] at `start` [s].
 
-        Steps become ramps at full speed, and ramps are held to it.
+        Steps become ramps at full speed, and ramps are limited to full speed.
 
         Raises
         ------
@@ -92,7 +93,7 @@ class Actuator:
             )
 
     def _meeting(self, wave: Wave, position: float, begin: float) -> float:
-        """When the actuator at full speed from `position` is where the wave is."""
+        """Time [s] at which the actuator, at full speed from `position`, meets the wave."""
         meet = begin
         for _ in range(100):
             later = begin + abs(wave.value(meet) - position) / self.speed
@@ -103,17 +104,17 @@ class Actuator:
 
 
 class DrivenMuscle(Protocol):
-    """What a driven end asks of a muscle; P [Pa], x [m] and v [m/s] are arrays of one shape."""
+    """Interface of a muscle for the driven end; P [Pa], x [m] and v [m/s] are arrays of one shape."""
 
     @property
     def friction(self) -> Friction:
-        """Of which F_c is felt while it moves."""
+        """Its friction; only F_c, in motion, is used here."""
 
     def pull(self, P: Array, x: Array) -> Array:
         """Force at rest without friction and hysteresis [N]."""
 
     def damping(self, P: Array, v: Array) -> Array:
-        """Damping of the direction of v [N.s/m]."""
+        """Damping for the direction of v [N.s/m]."""
 
 
 class DrivenPlant(Supplied):
@@ -132,7 +133,7 @@ class DrivenPlant(Supplied):
     """
 
     parts: tuple[str, ...] = PARTS
-    """What of the plant changes in place."""
+    """Names of attributes with state that is changed in place."""
 
     def __init__(
         self,
@@ -159,18 +160,18 @@ class DrivenPlant(Supplied):
 
     @property
     def pressure(self) -> float:
-        """Gauge pressure in the muscle at this moment [Pa]."""
+        """Present gauge pressure in the muscle [Pa]."""
         return self.supply.value(self.time) if self._chamber is None else self._chamber.pressure
 
     def shut(self, *, shut: bool) -> None:
-        """From now on a valve keeps the regulator from the muscle's air, or no longer; without a chamber no matter."""
+        """Shut or open the valve between regulator and muscle; no effect without a chamber."""
         if self._chamber is not None:
             self._chamber.shut = shut
 
     def inflow(self, supply: Regulated, t: Array, P: Array) -> Array:
-        """Mass flow from the regulator into the air [kg/s] at rising times t [s] with gauge pressures P [Pa].
+        """Mass flow from the regulator into the muscle [kg/s] at increasing times t [s], at gauge pressures P [Pa].
 
-        `supply` is a copy of the regulator from before these times. 0 without a chamber, and while a valve is shut.
+        `supply`: a copy of the regulator from before these times. 0 without a chamber, and while the valve is shut.
         """
         if self._chamber is None or self._chamber.shut:
             return np.zeros(t.shape)
@@ -178,24 +179,24 @@ class DrivenPlant(Supplied):
         return np.asarray(np.where(off > 0, air.fill, air.vent) * off)
 
     def move(self, waves: tuple[Wave, ...]) -> None:
-        """Command the position [m] along `waves`, the first of which starts now; ValueError where it cannot go."""
+        """Command positions [m] by `waves`, the first of which starts now; ValueError outside the actuator's limits."""
         taken = self.actuator.approach(waves, self._drive.setpoint(self.time), self.time)
         self.wanted.command(waves)
         self._drive.command(taken)
 
     def halt(self) -> None:
-        """Stop at the place that the drive has reached, and hold it."""
+        """Stop at the present position, and hold it."""
         self.move((Wave(self.time, self._drive.setpoint(self.time)),))
 
     def reading(self) -> tuple[float, float, float]:
-        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+        """Present contraction [m], gauge pressure [Pa] and force at the fixed end [N]."""
         x, _, P, F = self._evaluate(np.array([self.time]))
         return float(x[0]), float(P[0]), float(F[0])
 
     def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
-        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`.
+        """Simulate to `until` [s]; returns the motion at increasing `times` [s] between now and `until`.
 
-        Whether the actuator stalls is looked at at these times and at `until`.
+        A stall of the actuator is checked at these times and at `until`.
         """
         if len(times) == 0 and until == self.time:
             return NOTHING
@@ -222,7 +223,7 @@ class DrivenPlant(Supplied):
         return Motion(asked, x, v, P, F, P_set, x_set)
 
     def _evaluate(self, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Contraction, its rate, pressure and force at rising times."""
+        """Contraction [m], its rate [m/s], pressure [Pa] and force [N] at increasing times t [s]."""
         path = copy.copy(self._drive)
         x, v = self._drive.values(t)
         gone = self._creeping.along(copy.copy(self.supply), t) if self._creeping is not None else 0.0
@@ -238,5 +239,5 @@ class DrivenPlant(Supplied):
         return x, v, P, self._parallel * np.maximum(F, 0.0)
 
     def _hold(self, t: float, x: float) -> None:
-        """Stall: stay at x from t on."""
+        """Stall: stay at x [m] from t [s] on."""
         self._drive = Regulated(Regulator(dead_time=0.0, lag=self.actuator.lag), x, t)

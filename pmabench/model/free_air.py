@@ -1,16 +1,16 @@
-"""A free end whose pressure depends on the motion: its regulator has to move air in and out of the muscle.
+"""A free-end plant whose pressure depends on motion: the regulator has to move air into and out of the muscle.
 
 The chamber equation of paper 3 with P_abs = P + P_atm and the volume V(x) of the muscle,
 
     V P' = k r T C (u - P) - c P - k P_abs V_x x',
 
-u the regulator's pressure, C what it lets in (u > P) or out, c the leak. Nothing else of the plant changes.
+with the regulator's pressure u, its conductance C for filling (u > P) or venting, and the leak c. The rest of the
+plant is unchanged.
 
-* At rest V is constant, and P a first-order lag behind u: in closed form, anew where u comes to the other side of P.
-* Sliding, P is one more state for LSODA.
-* Steps take P as a straight line to where it would come at rest, and what the way gone takes away from it as one more
-  spring, which is never lost to a step that is too long; at its end P is that of P_abs V^k, exact for the V of the
-  middle.
+* At rest V is constant and P is a first-order lag behind u, in closed form, restarted whenever u - P changes its sign.
+* While sliding, P is a further state for LSODA.
+* Fixed steps use for P a straight line to its value at rest, and treat the effect of motion on P as an additional
+spring, which stays stable for long steps; at the end P follows from P_abs V^k, exact for V at the middle of the step.
 """
 
 from __future__ import annotations
@@ -31,19 +31,20 @@ from pmabench.model.plant import ABSOLUTE, RELATIVE, REST, SETTLED_PRESSURE, TIM
 from pmabench.model.regulator import Regulator, Trace, answer, to_nanosecond
 
 METRE = 1.5e-7
-"""Contraction that a pascal is worth, so that LSODA takes pressures as exactly as contractions [m/Pa]."""
+"""Scale of pressures as contractions, so that LSODA's tolerance suits both [m/Pa]."""
 LOOK = 0.01
-"""At rest the regulator is looked at so often [s], whether it comes to the other side of the muscle's pressure."""
+"""Interval of checks at rest for a change of sign of the pressure difference [s]."""
 PER_SWING = 16
-"""And at least so often in a period of what swings [1]."""
+"""Least number of these checks per period of an oscillation [1]."""
 CLOSE, SOON = 0.01, 1e-3
-"""So far it counts as on neither side [Pa]; then that of so much later counts [s]."""
+"""Pressure difference that counts as zero [Pa]; its sign is then taken this much later [s]."""
 FAR, BRIEF = 200.0, 1e-6
-"""Further from the regulator's [Pa] the pressure takes no step that is longer than its lag, or than this [s]."""
+"""If the pressure differs more than this from the regulator's [Pa], steps are limited to its lag, but not below the
+second [s]."""
 
 
 class Passed(NamedTuple):
-    """Pressures P [Pa] that were found at times t [s]; straight lines between them."""
+    """Calculated pressures P [Pa] at times t [s], linearly interpolated."""
 
     t: Array
     P: Array
@@ -58,7 +59,7 @@ class Passed(NamedTuple):
 
 
 class Tube:
-    """Volume [m3] over contraction x [m] of one muscle in plain numbers, and its slope; constant beyond its ends."""
+    """Volume [m3] of one muscle over contraction x [m] and its slope, as plain numbers; constant beyond the ends."""
 
     def __init__(self, muscle: Muscle) -> None:
         size, self.round, self.long = muscle.sizes
@@ -73,7 +74,7 @@ class Tube:
 
 
 class AirPlant(Plant):
-    """A muscle with a free end, and the air that its regulator has to move."""
+    """A free-end plant with the air flow between regulator and muscle."""
 
     def __init__(self, muscle: Muscle, regulator: Regulator, air: Air, *, pressure: float = 0.0, **rest: float) -> None:
         super().__init__(muscle, regulator, pressure=pressure, **rest)
@@ -91,33 +92,33 @@ class AirPlant(Plant):
 
     @property
     def pressure(self) -> float:
-        """Gauge pressure in the muscle at this moment [Pa]."""
+        """Present gauge pressure in the muscle [Pa]."""
         return self._known.value(self.time)
 
     def shut(self, *, shut: bool) -> None:
-        """From now on a valve keeps the regulator from the muscle's air, or no longer."""
+        """Shut or open the valve between regulator and muscle."""
         self._shut = shut
         self._flows = self._paces()
 
     def _paces(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """V / lag of the pressure [m3/s] and fraction of the regulator's step that is reached [1]; venting, filling."""
+        """V / lag [m3/s] and fraction of the regulator's step that is reached [1], for venting and for filling."""
         paces = [0.0 if self._shut else self.air.polytropic * self.air.rT * C for C in (self.air.vent, self.air.fill)]
         venting, filling = ((pace + self._leak, pace / (pace + self._leak) if pace else 0.0) for pace in paces)
         return venting, filling
 
     def _course(self, trace: Trace) -> Course:
-        """What is known of the pressure in the muscle."""
+        """The calculated pressure in the muscle."""
         return self._known if self._made is None else Passed(*map(np.asarray, self._made))
 
     # -- at rest -------------------------------------------------------------------------------------------------
 
     def _piece(self) -> tuple[Trace, float]:
-        """How the regulator's pressure goes now, and until when [s]."""
+        """The present piece of the regulator's pressure, and its end [s]."""
         self._u, end = super()._piece()
         return self._u, end
 
     def _rest(self, trace: Trace, end: float, record: Record) -> None:
-        """Stay at rest until break-away, `end`, or where the regulator comes to the other side of the pressure."""
+        """Stay at rest until break-away, `end` [s], or a change of sign of the pressure difference."""
         state = self._u, self.x, self._shut
         if self._resting is None or self._resting[0] != state or self.time >= self._resting[1]:
             self._still, until = self._rest_of(to_nanosecond(self.time + REST))
@@ -125,9 +126,9 @@ class AirPlant(Plant):
         super()._rest(self._still, min(end, self._resting[1]), record)
 
     def _rest_of(self, end: float) -> tuple[Trace, float]:
-        """How the pressure goes at rest from now on, and until when, at most `end` [s], where it depends on the side.
+        """Course of the pressure at rest from now on, and until when it is valid [s].
 
-        Which side of the muscle's pressure the regulator is on says how much air flows.
+        Where filling and venting differ this is the next change of sign of the pressure difference, at most `end` [s].
         """
         u, t, P = self._u, self.time, self._known.value(self.time)
         gap = u.value(t) - P
@@ -249,10 +250,10 @@ class AirPlant(Plant):
         span: float,
         volumes: tuple[float, float, float],
     ) -> tuple[float, float]:
-        """Pressure [Pa] after a `span` [s] from P on, and how much of what a change of volume makes is left then [1].
+        """Pressure [Pa] after a `span` [s] from P, and remaining share of the effect of a change of volume [1].
 
-        The regulator's pressure goes from one to the other of `wanted` [Pa]; `volumes` are those before, between and
-        after [m3]. As in `pmabench.model.air`.
+        The regulator's pressure goes linearly between the two values `wanted` [Pa]; `volumes`: at begin, middle and end
+        [m3]. As in `pmabench.model.air`.
         """
         room, (total, share), (u, u_end), (V, middle, V_end) = self.air.atmosphere, flows, wanted, volumes
         z = total * span / middle

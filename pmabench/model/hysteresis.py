@@ -1,13 +1,13 @@
-"""Hysteresis that knows no rate, along a path whose turns are found in closed form; knows no muscle.
+"""Rate-independent hysteresis along a path given in closed form.
 
-`Memory` finds the turns; what is remembered between them is up to its kinds: `Branch` here, stops in
+`Memory` finds the reversals of the path; subclasses define the memory between them: `Branch` here, stops in
 `pmabench.model.real.plants`.
 
-`Branch` is Dahl 1968 with exponent 1: after a turn at (x_0, F_0) the force goes to -height while x grows and to +height
-while it falls, and the difference fades to 1/e over `width`. Between two turns it is a function of x alone, so the
-samples are the same however the time is cut into stretches.
+`Branch` is the model of Dahl (1968) with exponent 1: after a reversal at (x_0, F_0) the force goes to -height while x
+grows and to +height while it falls, and the difference fades to 1/e over `width`. Between two reversals it is a
+function of x alone, so the results do not depend on how the time is divided into calls.
 
-What creeps after a path, in closed form: a length after a contraction, a pressure after a pressure.
+Also creep after a path, in closed form: of a length after a contraction, or of a pressure after a pressure.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from pmabench.model.real.muscle import Creep
 from pmabench.model.regulator import FADED, Regulated, Trace, answer
 
 PERIODS = 8
-"""Turns of a sine are looked for in so many periods at once [1]."""
+"""Number of periods of a sine in which reversals are searched at once [1]."""
 PER_PERIOD = 32
-"""At how many moments of a period the way is looked at [1]."""
+"""Number of times per period at which the rate is evaluated [1]."""
 CLOSE = 1e-15
-"""A turn that is found again so near, as a share of its time, is found [1]."""
+"""Relative tolerance for the time of a reversal [1]."""
 
 
 def branch(
     x: Array, x_turn: Array | float, F_turn: Array | float, height: Array | float, width: Array | float
 ) -> Array:
-    """F_h [N] at x, of one shape, after a turn at `x_turn` with F_h = `F_turn` [N]; x and `width` in one unit."""
+    """F_h [N] at x, same shape, after a reversal at `x_turn` with F_h = `F_turn` [N]; x and `width` in one unit."""
     end = -np.sign(x - x_turn) * height
     return np.asarray(end + (F_turn - end) * np.exp(-np.abs(x - x_turn) / width))
 
 
 @dataclass(frozen=True)
 class Hysteresis:
-    """Half the gap of a wide loop `height` [N], and the way over which a turn fades to 1/e `width` [m]."""
+    """`height`: half width of a large loop [N]; `width`: travel over which a reversal fades to 1/e [m]."""
 
     height: float
     width: float
@@ -51,10 +51,10 @@ class Hysteresis:
 
 
 class Memory(ABC):
-    """What a path leaves behind: between two of its turns a function of the place alone.
+    """Memory of a path: between two of its reversals a function of the position alone.
 
-    `x` is the path's value at `start` [s]. Time only goes forward. A copy made with `copy.copy` is independent, as long
-    as a kind replaces its state at a turn and never changes it in place.
+    `x`: value of the path at `start` [s]. Time can only advance. A copy by `copy.copy` is independent if the subclass
+    replaces its state at a reversal and never changes it in place.
     """
 
     def __init__(self, x: float, start: float) -> None:
@@ -65,21 +65,21 @@ class Memory(ABC):
 
     @abstractmethod
     def at(self, x: Array) -> Array:
-        """The value at places x between the last turn and the next one."""
+        """The value at positions x between the last reversal and the next."""
 
     @abstractmethod
     def turn(self, x: float) -> None:
-        """From place x on the path goes the other way."""
+        """Note that the path reverses at position x."""
 
     def along(self, path: Regulated, t: Array, x: Array) -> Array:
-        """The values at rising times t [s], where `path` is at x; every piece of `path` since the last call counts."""
+        """Values at increasing times t [s] at positions x of `path`; all pieces of `path` since the last call count."""
         result = np.empty(t.shape)
         for trace, until, rows in path.pieces(self._time, t):
             if trace != self._trace:
                 self.turn(self._trace.value(trace.start))
                 self._trace, self._known = trace, trace.start
                 self._turns = np.empty(0)
-                self.turn(trace.value(trace.start))  # where a regulator without lag jumps
+                self.turn(trace.value(trace.start))  # a regulator without lag jumps here
             done = rows.start
             for moment in self._turns_before(until):
                 count = max(done, int(np.searchsorted(t, moment)))
@@ -91,7 +91,7 @@ class Memory(ABC):
         return result
 
     def _turns_before(self, until: float) -> list[float]:
-        """The turns of the piece that are due before `until` [s], each returned once."""
+        """Times of the reversals of the piece before `until` [s], each returned once."""
         while self._known < until:
             window = PERIODS * 2 * math.pi / self._trace.omega if self._trace.omega else math.inf
             begin, self._known = self._known, self._known + window
@@ -102,7 +102,7 @@ class Memory(ABC):
 
 
 class Branch(Memory):
-    """F_h [N] of the branch that a muscle is on, from `start` [s] on at x [m] in the middle of the loop."""
+    """F_h [N] along a path; at `start` [s] it is 0 at x [m], in the middle of the loop."""
 
     def __init__(self, hysteresis: Hysteresis, x: float, start: float) -> None:
         super().__init__(x, start)
@@ -114,14 +114,15 @@ class Branch(Memory):
         return branch(x, self._x, self._force, self.hysteresis.height, self.hysteresis.width)
 
     def turn(self, x: float) -> None:
-        """A new branch begins at x [m]."""
+        """Begin a new branch at x [m]."""
         self._x, self._force = x, float(self.at(np.array(x)))
 
 
 def turns(trace: Trace, begin: float, end: float) -> Array:
-    """When, between `begin` and `end` [s], the rate of a piece changes its sign; `end` may be infinite without sine.
+    """Times between `begin` and `end` [s] at which the rate of a piece changes sign.
 
-    After what fades only a sine turns. The rate is looked at on a grid of times first.
+    Without a sine `end` may be infinite. The rate is first evaluated on a grid; after the fading parts only a sine can
+    reverse.
     """
     if trace.lag or not trace.modes:
         return np.empty(0)
@@ -140,7 +141,7 @@ def turns(trace: Trace, begin: float, end: float) -> Array:
 
 
 def _zeros(trace: Trace, low: Array, high: Array, before: Array, after: Array) -> Array:
-    """Where, between `low` and `high` [s], the rates `before` and `after` go through 0 (false position, Illinois)."""
+    """Times between `low` and `high` [s], with the rates `before` and `after`, of zero rate (Illinois method)."""
     found, side = high, np.zeros(high.shape)
     for _ in range(100):
         last = found
@@ -156,17 +157,17 @@ def _zeros(trace: Trace, low: Array, high: Array, before: Array, after: Array) -
 
 
 def rubber(per_decade: float) -> Creep:
-    """The pressure that rubber no longer passes on as force: `per_decade` of it [1] in each decade, 0.1 s to 1e5 s.
+    """Relaxation of rubber as a loss of effective pressure: the share `per_decade` [1] in each decade, 0.1 s to 1e5 s.
 
-    Two exponentials a decade: their sum is straight over the logarithm of time within 1 % of a decade.
+    Two exponentials per decade: their sum is linear in the logarithm of time within 1 % of a decade.
     """
     return Creep(per_decade / 2, tuple(10.0 ** (0.5 * k) for k in range(-2, 11)))
 
 
 class CreepAlong:
-    """What creeps after a path x, the sum of x_j with T_j x_j' = share x - x_j, all 0 at `start` [s].
+    """Creep after a path x: the sum of x_j with T_j x_j' = share x - x_j, all 0 at `start` [s].
 
-    Time only goes forward. A copy made with `copy.copy` is independent.
+    Time can only advance. A copy by `copy.copy` is independent.
     """
 
     def __init__(self, creep: Creep, start: float) -> None:
@@ -175,7 +176,7 @@ class CreepAlong:
         self._lengths = tuple(Trace(start, 0.0) for _ in creep.times)
 
     def along(self, path: Regulated, t: Array) -> Array:
-        """The sum [as the path] at rising times t [s]; every piece of `path` since the last call counts."""
+        """The sum [unit of the path] at increasing times t [s]; all pieces of `path` since the last call count."""
         result = np.empty(t.shape)
         for trace, until, rows in path.pieces(self._time, t):
             if trace != self._path:

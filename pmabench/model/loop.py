@@ -1,4 +1,4 @@
-"""Closed loops in theory: ultimate gain, margins, set-point steps of a gain with dead time and lags; knows no data.
+"""Closed loops in theory: ultimate gain, margins, set-point steps of a gain with dead time and lags.
 
 The plant is G(s) = k_g exp(-L s) / prod(1 + T_i s), command [Pa] to displacement [m].
 """
@@ -22,12 +22,12 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Loop:
-    """A stable plant in a loop: what the controller sees between its command and the displacement."""
+    """A stable linear plant from command to displacement, as seen by a controller."""
 
     gain: float
     """k_g [m/Pa]."""
     dead_time: float
-    """L [s], with half a sample period for the hold and the computation delay."""
+    """L [s], including half a sample period for the hold, and the computation delay."""
     lags: tuple[complex, ...]
     """Time constants T_i [s]; a complex one comes with its conjugate."""
 
@@ -50,7 +50,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class Ultimate:
-    """Gain K_u [Pa/m] at which a proportional loop oscillates for ever, and the period T_u [s] of that."""
+    """Gain K_u [Pa/m] of sustained oscillation of a proportional loop, and its period T_u [s]."""
 
     gain: float
     period: float
@@ -110,7 +110,7 @@ def muscle_loop(
 
 
 SPAN = 25e3
-"""Slopes over pressure are taken from so far below to so far above [Pa]."""
+"""Half width of the central differences over pressure [Pa]."""
 
 
 def loop_at(
@@ -125,12 +125,11 @@ def loop_at(
 ) -> tuple[float, Loop]:
     """Pressure [Pa] at which `muscle` rests at `contraction` [m] under `load` F_L [N], and the loop there.
 
-    The pressure is looked for in `domain` [Pa]; slopes over pressure are central differences over `SPAN`, which are
-    exact for parabolas, also where they are tabulated every 2 SPAN. Damping is the mean of both directions, and so is
-    a regulator's lag; friction and hysteresis are no part of a linear loop. `mass` [kg] and `sample_period` [s] as in
-    `muscle_loop`.
+    The pressure is searched in `domain` [Pa]; slopes over pressure are central differences over +- `SPAN`, which are
+    exact for parabolas, even if tabulated every 2 SPAN. Damping and the regulator's lag are means of both directions;
+    friction and hysteresis are not part of a linear loop. `mass` [kg] and `sample_period` [s] as in `muscle_loop`.
 
-    Raises ValueError where no pressure of the domain holds the contraction, or where more pressure contracts no more.
+    Raises ValueError where no pressure in `domain` holds the contraction, or where contraction does not rise there.
     """  # fmt: skip
     low, high = domain
 
@@ -156,7 +155,7 @@ def loop_at(
 
 
 def _lags(regulator: Regulator) -> tuple[complex, ...]:
-    """Time constants of a regulator [s], filling and venting by their mean."""
+    """Time constants of a regulator [s], the mean of filling and venting."""
     both = 0.5 * (1 + regulator.vent_ratio)
     if not regulator.natural_frequency:
         return (regulator.lag * both,) if regulator.lag else ()
@@ -166,7 +165,7 @@ def _lags(regulator: Regulator) -> tuple[complex, ...]:
 
 
 def dead_time_for(period: float, lags: tuple[complex, ...]) -> float:
-    """Dead time L [s] with which `lags` [s] would give the ultimate period `period` [s]; negative where none can."""
+    """Dead time L [s] for which `lags` [s] give the ultimate period `period` [s]; negative where none does."""
     omega = 2 * pi / period
     return (pi - Loop(1.0, 0.0, lags).phase_lag(omega)) / omega
 
@@ -215,12 +214,12 @@ class Controller:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop is from instability."""
+    """Stability margins of a loop."""
 
     gain_margin: float
-    """Factor on K_p [1] above 1 at which it becomes unstable; below 1 it is unstable already."""
+    """Factor on K_p [1] at which a stable loop becomes unstable; below 1 for an unstable loop."""
     phase_margin: float
-    """Phase [rad] that may be lost at gain crossover; infinite where the loop gain stays below 1."""
+    """Phase margin [rad] at gain crossover; infinite where the loop gain stays below 1."""
     M_s: float
     """Largest magnitude of the sensitivity 1/(1 + C G) [1]; infinite for an unstable loop."""
     stable: bool
@@ -235,7 +234,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     centre = 2 * pi / ultimate(loop).period
     omega = np.geomspace(centre * 1e-3, centre * 1e2, 4000)
     s = (1j * omega).astype(np.complex128)
-    # The dead time is added by hand: its phase runs too fast at the upper end for np.unwrap.
+    # The dead time is added separately: at the upper end its phase changes too fast for np.unwrap.
     lagged: ComplexArray = Loop(loop.gain, 0.0, loop.lags).response(s) * controller.response(s)
     phase = np.unwrap(np.angle(lagged)) - loop.dead_time * omega
     level = np.log(np.abs(lagged))
@@ -243,9 +242,9 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     share = (phase[at_pi] + pi) / (phase[at_pi] - phase[at_pi + 1])
     crossing = level[at_pi] + share * (level[at_pi + 1] - level[at_pi])
     returned = 1 + np.exp(level + 1j * phase)
-    # Nyquist: nothing is encircled where the angle of 1 + C G ends about 0, from 0 or, with an integral, a turn below
+    # Nyquist: no encirclement if the angle of 1 + C G ends near 0
     stable = bool(abs(np.unwrap(np.angle(returned))[-1]) < pi)
-    # a loop that less gain makes unstable, too, has crossings above 1
+    # conditionally stable loops also have crossings above 1
     limits = crossing[crossing < 0] if stable else crossing
     gain_margin = float(np.exp(-limits.max())) if limits.size else inf
     at_one = np.flatnonzero((level[:-1] > 0) != (level[1:] > 0))
@@ -258,27 +257,27 @@ def margins(loop: Loop, controller: Controller) -> Margins:
 
 @dataclass(frozen=True)
 class Answer:
-    """How the displacement answers a set-point step, against where it ends."""
+    """Response of the displacement to a set-point step, relative to its final value."""
 
     overshoot: float
-    """Fraction of the final value [1]; infinite for an unstable loop."""
+    """Overshoot as a fraction of the final value [1]; infinite for an unstable loop."""
     settling: float
-    """Time [s] after which it stays within `SETTLED` of the final value; infinite where not in `MOST` T_u."""
+    """Time [s] after which it stays within `SETTLED` of the final value; infinite if longer than `MOST` T_u."""
 
 
 SETTLED = 0.02
 """Band about the final value, as a fraction of it."""
 LEAST, MOST, STAYS = 16, 256, 8
-"""Ultimate periods that are simulated, more until it stays in the band for so many."""
+"""Least and most ultimate periods simulated, and number of these for which the response must stay in the band."""
 
 
 def set_point_step(loop: Loop, controller: Controller) -> Answer:
     """Overshoot and settling time of the displacement after a set-point step.
 
-    The derivative acts on the displacement alone, as in `pmabench.model.pid`. Simulated at T_u/400 for 16 T_u, or until
-    it has settled: controller and lags are one linear system whose input, the error one dead time ago, is a line
-    between two samples; what the derivative of the set-point would add is taken off. The final value is the set-point,
-    without integral action K/(1 + K) of it, K = K_p k_g.
+    Simulated with steps of T_u/400 for at least `LEAST` T_u, until it has settled. Controller and lags are one linear
+    system, solved exactly for an input, the error one dead time ago, that is linear between samples. The derivative
+    acts on the displacement alone, as in `pmabench.model.pid`, so the part from the set-point is subtracted. The final
+    value is the set-point, or without integral action K/(1 + K) of it, with K = K_p k_g.
     """
     if not margins(loop, controller).stable:
         return Answer(inf, inf)
@@ -307,8 +306,10 @@ def set_point_step(loop: Loop, controller: Controller) -> Answer:
 
 
 def _discrete(loop: Loop, controller: Controller, h: float) -> tuple[Array, Array, Array, Array, Array]:
-    """State matrix of controller and lags over `h` [s], its two inputs for the begin and the end of a line, and what
-    reads the displacement behind all of the controller and behind its derivative alone; a step is `early` each time.
+    """State matrix of controller and lags over `h` [s], and its input vectors for begin and end of a linear input.
+
+    Then the output vectors of the displacement by the whole controller and by its derivative alone; for a step the
+    input is `early` each time.
     """
     integral, slow = controller.T_i / h, controller.T_d / controller.filter / h  # all times in samples
     by_i = np.array([integral, 0.0]) if integral < inf else np.ones(1)

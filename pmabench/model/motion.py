@@ -1,6 +1,6 @@
-"""What plants share: moments that can be gone back to, and what a plant did, sample by sample, with noise of sensors.
+"""Common parts of plants: snapshots, the motion sample by sample, and noise of sensors.
 
-Each sample has its own noise, found by its number, so that samples that are taken again come out the same.
+The noise of a sample is determined by its number, so that repeated samples are equal.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pmabench.model.regulator import Regulated, Wave
 
 
 class Supplied:
-    """A muscle at `time` [s] whose pressure comes from `supply`; a snapshot holds copies of `parts`."""
+    """A muscle at `time` [s] with its pressure from `supply`; a snapshot contains copies of `parts`."""
 
     time: float
     supply: Regulated
@@ -28,22 +28,22 @@ class Supplied:
 
     @property
     def pressure(self) -> float:
-        """Gauge pressure in the muscle at this moment [Pa]."""
+        """Present gauge pressure in the muscle [Pa]."""
         return self.supply.value(self.time)
 
     def command(self, waves: tuple[Wave, ...]) -> None:
-        """Command pressure [Pa] along `waves`, the first of which starts now or later."""
+        """Command pressures [Pa] by `waves`, the first of which starts now or later."""
         self.supply.command(waves)
 
     def shut(self, *, shut: bool) -> None:
-        """From now on a valve keeps the regulator from the muscle's air, or no longer; without a chamber no matter."""
+        """Shut or open the valve between regulator and muscle; no effect without a chamber."""
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that `restore` needs to come back to this moment."""
+        """The complete state, for `restore`."""
         return {**self.__dict__, **self._copies()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to the moment of a snapshot; it can be used again."""
+        """Return to the state of a snapshot, which can be used again."""
         self.__dict__.update(snapshot)
         self.__dict__.update(self._copies())
 
@@ -52,83 +52,83 @@ class Supplied:
 
 
 class Loaded(Supplied):
-    """A muscle whose free end carries F_L = `force` [N] and moves with `mass` [kg]."""
+    """A muscle whose free end carries the load F_L = `force` [N] with the moving mass `mass` [kg]."""
 
     force: float
     mass: float
 
     def load(self, force: float, mass: float) -> None:
-        """From now on the free end carries F_L = `force` [N >= 0] and moves with `mass` [kg > 0]."""
+        """Change the load of the free end: F_L = `force` [N >= 0] and moving `mass` [kg > 0]."""
         if not force >= 0 or not mass > 0:
             raise ValueError(f"a load needs a force of at least 0 and a mass above 0, not {force} N and {mass} kg")
         self.force, self.mass = force, mass
 
 
 GAP = 0.004
-"""Longest time that is not looked at for a turn of motion [s]."""
+"""Longest interval between checks for a reversal of motion [s]."""
 INSTANT = 0.5e-9
-"""Samples that are nearer to now than half a nanosecond are of this moment [s]: LSODA takes no shorter stretch."""
+"""Samples closer to the present than this [s] count as simultaneous: LSODA accepts no shorter intervals."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What the plant did at times `t` [s]: all arrays of the same length, SI."""
+    """Motion of a plant at times `t` [s]; arrays of equal length, SI."""
 
     t: Array
     x: Array
     """Contraction [m]."""
     v: Array
-    """Its rate [m/s]."""
+    """Rate of contraction [m/s]."""
     P: Array
     """Gauge pressure in the muscle [Pa]."""
     F: Array
     """Force at the fixed end [N]."""
     P_set: Array
-    """Pressure commanded, before the dead time [Pa]."""
+    """Commanded pressure, before the dead time [Pa]."""
     x_set: Array
-    """Position commanded to the free end [m]; 0 where it is free."""
+    """Commanded position of a driven end [m]; 0 for a free end."""
 
 
 NOTHING = Motion(*(np.empty(0) for _ in range(7)))
 
 
 class Stepped(Supplied, ABC):
-    """A muscle with a free end that goes on in steps; `v` [m/s] is the speed of the end."""
+    """A muscle with a free end that is simulated in steps; `v` [m/s] is the speed of the end."""
 
     v: float
 
     @abstractmethod
     def _steps(self, until: float) -> Iterator[None]:
-        """Go on to `until` [s], and yield wherever the way, its rate or the force begins another straight line."""
+        """Simulate to `until` [s], and yield at the ends of intervals in which position, speed and force are linear."""
 
     @abstractmethod
     def _state(self) -> tuple[float, float, float]:
-        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N], before a jump that begins now."""
+        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N], before a jump at the present time."""
 
     def reading(self) -> tuple[float, float, float]:
-        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+        """Present contraction [m], gauge pressure [Pa] and force at the fixed end [N]."""
         return self._state()
 
     def reach(self, until: float) -> None:
-        """Go on to `until` [s]."""
+        """Simulate to `until` [s]."""
         for _ in self._steps(until):
             pass
 
     def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
-        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`.
+        """Simulate to `until` [s]; returns the motion at increasing `times` [s] between now and `until`.
 
-        Samples do not shorten the steps; they lie on straight lines between the ends of these.
+        Samples do not shorten the steps; they are interpolated linearly between the ends of steps.
         """
         if len(times) == 0:
             self.reach(until)
             return NOTHING
         t = np.asarray(times, dtype=np.float64)
         P_set, (P, _) = self.supply.setpoints(t), copy.copy(self.supply).values(t)
-        P = np.where(t <= self.time, self.reading()[1], P)  # at a jump that begins now, what is after it
+        P = np.where(t <= self.time, self.reading()[1], P)  # at a jump now: the value after it
         rows = [self._row()]
         rows += [self._row() for _ in self._steps(until)]
         passed, *values = np.array(rows).T
-        right = np.clip(np.searchsorted(passed, t), 1, len(passed) - 1)  # where it jumps, what was before, as in P
+        right = np.clip(np.searchsorted(passed, t), 1, len(passed) - 1)  # at a jump: the value before it, as in P
         long = passed[right] - passed[right - 1]
         share = np.where(long > 0, (t - passed[right - 1]) / np.where(long > 0, long, 1.0), 1.0)
         x, v, F = ((1 - share) * value[right - 1] + share * value[right] for value in values)
@@ -140,11 +140,11 @@ class Stepped(Supplied, ABC):
 
 
 SERIES = 0.01
-"""Below it the shares of a step are taken from their power series: their closed forms lose digits there [1]."""
+"""Below this the functions of `shares` use power series, because the closed forms lose digits [1]."""
 
 
 def shares(z: float) -> tuple[float, float, float]:
-    """What a speed and a force that goes on a straight line do within a step, z = B h / M >= 0.
+    """Weights of the initial speed and of a linear force for the motion within a step, z = B h / M >= 0.
 
     phi_1 = (1 - exp(-z)) / z, phi_2 = (1 - phi_1) / z, phi_3 = (1 / 2 - phi_2) / z [1]: the functions of exponential
     integrators (Hochbruck and Ostermann 2010) at -z.
@@ -159,17 +159,17 @@ def shares(z: float) -> tuple[float, float, float]:
 
 
 class Course(Protocol):
-    """How a pressure goes [Pa]: a `Trace`, or what was found by integration."""
+    """Pressure over time [Pa]: a `Trace`, or the result of an integration."""
 
     def value(self, t: float) -> float:
         """Pressure at time t [s]."""
 
     def values(self, t: Array) -> Array:
-        """Pressures at rising times t [s]."""
+        """Pressures at increasing times t [s]."""
 
 
 class Record:
-    """Samples asked for, and how many are done."""
+    """Requested samples, filled one after another; `done` is the number of filled ones."""
 
     def __init__(self, t: Array, P_set: Array) -> None:
         self.t, self.P_set = t, P_set
@@ -177,11 +177,11 @@ class Record:
         self.done = 0
 
     def count(self, end: float) -> int:
-        """How many samples are due before `end`."""
+        """Number of samples due before `end` [s]."""
         return int(self.t.searchsorted(end)) - self.done
 
     def grid(self, now: float, end: float) -> tuple[Array, NDArray[np.intp]]:
-        """Times from `now` to `end` with all samples before `end`, filled up where these are far apart; their rows."""
+        """Times from `now` to `end` with all samples due, at most `GAP` apart [s], and the indices of the samples."""
         samples = self.due(self.count(end))
         times = np.concatenate(([now], samples[samples > now + INSTANT], [end]))
         if np.diff(times).max() > GAP:
@@ -189,17 +189,17 @@ class Record:
         return times, np.searchsorted(times, samples - INSTANT)
 
     def due(self, count: int) -> Array:
-        """When the next samples are due."""
+        """Times of the next `count` samples [s]."""
         return self.t[self.done : self.done + count]
 
     def fill(self, x: Array, v: Array | float, P: Array, F: Array | float) -> None:
-        """The next len(x) samples."""
+        """Fill the next len(x) samples."""
         rows = slice(self.done, self.done + len(x))
         self.x[rows], self.v[rows], self.P[rows], self.F[rows] = x, v, P, F
         self.done += len(x)
 
     def motion(self) -> Motion:
-        """All samples."""
+        """All samples as a motion."""
         return Motion(self.t, self.x, self.v, self.P, self.F, self.P_set, np.zeros(self.t.shape))
 
 
@@ -218,7 +218,7 @@ class Noise:
     """[N]"""
 
     def scaled(self, factor: float) -> Noise:
-        """All of it times `factor`."""
+        """The noise multiplied by `factor`."""
         if not factor >= 0:
             raise ValueError("the factor on noise cannot be negative")
         return Noise(**{item.name: factor * getattr(self, item.name) for item in fields(self)})
@@ -232,7 +232,7 @@ class NoiseSource:
         self._chunk, self._values = -1, np.empty(0)
 
     def samples(self, first: int, count: int) -> Array:
-        """The numbers of samples `first` (>= 0) to `first + count - 1`; shape (count,)."""
+        """Random numbers of the samples `first` (>= 0) to `first + count - 1`; shape (count,)."""
         result = np.empty(count)
         done = 0
         while done < count:
@@ -243,12 +243,12 @@ class NoiseSource:
         return result
 
     def one(self, number: int) -> float:
-        """The number of one sample."""
+        """Random number of one sample."""
         offset = self._find(number)
         return float(self._values[offset])
 
     def _find(self, number: int) -> int:
-        """Make the chunk with a sample, if it is not there yet; the sample's place in it."""
+        """Load the chunk that contains a sample; returns the sample's index in it."""
         chunk, offset = divmod(number, CHUNK)
         if chunk != self._chunk:
             generator = np.random.default_rng((self._seed, self._sensor, chunk))

@@ -1,8 +1,7 @@
-"""A muscle: three-element force with friction, a chain of several at rest, and the outline of one; no load, no time.
+"""A muscle: three-element force with friction, a chain of several at rest, and its outline; no load, no time.
 
-Outline: a cylinder between two curved ends (paper 1 eq. 21). The braid does not stretch, so the body of a muscle that
-is shorter is wider: r(eps) = r0 sqrt(1 - (1 - eps)^2 cos^2 theta0) / sin theta0. The ends stay at r0, where the
-fittings hold them.
+The outline is a cylinder between two curved ends (paper 1 eq. 21). The braid does not stretch, so a shorter muscle is
+wider: r(eps) = r0 sqrt(1 - (1 - eps)^2 cos^2 theta0) / sin theta0. The ends stay at r0, held by the fittings.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from pmabench.model.curve import Array, Curve
 class Friction:
     """Coulomb friction inside the muscle, with stiction.
 
-    The force opposing motion is at most `F_s` at rest, falls on a straight line to `F_c` at `speed`, and stays `F_c`
-    above it (all [N], speed [m/s]). 0 for none.
+    The force opposing motion is at most `F_s` at rest, falls linearly to `F_c` at `speed`, and is `F_c` above it
+    (forces [N], speed [m/s]). 0 for no friction.
     """
 
     F_s: float = 0.0
@@ -34,12 +33,12 @@ class Friction:
 
     @property
     def slope(self) -> float:
-        """Fall of the friction force with speed near rest [N.s/m]."""
+        """Decrease of the friction force with speed near rest [N.s/m]."""
         return (self.F_s - self.F_c) / self.speed
 
     @property
     def knee(self) -> float:
-        """Speed from which on the friction is `F_c` [m/s]; 0 where F_s = F_c."""
+        """Speed above which the friction is `F_c` [m/s]; 0 if F_s = F_c."""
         return self.speed if self.F_s > self.F_c else 0.0
 
     def values(self, v: Array) -> Array:
@@ -53,9 +52,9 @@ class Muscle:
 
     Every coefficient follows the instantaneous gauge pressure. B is `B_c` while it contracts, `B_r` while it relaxes.
     SI: F_ce [N], K [N/m], B_c and B_r [N.s/m] over P [Pa]; `length` nominal [m]; `stop` contraction at which the
-    muscle cannot go further [m]. With `tau_r` [s] a muscle with a free end relaxes with that time constant, at the
-    pressure before the command that lets the pressure fall: B = tau_r K (paper 1 indexes its D_r so). Free `diameter`
-    [m] and `braid_angle` to the axis [rad] are those of its braid, where its volume matters.
+    muscle cannot go further [m]. With `tau_r` [s] a free end relaxes with that time constant, evaluated at the pressure
+    before its fall: B = tau_r K (as in paper 1). `diameter` [m] and `braid_angle` to the axis [rad], both without
+    contraction, give its volume; 0 if unused.
     """
 
     name: str
@@ -91,7 +90,7 @@ class Muscle:
         return min(max(0.0, (self.F_ce(P) - load) / self.K(P)), self.stop)
 
     def released(self, P: float) -> Muscle:
-        """The muscle as it relaxes after a pressure of P [Pa]; itself where that does not matter."""
+        """The muscle for relaxation after a pressure of P [Pa]; unchanged without `tau_r`."""
         return self if self.tau_r is None else replace(self, B_r=self.K.times(self.tau_r(P)))
 
     def damping(self, P: Array, v: Array) -> Array:
@@ -100,11 +99,11 @@ class Muscle:
 
 
 def held_force(F_ce: Array, K: Array, stops: Array, displacement: Array) -> Array:
-    """The one force F [N] of a chain at rest that is held at a total contraction x [m].
+    """The common force F [N] of a chain at rest that is held at a total contraction x [m].
 
-    F solves sum over i of min(max((F_ce_i - F) / K_i, 0), stop_i) = x, F >= 0: every muscle pulls with the same
-    force, none is longer than its length or shorter than its stop. At x = 0 it is the largest F_ce, for equal
-    muscles F_ce - K x / N: always that of one muscle. 0 where the chain is slack. `F_ce`, `K`: shape (muscles,
+    F solves sum over i of min(max((F_ce_i - F) / K_i, 0), stop_i) = x, F >= 0: every muscle pulls with the
+    same force, and its contraction is between 0 and its stop. At x = 0 it is the largest F_ce, for N equal muscles
+    F_ce - K x / N: always the force of one muscle. 0 if the chain is slack. `F_ce`, `K`: shape (muscles,
     times); `stops`: (muscles,).
     """
     low, high = np.zeros(displacement.shape), F_ce.max(axis=0)
@@ -117,11 +116,11 @@ def held_force(F_ce: Array, K: Array, stops: Array, displacement: Array) -> Arra
 
 
 Points = NDArray[np.float64]
-"""Of shape (points, 2): along the axis and away from it [m]."""
+"""Coordinates along the axis and away from it [m], shape (points, 2)."""
 ENTRY = math.radians(40)
-"""Angle of the end's tangent at the fitting to the axis [rad]; paper 1 found its own by trial and prints none."""
+"""Angle between axis and tangent of the outline at the fitting [rad]; assumed, paper 1 prints none."""
 REACH = 2.4
-"""The body begins this many times as far from the fitting as the two tangents meet; paper 1 prints none."""
+"""Distance from fitting to cylinder, relative to that of the tangents' intersection; assumed, not in paper 1."""
 
 
 def quadratic(P0: Points, P1: Points, P2: Points, t: Points) -> Points:
@@ -140,8 +139,8 @@ def body_radius(contraction: float, radius: float, braid_angle: float) -> float:
 class Outline:
     """Upper half of a muscle's outline, from fitting to fitting [m].
 
-    The end is the quadratic Bezier curve through `fitting` (0, r0) and (`body`, `radius`), where the cylinder begins;
-    its middle control point (`meet`, `radius`) is where the tangents at both meet.
+    An end is a quadratic Bezier curve from (0, `fitting`) with `fitting` = r0 to (`body`, `radius`), where the cylinder
+    begins; its middle control point (`meet`, `radius`) is the intersection of both tangents.
     """
 
     length: float
@@ -152,7 +151,7 @@ class Outline:
 
     @property
     def end(self) -> tuple[Points, Points, Points]:
-        """The three control points of the end at the left."""
+        """The three control points of the left end."""
         return (
             np.array([0.0, self.fitting]),
             np.array([self.meet, self.radius]),
@@ -163,7 +162,7 @@ class Outline:
 def outline(length: float, contraction: float, radius: float, braid_angle: float) -> Outline:
     """The outline at a contraction eps [1] of a muscle of nominal `length` [m], r0 [m] and theta0 [rad].
 
-    Ends longer than half the muscle are compressed along the axis: they stay smooth.
+    Ends longer than half the muscle are compressed along the axis, and stay smooth.
     """
     now = length * (1 - contraction)
     wide = body_radius(contraction, radius, braid_angle)

@@ -1,4 +1,4 @@
-"""What can be changed about a plant's preset, by name; standard library only, so that options are checked for free."""
+"""Changes to a plant's preset, by name; standard library only, so that checking options is fast."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Overrides:
-    """What can be changed about a preset by name; None leaves it as it is."""
+    """Changes to a preset by name; None for no change."""
 
     friction: float | None = None
     """Factor on static and kinetic friction, or on the hysteresis [1]; 0 for none."""
@@ -16,35 +16,35 @@ class Overrides:
     F_c: float | None = None
     """Kinetic friction [N]."""
     hysteresis: float | None = None
-    """Half the gap of the loop that knows no rate [N]; plant `daerden`."""
+    """Half width of the rate-independent hysteresis loop [N]; plant `daerden`."""
     relaxes: float | None = None
-    """Share of the pressure that rubber no longer passes on as force, per decade of time [1]; plant `daerden`."""
+    """Relaxation of the rubber: share of the pressure lost as force per decade of time [1]; plant `daerden`."""
     noise: float | None = None
     """Factor on the noise of all sensors [1]; 0 for none."""
     regulator_lag: float | None = None
     """First-order lag of the pressure regulator [s]."""
     natural_frequency: float | None = None
-    """Of a regulator of second order, in place of the lag [Hz]."""
+    """Natural frequency of a second-order regulator, in place of the lag [Hz]."""
     damping_ratio: float | None = None
-    """Of a regulator of second order [1]."""
+    """Damping ratio of a second-order regulator [1]."""
     dead_time: float | None = None
     """Transport time between command and regulator [s]."""
     vent_ratio: float | None = None
-    """Lag while venting by lag while filling [1]."""
+    """Ratio of the lags for venting and filling [1]."""
     dead_band: float | None = None
-    """Pressure error that the regulator does not act on [Pa]."""
+    """Dead band of the regulator: pressure error without reaction [Pa]."""
     leak: float | None = None
-    """Share of the pressure that a leak takes away per second [1/s]; needs a lag above 0 to be seen."""
+    """Relative loss of pressure by a leak [1/s]; has an effect only with a lag above 0."""
     conductance_fill: float | None = None
-    """Air that the regulator lets in by the pressure that is missing [kg/(s Pa)]; plants `daerden`, `paper0-air`."""
+    """Mass flow of the filling regulator per pressure difference [kg/(s Pa)]; plants `daerden`, `paper0-air`."""
     conductance_vent: float | None = None
-    """Air that it lets out by the pressure that is too much [kg/(s Pa)]; with both 0 the motion does not matter."""
+    """Mass flow of the venting regulator per pressure difference [kg/(s Pa)]; with both 0 no effect of motion."""
     polytropic: float | None = None
-    """Exponent of the air: 1 where heat comes in at once, 1.4 where none does; `daerden`, `paper0-air`."""
+    """Polytropic exponent of the air: 1 isothermal, 1.4 adiabatic; `daerden`, `paper0-air`."""
     hose: float | None = None
-    """Volume between regulator and muscle that is filled with it [m3]; plant `daerden`."""
+    """Volume of the hose between regulator and muscle [m3]; plant `daerden`."""
     parallel: float | None = None
-    """Like muscles side by side at a driven end [1]: their forces and volumes add up; not for plant `real`."""
+    """Number of equal muscles in parallel at a driven end [1]: forces and volumes add up; not for plant `real`."""
     hysteresis_x: float | None = None
     """Factor on the hysteresis over contraction [1]; plant `real`, as the next four."""
     hysteresis_p: float | None = None
@@ -52,12 +52,12 @@ class Overrides:
     creep: float | None = None
     """Factor on the creep [1]."""
     bend: float | None = None
-    """Factor on the bend of the force over contraction [1]; 0 makes it straight."""
+    """Factor on the curvature of the force over contraction [1]; 0 makes it linear."""
     first_cycle: float | None = None
-    """Share by which the hysteresis over contraction is higher in the first cycle [1]; 0.6 is usual, 0 the preset's."""
+    """Relative increase of the hysteresis over contraction in the first cycle [1]; 0.6 is usual, the preset has 0."""
     follow_lag: float | None = None
     """First-order lag of the displacement actuator [s]."""
     fce_eval: str | None = None
-    """Where F_ce is taken, plant `dmsp-40-305`: `x0` at no contraction, `xmax` where it comes to, as in paper 1."""
+    """Contraction at which F_ce is evaluated, plant `dmsp-40-305`: `x0` zero, `xmax` the final one, as in paper 1."""
     b_relax: str | None = None
-    """`b_contract`: the damping of contraction in both directions."""
+    """`b_contract`: use the damping of contraction in both directions."""

@@ -1,9 +1,10 @@
-"""A sampled PID controller in discrete form, and a path for its set-point; knows no muscle.
+"""A discrete PID controller, and a path for its set-point.
 
-Standard library only, for both are called once per sample.
+Standard library only, because both are called once per sample.
 
-Ideal form C(s) = K_p (1 + 1/(T_i s) + T_d s / (1 + T_d s / N)), the derivative on the measured value alone, so that a
-step of the set-point r makes no spike. At sample k with error e = r - y, h seconds after the last one (Astrom and
+Ideal form C(s) = K_p (1 + 1/(T_i s) + T_d s / (1 + T_d s / N)), with the derivative of the measured value alone, so
+that a step of the set-point r causes no spike. At sample k with error e = r - y, h seconds after the last one (Astrom
+and
 Murray, Feedback Systems, 2nd ed., section 11.5):
 
     P_k = K_p e_k
@@ -11,9 +12,9 @@ Murray, Feedback Systems, 2nd ed., section 11.5):
     v_k = P_k + I_k + D_k,   u_k = v_k inside low..high
     I_(k+1) = I_k + K_p h / T_i e_k + anti-windup                                  forward difference
 
-Anti-windup: `back-calculation` adds h / T_t (u_k - v_k) with the tracking time T_t; `clamping` leaves the error out of
-the integral while v_k is outside low..high and e_k drives it further out. I is kept in units of the output and begins
-at the command that was in force, so that taking over at r = y makes no bump.
+Anti-windup: `back-calculation` adds h / T_t (u_k - v_k) with the tracking time T_t; `clamping` does not integrate the
+error while v_k is outside low..high and e_k drives it further out. I has units of the output and starts at the current
+command, so that the transfer at r = y is bumpless.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ ANTI_WINDUP = ("back-calculation", "clamping")
 
 
 class PID:
-    """P, PI or PID by its gains: T_i infinite for no integral action, T_d 0 for no derivative.
+    """P, PI or PID controller, by its parameters: T_i infinite for no integral action, T_d 0 for no derivative.
 
     Parameters
     ----------
@@ -37,9 +38,9 @@ class PID:
     low, high : range of the output
     anti_windup : one of `ANTI_WINDUP`
     tracking : T_t [s]; T_i for a PI, sqrt(T_i T_d) for a PID where not given (Astrom and Hagglund 1995, section 3.5)
-    start : output in force when the controller takes over
+    start : current output when the controller takes over
 
-    Raises ValueError for values that no controller can have.
+    Raises ValueError for invalid parameters.
     """
 
     def __init__(
@@ -78,18 +79,17 @@ class PID:
         self.output = start
         """The last output."""
         self.saturated = False
-        """Whether the last output was held inside its range."""
+        """Whether the last output was limited to its range."""
         self._integral = start
         self._derivative = 0.0
         self._before: float | None = None
         self._error = self._excess = 0.0
 
     def update(self, h: float, setpoint: float, measured: float, ahead: float = 0.0) -> float:
-        """The output for `measured`, `h` [s, >= 0] after the last sample; the first sample's `h` does not matter.
+        """The output for `measured`, `h` [s, >= 0] after the last sample; `h` of the first sample is ignored.
 
-        `ahead` is a feed-forward, which is added [output].
-
-        What is not finite changes nothing: the last output is held.
+        `ahead`: feed-forward that is added [output]. If an input is not finite nothing changes, and the last output is
+        held.
         """
         error = setpoint - measured
         if not isfinite(error + ahead) or not isfinite(h):
@@ -110,7 +110,7 @@ class PID:
         return output
 
     def _gained(self, h: float) -> float:
-        """What the integral gains from the last sample to this one."""
+        """Change of the integral from the last sample to this one."""
         if self.T_i == inf:
             return 0.0
         step = self.K_p * h / self.T_i * self._error
@@ -122,9 +122,9 @@ class PID:
 
 
 class ReferencePath:
-    """From `places[0]` over all `places` [m] at no more than `speed` [m/s], with a rest of `rest` [s] at each.
+    """Path through all `places` [m] with at most `speed` [m/s], and a rest of `rest` [s] at each.
 
-    A cosine move of d takes pi d / (2 speed), x = from + d (1 - cos(pi t / T)) / 2: speed begins and ends with 0.
+    A cosine move over d takes T = pi d / (2 speed), x = from + d (1 - cos(pi t / T)) / 2, with zero speed at both ends.
 
     Examples
     --------
@@ -138,16 +138,16 @@ class ReferencePath:
             raise ValueError(f"a path needs two places, a speed above 0 and a rest, not {places}, {speed:g}, {rest:g}")
         self.places, self.rest = tuple(places), rest
         self.starts, now = [], rest
-        """When each move begins [s]."""
+        """Begin of each move [s]."""
         self.times = [0.5 * pi * abs(b - a) / speed for a, b in pairwise(self.places)]
-        """How long each takes [s]."""
+        """Duration of each move [s]."""
         for time in self.times:
             self.starts.append(now)
             now += time + rest
         self.duration = now
 
     def _move(self, t: float) -> tuple[int, float]:
-        """Number of the move that has begun at a time, -1 for none, and the share of it that is done [1]."""
+        """Number of the current or last move at a time [s], -1 before the first, and its completed share [1]."""
         number = bisect_right(self.starts, t) - 1
         if number < 0:
             return -1, 0.0
@@ -155,7 +155,7 @@ class ReferencePath:
         return number, min((t - self.starts[number]) / time, 1.0) if time > 0 else 1.0
 
     def place(self, t: float) -> float:
-        """Place at a time [m]; the last one after the end."""
+        """Position [m] at a time [s]; the last one after the end."""
         number, share = self._move(t)
         if number < 0:
             return self.places[0]
@@ -163,7 +163,7 @@ class ReferencePath:
         return self.places[number] + way * 0.5 * (1.0 - cos(pi * share))
 
     def speed(self, t: float) -> float:
-        """Rate of the place at a time [m/s]."""
+        """Speed [m/s] at a time [s]."""
         number, share = self._move(t)
         if number < 0 or share >= 1.0:
             return 0.0

@@ -1,6 +1,6 @@
-"""The free-end plant: muscle, regulator and load as an initial-value problem, advanced from event to event.
+"""The free-end plant: muscle, regulator and load as an initial-value problem, solved from event to event.
 
-Knows no driver, no channel, no noise. Driven end: `pmabench.model.driven`.
+Independent of device drivers, channels and noise. Driven end: `pmabench.model.driven`.
 
 Physics
 -------
@@ -9,10 +9,10 @@ pulls back with F_L, moves with mass M, and rests on a support at x = 0: M x'' =
 f is Coulomb friction inside the muscle: up to F_s at rest, F_s..F_c sliding.
 
 * Sliding: the cell reads F = F_L + M x''.
-* At rest above the support: F = F_L; the friction takes the rest, f = F_ce - K x - F_L, until |f| would pass F_s.
-* At rest on the support: the friction is as small as it can be. While F_ce <= F_L the support carries F_L - F_ce and
-  the cell reads F_ce; above, the friction holds F_ce - F_L until it passes F_s, and the cell reads F_L. The load
-  thus lifts at F_ce = F_L + F_s. In short F = min(F_ce, F_L).
+* At rest above the support: F = F_L; the friction f = F_ce - K x - F_L carries the difference while |f| <= F_s.
+* At rest on the support: the friction is as small as possible. While F_ce <= F_L the support carries F_L - F_ce and the
+cell reads F_ce; above, the friction holds F_ce - F_L up to F_s, and the cell reads F_L. So the load lifts off at
+F_ce = F_L + F_s. In short F = min(F_ce, F_L).
 * At the muscle's own stop, mirrored: F = max(F_ce - K x, F_L).
 
 Loads land on the support and at the stop without rebound.
@@ -20,8 +20,8 @@ Loads land on the support and at the stop without rebound.
 Equation of motion
 ------------------
 LSODA and the implicit steps both solve M x'' = F_ce(P) - K(P) x - B(P) x' - friction - F_L for motion in one direction;
-the damping of that direction goes on beyond x' = 0, so that whoever calls can find the turning point. Speeds at which
-the friction falls with speed are for `glide` only: nothing grows faster there than a stiff solver's errors.
+the damping of that direction is also used beyond x' = 0, so that the caller can find the turning point. Speeds at which
+the friction falls with speed are left to `glide`: the motion is unstable there, and a stiff solver may be wrong.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ ABSOLUTE = 5e-9
 TIME = 0.01
 """Error tolerances of LSODA per step, absolute in contraction [m] and in speed times `TIME` [s]."""
 SETTLED_PRESSURE = 1e-3
-"""Worth less than 1 nm of contraction [Pa]."""
+"""Remaining change of pressure that counts as none [Pa]: below 1 nm of contraction."""
 
 FARTHEST = 100.0
-"""A speed that grows is followed over so many of its time constants at once [1]."""
+"""Largest number of time constants of a growing speed that are solved at once [1]."""
 FELT, APART = 1e-6, 1e-6
-"""Least effect of the spring within a step, and least distance of two exponents, both as shares [1]."""
+"""Smallest relative effect of the spring within a step, and smallest relative difference of two exponents [1]."""
 EXACT, SHORTEST = 1e-9, 1e-12
-"""A speed is met within this share of itself [1], or of the moment [s]."""
+"""Tolerances for the time at which a speed is reached: relative in speed [1], or in time [s]."""
 
 State = np.ndarray[tuple[int], np.dtype[np.float64]]
 
@@ -61,9 +61,9 @@ def equation(
 ) -> Callable[[State, float], State]:
     """Right-hand side over (x [m], x' TIME [m]) and s = t - trace.start [s], for motion towards `way` (+1, -1).
 
-    Friction is F_c throughout: only sliding faster than the knee of the friction is meant.
-    `force` F_L [N] and `mass` M [kg] of the load; pressure follows `trace` [Pa], to be used from `t` [s] on: once it
-    is within a thousandth of a pascal of its end value it counts as constant.
+    Friction is F_c throughout: valid only for sliding faster than the knee of the friction. `force` F_L [N] and `mass`
+    M [kg] of the load; pressure follows `trace` [Pa], for times from `t` [s] on, and counts as constant when it is
+    settled.
     """
     f_ce, stiffness = muscle.F_ce.function(), muscle.K.function()
     damping = (muscle.B_c if way > 0 else muscle.B_r).function()
@@ -93,7 +93,7 @@ def equation(
 def slide(
     muscle: Muscle, trace: Trace, way: int, load: tuple[float, float], state: tuple[float, float], t: Array
 ) -> tuple[Array, Array]:
-    """Contraction [m] and speed [m/s] at times t [s] by LSODA, from `state` (x, v) at t[0] on; `load` is (F_L, M)."""
+    """Contraction [m] and speed [m/s] at times t [s] by LSODA, from `state` (x, v) at t[0]; `load` is (F_L, M)."""
     acceleration = equation(muscle, trace, way, *load, float(t[0]))
     start = (state[0], state[1] * TIME)
     y = odeint(acceleration, start, t - trace.start, rtol=RELATIVE, atol=ABSOLUTE, mxstep=100000)
@@ -105,14 +105,13 @@ def glide(
 ) -> tuple[float, float, float]:
     """Slide for at most h [s] under M u' = drive - K s - B u - friction(u), s' = u >= 0, exactly.
 
-    `drive` is its value now [N] and its rate [N/s], `linear` are B [N.s/m] and K [N/m]. Inside each of the two straight
-    parts of the friction s is a straight line and two exponentials: no mass and no damping make it unstable, and what
-    grows is not lost.
+    `drive`: present value [N] and rate [N/s]; `linear`: B [N.s/m] and K [N/m]. In each of the two linear parts of the
+    friction s is a straight line plus two exponentials: stable for any mass and damping, and exact for growing motion.
 
     Returns
     -------
     tuple
-        Way gone [m], speed at the end [m/s], time left when the speed came to 0 [s] (else 0).
+        Distance s [m], final speed [m/s], remaining time when the speed came to 0 [s] (else 0).
     """
     gone, left, (push, rate), (damping, stiffness) = 0.0, h, drive, linear
     knee = friction.knee
@@ -128,11 +127,11 @@ def glide(
         near_end, far_end = A * exp(near * duration), B * exp(far * duration)
         end = (line + near * near_end + far * far_end).real
         bound = high if end > high else low if end < low else None
-        if bound is not None and speed == bound:  # it cannot leave this way: it stays on the bound
+        if bound is not None and speed == bound:  # it cannot leave the bound in this direction
             return gone + bound * left, bound, 0.0
         if bound is not None:
             begin, off, last, beyond = 0.0, speed - bound, duration, end - bound
-            for _ in range(40):  # regula falsi, the end that stays for the second time counting half
+            for _ in range(40):  # regula falsi with the Illinois modification
                 duration = last - beyond * (last - begin) / (beyond - off)
                 near_end, far_end = A * exp(near * duration), B * exp(far * duration)
                 error = (line + near * near_end + far * far_end).real - bound
@@ -156,8 +155,8 @@ def _course(
 ) -> tuple[complex, complex, float, float, complex, complex]:
     """S = level + line t + A exp(near t) + B exp(far t) of M s'' = push + rate t - b s' - stiffness s for `h` [s].
 
-    From s = 0, s' = `speed`. Returns near, far [1/s], level [m], line [m/s], A, B [m]. A spring that is too weak to
-    be felt within h counts as one that is felt by a millionth, and equal exponents as apart by as much.
+    From s = 0, s' = `speed`. Returns near, far [1/s], level [m], line [m/s], A, B [m]. A spring with negligible effect
+    within h is replaced by one with the relative effect `FELT`, and equal exponents are separated by `APART`.
     """
     K = max(stiffness, FELT * (abs(b) + mass / h) / h)
     half = 0.5 * b / mass
@@ -175,27 +174,27 @@ def _course(
 
 SETTLED_SPEED = 2e-8
 SETTLED_FORCE = 5e-5
-"""Slower than this [m/s] with less than this out of balance [N], a muscle counts as at rest: 10 nm from its end."""
+"""Below this speed [m/s] and this unbalanced force [N] a muscle counts as at rest: within 10 nm of its end."""
 SHORT = 0.0041
-"""Stretches up to this length [s] are stepped: starting LSODA costs more than they do."""
+"""Intervals up to this length [s] use fixed steps: starting LSODA is slower."""
 STEP = 2e-3
-"""Longest step of a loop that is closed every sample [s]."""
+"""Longest step in a loop that is closed at every sample [s]."""
 LAUNCH = 1e-3
-"""Step at speeds of stiction [s]: what grows there is solved exactly within a step, LSODA is lost."""
+"""Longest step at speeds with falling friction [s]: exact for unstable motion, where LSODA fails."""
 CREEP = 4e-3
-"""Step where the damping is so strong that nothing grows at speeds of stiction, with the pressure at its end [s]."""
+"""The same where damping makes this motion stable, and the pressure is settled [s]."""
 CALM = 100.0
-"""How near its end the pressure is then [Pa]: the force is that of the middle of a step."""
+"""Pressure difference from the end value that counts as settled for `CREEP` [Pa]."""
 REST = 2.0
-"""Longest stretch of rest looked through at once [s]."""
+"""Longest interval of rest that is examined at once [s]."""
 HORIZON = 1.0
-"""Longest stretch integrated at once [s]; less where the motion stops more often, since the rest is thrown away."""
+"""Longest interval integrated at once [s]; reduced for frequent stops, since the part after a stop is discarded."""
 
 
 class Plant(Loaded):
     """A muscle behind its regulator, with a load F_L = `force` [N] of moving mass `mass` [kg] on its free end.
 
-    `time` [s], contraction `x` [m], speed `v` [m/s]; `way` is 0 at rest, else the direction of sliding.
+    `time` [s], contraction `x` [m], speed `v` [m/s]; `way` is 0 at rest, else the direction of sliding, 1 or -1.
 
     Examples
     --------
@@ -230,7 +229,7 @@ class Plant(Loaded):
         self.load(force, mass)
 
     def reading(self) -> tuple[float, float, float]:
-        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+        """Present contraction [m], gauge pressure [Pa] and force at the fixed end [N]."""
         course = self._course(self._piece()[0])
         self._start(course)
         P, muscle, way = course.value(self.time), self.muscle, self.way
@@ -245,10 +244,10 @@ class Plant(Loaded):
         return self.x, P, max(pull, self.force) if self.x >= muscle.stop else self.force
 
     def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
-        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`.
+        """Simulate to `until` [s]; returns the motion at increasing `times` [s] between now and `until`.
 
-        Stretches without motion cost next to nothing; sliding is integrated by LSODA, restarted at every command,
-        stop and turn; stretches up to 4 ms (a loop closed every sample) are taken by implicit steps.
+        Rest takes almost no computing time; sliding is integrated by LSODA, restarted at every command, stop and
+        reversal; intervals up to 4 ms (a loop closed at every sample) use implicit steps.
         """
         if len(times) == 0 and until - self.time <= SHORT:
             self.reach(until)
@@ -274,17 +273,17 @@ class Plant(Loaded):
         return record.motion()
 
     def reach(self, until: float, longest: float = STEP) -> None:
-        """Implicit steps of at most `longest` [s] up to `until` [s]: for loops that are closed every sample.
+        """Simulate to `until` [s] in implicit steps of at most `longest` [s].
 
-        Linearly implicit: pressure and coefficients at the middle of the step, friction and damping in closed form
-        (`glide`), the spring by the trapezoidal rule; stable for any mass.
+        For loops that are closed at every sample. Linearly implicit: pressure and coefficients at the middle of the
+        step, friction and damping in closed form (`glide`), the spring by the trapezoidal rule; stable for any mass.
         """
         while self.time < until:
             trace, end = self._piece()
             self._steps(trace, min(end, until), longest)
 
     def _piece(self) -> tuple[Trace, float]:
-        """How the pressure goes now, and until when [s]; where it begins to fall, relax as after the one before it."""
+        """Current course of the pressure and its end [s]; where it starts to fall, the muscle is set to relaxation."""
         trace, end = self.supply.piece(self.time)
         if self._trace is not None and trace != self._trace:
             before, self._trace = self._trace.value(trace.start), trace
@@ -294,11 +293,11 @@ class Plant(Loaded):
         return trace, end
 
     def _course(self, trace: Trace) -> Course:
-        """How the pressure in the muscle went until now, where the regulator's went along `trace`."""
+        """Pressure in the muscle up to now; here the regulator's `trace`."""
         return trace
 
     def _fill(self, record: Record, x: Array, v: Array | float, course: Course, way: int) -> None:
-        """Record the next len(x) samples: contraction, speed, and the pressure and force that follow from them."""
+        """Record the next len(x) samples: contraction, speed, and the resulting pressure and force."""
         P, muscle = course.values(record.due(len(x))), self.muscle
         if way == 0 and 0 < self.x < muscle.stop:
             record.fill(x, v, P, self.force)
@@ -315,23 +314,23 @@ class Plant(Loaded):
     # -- at rest -------------------------------------------------------------------------------------------------
 
     def _drive(self, P: float) -> float:
-        """Force out of balance without friction [N]."""
+        """Unbalanced force without friction [N]."""
         return self._f_ce(P) - self._stiffness(P) * self.x - self.force
 
     def _breaks_away(self, drive: float) -> int:
-        """The direction in which a muscle at rest starts to slide; 0 if it stays."""
+        """Direction in which a muscle at rest starts to slide; 0 if it stays at rest."""
         hold = self.muscle.friction.F_s + SETTLED_FORCE
         if drive > hold and self.x < self.muscle.stop:
             return 1
         return -1 if drive < -hold and self.x > 0 else 0
 
     def _start(self, course: Course) -> None:
-        """Begin to slide where the pressure at this moment makes a muscle at rest do so."""
+        """Begin to slide if the present pressure overcomes the friction of a muscle at rest."""
         if self.way == 0:
             self.way = self._breaks_away(self._drive(course.value(self.time)))
 
     def _rest(self, trace: Trace, end: float, record: Record) -> None:
-        """Stay at rest until break-away or `end`, whichever is first."""
+        """Stay at rest until break-away or `end` [s], whichever is first."""
         self._start(trace)
         if self.way:
             return
@@ -363,7 +362,7 @@ class Plant(Loaded):
     # -- sliding -------------------------------------------------------------------------------------------------
 
     def _slide(self, trace: Trace, end: float, record: Record) -> None:
-        """Slide until it turns, lands, settles, comes to speeds of stiction, or `end`."""
+        """Slide until it reverses, lands, settles, slows down to falling friction, or until `end` [s]."""
         t, rows = record.grid(self.time, end)
         x, v, course = self._integrate(trace, (self.x, self.v), t)
         first = self._first_event(course, t, x, v)
@@ -388,12 +387,12 @@ class Plant(Loaded):
             self.v = self.way * self.muscle.friction.knee * (1 - 1e-9)
 
     def _integrate(self, trace: Trace, state: tuple[float, float], t: Array) -> tuple[Array, Array, Course]:
-        """Contraction [m], speed [m/s] and pressure at times t [s], from `state` (x, v) at t[0] on."""
+        """Contraction [m], speed [m/s] and course of pressure at times t [s], from `state` (x, v) at t[0]."""
         x, v = slide(self.muscle, trace, self.way, (self.force, self.mass), state, t)
         return x, v, trace
 
     def _first_event(self, course: Course, t: Array, x: Array, v: Array) -> int | None:
-        """Index of the first time after t[0] at which the muscle has turned, become slow, landed or settled."""
+        """Index of the first time after t[0] at which the muscle has reversed, become slow, landed or settled."""
         event = self.way * v < self.muscle.friction.knee
         event |= x > self.muscle.stop if self.way > 0 else x < 0
         slow = np.flatnonzero(np.abs(v) < SETTLED_SPEED)
@@ -404,7 +403,7 @@ class Plant(Loaded):
         return int(event.argmax()) if event.any() else None
 
     def _refine(self, t: Array, x: Array, v: Array, i: int) -> tuple[float, float, bool]:
-        """Moment, place, and whether it lands, of the event between t[i - 1] and t[i], by straight lines."""
+        """Time [s] and position [m] of the event between t[i - 1] and t[i], interpolated, and whether it is landing."""
         stop = self.muscle.stop
         bound = stop if self.way > 0 and x[i] > stop else 0.0 if self.way < 0 and x[i] < 0 else None
         if bound is not None:
@@ -418,20 +417,20 @@ class Plant(Loaded):
         return moment, min(max(place, 0.0), stop), bound is not None
 
     def _stop(self, course: Course, lands: bool) -> None:
-        """With the speed just come to 0: stay, or slide back."""
+        """After the speed came to 0: rest, or slide back."""
         drive = self._drive(course.value(self.time))
         self.way = 0 if lands and drive * self.way > 0 else self._breaks_away(drive)
 
     # -- stepping ------------------------------------------------------------------------------------------------
 
     def _fine_step(self, trace: Trace) -> float:
-        """Longest step at speeds of stiction [s]."""
+        """Longest step at speeds with falling friction [s]."""
         P = self._course(trace).value(self.time)
         calm = abs(P - trace.level) < CALM and trace.settled(self.time, CALM)
         return CREEP if calm and self._damping[self.way](P) > 2 * self.muscle.friction.slope else LAUNCH
 
     def _stepwise(self, trace: Trace, end: float, record: Record, longest: float, speed: float) -> None:
-        """Slide in steps of at most `longest` until `end`, or until it turns, rests or is as fast as `speed`."""
+        """Slide in steps of at most `longest` [s] until `end`, reversal, rest, or the speed `speed` [m/s]."""
         way, samples, x, v = self.way, record.due(record.count(end)).tolist(), [], []
         due = 0
         while self.time < end and self.way == way and way * self.v < speed:
@@ -453,12 +452,12 @@ class Plant(Loaded):
             self._step(trace, until if i == count else begin + (until - begin) * i / count)
 
     def _ends(self, trace: Trace, until: float) -> tuple[float, float, float, float]:
-        """Pressure now and at `until` at rest and in motion [Pa], and the force that the way gone takes away [N/m]."""
+        """Pressures [Pa] now, at `until` at rest, at `until` in motion; and the loss of force per distance [N/m]."""
         end = trace.value(until)
         return trace.value(self.time), end, end, 0.0
 
     def _step(self, trace: Trace, until: float) -> None:
-        """Slide or rest until `until` with the force out of balance on a straight line, K and B of the middle."""
+        """One step to `until` [s], sliding or at rest, with a linear unbalanced force, and K and B at the middle."""
         muscle, h, begin = self.muscle, until - self.time, self.x
         P, P_end, P_moved, air = self._ends(trace, until)
         F, K = self._f_ce(P), self._stiffness(P)

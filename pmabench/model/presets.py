@@ -1,12 +1,12 @@
-"""Ready-made plants with their sources, and plants as plain numbers as plans and plant files keep them.
+"""Ready-made plants with their sources, and plants as plain numbers for plans and plant files.
 
-Presets are `ideal` or `bench`. `ideal`: no friction, no noise, regulator exact behind 40 ms of dead time. `bench`: lag,
-dead time, stiction and noise. A hysteresis belongs to the muscle: both have it.
+Presets are `ideal` or `bench`. `ideal`: no friction, no noise, an exact regulator after its dead time (usually 40 ms).
+`bench`: lag, dead time, stiction and noise. Both have the hysteresis of the muscle.
 
 The arm of paper 2 has four contractors, one of which bends it against a load at its end. Its state is the contraction
-of the bending muscle against the arm's middle, x = r alpha: an arc of one curvature whose middle keeps its length. The
-angle is that of `arm-angle` of the library; below 0.45 bar, where the paper says nothing, it goes on a straight line to
-0 without pressure.
+of the bending muscle relative to the arm's middle, x = r alpha: an arc of constant curvature whose middle line keeps
+its length. The angle is that of `arm-angle` of the library; below 0.45 bar, where the paper has no data, it falls
+linearly to 0 at zero pressure.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from pmabench.model.real.plants import RealDrivenPlant, RealPlant
 from pmabench.model.regulator import Regulator
 
 ARM_STIFFNESS, ARM_DAMPING = 5e3, 1e3
-"""Assumed, for the way there; paper 2 gives none [N/m, N.s/m]."""
+"""Assumed stiffness [N/m] and damping [N.s/m], which determine the transient; paper 2 gives none."""
 ARM_STEP = 1e3
-"""Between the points of angle over pressure [Pa]; the lines between are within 0.02 deg."""
+"""Spacing of the points of angle over pressure [Pa]; linear interpolation is within 0.02 deg."""
 ARM_STOP = 0.20
-"""Contraction of the bending muscle at which it can go no further [1]: 115 deg, beyond all of paper 2."""
+"""End stop of the bending muscle as contraction [1]: 115 deg, beyond all data of paper 2."""
 GRAVITY = 9.81
-"""What turns the weight at the arm's end into the mass of the formula [m/s2]."""
+"""Gravity, to convert the load at the arm's end to a mass [m/s2]."""
 
 
 @dataclass(frozen=True)
 class Arm:
-    """`length` of its muscles, `radius` of the circle of the outer ones [m] (paper 2)."""
+    """The arm of paper 2: `length` of its muscles, `radius` of the circle of the outer ones [m]."""
 
     name: str = "arm of four contractors of 30 cm"
     length: float = 0.30
@@ -53,12 +53,12 @@ class Arm:
     friction: Friction = field(default_factory=Friction)
 
     def under(self, force: float) -> Muscle:
-        """The arm as a muscle without load that comes to x = r alpha with `force` [N] at its end.
+        """The arm as an unloaded muscle that reaches x = r alpha, for the load `force` [N] at its end.
 
         Raises
         ------
         ValueError
-            Beyond the loads of paper 2.
+            For loads beyond those of paper 2.
         """
         from pmabench.model.library import MODELS  # needs the presets, which need this module
 
@@ -84,7 +84,7 @@ class Arm:
 
 
 class ArmPlant(Plant):
-    """The arm behind the regulator of its bending muscle; a load changes where it comes to, and moves with it."""
+    """The arm with the regulator of its bending muscle; a load changes the final angle and the moving mass."""
 
     def __init__(
         self, arm: Arm, regulator: Regulator, *, force: float = 0.0, mass: float = 0.5, start: float = 0.0
@@ -93,7 +93,7 @@ class ArmPlant(Plant):
         super().__init__(arm.under(force), regulator, force=force, mass=mass, start=start)
 
     def load(self, force: float, mass: float) -> None:
-        """From now on `force` [N] hangs on the arm's end and moves with `mass` [kg > 0]; ValueError as `Arm.under`."""
+        """Change the load at the arm's end: `force` [N] and moving `mass` [kg > 0]; ValueError as in `Arm.under`."""
         super().load(0.0, mass)
         self.muscle = self.arm.under(force)
         self._f_ce, self._stiffness = self.muscle.F_ce.function(), self.muscle.K.function()
@@ -109,7 +109,7 @@ N_PER_MM = 1e3
 
 
 def paper0() -> Muscle:
-    """Festo MAS-20-250 with coefficients assumed so that the ranges of paper 0 come out, no friction.
+    """Festo MAS-20-250 with coefficients assumed to reproduce the ranges of paper 0, without friction.
 
     P in kPa: F_ce = 1.08 P - 49.0 >= 0 N; K = 5.6 + 1.0e-3 P + 9.7e-6 P^2 N/mm; B_c = 1.2 + 1.6e-3 P and
     B_r = 1.1 + 3.4e-3 P N.s/mm.
@@ -124,7 +124,7 @@ def paper0() -> Muscle:
 
 
 def serres2009() -> Muscle:
-    """Festo MAS-20-250 of Serres and others 2009, no friction.
+    """Festo MAS-20-250 of Serres and others 2009, without friction.
 
     P in kPa: F_ce = 2.91 P + 44.6 N, below 150 kPa 3.207 P (a straight line to the origin); K = 32.7 - 0.0321 P up to
     314, 17 + 0.0179 P above, N/mm; B_c = 2.90; B_r = 1.57 up to 372, 0.311 + 0.00338 P above, N.s/mm.
@@ -139,7 +139,7 @@ def serres2009() -> Muscle:
 
 
 def paper0_air() -> Muscle:
-    """The muscle of `paper0` with a braid of 20 mm and 25 deg, assumed, whose volume its regulator has to fill."""
+    """The muscle of `paper0` with an assumed braid of 20 mm and 25 deg, whose volume the regulator has to fill."""
     return replace(paper0(), name="MAS-20-250 paper0 with air", diameter=20e-3, braid_angle=math.radians(25))
 
 
@@ -156,27 +156,28 @@ MUSCLES: dict[str, Callable[[], Muscle]] = {
     "serres2009": serres2009,
     "dmsp-40-305": dmsp_40_305,
 }
-"""Those of the three-element model."""
+"""Plants with a three-element muscle, by name."""
 CONTRACTORS = {f"contractor-{cm}": cm / 100 for cm in (15, 20, 25, 30, 40)}
-"""Those of paper 2 with their lengths [m] (`pmabench.model.published_muscles`)."""
+"""Contractors of paper 2 -> length [m] (`pmabench.model.published_muscles`)."""
 ARM = "arm-30"
-"""That of four contractors of paper 2 (`pmabench.model.presets`)."""
+"""The arm of four contractors of paper 2 (`Arm`)."""
 REAL = "real"
-"""That with bent force, hysteresis and creep (`pmabench.model.real.muscle`)."""
+"""The muscle with nonlinear force, hysteresis and creep (`pmabench.model.real.muscle`)."""
 PLANTS = (*MUSCLES, "daerden", *CONTRACTORS, ARM, REAL)
-"""All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.published_muscles`)."""
+"""All plants; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.published_muscles`)."""
 DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
-"""Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
+"""Its hysteresis: half width of the loop [N], contraction over which a reversal fades to 1/e [1]; paper 3 shows 60 N
+between the branches."""
 
 BENCH_FRICTION = Friction(F_s=10.0, F_c=6.0, speed=1e-3)
 COULOMB = Friction(F_s=10.0, F_c=10.0)
-"""Of a muscle whose damping lets no stick-slip grow."""
+"""For a muscle whose damping prevents stick-slip."""
 BENCH_NOISE = Noise(pressure=500.0, displacement=2e-6, force=0.3)
 ARM_FRICTION, ARM_NOISE = Friction(F_s=0.5, F_c=0.5), Noise(pressure=500.0, displacement=30e-6)
-"""Assumed: both sides are 0.38 deg apart, a reading of the angle scatters by 0.06 deg."""
+"""Assumed: a dead zone of 0.38 deg between both directions, and noise of the angle of 0.06 deg."""
 BENCH_LAG = 0.0955
 BENCH_SECOND = {"natural_frequency": 2.5, "damping_ratio": 0.9}
-"""[Hz] and [1]: a regulator of second order that does 90 % of a step in 0.22 s."""
+"""A second-order regulator with a 90 % rise time of 0.22 s [Hz, 1]."""
 BENCH_FOLLOW_LAG = 0.005
 DEAD_TIME = 0.04
 REAL_REGULATOR = Regulator(dead_time=0.02, lag=BENCH_LAG, vent_ratio=1.5)
@@ -193,23 +194,23 @@ class Setup:
     follow_lag: float
     """First-order lag of a displacement actuator behind its command [s]."""
     hysteresis: Hysteresis | None = None
-    """Felt at a driven end."""
+    """Hysteresis of a driven end; None for none."""
     air: Air | None = None
-    """Where the regulator has to move it; None where the pressure does not depend on the motion."""
+    """Air flow of the regulator; None where the pressure does not depend on the motion."""
     relaxes: Creep | None = None
-    """Of the rubber, felt at a driven end."""
+    """Relaxation of the rubber, at a driven end; None for none."""
     hose: float = 0.0
-    """Volume that is filled with the muscle [m3]."""
+    """Volume of the hose, filled together with the muscle [m3]."""
     parallel: int = 1
-    """Like muscles side by side at a driven end."""
+    """Number of equal muscles in parallel at a driven end."""
 
     def free(self, force: float = 0.0, mass: float = 0.5, start: float = 0.0) -> Plant | RealPlant:
-        """The plant with a load F_L = `force` [N] of moving mass `mass` [kg] on its free end, from `start` [s] on.
+        """The plant with a load F_L = `force` [N] and moving mass `mass` [kg] on its free end, from `start` [s] on.
 
         Raises
         ------
         ValueError
-            For a muscle that has only a driven end, or a load that it is not known for.
+            For a muscle without a free-end model, or a load outside the model's range.
         """
         if isinstance(self.muscle, Arm):
             return ArmPlant(self.muscle, self.regulator, force=force, mass=mass, start=start)
@@ -221,14 +222,14 @@ class Setup:
         return Plant(muscle, self.regulator, force=force, mass=mass, start=start)
 
     def driven(self, actuator: Actuator, position: float = 0.0, start: float = 0.0) -> DrivenPlant:
-        """The plant with its free end at `position` [m], held by `actuator`, from `start` [s] on.
+        """The plant with its end at `position` [m], driven by `actuator`, from `start` [s] on.
 
-        The actuator goes no further than the muscle's formulas hold, and follows with `follow_lag`.
+        The actuator is limited to the valid range of the muscle's formulas, and has the lag `follow_lag`.
 
         Raises
         ------
         ValueError
-            For an arm, which nothing drives.
+            For an arm, which has no driven end.
         """
         if isinstance(self.muscle, Arm):
             raise ValueError("the end of an arm carries loads; nothing drives it")
@@ -245,7 +246,7 @@ class Setup:
         )  # fmt: skip
 
     def _volume(self, x: Array) -> Array:
-        """Of muscles and hose [m3] at contractions x [m]."""
+        """Volume of muscles and hose [m3] at contractions x [m]."""
         return np.asarray(self.parallel * self.muscle.volume(x) + self.hose)  # type: ignore[union-attr]
 
 
@@ -261,7 +262,7 @@ NOT_FOR: tuple[tuple[tuple[str, ...], Callable[[Setup], bool], str], ...] = (
     (("F_s", "F_c", "b_relax"), lambda setup: not isinstance(setup.muscle, Muscle | Arm | RealMuscle),
      ": it has no friction and no damping by speed"),
 )  # fmt: skip
-"""Overrides, the setups that have nothing that they could change, and why."""
+"""Overrides, the setups to which they do not apply, and the reason for the message."""
 
 
 def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
@@ -270,7 +271,7 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
     Raises
     ------
     ValueError
-        For a name that is not known or a value that cannot be.
+        For an unknown name or an invalid value.
     """
     if plant not in PLANTS:
         raise ValueError(f'no plant "{plant}"; known: {", ".join(PLANTS)}')
@@ -302,14 +303,17 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
 
 
 def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
-    """`setup` as it is (`bench`) or without friction, noise and lags (`ideal`), with overrides; ValueError as above."""
+    """`setup` unchanged (`bench`) or without friction, noise and lags (`ideal`), with overrides.
+
+    Raises ValueError for an unknown kind or an invalid override.
+    """
     if kind not in KINDS:
         raise ValueError(f'no preset "{kind}"; known: {", ".join(KINDS)}')
     real = kind == "bench"
     change = overrides or Overrides()
 
     def chosen(name: str, bench: float, ideal: float = 0.0) -> float:
-        """The user's value of a parameter [SI], else that of the bench, or of an ideal one."""
+        """The user's value of a parameter [SI], else the bench's or the ideal one."""
         value = getattr(change, name)
         return float(value) if value is not None else bench if real else ideal
 
@@ -334,7 +338,7 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
 
 
 def _mounted(change: Overrides) -> dict[str, Any]:
-    """What of a driven end is changed: relaxation, hose, and how many muscles; ValueError for what cannot be."""
+    """Settings of a driven end: relaxation, hose, and number of muscles; ValueError for invalid ones."""
     parallel, hose = change.parallel or 1.0, change.hose or 0.0
     if change.parallel is not None and (parallel != change.parallel or parallel != int(parallel) or parallel < 1):
         raise ValueError(f"{change.parallel:g} muscles side by side: a whole number from 1 on is expected")
@@ -344,7 +348,7 @@ def _mounted(change: Overrides) -> dict[str, Any]:
 
 
 def _muscle(muscle: AnyMuscle, change: Overrides, *, real: bool) -> AnyMuscle:
-    """The muscle with its friction and damping changed."""
+    """The muscle with changed friction and damping."""
     if isinstance(muscle, RealMuscle):
         return muscle.changed(change)
     if not isinstance(muscle, Muscle | Arm):
@@ -360,7 +364,7 @@ def _muscle(muscle: AnyMuscle, change: Overrides, *, real: bool) -> AnyMuscle:
 
 
 def _regulator(given: Regulator, change: Overrides, chosen: Callable[..., float]) -> Regulator:
-    """The regulator; a lag that is given makes it first order, a natural frequency second order."""
+    """The changed regulator; a given lag makes it first order, a natural frequency second order."""
     lag, natural_frequency = chosen("regulator_lag", given.lag), chosen("natural_frequency", given.natural_frequency)
     regulator = Regulator(
         dead_time=chosen("dead_time", given.dead_time, given.dead_time),
@@ -377,7 +381,7 @@ def _regulator(given: Regulator, change: Overrides, chosen: Callable[..., float]
 
 
 def _air(air: Air, chosen: Callable[..., float]) -> Air | None:
-    """The air path; None without any conductance. ValueError for an exponent that air cannot have."""
+    """The changed air flow; None if both conductances are 0. ValueError for an exponent outside 1 to 1.4."""
     air = replace(
         air,
         fill=chosen("conductance_fill", air.fill),
@@ -392,20 +396,20 @@ def _air(air: Air, chosen: Callable[..., float]) -> Air | None:
 
 @dataclass(frozen=True)
 class Described:
-    """A muscle, the regulator before it and the air that it moves, and in words where they come from."""
+    """A muscle with its regulator, its air flow, and a description of their source."""
 
     muscle: Muscle
     regulator: Regulator
     source: str
     domain: tuple[float, float]
-    """Pressures at which the coefficients are known [Pa]; outside they are continued."""
+    """Range of pressures in which the coefficients are known [Pa]; they are extrapolated outside."""
     air: Air | None = None
-    """Where the regulator has to move it; None where the pressure does not depend on the motion."""
+    """Air flow of the regulator; None where the pressure does not depend on the motion."""
     surface: IdentifiedMuscle | None = None
-    """What is simulated in place of `muscle`, which is then the straight form of the same tests."""
+    """An identified muscle that is simulated in place of `muscle`, its three-element form."""
 
     def plant(self, force: float, mass: float, pressure: float = 0.0, x: float = 0.0) -> Plant | IdentifiedPlant:
-        """The muscle at `pressure` [Pa], at rest at `x` [m], with a load F_L = `force` [N] of moving `mass` [kg]."""
+        """The plant at `pressure` [Pa], at rest at `x` [m], with a load F_L = `force` [N] and moving `mass` [kg]."""
         if self.surface is not None:
             return IdentifiedPlant(self.surface, self.regulator, force=force, mass=mass, pressure=pressure, x=x)
         if self.air is not None:
@@ -428,7 +432,7 @@ class Described:
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Described:
-        """The inverse of `to_dict`; what the data lack (plans of earlier versions) is as a muscle has it."""
+        """From data of `to_dict`; missing entries (plans of earlier versions) get the defaults of `Muscle`."""
         values = {field.name: _value(field.name, data[field.name]) for field in fields(Muscle) if field.name in data}
         muscle = Muscle(**{"name": str(data["source"]), **values})
         low, high = data["domain"]
@@ -438,7 +442,7 @@ class Described:
 
 
 def _value(name: str, data: Any) -> Any:
-    """A field of a muscle from plain data."""
+    """The value of a field of a muscle from plain data."""
     if name == "friction":
         return Friction(**data)
     if isinstance(data, Mapping):
@@ -448,9 +452,10 @@ def _value(name: str, data: Any) -> Any:
 
 
 def tabulated_force(P: Sequence[float], F_ce: Sequence[float]) -> Curve:
-    """F_ce [N] through points at rising pressures P [Pa], straight lines between them.
+    """F_ce [N] as straight lines between points at increasing pressures P [Pa], extrapolated at both ends.
 
-    The lines of the ends go on: below to where they reach 0 N, and to 0 N at 0 Pa where they would not by themselves.
+    Below the first point it goes down to 0 N, or to 0 N at 0 Pa where the first line would not reach 0 N at a positive
+    pressure.
     """
     lines = Curve.through(P, F_ce).pieces[1:-1] or ((F_ce[0] / P[0] if P[0] > 0 else 0.0, 0.0),)
     edges = list(P[1:-1])
@@ -466,10 +471,9 @@ COEFFICIENTS = ("F_ce", "K", "B_c", "B_r", "tau_r")
 
 
 def setup_of(numbers: Mapping[str, Any]) -> Setup:
-    """The setup of a simulated bench.
+    """The setup of a simulated bench from plain numbers (SI).
 
-    `numbers` are SI; each coefficient is either `points`, pairs of pressure and value, or the arguments of
-    `Curve.printed`.
+    Each coefficient is either `points`, pairs of pressure and value, or the arguments of `Curve.printed`.
     """
     regulator, noise, lag = Regulator(**numbers["regulator"]), Noise(**numbers["noise"]), float(numbers["follow_lag"])
     if numbers["law"] in ("daerden", "contractor"):
@@ -490,7 +494,7 @@ def _curve(given: Mapping[str, Any]) -> Curve:
 
 
 def _published(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:
-    """A muscle of paper 2 or 3; only the latter has a hysteresis and a volume."""
+    """The setup of a muscle of paper 2 or 3; only the latter has hysteresis and volume."""
     from pmabench.model import published_muscles as published  # needs the library of models, which needs the presets
 
     kind = published.DaerdenMuscle if numbers["law"] == "daerden" else published.ContractorMuscle

@@ -1,7 +1,7 @@
-"""Commands over time, and what a regulator makes of them: dead time and a lag of first or second order.
+"""Commands over time, and the response of a regulator: dead time and a lag of first or second order.
 
-Everything is in closed form, piece by piece: constants, ramps, sines. Knows no muscle. Used for the pressure behind a
-regulator, which a dump valve or a fault may override, and for the position of an actuator with a follow error.
+Everything is piecewise in closed form: constants, ramps, sines. Used for the pressure of a regulator, which a dump
+valve or a fault may override, and for the position of an actuator with a follow error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pmabench.model.curve import Array
 
 
 def to_nanosecond(t: float) -> float:
-    """A moment [s] on the grid of whole nanoseconds, so that equal moments compare equal however they were summed."""
+    """A time [s] rounded to whole nanoseconds, so that equal times compare equal however they were summed."""
     return round(t * 1e9) / 1e9
 
 
@@ -49,7 +49,7 @@ class Wave(NamedTuple):
         return self.slope + self.amplitude * self.omega * math.cos(self.omega * (t - self.start) + self.phase)
 
     def later(self, t: float) -> Wave:
-        """The same wave counted from t [s] on."""
+        """The same wave with its start moved to t [s]."""
         since = t - self.start
         return self._replace(start=t, level=self.level + self.slope * since, phase=self.phase + self.omega * since)
 
@@ -65,12 +65,12 @@ class Wave(NamedTuple):
 
 
 def constant(start: float, level: float) -> tuple[Wave, ...]:
-    """One value from `start` [s] on."""
+    """A constant from `start` [s] on."""
     return (Wave(to_nanosecond(start), level),)
 
 
 def ramp(start: float, origin: float, target: float, rate: float) -> tuple[Wave, ...]:
-    """From `origin` at `start` [s] to `target` with `rate` [units/s, > 0], then constant."""
+    """A ramp from `origin` at `start` [s] to `target` with `rate` [units/s, > 0], then constant."""
     duration = abs(target - origin) / rate
     if to_nanosecond(duration) == 0:
         return constant(start, target)
@@ -89,7 +89,7 @@ def sine(start: float, origin: float, amplitude: float, frequency: float, cycles
 
 
 def commanded(waves: Sequence[Wave], t: float) -> float:
-    """The value at time t [s] of the wave that began last; the level of the first one before it begins."""
+    """Value at time t [s] of the wave that started last; before the first one its level."""
     for wave in reversed(waves):
         if wave.start <= t:
             return wave.level if wave.steady else wave.value(t)
@@ -97,27 +97,27 @@ def commanded(waves: Sequence[Wave], t: float) -> float:
 
 
 FADED = 40.0
-"""After so many lags nothing is left of where a piece began [1]."""
+"""Number of lags after which the initial value has faded completely [1]."""
 APART = 1e-5
-"""Poles that are nearer to each other count as so far apart [1]: what they make differs by less than a part in 1e9."""
+"""Poles closer to each other are separated by this relative distance [1]; the result changes by less than 1e-9."""
 NO_MORE = 1e-9
-"""What is smaller is left out of a closed form [units]."""
+"""Smaller parts are left out of a closed form [units]."""
 
 Mode = tuple[float, float, float, float]
-"""Rate r [1/s], below 0 where it fades and else 0; omega w [rad/s], a and b in exp(r s) (a cos(w s) + b sin(w s))."""
+"""r [1/s] (negative, or 0 for no fading), w [rad/s], a and b of exp(r s) (a cos(w s) + b sin(w s))."""
 
 
 @dataclass(frozen=True)
 class Regulator:
-    """How the output y follows the command u: T y' = u(t - dead_time) - y - T leak y.
+    """Dynamics of the output y for the command u: T y' = u(t - dead_time) - y - T leak y.
 
     `lag` T [s] while filling (y rising), `lag * vent_ratio` while venting; a lag of 0 is exact. Within `dead_band`
-    [units] of the command the regulator rests, outside of it the lag drives it to the edge of the band. `leak` is the
-    share of the output that is lost per second [1/s]; a regulator without lag makes up for it.
+    [units] of the command the regulator rests, outside it approaches the edge of the band. `leak` is the relative loss
+    of output [1/s]; a regulator without lag compensates it.
 
     With a `natural_frequency` f_n [Hz] above 0 it is of second order instead, with `damping_ratio` zeta:
-    y'' + 2 zeta w y' + w^2 y = w^2 u(t - dead_time), w = 2 pi f_n, and w / `vent_ratio` where a command arrives that
-    lies below y. It makes up for a leak.
+    y'' + 2 zeta w y' + w^2 y = w^2 u(t - dead_time), w = 2 pi f_n, and w / `vent_ratio` for a
+    command below y. It compensates a leak.
     """
 
     dead_time: float = 0.04
@@ -140,7 +140,7 @@ class Regulator:
 
 
 class Trace(NamedTuple):
-    """A closed form: level + slope s + the sum of `modes` (`Mode`), s = t - start [s]; at most one does not fade."""
+    """A closed form: level + slope s + sum of `modes` (`Mode`), s = t - start [s]; at most one mode does not fade."""
 
     start: float
     level: float
@@ -186,16 +186,16 @@ class Trace(NamedTuple):
 
     @property
     def omega(self) -> float:
-        """Of the sine that does not fade [rad/s]; 0 for none."""
+        """Angular frequency of the sine that does not fade [rad/s]; 0 for none."""
         return next((omega for rate, omega, _, _ in self.modes if not rate), 0.0)
 
     @property
     def lag(self) -> float:
-        """Time constant [s] where it is a level and one exponential; else 0."""
+        """Time constant [s] if it is a level and one exponential; else 0."""
         return -1 / self.modes[0][0] if not self.slope and len(self.modes) == 1 and not self.modes[0][1] else 0.0
 
     def settled(self, t: float, within: float) -> bool:
-        """Whether from `t` [s] on it stays `within` that of its end."""
+        """Whether from `t` [s] on it stays `within` this distance of its final value."""
         since, left = t - self.start, 0.0
         for rate, omega, a, b in self.modes:
             if omega and -rate * since < 1:  # it does not fade, or s exp(r s) does not fall yet
@@ -204,7 +204,7 @@ class Trace(NamedTuple):
         return not self.slope and left < within
 
     def function(self, since: float = 0.0) -> Callable[[float], float]:
-        """The value over s = t - start [s], from `since` on, made for being called some thousand times."""
+        """A fast function of s = t - start [s], for s >= `since`, to be called thousands of times."""
         level, slope, modes, exp, cos, sin = self.level, self.slope, self._left(since), math.exp, math.cos, math.sin
         if len(modes) == 1 and not slope:
             ((rate, omega, a, b),) = modes
@@ -225,14 +225,14 @@ class Trace(NamedTuple):
 
 
 def _fading(size: float, lag: float) -> tuple[Mode, ...]:
-    """One exponential, from `size` on; none without a lag [s]."""
+    """One exponential with the initial value `size`; none without a lag [s]."""
     return ((-1 / lag, 0.0, size, 0.0),) if size and lag > 0 else ()
 
 
 def answer(trace: Trace, t: float, value: float, lag: float, share: float = 1.0) -> Trace:
-    """The exact answer of `lag` y' = `share` u - y to a closed form u, from y(t) = `value` on; `lag` > 0 [s].
+    """The exact response of `lag` y' = `share` u - y to a closed form u, from y(t) = `value`; `lag` > 0 [s].
 
-    Each part c exp(p s) of u comes out as c / (1 + p lag) exp(p s); a p of -1 / lag counts as a little different.
+    Each part c exp(p s) of u becomes c / (1 + p lag) exp(p s); a p of -1 / lag is shifted slightly.
     """
     since = t - trace.start
     slope = share * trace.slope
@@ -249,7 +249,7 @@ def answer(trace: Trace, t: float, value: float, lag: float, share: float = 1.0)
 
 
 def lagged(wave: Wave, t: float, value: float, lag: float, share: float = 1.0) -> Trace:
-    """The exact answer of `lag` y' = `share` wave - y from y(t) = `value` on; with `lag` 0 the wave itself.
+    """The exact response of `lag` y' = `share` wave - y, from y(t) = `value`; with `lag` 0 the wave itself.
 
     `t` is on the wave's time axis [s].
     """
@@ -264,10 +264,11 @@ def lagged(wave: Wave, t: float, value: float, lag: float, share: float = 1.0) -
 
 
 def swung(wave: Wave, t: float, value: float, rate: float, pace: float, damping: float) -> Trace:
-    """The exact answer of y'' + 2 zeta w y' + w^2 (y - wave) = 0, from y(t) = `value` and y'(t) = `rate` on.
+    """The exact response of y'' + 2 zeta w y' + w^2 (y - wave) = 0, from y(t) = `value` and y'(t) = `rate`.
 
-    `t` is on the wave's time axis [s], `pace` w > 0 [rad/s], `damping` zeta > 0. A ramp comes out 2 zeta / w late, a
-    sine by 1 / (1 - (W/w)^2 + 2i zeta W/w); the rest fades with the poles -w (zeta +- sqrt(zeta^2 - 1)).
+    `t` is on the wave's time axis [s], `pace` w > 0 [rad/s], `damping` zeta > 0. A ramp is delayed by 2 zeta / w, a
+    sine of angular frequency W multiplied by 1 / (1 - (W/w)^2 + 2i zeta W/w); the rest fades with the poles -w (zeta +-
+    sqrt(zeta^2 - 1)).
     """
     since = t - wave.start
     late = 2 * damping / pace
@@ -295,9 +296,9 @@ def swung(wave: Wave, t: float, value: float, rate: float, pace: float, damping:
 
 
 class Regulated:
-    """A commanded quantity behind a `Regulator`, from `start` [s] on at `value` [units].
+    """Output of a `Regulator` with its commands; at `start` [s] it rests at `value` [units].
 
-    Time only goes forward: each call of `piece`, `value` and `values` is at or after the last one. A copy made with
+    Time can only advance: each call of `piece`, `value` and `values` must be at or after the last one. A copy by
     `copy.copy` is independent.
     """
 
@@ -314,7 +315,7 @@ class Regulated:
         return made
 
     def command(self, waves: tuple[Wave, ...]) -> None:
-        """Follow `waves`, of rising starts, from the first one's start on, in place of whatever was commanded there."""
+        """Follow `waves`, with increasing starts; they replace all commands from the first start on."""
         first = waves[0].start
         kept = len(self._waves)
         while kept and self._waves[kept - 1].start >= first:
@@ -324,22 +325,22 @@ class Regulated:
             self._end = min(self._end, self._arrival(waves[0]))
 
     def force(self, t: float, level: float, lag: float) -> None:
-        """From `t` [s] on the output goes to `level` with `lag` [s] whatever is commanded: a dump valve, a burst."""
+        """From `t` [s] on the output goes to `level` with `lag` [s] regardless of commands: a dump valve, a burst."""
         self._trace = lagged(Wave(t, level), t, self.value(t), lag)
         self._end, self._forced = math.inf, True
 
     def release(self, t: float) -> None:
-        """From `t` [s] on the output follows the commands again, from where it is."""
+        """From `t` [s] on the output follows the commands again, from its present value."""
         if self._forced:
             self._forced = False
             self._begin(t)
 
     def setpoint(self, t: float) -> float:
-        """The value commanded at time t [s], before the dead time."""
+        """The commanded value at time t [s], before the dead time."""
         return commanded(self._waves, t)
 
     def setpoints(self, t: Array) -> Array:
-        """The values commanded at rising times t [s], before the dead time."""
+        """The commanded values at increasing times t [s], before the dead time."""
         result = np.empty(t.shape)
         edges = [0, *np.searchsorted(t, [wave.start for wave in self._waves[1:]]).tolist()]
         for wave, first, last in zip(self._waves, edges, [*edges[1:], len(t)], strict=True):
@@ -348,7 +349,7 @@ class Regulated:
         return result
 
     def piece(self, t: float) -> tuple[Trace, float]:
-        """The closed form that holds at time t [s], and until when [s]."""
+        """The closed form valid at time t [s], and its end [s]."""
         while t >= self._end:
             self._begin(self._end)
         return self._trace, self._end
@@ -358,14 +359,14 @@ class Regulated:
         return self.piece(t)[0].value(t)
 
     def values(self, t: Array) -> tuple[Array, Array]:
-        """The output and its rate at rising times t [s]."""
+        """The output and its rate at increasing times t [s]."""
         value, rate = np.empty(t.shape), np.empty(t.shape)
         for trace, _, rows in self.pieces(float(t[0]), t) if len(t) else ():
             value[rows], rate[rows] = trace.values(t[rows]), trace.rates(t[rows])
         return value, rate
 
     def pieces(self, begin: float, t: Array) -> Iterator[tuple[Trace, float, slice]]:
-        """Each closed form from `begin` [s] to the last of rising times t [s], until when, and which of t lie there."""
+        """Each closed form from `begin` [s] to the last of increasing times t [s], its end, and the rows of t in it."""
         last, done, end = float(t[-1]), 0, begin
         while end <= last:
             trace, end = self.piece(end)
@@ -377,7 +378,7 @@ class Regulated:
         return to_nanosecond(wave.start + self.regulator.dead_time)
 
     def _begin(self, t: float) -> None:
-        """Start the piece at time t, where a wave arrives or the regulator changes between filling and venting."""
+        """Start a new piece at time t [s]: a wave arrives, or the regulator changes between filling and venting."""
         r = self.regulator
         active = 0
         while active + 1 < len(self._waves) and self._arrival(self._waves[active + 1]) <= t:
@@ -406,12 +407,12 @@ class Regulated:
         self._end = self._change(wave, way, t, end)
 
     def _answer(self, wave: Wave, t: float, value: float, lag: float) -> Trace:
-        """The answer of a lag to a wave; a leak in parallel makes it faster and leaves it short of the command."""
+        """The response of a lag to a wave; a leak makes it faster and leaves a steady-state error."""
         share = 1 / (1 + lag * self.regulator.leak)
         return lagged(wave, t, value, share * lag, share)
 
     def _way(self, wave: Wave, t: float, value: float) -> int:
-        """1 filling, -1 venting, 0 resting in the dead band; on an edge, the way that the command goes."""
+        """1 filling, -1 venting, 0 resting in the dead band; on an edge, the direction of the command."""
         band, error = self.regulator.dead_band, wave.value(t) - value
         rate = wave.rate(t) + self.regulator.leak * value
         near = 1e-9 * (1 + abs(value))
@@ -420,9 +421,9 @@ class Regulated:
         return -1 if error < -band - near or (error <= near - band and rate < 0) else 0
 
     def _change(self, wave: Wave, way: int, t: float, end: float) -> float:
-        """When, before `end`, the regulator leaves this way of working.
+        """Time before `end` [s] at which the regulator changes between filling, venting and rest; else `end`.
 
-        Under a constant command it does so only where a leak takes it away from above.
+        With a constant command only a leak can cause this, from above.
         """
         band = self.regulator.dead_band
         if wave.steady:

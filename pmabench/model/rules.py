@@ -1,6 +1,6 @@
 """Tuning rules: controller settings from an ultimate gain and period, or from the loop itself.
 
-`all_rules` finds those of the table `RULES` and of entry points of the group `pmabench.rules`.
+`all_rules` gives those of the table `RULES` and of entry points of the group `pmabench.rules`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pmabench.model.loop import Controller, Loop
 
 @dataclass(frozen=True)
 class Rule:
-    """K_p = gain K_u, T_i = integral T_u, T_d = derivative T_u; or what `from_loop` makes of the loop itself."""
+    """K_p = gain K_u, T_i = integral T_u, T_d = derivative T_u; or the settings from `from_loop`."""
 
     name: str
     form: str
@@ -27,7 +27,7 @@ class Rule:
     integral: float | None = None
     derivative: float | None = None
     from_loop: Callable[[Loop], Controller] | None = None
-    """Settings from dead time, lags and gain; raises ValueError for a loop without what the rule needs."""
+    """Function from a loop to settings; raises ValueError for a loop to which the rule does not apply."""
 
     @property
     def title(self) -> str:
@@ -37,7 +37,7 @@ class Rule:
     def settings(self, K_u: float, T_u: float, loop: Loop | None = None) -> Controller:
         """The controller in ideal form, from the ultimate gain `K_u` [any unit] and period `T_u` [s], or from the loop.
 
-        Raises ValueError where the rule needs a loop and there is none, or one that it is not for.
+        Raises ValueError where the rule needs a loop and there is none, or it does not apply to it.
         """
         if self.from_loop is None:
             T_i = inf if self.integral is None else self.integral * T_u
@@ -50,14 +50,14 @@ class Rule:
 def simc(loop: Loop, form: str) -> Controller:
     """The `PI` or `PID` controller for `loop`, in ideal form, by the SIMC rules (`SIMC_SOURCE`).
 
-    The half rule makes one lag (PI) or two (PID) of all, the rest becomes dead time. The closed loop is to have a lag
-    as long as that dead time, the choice of the paper for tight control with good robustness.
+    The half rule reduces all lags to one (PI) or two (PID) and a dead time. The closed-loop time constant is chosen
+    equal to that dead time, which the paper recommends for tight control with good robustness.
 
     With lags T1 >= T2 >= T3 ...: PI has tau_1 = T1 + T2/2, theta = L + T2/2 + T3 + ...; PID has tau_1 = T1,
     tau_2 = T2 + T3/2, theta = L + T3/2 + T4 + .... K_c = tau_1/(2 k_g theta), tau_I = min(tau_1, 8 theta),
     tau_D = tau_2 in series form; the ideal form has K_p = f K_c, T_i = f tau_I, T_d = tau_D/f, f = 1 + tau_D/tau_I.
 
-    Raises ValueError for a loop without what the rule needs: a dead time or a lag more, lags that do not swing.
+    Raises ValueError for complex lags, too few lags, or no dead time (or further lag).
 
     >>> found = simc(Loop(1.0, 1.0, (10.0, 2.0)), "PI")
     >>> round(found.K_p, 3), found.T_i

@@ -1,6 +1,6 @@
-"""The `accept` section of a protocol: limits that results must keep to be accepted; knows no analysis.
+"""The `accept` section of a protocol: limits that results must meet.
 
-A limit is judged by `process`, which ends with exit code 6 where one is not kept.
+`process` applies the limits, and ends with exit code 6 where one is not met.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ Coefficient = Literal["F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u"]
 CheckName = Literal["repeat_spread", "first_repeat", "drift", "free_run", "held_out", "other_direction"]
 COEFFICIENTS, CHECKS = get_args(Coefficient), get_args(CheckName)
 OF_TRIALS = ("repeat_spread", "first_repeat", "drift")
-"""Checks of every kind of test that has one value per trial."""
+"""Checks for kinds of test with one value per trial."""
 OF_FIT = ("free_run", "held_out", "other_direction")
 """Checks of the fit to contraction and relaxation."""
 IN_EXPECTED = ("F_ce", "K", "B_c", "B_r", "F_c")
-"""What a specimen file can expect."""
+"""Coefficients whose expected values a specimen file can give."""
 
 
 def _above_zero(expected: str) -> AfterValidator:
-    """A share, or a value with its quantity, above 0; the message ends with what is `expected`."""
+    """Validator: a share, or a value with its quantity, must be above 0; `expected` ends the message."""
 
     def check(limit: Any) -> Any:
         quantity, value = limit if isinstance(limit, tuple) else ("ratio", limit)
@@ -49,13 +49,13 @@ class Accept(Strict):
     """Limits of one coefficient, of one check, or of R2."""
 
     relative_interval: Annotated[Ratio, _above_zero('an interval must be > 0 %, for instance "5 %"')] | None = None
-    """Widest 95 % interval of a coefficient, of its value."""
+    """Largest half width of a coefficient's 95 % interval, as a share of its value."""
     of_specimen: Limit | None = None
-    """How far a coefficient may be from what the specimen file expects, of that."""
+    """Largest deviation of a coefficient from the specimen file's expected value, as a share of that."""
     of_static: StaticLimit | None = None
-    """How far F_ce may be from that of the specimen's static-load test, of that or in N."""
+    """Largest deviation of F_ce from the specimen's static-load test, as a share of that or in N."""
     static_E_n: Annotated[float, Field(gt=0, le=100)] | None = None
-    """Largest E_n number of that difference: the difference by the root of the sum of squares of both intervals."""
+    """Largest E_n number of that difference: the difference divided by the root sum of squares of both half widths."""
     at_most: Limit | None = None
     """Largest size of a check."""
     at_least: Annotated[float, Field(gt=0, lt=1)] | None = None
@@ -66,7 +66,7 @@ Acceptance = dict[Coefficient | CheckName | Literal["R2"], Accept]
 
 
 def measures_of(name: str) -> tuple[str, ...]:
-    """Which limits a name of the section can have."""
+    """Limits that an entry of the section can have."""
     if name in COEFFICIENTS:
         return ("relative_interval", "of_specimen", *(("of_static", "static_E_n") if name == "F_ce" else ()))
     return ("at_least",) if name == "R2" else ("at_most",)
@@ -75,7 +75,7 @@ def measures_of(name: str) -> tuple[str, ...]:
 def find_faults(
     c: Compilation, accept: Acceptance, gives: tuple[str, ...], checks: tuple[str, ...], *, with_static: bool
 ) -> None:
-    """Note what cannot be judged: what the kind of test does not give, and limits that do not fit.
+    """Note limits that cannot be applied: results that the kind of test does not give, and unsuitable limits.
 
     `with_static`: whether its F_ce can be compared with that of static load.
     """
@@ -112,7 +112,7 @@ def _needs_expected(c: Compilation, name: str) -> None:
 
 
 def for_plan(c: Compilation, accept: Acceptance) -> dict[str, Any]:
-    """The section as the plan holds it: widest relative intervals by coefficient, and all `limits`; empty for none."""
+    """The section for the plan: largest relative interval by coefficient, and all `limits`; empty without a section."""
     if not accept:
         return {}
     widest = {str(name): limits.relative_interval for name, limits in accept.items()}
@@ -121,7 +121,7 @@ def for_plan(c: Compilation, accept: Acceptance) -> dict[str, Any]:
 
 
 def _limits(c: Compilation, accept: Acceptance) -> Iterator[dict[str, Any]]:
-    """Every limit: `what`, `measure`, `limit`, its `place` in the protocol, and what is `expected`.
+    """Every limit: `what`, `measure`, `limit`, its `place` in the protocol, for `of_specimen` also `expected`.
 
     `expected` is a list of (pressure [Pa], value [SI]), or a single value without a pressure.
     """

@@ -1,4 +1,4 @@
-"""Cascade files: muscles end to end, each with its own model and pressure steps; a simulation, no bench."""
+"""Cascade files: muscles in series, each with its own model and pressure steps; for simulation only."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from pmabench.model.presets import MUSCLES, Setup, changed, preset, setup_of
 
 G = 9.81
 CARRIAGE, FORCE_MASS = 2.0, 0.5
-"""Mass that moves besides the weights, and with a load that is a force [kg]."""
+"""Moving mass in addition to weights, and moving mass with a load given as a force [kg]."""
 MOST_MUSCLES, MOST_VALUES, LONGEST = 100, 2_000_000, 3600.0
 FEWEST_ROWS = 10
 HIGHEST = 600e3
-"""Most pressure of the presets [Pa]."""
+"""Highest pressure of the presets [Pa]."""
 DMSP = "dmsp-40-305"
 PLANT_RADIUS, PLANT_ANGLE = 0.010, math.radians(25)
-"""What other plants are drawn with where the file does not say it: 20 mm across, both assumed."""
+"""Assumed radius [m] and braid angle [rad] of other plants in the drawing, where the file gives none."""
 NAME = "[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}"
 
 
@@ -79,20 +79,20 @@ class MuscleFile(Strict):
     stagger: Time = 0.0
     pressure: Annotated[list[PressureStep], Field(min_length=1, max_length=1000)]
     radius: Annotated[Length, _shape(1e-3, 0.2, "length")] | None = None
-    """Of the body without contraction, for the drawing."""
+    """Radius of the uncontracted muscle, for the drawing."""
     braid_angle: Annotated[Angle, _shape(math.radians(10), math.radians(54), "angle")] | None = None
-    """To the axis without contraction, for the drawing."""
+    """Braid angle to the axis of the uncontracted muscle, for the drawing."""
 
 
 class CascadeFile(Strict):
-    """A chain; muscles are in the order from the fixed end to the load."""
+    """A cascade; its muscles in the order from the fixed end to the load."""
 
     schema_: Annotated[Literal["pmabench.cascade/1"], Field(alias="schema")]
     name: Annotated[str, Field(max_length=120)]
     source: Annotated[str, Field(max_length=400)] = ""
     load: Load = ("force", 0.0)
     fce_eval: Literal["x0", "xmax"] | None = None
-    """Where F_ce of a dmsp-40-305 is taken; one convention for the whole chain."""
+    """Contraction at which F_ce of a dmsp-40-305 is evaluated; one convention for the whole chain."""
     sample_rate: Frequency
     duration: Time
     muscles: Annotated[list[MuscleFile], Field(min_length=1, max_length=MOST_MUSCLES)]
@@ -100,7 +100,7 @@ class CascadeFile(Strict):
 
 @dataclass(frozen=True)
 class ChainMuscle:
-    """One muscle of a compiled chain: its name, what moves it, and its shape for the drawing [m, rad]."""
+    """One muscle of a compiled chain: its name, its model, and its shape for the drawing [m, rad]."""
 
     name: str
     law: str
@@ -109,7 +109,7 @@ class ChainMuscle:
     radius: float
     braid_angle: float
     assumed: tuple[str, ...]
-    """Names of the parts of its shape that the file does not give."""
+    """Parts of its shape that are assumed because the file does not give them."""
     setup: Setup | None
     """The plant; None for the printed model."""
     load: tuple[float, float]
@@ -119,13 +119,13 @@ class ChainMuscle:
         """The muscle at rest, ready to be simulated."""
         if self.setup is None:
             return PrintedMuscle(self.steps, self.load[0], self.fce_eval)
-        plant = cast("Plant", self.setup.free(*self.load))  # the others were refused when the file was read
+        plant = cast("Plant", self.setup.free(*self.load))  # other kinds were refused when the file was read
         return PlantMuscle(plant, self.steps)
 
 
 @dataclass(frozen=True)
 class _Law:
-    """The model that moves the muscles of an entry: name, plant (None: the printed model), and highest pressure."""
+    """Model of the muscles of an entry: name, plant (None: the printed model), length [m], highest pressure [Pa]."""
 
     name: str
     setup: Setup | None
@@ -147,7 +147,7 @@ class ChainPlan:
 
     @property
     def rows(self) -> int:
-        """Samples of each column."""
+        """Number of samples per column."""
         return int(self.rate * self.duration * (1 + 1e-12)) + 1
 
 
@@ -158,7 +158,7 @@ def read_cascade(path: Path) -> ChainPlan:
 
 
 class _Reading:
-    """A file being checked; problems so far."""
+    """Checks a cascade file and collects all its problems."""
 
     def __init__(self, document: Document, file: CascadeFile, folder: Path) -> None:
         self.document, self.file, self.folder = document, file, folder
@@ -224,7 +224,7 @@ class _Reading:
             self.fault(f"no muscle here is a {DMSP}, for which this is", "fce_eval", key=True)
 
     def _law(self, muscle: MuscleFile, at: Location) -> _Law | None:
-        """The model of a muscle; None, and the reason in the problems, where there is none."""
+        """The model of a muscle; None with a problem noted where it has none."""
         if (muscle.model is None) == (muscle.plant is None):
             self.fault(f'needs either "model: {DMSP}" or "plant: NAME", one of both', *at)
             return None

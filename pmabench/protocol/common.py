@@ -1,4 +1,4 @@
-"""What all kinds of protocol share: the head of the file, loads, preparation, and checks against the mounted bench."""
+"""Common parts of all kinds of protocol: head of the file, loads, preparation, checks against the mounted bench."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Prepare(Strict):
 
     precondition: Precondition | None = None
     rest: Time = 0.0
-    """Time without pressure after that, and before the first trial: a rested muscle has more hysteresis at first."""
+    """Rest without pressure between preconditioning and first trial; it increases the hysteresis at first."""
 
 
 class ProtocolHead(Strict):
@@ -59,7 +59,7 @@ class ProtocolHead(Strict):
     gives: ClassVar[tuple[str, ...]] = ()
     """Coefficients that the reduction of this kind can give."""
     checks: ClassVar[tuple[str, ...]] = ()
-    """Checks that the reduction of this kind makes in addition to them."""
+    """Checks that the reduction of this kind makes in addition."""
     with_static: ClassVar[bool] = False
     """Whether its F_ce can be compared with that of static load."""
     schema_: Annotated[Literal["pmabench.protocol/1"], Field(alias="schema")]
@@ -74,7 +74,7 @@ class ProtocolHead(Strict):
 
 @dataclass
 class Compilation:
-    """A protocol being compiled: what it is made of, the steps so far, and the problems so far."""
+    """State of a compilation: its inputs, and the steps, trials and problems so far."""
 
     document: Document
     mounted: Mounted
@@ -85,7 +85,7 @@ class Compilation:
     hazards: list[str] = field(default_factory=list)
     _on: tuple[float, float] | None = None
     _beyond: dict[tuple[Location, str], tuple[set[float], Problem | None]] = field(default_factory=dict)
-    """Values beyond a limit, by the place in the file and the limit, with the problem that names them."""
+    """(Place in the file, limit) -> values beyond that limit, and the problem that lists them."""
 
     def fault(self, location: Location, message: str, *, key: bool = False) -> None:
         """Note a problem at a place of the protocol."""
@@ -95,7 +95,7 @@ class Compilation:
 
     @contextmanager
     def noting(self, location: Location) -> Iterator[None]:
-        """What a `ValueError` says in words becomes a problem at a place of the protocol."""
+        """Turn a `ValueError` into a problem at a place of the protocol."""
         try:
             yield
         except ValueError as error:
@@ -117,7 +117,7 @@ class Compilation:
                 self._outside(value, record.quantity, location, limit)
 
     def _outside(self, value: float, quantity: str, location: Location, limit: str) -> None:
-        """Note a value beyond a limit; all values of one place, as those of a range, make one problem."""
+        """Note a value beyond a limit; all values of one place, such as a range, make one problem."""
         values, before = self._beyond.get((location, limit), (set(), None))
         values.add(value)
         shown = f"{show(min(values), quantity)} is"
@@ -136,7 +136,7 @@ class Compilation:
             self.fault(location, "must be above zero")
 
     def inside_hold(self, window: tuple[float, float], hold: float) -> None:
-        """Check the part of a trial's hold that is looked at."""
+        """Check the evaluated time window of a trial's hold."""
         if not 0 <= window[0] < window[1] <= hold:
             self.fault(("trial", "window"), "must rise and lie inside the hold")
 
@@ -159,7 +159,7 @@ class Compilation:
         return {"load": value, "mass": FORCE_MASS}
 
     def _can_be_made(self, mass: float, kind: str, location: Location) -> None:
-        """Check that the weights of the bench make the load, and that its dead weight alone trips nothing."""
+        """Check that the bench's weights can make up the load, and that its weight alone trips no limit."""
         bench, weight = self.mounted.bench, mass * self.mounted.bench.gravity
         if mass < 0:
             self.fault(location, "a load is not below zero")
@@ -185,9 +185,9 @@ class Compilation:
         return None if weights is None else Stack(weights.hanger, weights.plates)
 
     def put_on(self, point: dict[str, float], demands: str = "vented", own: float = 0.0, also: str = "") -> None:
-        """Ask the operator for the load of a point unless it is on already, and for what else hands must do (`also`).
+        """Add a request to put on the load of a point, unless it is on already; `also` is a further request.
 
-        `own` [N] of it is the muscle's own weight.
+        `own` [N] of the load is the muscle's own weight.
         """
         load = (point["load"], point["mass"])
         if self._on == load:
@@ -208,13 +208,13 @@ class Compilation:
         return f"Put {made_of or f'{mass:g} kg, hanger included,'} on the free end: {load[0]:.2f} N."
 
     def too_long(self) -> bool:
-        """Whether the plan has more steps than can be; notes that as a problem."""
+        """Whether the plan has too many steps; notes that as a problem."""
         if len(self.steps) > MOST_STEPS:
             self.fault(("sweep",), f"makes more than {MOST_STEPS} steps")
         return len(self.steps) > MOST_STEPS
 
     def needs_channel(self, name: str) -> None:
-        """Check that the bench has a channel that a search works with."""
+        """Check that the bench has a channel that a search needs."""
         if all(channel.name != name for channel in self.mounted.bench.channels):
             self.fault(("kind",), f'needs the channel "{name}", which the bench does not have')
 
@@ -234,7 +234,7 @@ class Compilation:
             self.steps.append(Hold("precondition", rest))
 
     def add_trial(self, values: dict[str, float], repeat: int) -> int:
-        """Add a trial at an operating point [SI], after the preparation where it is the first; its index."""
+        """Add a trial at an operating point [SI], before the first one also the preparation; returns its index."""
         index = len(self.trials)
         if index == 0:
             self.precondition()
@@ -282,7 +282,7 @@ class Compilation:
 
 
 MOST_STEPS = 200_000
-"""Most steps of a plan."""
+"""Largest number of steps of a plan."""
 
 FORCE_MASS = 0.5
 """Moving mass of a load that acts as a pure force [kg] (papers digest 5.1)."""

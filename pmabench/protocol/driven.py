@@ -1,10 +1,10 @@
-"""What kinds of test with a driven end share: what the actuator can do, the expected force, and air that cannot escape.
+"""Common parts of tests with a driven end: limits of the actuator, expected force, and rise of pressure by motion.
 
-A muscle that is stretched loses volume. What its regulator cannot let out in time raises the pressure (paper 3, chamber
-equation), which is compared with what the bench and the muscle bear. Predicted with the bench's `air: conductance`;
-where that is not given, a fast motion counts as closed.
+A stretched muscle loses volume. Air that its regulator cannot release in time raises the pressure (paper 3, chamber
+equation), which is compared with the limits of bench and muscle. It is predicted with the bench's `air: conductance`;
+without that, a fast motion counts as one with a closed volume.
 
-For a joint of two muscles also the names of its pressures, what its drive can do, and the steps of a trial.
+For a joint of two muscles also the names of its pressures, the limits of its drive, and the steps of a trial.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Believed:
 
 
 def believed(expected: ExpectedFile, pressure: float) -> Believed:
-    """The specimen's expected coefficients at a pressure [Pa], on straight lines; beyond the points, the last one."""
+    """The specimen's expected coefficients at a pressure [Pa], linearly interpolated; constant beyond the points."""
     points = sorted(expected.points, key=lambda point: point.pressure)
     below = max((p for p in points if p.pressure <= pressure), key=lambda p: p.pressure, default=points[0])
     above = min((p for p in points if p.pressure >= pressure), key=lambda p: p.pressure, default=points[-1])
@@ -79,7 +79,7 @@ def not_too_fast(c: Compilation, speed: float, where: Location, what: str) -> No
 def bearable(c: Compilation, pressure: float, path: Iterable[tuple[float, float]], where: Location, lower: str) -> None:
     """Check the force predicted along `path` (contraction [m], rate [m/s]) against slack and the actuator's force.
 
-    `lower` names what may be lowered. Nothing is predicted where the specimen file expects nothing.
+    `lower` names the setting to reduce, for the message. No check without expected values in the specimen file.
     """
     actuator, expected = c.mounted.bench_file.actuator, c.mounted.specimen_file.expected
     if actuator is None or expected is None:
@@ -99,7 +99,7 @@ def bearable(c: Compilation, pressure: float, path: Iterable[tuple[float, float]
 
 
 def arrive(pressure: float, place: float, settle: float, approach: float, back_from: float | None) -> list[Step]:
-    """The steps back to 0, to the new pressure, and then to `place` [m]."""
+    """Steps from `back_from` [m] (None: already there) to 0, to the new pressure, and then to `place` [m]."""
     back: Sequence[Step] = [] if back_from is None else [Ramp("return", "displacement", back_from, 0.0, approach)]
     return [
         *back,
@@ -111,7 +111,7 @@ def arrive(pressure: float, place: float, settle: float, approach: float, back_f
 
 
 def leave(back_from: float, approach: float) -> list[Step]:
-    """The steps back to 0, and to no pressure."""
+    """Steps back to contraction 0 [m] and to pressure 0."""
     back: Sequence[Step] = [Ramp("return", "displacement", back_from, 0.0, approach)] if approach > 0 else []
     return [*back, Set("vent", "pressure", 0.0), Hold("vent", VENT_HOLD)]
 
@@ -121,9 +121,9 @@ R_AIR, ROOM = 287.0, 293.0
 POLYTROPIC = 1.4
 """Adiabatic, the highest exponent of paper 3: the safe side."""
 ALPHA = 2.6
-"""Exponent of the volume: above 2, that of an ideal braid, the volume changes more; the safe side."""
+"""Exponent of the volume; above the 2 of an ideal braid the volume changes more, which is the safe side."""
 SLOW = 10.0
-"""A motion whose period is at least so long [s] is slow for any regulator whose conductance is unknown."""
+"""With an unknown conductance, a motion with at least this period [s] counts as slow for any regulator."""
 STEPS = 360
 PERIODS = 4
 
@@ -157,10 +157,10 @@ class Supply:
 def peak(
     pressure: float, path: Sequence[float], period: float, tube: Tube, supply: Supply | None, room: float
 ) -> float:
-    """Highest gauge pressure [Pa] at a set `pressure` [Pa] while contractions `path` [m] are gone through.
+    """Highest gauge pressure [Pa] at a set `pressure` [Pa] during a motion through the contractions `path` [m].
 
-    `path`: contractions at equal times of one `period` [s], which repeats. Without a `supply` nothing flows between the
-    largest volume and the smallest.
+    `path`: contractions at equal times of one `period` [s], which repeats. Without a `supply`
+    no air flows between the largest and the smallest volume; `room` is the ambient pressure [Pa absolute].
     """
     volumes = [tube.volume(x) for x in path]
     if min(volumes) <= 0:
@@ -190,11 +190,11 @@ def not_pushed_together(
     pace: tuple[float, str, str],
     where: Location,
 ) -> None:
-    """Check that a motion's air stays below the pressure trip and the specimen's `never_above`.
+    """Check that the pressure during a motion stays below the pressure trip and the specimen's `never_above`.
 
-    `motion(share)` gives the contractions over one period and the period [s] where its size is `share` of what is
-    wanted; `size` is that size, and `pace` what the period goes down with, each with its quantity and name. Nothing is
-    predicted for a specimen file without a braid angle.
+    `motion(share)` returns the contractions over one period and the period [s] for a motion of `share` times the wanted
+    size. `size` is that size and `pace` the speed or frequency, each with its quantity and name. No check for a
+    specimen file without a braid angle.
     """
     specimen, bench = c.mounted.specimen_file, c.mounted.bench
     if specimen.braid_angle is None or pressure <= 0:
@@ -263,7 +263,7 @@ MUSCLES = ("pressure_1", "pressure_2")
 def at_pressures(
     pressures: Mapping[str, float], settle: float, lowest: float, speed: float, index: int, cycles: Iterable[Step]
 ) -> list[Step]:
-    """A recorded trial of a joint: both muscles to pressure at angle 0, to the lowest angle, `cycles`, back to 0."""
+    """Steps of a joint's trial: pressurise both muscles at angle 0, move to the lowest angle, `cycles`, back to 0."""
     return [
         *(Set("pressurise", name, pressures[name]) for name in MUSCLES),
         Hold("pressurise", settle),
@@ -276,7 +276,7 @@ def at_pressures(
 
 
 def vented() -> list[Step]:
-    """Both muscles to 0 together, and a rest."""
+    """Steps that vent both muscles together, and a rest."""
     return [*(Set("vent", name, 0.0) for name in MUSCLES), Hold("vent", VENT_HOLD)]
 
 

@@ -1,8 +1,8 @@
-"""The plan: a finite list of small frozen steps that is printed, timed, checked, executed and kept with the run.
+"""The plan: a finite list of small immutable steps that is printed, timed, checked, executed and stored with the run.
 
-No step reads another's result. Whatever depends on a measurement happens inside one `WaitUntil`, `Seek` or `Control`,
-which carry a time limit and a range of each output, so the longest duration and the envelope of each command are known
-beforehand.
+No step uses the result of another. Whatever depends on a measurement happens inside one `WaitUntil`, `Seek` or
+`Control`, which have a time limit and a range for each output, so that the longest duration and the range of each
+command are known in advance.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 HANDS_OUT = 3.0
-"""Nothing moves for so long after hands were in [s] (promise S8)."""
+"""Time without motion after hands were in the bench [s] (promise S8)."""
 VENTED_WITHIN = 30.0
-"""How long a run waits for the pressure to be gone before hands [s]."""
+"""Longest wait for the pressure to vanish before hands are allowed in [s]."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """What all steps share: `phase` names the part of the trial that it belongs to, for segmentation later."""
+    """Base of all steps; `phase` names the part of the trial that it belongs to, for later segmentation."""
 
     kind: ClassVar[str]
     phase: str
 
     def longest(self) -> float:
-        """Longest duration [s]: the time limit of a step that has one; hands take no bench time."""
+        """Longest duration [s]: the time limit if there is one, else 0; the operator's time does not count."""
         return float(getattr(self, "limit", 0.0))
 
     def shortest(self) -> float:
@@ -64,7 +64,7 @@ class Ramp(Step):
     rate: float
 
     def longest(self) -> float:
-        """Distance by rate."""
+        """Distance divided by rate [s]."""
         return abs(self.to - self.origin) / self.rate
 
     def commands(self) -> dict[str, tuple[float, float]]:
@@ -84,7 +84,7 @@ class Follow(Step):
     cycles: int
 
     def longest(self) -> float:
-        """Cycles by frequency."""
+        """Cycles divided by frequency [s]."""
         return self.cycles / self.frequency
 
     def commands(self) -> dict[str, tuple[float, float]]:
@@ -117,8 +117,8 @@ class Record(Step):
 class WaitUntil(Step):
     """Wait until `channel` is `below` or `above` `value` [SI], or `steady` (peak to peak at most `value`).
 
-    It must stay so for `window` [s] on end; after `limit` [s] the trial has failed (`fail`), or the run goes on
-    flagged (`flag`).
+    The condition must hold for `window` [s] without a break; after `limit` [s] the trial fails (`fail`), or the run
+    continues and is flagged (`flag`).
     """
 
     kind: ClassVar[str] = "wait-until"
@@ -136,7 +136,7 @@ class WaitUntil(Step):
 
 @dataclass(frozen=True)
 class Ask(Step):
-    """Ask the operator for something that hands do; answerable while the bench is in the state `demands`.
+    """Ask the operator for manual work, which is allowed only while the bench is in the state `demands`.
 
     `demands` is `vented` or `at-pressure`; `load` is what the free end carries afterwards: F_L [N] and the moving
     mass [kg].
@@ -148,11 +148,11 @@ class Ask(Step):
     load: tuple[float, float] | None = None
 
     def longest(self) -> float:
-        """Time for the pressure to go before, and 3 s after hands were in; not the operator's own time."""
+        """Longest time for venting, and `HANDS_OUT` afterwards [s]; the operator's own time does not count."""
         return HANDS_OUT + (VENTED_WITHIN if self.demands == "vented" else 0.0)
 
     def shortest(self) -> float:
-        """The time after hands were in."""
+        """The wait after hands were in [s]."""
         return HANDS_OUT
 
 
@@ -187,9 +187,9 @@ class Seek(Step):
 class Control(Step):
     """A closed loop over several quantities: `law` of the engine's table steers each of `aims` inside its range [SI].
 
-    It opens valves for times that their devices keep. It ends by its own stop rule, after at most `limit` [s].
-    `parameters` as in `Seek`; what it found becomes an event `found` with its `result`. `at_limit`: `fail` the trial,
-    or go on and `flag` it.
+    It opens valves for times that their devices measure, or sends set-points. It ends by its own stop rule, after at
+    most `limit` [s]. `parameters` and `at_limit` as in `Seek`; what it found becomes an event `found` with its
+    `result`.
     """
 
     kind: ClassVar[str] = "control"
@@ -200,7 +200,7 @@ class Control(Step):
     at_limit: str = "fail"
 
     def shortest(self) -> float:
-        """What the law is to last where its parameters say it; else it may end at once."""
+        """The parameter `duration` [s] where the law has one; else 0, for it may end at once."""
         return float(self.parameters.get("duration", 0.0))
 
     def commands(self) -> dict[str, tuple[float, float]]:
@@ -243,9 +243,9 @@ class Plan:
     trials: tuple[TrialRecord, ...]
     steps: tuple[Step, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """What the reduction needs to know of the protocol, in SI."""
+    """Settings of the protocol that the reduction needs, SI."""
     accept: Mapping[str, Any] = field(default_factory=dict)
-    """Widest relative interval by coefficient, and under `limits` every limit with its place in the protocol."""
+    """Largest relative interval by coefficient, and under `limits` every limit with its place in the protocol."""
     hazards: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -256,7 +256,7 @@ class Plan:
         return data
 
     def to_json(self) -> str:
-        """The plan as it is kept with the run."""
+        """The plan as the JSON text that is stored with the run."""
         return self._json
 
     @cached_property
@@ -273,7 +273,7 @@ class Plan:
         return sum(step.shortest() for step in self.steps), sum(step.longest() for step in self.steps)
 
     def rows(self) -> int:
-        """Most samples that can be recorded."""
+        """Largest number of samples that can be recorded."""
         recorded, on = 0.0, False
         for step in self.steps:
             if isinstance(step, Record):

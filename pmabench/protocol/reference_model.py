@@ -1,6 +1,6 @@
-"""The model that a run is compared with: of the specimen file, of a preset, of a plant file or of an analysis folder.
+"""The model that a run is compared with: from the specimen file, a preset, a plant file or an analysis folder.
 
-It is put into the plan as plain numbers, so that a run does not depend on a file that changes later.
+It is stored in the plan as plain numbers, so that a run does not depend on a file that may change later.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class RegulatorFile(Strict):
 
 
 class FrictionFile(Strict):
-    """Coulomb friction inside the muscle: until motion, and while it moves."""
+    """Coulomb friction inside the muscle, at rest and in motion."""
 
     static: Force
     kinetic: Force
@@ -47,9 +47,9 @@ class FrictionFile(Strict):
 class ReferenceModel(Strict):
     """Which model is simulated next to the measurement.
 
-    `coefficients` is `specimen` (what its file expects), the name of a preset or a plant file with its kind (`paper0
-    ideal`, `muscle.yaml bench`), or the folder of an analysis that gives F_ce, K and B_c over pressure, or of one of
-    kind surface.
+    `coefficients` is `specimen` (the expected values of its file), the name of a preset or a plant file with its kind
+    (`paper0 ideal`, `muscle.yaml bench`), or the folder of an analysis: one that gives F_ce, K and B_c over pressure,
+    or one of kind surface.
     """
 
     coefficients: Annotated[str, Field(min_length=1, max_length=400)]
@@ -81,7 +81,7 @@ def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, 
 
 
 def _found(c: Compilation, name: str) -> Described:
-    """What the file, the preset or the folder of that name holds; ValueError or `InvalidFile` where it is none."""
+    """The model in the file, preset or folder of that name; raises ValueError or `InvalidFile` where there is none."""
     if name == SPECIMEN:
         return _of_specimen(c)
     if name.partition(" ")[0] in MUSCLES or _plant_file(name):
@@ -92,7 +92,7 @@ def _found(c: Compilation, name: str) -> Described:
 def _straight(
     c: Compilation, source: str, points: dict[str, list[tuple[float, float]]], F_c: float, regulator: Regulator
 ) -> Described:
-    """Straight lines through `points` over pressure, each pressure once; ValueError where a muscle cannot be so."""
+    """A model with coefficients linear between `points` (pressure [Pa], value); ValueError if one is not above 0."""
     lines = {symbol: tuple(zip(*sorted(dict(known).items()), strict=True)) for symbol, known in points.items()}
     pressures, forces = lines["F_ce"]
     bad = [symbol for symbol in ("K", "B_c", "B_r") if min(lines[symbol][1]) <= 0]
@@ -128,13 +128,13 @@ def _of_preset(c: Compilation, text: str) -> Described:
 
 
 def _plant_file(text: str) -> tuple[str, str] | None:
-    """Path and kind where a plant file is named: `muscle.yaml` or `muscle.yaml bench`."""
+    """Path and kind where `text` names a plant file (`muscle.yaml` or `muscle.yaml bench`), else None."""
     path, _, kind = text.rpartition(" ") if text.endswith((" ideal", " bench")) else (text, "", "ideal")
     return (path.strip(), kind) if path.strip().endswith(".yaml") else None
 
 
 def _read_plant(c: Compilation, name: str) -> dict[str, Any]:
-    """The numbers of a plant file, looked for from the current folder, then next to the protocol."""
+    """Numbers of a plant file, searched in the current folder, then next to the protocol."""
     places = [Path(name), Path(str(c.document.path)).parent / name]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
@@ -172,7 +172,7 @@ def _of_analysis(c: Compilation, name: str) -> Described:
 
 
 def _of_surface(c: Compilation, name: str) -> Described | None:
-    """The muscle of the first analysis in a folder that holds one as a surface."""
+    """The muscle of the first analysis in a folder that contains a surface; None where none does."""
     from pmabench.model.identified.library import described as surface
     from pmabench.model.identified.library import holds_surface
     from pmabench.store.analyses.folder import read_analysis
@@ -187,13 +187,13 @@ def _source(analysis: Analysis) -> str:
 
 
 def _first(analysis: Analysis, symbol: str, *coordinates: str) -> float:
-    """The first of several estimates of a time that is known [s]; 0 where none is."""
+    """The first known estimate of a time [s], over several coordinates; 0 where none is known."""
     found = (_overall(analysis, symbol, coordinate) for coordinate in coordinates)
     return max(0.0, next((value for value in found if value is not None), 0.0))
 
 
 def _overall(analysis: Analysis, symbol: str, coordinate: str) -> float | None:
-    """A value that holds for the whole campaign, else the mean over pressures."""
+    """The value for the whole campaign, else the mean over operating points; None where there is none."""
     matching: list[Estimate] = [e for e in analysis.estimates if e.symbol == symbol and e.coordinate == coordinate]
     whole = [e.value for e in matching if e.value is not None and not e.at]
     if whole:
@@ -203,9 +203,9 @@ def _overall(analysis: Analysis, symbol: str, coordinate: str) -> float | None:
 
 
 def read_folder(c: Compilation, name: str, needed: tuple[str, ...]) -> Analysis:
-    """The analysis in a folder that a protocol names (or in the one folder inside it) that gives what is needed.
+    """The first analysis that gives the `needed` symbols, in a folder that a protocol names or in a folder inside it.
 
-    A relative path is looked for from the current folder, then next to the protocol. Raises ValueError in words.
+    A relative path is searched from the current folder, then next to the protocol. Raises ValueError with the reason.
     """
     from pmabench.store.analyses.folder import read_analysis
 
@@ -228,7 +228,7 @@ def read_folder(c: Compilation, name: str, needed: tuple[str, ...]) -> Analysis:
 
 
 def _folders(c: Compilation, name: str) -> list[Path]:
-    """The folders of analyses that a name in a protocol means: the folder itself, or those inside it."""
+    """Analysis folders for a name in a protocol: the folder itself, and those directly inside it."""
     from pmabench.store.analyses.folder import ANALYSIS
 
     places = [Path(name), Path(str(c.document.path)).parent / name]

@@ -1,6 +1,6 @@
-"""Sweeps: matrix, zip or concat of explicit lists and ranges, ordered and repeated, expanded statically and bounded.
+"""Sweeps: matrix, zip or concat of lists and ranges, with order and repeats, expanded in advance and limited in size.
 
-Also trials in which nothing can move, predicted from what is expected of the specimen, and a sweep without them.
+Also trials in which nothing can move, predicted from the specimen's expected values, and a sweep without them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pmabench.protocol.plan import Plan, TrialRecord
 
 MOST_POINTS = 20_000
 USUAL_POINTS = 60
-"""A range of more values than this gets a warning: its step may be in the wrong unit."""
+"""Largest number of values of a range without a warning; with more, its step may be in the wrong unit."""
 
 Axes = TypeVar("Axes", bound=Strict)
 
@@ -92,7 +92,7 @@ class Sweep(Strict, Generic[Axes]):
 
 @dataclass(frozen=True)
 class Point:
-    """One operating point of a sweep: raw values by axis, where each is in the file, and the repeat's number."""
+    """One operating point of a sweep: values by axis [SI], the place of each in the file, and the repeat's number."""
 
     values: dict[str, Any]
     places: dict[str, Location]
@@ -100,7 +100,7 @@ class Point:
 
 
 def long_ranges(sweep: Any, document: Document, at: Location = ("sweep",)) -> Iterator[str]:
-    """A line for each range of so many values that its step may be mistaken, with its place."""
+    """A warning for each range with more than `USUAL_POINTS` values, with its place in the file."""
     if not isinstance(sweep, Sweep):
         return
     for index, part in enumerate(sweep.concat or ()):
@@ -116,7 +116,7 @@ def long_ranges(sweep: Any, document: Document, at: Location = ("sweep",)) -> It
 
 
 def expand(sweep: Sweep[Any], document: Document, at: Location = ("sweep",)) -> list[Point]:
-    """Every point of the sweep in the order of running; `InvalidFile` where it is too large or does not fit."""
+    """Every point of the sweep in the order of execution; `InvalidFile` for too many points or unequal lists."""
     points = list(_once(sweep, document, at))
     if len(points) * sweep.repeat.count > MOST_POINTS:
         total = len(points) * sweep.repeat.count
@@ -163,7 +163,7 @@ def _once(sweep: Sweep[Any], document: Document, at: Location) -> Iterator[Point
 
 
 def _axes(model: Strict, document: Document, at: Location) -> dict[str, tuple[list[Any], Callable[[int], Location]]]:
-    """Values of each axis in the order of the file, and the place of the i-th."""
+    """Axes in the order of the file: values [SI], and a function that gives the place of the i-th value."""
     written: Any = document.data
     for part in at:
         written = written[part]
@@ -201,23 +201,23 @@ def _ordered(points: list[Point], sweep: Sweep[Any], repeat: int) -> list[Point]
 
 
 STATIC = 1.5
-"""Static over Coulomb friction, where nothing is known of it: strands of a braid stick a little before they slide."""
+"""Assumed ratio of static to Coulomb friction: strands of a braid stick a little before they slide."""
 DOUBTFUL = 2.0
-"""A margin of fewer times the Coulomb friction than this may not move the load."""
+"""With a margin below this many times the Coulomb friction the load may not move."""
 KEPT = "\u00a0"
-"""A value and its unit are on one line."""
+"""No-break space: keeps a value and its unit on one line."""
 
 
 @dataclass(frozen=True)
 class Idle:
-    """What a plan cannot do."""
+    """Trials of a plan that cannot, or may not, lift their load."""
 
     idle: tuple[int, ...]
-    """Indices of trials whose force does not reach the load."""
+    """Indices of trials whose force does not exceed load and static friction."""
     doubtful: tuple[int, ...]
-    """Indices of trials that lift by a margin that friction may take."""
+    """Indices of trials whose margin of force may be lost to friction."""
     first: str
-    """The first idle trial in words; empty without."""
+    """Sentence about the first idle trial; empty without one."""
 
     @property
     def all(self) -> frozenset[int]:
@@ -226,9 +226,9 @@ class Idle:
 
 
 def idle_trials(plan: Plan, expected: ExpectedFile) -> Idle:
-    """Trials at a load and a pressure that cannot lift it: F_ce(P) - F_s at most F_L (static friction).
+    """Trials that cannot lift their load: F_ce(P) - F_s <= F_L, with the static friction F_s.
 
-    F_ce beyond the expected points is that of the last one's line (`force_at`).
+    F_ce beyond the expected points is extrapolated (`force_at`).
     """
     static = STATIC * expected.F_c
     idle, doubtful, first = [], [], ""
@@ -245,7 +245,7 @@ def idle_trials(plan: Plan, expected: ExpectedFile) -> Idle:
 
 
 def force_at(expected: ExpectedFile, pressure: float) -> float:
-    """F_ce [N] at a pressure [Pa], by straight lines, beyond the points straight on, never below 0."""
+    """F_ce [N] at a pressure [Pa]: linear between the expected points, extrapolated beyond them, never below 0."""
     points = sorted(expected.points, key=lambda point: point.pressure)
     if len(points) > 1 and not points[0].pressure <= pressure <= points[-1].pressure:
         one, two = points[:2] if pressure < points[0].pressure else points[-2:]
@@ -267,10 +267,10 @@ def _words(trial: TrialRecord, expected: ExpectedFile, static: float) -> str:
 
 
 def without(document: Document, sweep: Any, text: str, left_out: Iterable[int]) -> str:
-    """The protocol's `text` with a sweep of the points that are left, pair by pair, in the order of its first repeat.
+    """The protocol's `text` with a `zip` of the remaining points as its sweep, in the order of the first repeat.
 
-    A point is left out where all its repeats are. Raises UsageError where nothing is left, or the protocol has no
-    `sweep` that can be written so.
+    A point is left out if all its repeats are. Raises UsageError where no point remains, or the protocol has no `sweep`
+    section to replace.
     """
     points = expand(sweep, document)
     count = sweep.repeat.count
@@ -285,9 +285,9 @@ def without(document: Document, sweep: Any, text: str, left_out: Iterable[int]) 
 
 
 def chosen(document: Document, sweep: Any, text: str, trials: Sequence[int]) -> str:
-    """The protocol's `text` with a sweep of some of its points in this order, pair by pair; one may come several times.
+    """The protocol's `text` with its sweep replaced by a `zip` of the points `trials`, in this order.
 
-    `trials` are numbers of points in the order of the sweep. Raises UsageError as `without` does.
+    `trials` are indices of points in the order of the sweep, and may repeat. Raises UsageError as `without` does.
     """
     points = expand(sweep, document)
     return _with_points(document, text, [points[n] for n in trials], "trials that were chosen, in their order", "")
@@ -307,7 +307,7 @@ def _with_points(document: Document, text: str, kept: Sequence[Point], why: str,
 
 
 def _written(document: Document, point: Point, name: str) -> str:
-    """The value of an axis as the file has it; one of a range in its unit."""
+    """The value of an axis as written in the file; one from a range with its display unit."""
     data: Any = document.data
     for part in point.places[name]:
         data = data[part]

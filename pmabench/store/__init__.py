@@ -1,1 +1,1 @@
-"""Run folders: samples on disk while they are taken, events, manifest, catalogue, and other programs' files."""
+"""Run folders: samples written to disk during the run, events, manifest, catalogue; import of other files."""

@@ -1,6 +1,6 @@
-"""The runs in a folder: where they are, which continue which, and a list whose SQLite cache may be lost at any time.
+"""Finds the runs in a folder, the chains of runs that continue one another, and lists runs with an SQLite cache.
 
-Standard library only: a folder of thousands of runs is listed in a fraction of a second.
+The cache may be deleted at any time. Standard library only: thousands of runs are listed in a fraction of a second.
 """
 
 from __future__ import annotations
@@ -20,33 +20,32 @@ from pmabench.store import folder as files
 from pmabench.store.since import added, late_files
 
 ANALYSES, ANALYSIS = "analyses", "analysis.json"
-"""Name of folders that hold analyses, in which no runs are looked for; file that each analysis folder has."""
+"""Name of folders with analyses, which are not searched for runs; and of the file in each analysis folder."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A run on its own, with those that it continues."""
+    """A run with those that it continues, as one unit of work."""
 
     path: Path
     """Folder of the last run."""
     place: str
-    """Where it lies below the folder that was given, `/` between folders; each once among several."""
+    """Path relative to the given folder, with `/`; unique among several tasks."""
     chain: tuple[Path, ...]
-    """All its run folders, the first one first, `path` last."""
+    """All its run folders in order of time; `path` is the last."""
 
 
 def runs_below(folder: Path) -> list[Path]:
-    """Every run folder below `folder`, in the order of their paths; the folder itself where it is a run.
+    """Every run folder below `folder`, sorted by path; the folder itself if it is a run.
 
-    A folder with the name of a run counts as one even where its manifest is gone, so that who opens it reports that.
-    Links and hidden folders are not followed, and nothing inside a run is looked at. Raises InvalidFile for a folder
-    that cannot be read.
+    A folder with the name of a run counts as one even without a manifest, so that opening it reports the damage. Links,
+    hidden folders and the inside of runs are not searched. Raises InvalidFile for a folder that cannot be read.
     """
     return sorted(_found(folder))
 
 
 def holds_runs(folder: Path) -> bool:
-    """Whether runs lie somewhere below a folder that is no run itself."""
+    """Whether `folder` is not a run itself and there are runs below it."""
     return folder.is_dir() and next(_found(folder), folder) != folder
 
 
@@ -70,9 +69,9 @@ def _found(folder: Path) -> Iterator[Path]:
 
 
 def tasks_below(given: Sequence[Path]) -> list[Task]:
-    """The runs in `given` (runs, or folders of runs) that no other run there continues, each with those before it.
+    """The last runs of all chains in `given` (runs, or folders of runs), each with the runs that it continues.
 
-    A path below which there is no run counts as one that cannot be used.
+    A path without any run below it is returned as a task too; opening it reports the problem.
     """
     places: dict[Path, str] = {}
     for folder in given:
@@ -86,7 +85,7 @@ def tasks_below(given: Sequence[Path]) -> list[Task]:
 
 
 def chain_of(run: Path) -> tuple[Path, ...]:
-    """The run and those before it as their manifests name them; who opens it reports what is wrong with a link."""
+    """The run and those before it, as their manifests name them; invalid links are ignored here."""
     chain = [run]
     with suppress(InvalidFile, KeyError, TypeError):
         while b'"continues"' in files.read_file(chain[0], files.MANIFEST):
@@ -94,7 +93,7 @@ def chain_of(run: Path) -> tuple[Path, ...]:
             if link is None:
                 break
             before = chain[0].resolve().parent / Path(str(link["run"])).name
-            if not (before / files.MANIFEST).is_file():  # its folder may have another name; where there is none it ends
+            if not (before / files.MANIFEST).is_file():  # its folder may have been renamed; without one the chain ends
                 before = next(files.next_to(chain[0], str(link["run"])), chain[0])
             if before in chain:
                 break
@@ -112,38 +111,38 @@ class Row:
 
     id: str
     folder: str
-    """Name of its folder inside the one that was listed."""
+    """Name of its folder in the listed folder."""
     date: str
     """Start, UTC, ISO 8601."""
     kind: str
     specimen: str
     bench: str
     status: str
-    """As in `RunData`; `running` while it is written, `damaged` where manifest or seal cannot be believed."""
+    """As in `RunData`; `running` while it is written, `damaged` if manifest or seal is invalid."""
     why: str
-    """The cause of a status other than `finished`, in a sentence."""
+    """The cause of a status other than `finished`."""
     simulated: bool
     trials_finished: int
     trials_before: int
-    """Trials that the runs which this one continues had finished, as its manifest says; not in `trials_finished`."""
+    """Trials finished by the runs that this one continues, from its manifest; not counted in `trials_finished`."""
     trials_planned: int
     duration: float | None
     """From the first to the last sample or event [s]."""
     size: int
     """Bytes on disk."""
     continues: str
-    """Id of the run that it goes on from; empty where it begins."""
+    """Id of the run that it continues; empty for none."""
     added: tuple[str, ...]
-    """Names of what was put into the folder after the run was closed, and is no part of it."""
+    """Names of files put into the folder after the run was closed; they are not part of it."""
     late: tuple[str, ...]
-    """Names of what was written next to the run after it was closed."""
+    """Names of files written next to the run folder after it was closed."""
 
 
 def catalogue(parent: Path | str) -> list[Row]:
-    """Every run directly in `parent`, in the order of their names, which is that of time.
+    """Every run directly in `parent`, sorted by name, which is by time.
 
-    Rows of closed runs come from the cache as long as their seal is the same file; without a cache that can be used
-    every run is read. A folder without a manifest is no run.
+    Rows of closed runs come from the cache while manifest, seal and folders are unchanged; otherwise the run is read. A
+    folder with neither manifest nor seal is not a run.
     """
     parent = Path(parent)
     cached = _load(parent / CACHE)
@@ -167,13 +166,13 @@ def catalogue(parent: Path | str) -> list[Row]:
 
 
 def folders_in(parent: Path) -> list[Path]:
-    """The run folders directly in a folder, in the order of their names; none where it is a run itself."""
+    """The run folders directly in a folder, sorted by name; none if it is a run itself."""
     itself = (parent / files.MANIFEST).exists() or (parent / files.SEAL).exists()
     return [] if itself else [parent / name for name, _ in _runs(parent)]
 
 
 def _runs(parent: Path) -> list[tuple[str, str]]:
-    """Names of the run folders, and what changes when their seal or manifest does (empty: not closed)."""
+    """Names of the run folders, each with a stamp that changes with its files (empty: run not closed)."""
     found = []
     with suppress(OSError), os.scandir(parent) as entries:
         for entry in entries:
@@ -186,9 +185,9 @@ def _runs(parent: Path) -> list[tuple[str, str]]:
 
 
 def _folders(entry: os.DirEntry[str]) -> str:
-    """What changes when something is put into a run folder or next to it."""
+    """Stamp that changes when files are added to a run folder or to the late folder next to it."""
     folders = [entry.path]
-    for place in folders:  # which grows meanwhile
+    for place in folders:  # the list grows during the loop
         with suppress(OSError), os.scandir(place) as inside:
             folders += [each.path for each in inside if each.is_dir(follow_symlinks=False)]
     return " ".join(_stamp(Path(place)) for place in (*sorted(folders), entry.path + files.LATE))
@@ -257,7 +256,7 @@ def _label(value: Any) -> str:
 
 
 def _load(path: Path) -> dict[str, tuple[str, Row]]:
-    """What the cache holds; nothing where it is missing, of another version or not a database."""
+    """Rows in the cache; empty where it is missing, of another version or not a database."""
     if not path.is_file():
         return {}
     with suppress(sqlite3.Error, ValueError, TypeError, OSError), closing(_open(path, "ro")) as base:
@@ -268,13 +267,13 @@ def _load(path: Path) -> dict[str, tuple[str, Row]]:
 
 
 def _row(kept: dict[str, Any]) -> Row:
-    """A row from the cache, where JSON has lists for tuples."""
+    """A row from the cache; lists from JSON become tuples."""
     kept |= {name: tuple(value) for name, value in kept.items() if isinstance(value, list)}
     return Row(**kept)
 
 
 def _store(path: Path, fresh: Mapping[str, tuple[str, Row]], gone: set[str]) -> None:
-    """Store rows in the cache; a damaged cache is replaced, and one that cannot be written is left out."""
+    """Store rows in the cache; a damaged cache is replaced, failure to write is ignored."""
     for _attempt in range(2):
         try:
             with closing(_open(path, "rwc")) as base, base:

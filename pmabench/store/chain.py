@@ -1,4 +1,4 @@
-"""Runs that continue one another, taken as one: each names the one before by its id and the hash of its seal."""
+"""Chains of runs that continue one another: each names the one before by its id and the hash of its seal."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pmabench.store.seal import close_interrupted
 
 
 def continued(folder: Path) -> dict[str, Any]:
-    """The entry `continues` for the manifest of a run that goes on after `folder`: `run`, `sha256`, `trials_done`.
+    """The entry `continues` for the manifest of a run that continues `folder`: `run`, `sha256`, `trials_done`.
 
-    A run whose writer died is closed as interrupted first. Raises RecordError where it is still being written.
+    A run whose writer died is first closed as interrupted. Raises RecordError while it is still being written.
     """
     manifest = read_manifest(folder)
     if read_seal(folder) is None:
@@ -47,23 +47,23 @@ def goes_on(folder: Path) -> Path | None:
 
 
 def finished_trials(folder: Path) -> list[int]:
-    """Indices of the trials that are finished over the chain that ends with `folder`, each once, in order of time.
+    """Indices of all trials finished in the chain that ends with `folder`, in order of time.
 
-    A trial that a note excludes was finished all the same. Raises InvalidFile where a link does not fit.
+    A trial that a note excludes still counts as finished. Raises InvalidFile where a link does not fit.
     """
     return _finished(_load(folder))
 
 
 def _finished(runs: Sequence[RunData]) -> list[int]:
-    """Indices of finished trials; a reference trial that was done again is not part of the plan."""
+    """Indices of finished trials, without repeated reference trials, which are not part of the plan."""
     return [t.index for run in runs for t in run.trials if t.status == "finished" and not t.again]
 
 
 def open_chain(folder: Path, anew: Recalibration | None = None) -> tuple[RunData, ...]:
-    """The run and all runs that it continues, the first one first; a run that continues none comes alone.
+    """The run and all runs that it continues, in order of time; a single run if it continues none.
 
-    Of the attempts at one trial over all runs that came to an end the last counts, the others are `superseded`.
-    Raises InvalidFile where a run of the chain is missing, was changed, or does not fit.
+    Of several completed attempts at one trial the last counts, the others are `superseded`. Raises InvalidFile where a
+    run of the chain is missing, was changed, or does not fit. `anew`: as for `open_run`.
     """
     return tuple(
         replace(run, trials=exclude(run.trials, {note.exclude for note in run.notes if note.exclude is not None}))
@@ -72,12 +72,10 @@ def open_chain(folder: Path, anew: Recalibration | None = None) -> tuple[RunData
 
 
 def open_chains(paths: Sequence[Path], anew: Recalibration | None = None) -> list[RunData]:
-    """The chains that end with `paths`, each run once; raises InvalidFile with what is wrong with each path.
+    """The runs of all chains that end with `paths`, each run once; raises InvalidFile with the problems of all paths.
 
-    `anew`: as for `open_run`.
-
-    A path that another one continues belongs to that one's chain. Two runs that continue the same one are refused:
-    its trials would count twice.
+    `anew`: as for `open_run`. A path that another one continues belongs to that chain. Two runs that continue the same
+    run are refused: its trials would count twice.
     """
     chains, problems = [], list[Problem]()
     for path in paths:
@@ -119,7 +117,7 @@ def _load(folder: Path, anew: Recalibration | None = None) -> tuple[RunData, ...
 
 
 def _linked(path: Path, link: Any) -> Path:
-    """The folder of the run that `path` continues, closed and unchanged since."""
+    """The folder of the run that `path` continues; InvalidFile if it is missing or was changed since."""
     try:
         name, digest = str(link["run"]), str(link["sha256"])
     except (TypeError, KeyError) as error:

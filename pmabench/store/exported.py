@@ -1,7 +1,7 @@
-"""The record of exported samples: what a run knows beyond its columns, as the JSON file `run.json` next to them.
+"""The record of exported samples: all that a run contains beyond its columns, as `run.json` next to them.
 
-An import that finds it makes the same trials again, with their commands, findings and calibrations. Knows no kind of
-test; a record that was read is input from a stranger, and is checked.
+An import that finds it restores the same trials with commands, findings and calibrations. Knows no kind of test. A
+record from outside is not trusted, and is checked.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Kept = Literal[
     "load-check",
     "zero-check",
 ]
-"""Events that say what was done to the specimen and what was found; those of devices and operators are left out."""
+"""Kinds of exported events: what was done to the specimen and what was found; not those of devices and operators."""
 MOST_BYTES, MOST_EVENTS = 50_000_000, 1_000_000
 Positive = Annotated[float, Field(ge=0)]
 
@@ -41,7 +41,7 @@ class _Part(BaseModel):
 
 
 class Known(_Part):
-    """What the record knew of a channel [SI]."""
+    """A channel's name, uncertainties and sensor lag [SI]."""
 
     channel: str
     offset_uncertainty: Positive
@@ -72,7 +72,7 @@ class Line(_Part):
 
 
 class Exported(_Part):
-    """A record as it was read."""
+    """A record that was read and checked."""
 
     run: Annotated[str, Field(max_length=200)]
     """Name of the run that was exported."""
@@ -87,9 +87,9 @@ class Exported(_Part):
     file: Annotated[str, Field(max_length=200)]
     """Name of the file with the samples."""
     rate: float
-    """Samples a second [Hz]."""
+    """Sampling rate [Hz]."""
     columns: dict[str, Known]
-    """By the head of the column."""
+    """Heading of each column -> its channel."""
     lines: Annotated[list[Line], Field(alias="events", max_length=MOST_EVENTS)]
 
     @property
@@ -99,9 +99,9 @@ class Exported(_Part):
 
 
 def record_of(run: RunData, file: str, heads: Mapping[str, str]) -> dict[str, Any]:
-    """The JSON object for samples of `run` in `file`; `heads`: head of a column -> channel.
+    """The JSON object for samples of `run` in `file`; `heads`: heading of a column -> channel.
 
-    A trial that a note excludes is `excluded` here, since notes are not exported.
+    A trial that a note excludes gets the status `excluded`, since notes are not exported.
     """
     excluded = {trial.index for trial in run.trials if trial.status == "excluded"}
     events = []
@@ -137,6 +137,6 @@ def record_of(run: RunData, file: str, heads: Mapping[str, str]) -> dict[str, An
 
 
 def read_record(path: Path) -> Exported:
-    """A record file; raises InvalidFile where it is none, is too large or is damaged."""
+    """Read a record; raises InvalidFile where it is missing, of another schema, too large or damaged."""
     missing = "there is no such record of exported samples; it lies next to them as run.json"
     return read_model(Exported, path, SCHEMA, "record of exported samples", MOST_BYTES, missing)

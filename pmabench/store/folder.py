@@ -1,9 +1,9 @@
-"""The run folder as files: names, hashes, small files written whole, lines of events, status; knows no samples.
+"""The run folder as files: names, hashes, atomic writing of small files, lines of events, status.
 
 Standard library only, so that listing runs starts fast.
 
-A run folder may be copied from anywhere. A FIFO in it would hold a reader up for ever, a link to a device would never
-end, and a link out of the folder would show what is no part of the run: only regular files inside it are opened.
+A run folder may be copied from anywhere. A FIFO in it would block a reader for ever, a link to a device might never
+end, and a link out of the folder would show data that are not part of the run: only regular files inside it are opened.
 
 A line of events is `{"seq":3,"t":1.5,"kind":"command","data":{...},"crc":"0a1b2c3d"}`. The crc32 covers the bytes
 before `,"crc"` and begins with the value of the line before (0 for the first), so that lines form a chain.
@@ -42,24 +42,24 @@ KINDS = {
     stat.S_IFBLK: "a device",
 }
 _FLAGS = os.O_RDONLY
-for _flag in ("O_BINARY", "O_CLOEXEC", "O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY"):  # which of them a system has differs
+for _flag in ("O_BINARY", "O_CLOEXEC", "O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY"):  # not every system has all of them
     _FLAGS |= getattr(os, _flag, 0)
 
 
 def kind_of(mode: int) -> str:
-    """What a mode of `lstat` means, in words."""
+    """Kind of file for a mode from `lstat`, in words."""
     return KINDS.get(stat.S_IFMT(mode), "something else than a file")
 
 
 def is_regular(path: Path) -> bool:
-    """Whether there is a regular file, not a link to one."""
+    """Whether `path` is a regular file, not a link to one."""
     with suppress(OSError):
         return stat.S_ISREG(path.lstat().st_mode)
     return False
 
 
 def open_regular(path: Path) -> BufferedReader:
-    """The file, open for reading; raises OSError, at once, for whatever is no regular file."""
+    """Open a regular file for reading; raises OSError at once for anything else."""
     _refuse(path.lstat().st_mode)  # before it is opened: opening a device may already do something
     fd = os.open(path, _FLAGS)
     try:
@@ -95,7 +95,7 @@ def _refuse(mode: int) -> None:
 
 
 def fault_of(folder: Path, name: str, digest: str, size: int | None = None) -> str:
-    """What is wrong with a file of a run whose hash is known; empty where it holds the bytes that were written."""
+    """What is wrong with a file of a run, compared with its known hash and size; empty if it is unchanged."""
     path = folder / name
     if not os.path.lexists(path):
         return "is missing"
@@ -111,7 +111,7 @@ def fault_of(folder: Path, name: str, digest: str, size: int | None = None) -> s
 
 
 def odd(path: Path) -> str:
-    """What a path is that should be a regular file, as the rest of a sentence about it."""
+    """End of a sentence about a path that should be a regular file and is not: "is a link, which ..."."""
     return f"is {kind_of(path.lstat().st_mode)}, which no run contains"
 
 
@@ -119,17 +119,17 @@ PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
 
 
 def run_name(utc: datetime, specimen: str, kind: str, simulated: bool) -> str:
-    """A folder name that sorts as time does, of `[A-Za-z0-9._-]` only.
+    """A folder name of `[A-Za-z0-9._-]` only that sorts by time.
 
-    For instance `20261121-1432_MAS20-A017_contraction-relaxation_7f3a`, with `SIMULATED` before the last part where
-    it is so. The last part distinguishes runs of the same minute.
+    For instance `20261121-1432_MAS20-A017_contraction-relaxation_7f3a`; simulated runs have `SIMULATED` before the last
+    part, which is random and distinguishes runs of the same minute.
     """
     parts = [utc.astimezone(UTC).strftime("%Y%m%d-%H%M"), _word(specimen, "specimen"), _word(kind, "run")]
     return "_".join([*parts, *(["SIMULATED"] if simulated else []), secrets.token_hex(2)])
 
 
 def is_run_name(name: str) -> bool:
-    """Whether a folder has a name that `run_name` gave, whatever it still holds."""
+    """Whether a name has the form of `run_name`."""
     return re.fullmatch(r"\d{8}-\d{4}_[A-Za-z0-9._-]+_[0-9a-f]{4}", name) is not None
 
 
@@ -138,7 +138,7 @@ def _word(text: str, otherwise: str) -> str:
 
 
 def check_name(name: str) -> str:
-    """`name` itself where it stays inside the run folder and is legal on every file system; else RecordError."""
+    """`name` unchanged if it stays inside the run folder and is legal on every file system; else RecordError."""
     if not all(PLAIN_NAME.fullmatch(part) for part in name.split("/")):
         raise RecordError(f'"{name}" cannot be a file of a run; use letters, digits, ".", "_" and "-", and no blank')
     return name
@@ -153,23 +153,23 @@ SEAL = "seal.json"
 README = "README.txt"
 STREAMS = "streams"
 GUARD = "guard.json"
-"""How the guard process vented the bench after the program that recorded had died; not in every run."""
+"""File that states how the guard vented the bench after the recording program had died; not in every run."""
 LATE = ".late"
-"""Added to the name of a run folder: the folder next to it for what comes after the seal, such as `guard.json`."""
+"""Suffix of the folder next to a run folder, for files written after the seal, such as `guard.json`."""
 LARGEST = 1 << 26
-"""Most bytes of a manifest, a seal or a head of notes; a larger file is refused."""
+"""Largest size of a manifest, a seal or a head of notes that is read [bytes]."""
 NOTES, NOTES_HEAD = "notes", "notes.json"
-"""What is said of a run afterwards: next to the sealed part, with separate hashes."""
+"""Folder and head file of notes added after the run, outside the sealed part and with separate hashes."""
 
 STATUSES = ("finished", "failed", "aborted", "tripped", "error")
-"""How a run can end by its own account; `interrupted` is what readers say of one whose writer died."""
+"""Final statuses that a run can record itself; readers report `interrupted` for one whose writer died."""
 
 _HASH_TAIL = b'"\n}\n'
 _NO_HASH = b"0" * 64
 
 
 def plain(value: Any) -> Any:
-    """`value` as JSON can hold it: numpy numbers and arrays as numbers and lists, NaN and infinity as null."""
+    """`value` converted for JSON: numpy numbers and arrays to numbers and lists, NaN and infinity to null."""
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, float):
@@ -184,7 +184,7 @@ def plain(value: Any) -> Any:
 
 
 def sealed_json(data: Mapping[str, Any]) -> bytes:
-    """JSON whose last entry `sha256` is the hash of the whole text with 64 zeros in its place."""
+    """JSON text whose last entry `sha256` is the hash of the whole text with 64 zeros in place of the hash."""
     body = json.dumps(plain(data), indent=1, sort_keys=True, ensure_ascii=False).encode()
     head = body[:-2] + b',\n "sha256": "'
     digest = hashlib.sha256(head + _NO_HASH + _HASH_TAIL).hexdigest().encode()
@@ -192,7 +192,7 @@ def sealed_json(data: Mapping[str, Any]) -> bytes:
 
 
 def open_json(raw: bytes, path: object) -> dict[str, Any]:
-    """The inverse of `sealed_json`; raises InvalidFile where any byte was changed or is missing."""
+    """The data of a text from `sealed_json`; raises InvalidFile where any byte was changed or is missing."""
     digest, blank = raw[-68:-4], raw[:-68] + _NO_HASH + raw[-4:]
     if len(raw) < 80 or hashlib.sha256(blank).hexdigest().encode() != digest:
         raise invalid(path, "is empty" if not raw else "is damaged or was changed: its own hash does not fit")
@@ -206,7 +206,7 @@ def open_json(raw: bytes, path: object) -> dict[str, Any]:
 
 
 def read_file(folder: Path, name: str, most: int | None = None) -> bytes:
-    """The bytes of a file of the run, at most `most`; raises InvalidFile with the reason, also for what is no file."""
+    """The bytes of a file of the run, at most `most`; raises InvalidFile with the reason if it cannot be read."""
     try:
         with reading(folder / name), open_inside(folder, name) as file:
             return file.read(-1 if most is None else most)
@@ -232,7 +232,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def next_to(path: Path, name: str) -> Iterator[Path]:
-    """Folders next to `path` that hold the run `name`: the one of that name first, then one that was renamed."""
+    """Folders next to `path` that contain the run `name`: first the one of that name, then renamed ones."""
     parent = path.resolve().parent
     named = [parent / name] if Path(name).name == name else []
     for folder in [*named, *sorted(parent.iterdir())]:
@@ -256,14 +256,14 @@ def read_seal(folder: Path) -> dict[str, Any] | None:
 
 
 def status_of(manifest: Mapping[str, Any], seal: Mapping[str, Any] | None) -> str:
-    """The status in the seal; without a seal `running` while the writer lives, else `interrupted`."""
+    """The status in the seal; without a seal `running` while the writer process exists, else `interrupted`."""
     if seal is not None:
         return str(seal.get("status", "interrupted"))
     return "running" if _alive(manifest.get("writer") or {}) else "interrupted"
 
 
 def this_process() -> dict[str, Any]:
-    """What identifies this process among all of this machine, also later ones; empty where Linux does not say."""
+    """Data that identify this process on this machine, even after a reboot; empty without Linux's /proc."""
     fields = _process(os.getpid())
     return {"pid": os.getpid(), "started": fields[1], "boot": _boot()} if fields else {}
 
@@ -275,7 +275,7 @@ def _alive(writer: Mapping[str, Any]) -> bool:
 
 
 def _process(pid: object) -> tuple[str, int] | None:
-    """State letter and start time of a process."""
+    """State letter and start time [clock ticks since boot] of a process; None where unknown."""
     with suppress(OSError, ValueError, IndexError):
         if isinstance(pid, int) and pid > 0:
             fields = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
@@ -291,7 +291,7 @@ def _boot() -> str:
 
 
 def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Every file (and link) below the run folder with its name inside the run, sorted. Raises OSError."""
+    """Every file (and link) below the run folder, as (name inside the run, path), sorted. Raises OSError."""
 
     def fail(error: OSError) -> None:
         raise error
@@ -305,25 +305,25 @@ def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def cannot_write(path: Path, error: BaseException) -> RecordError:
-    """The sentence for a failed write."""
+    """The error for a failed write."""
     return RecordError(f"cannot write {path}: {reason_of(error)}; the run is not fully recorded")
 
 
 def reason_of(error: BaseException) -> str:
-    """Why something could not be written, as the operating system says it; Arrow puts other words before that."""
+    """Reason for a failed write in the operating system's words, without those that Arrow adds."""
     reason = str(getattr(error, "strerror", None) or error or type(error).__name__)
     number = getattr(error, "errno", None)
     return os.strerror(number) if number and "[errno" in reason else reason
 
 
 def part_of(path: Path) -> Path:
-    """The hidden file that becomes `path` when it is whole."""
+    """The hidden temporary file that is renamed to `path` when it is complete."""
     return path.with_name(f".{path.name}.part")
 
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """The hidden file to write, which then becomes `path`; where writing fails it is removed. Raises OSError."""
+    """Gives a hidden file to write, then renames it to `path`; after an error it is removed. Raises OSError."""
     part = part_of(path)
     try:
         yield part
@@ -336,7 +336,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a small file so that it is there whole or not at all, and synced. Raises OSError."""
+    """Write a small file atomically (complete or not at all) and synced. Raises OSError."""
     with whole(path) as part, part.open("wb") as file:
         file.write(content)
         file.flush()
@@ -345,15 +345,15 @@ def write_whole(path: Path, content: bytes) -> None:
 
 @dataclass(frozen=True)
 class Copy:
-    """A file that becomes part of a run as it is, without being held in memory."""
+    """A file to be copied into a run unchanged, without loading it into memory."""
 
     path: Path
     sha256: str
-    """What its bytes must be; a file that was changed is not copied."""
+    """Expected hash; a file that was changed is not copied."""
 
 
 def copy_file(source: Path, target: Path) -> tuple[str, int]:
-    """Copy a file, synced; the sha256 and the size [bytes] of what was copied. Raises OSError."""
+    """Copy a file, synced; returns sha256 and size [bytes] of the copied data. Raises OSError."""
     digest = hashlib.sha256()
     with source.open("rb") as old, target.open("wb") as new:
         while piece := old.read(1 << 22):
@@ -365,9 +365,9 @@ def copy_file(source: Path, target: Path) -> tuple[str, int]:
 
 
 def copy_whole(path: Path, source: Copy) -> None:
-    """Copy a file so that it is there whole or not at all, and synced.
+    """Copy a file atomically (complete or not at all) and synced.
 
-    Raises OSError, or InvalidFile where it is not what it was.
+    Raises OSError, or InvalidFile where the source does not have the expected hash.
     """
     with whole(path) as part:
         if copy_file(source.path, part)[0] != source.sha256:
@@ -387,7 +387,7 @@ def sync_folder(folder: Path) -> None:
 
 @dataclass
 class AppendFile:
-    """A file that grows by whole pieces: a piece that fails is taken back, so that it can be tried again."""
+    """A file that grows by complete pieces: a failed piece is truncated away, so that it can be written again."""
 
     path: Path
     size: int = 0
@@ -413,20 +413,20 @@ class AppendFile:
         self.size += len(piece)
 
     def sync(self) -> None:
-        """Wait until what was written survives a power cut. Raises OSError, where it was moved or deleted, too."""
+        """Sync, so that the written data survive a power cut. Raises OSError, also if the file was moved or deleted."""
         (os.fdatasync if sys.platform == "linux" else os.fsync)(self._fd)
         if not os.path.samestat(os.fstat(self._fd), self.path.stat()):
             raise FileNotFoundError(errno.ENOENT, "another file is in its place")
 
     def close(self) -> None:
-        """Let go of the file; harmless when repeated."""
+        """Close the file; may be called again."""
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
 
 
 def encode_line(seq: int, t: float, kind: str, data: Mapping[str, Any], before: int) -> tuple[bytes, int]:
-    """One line and its crc, which the next line needs as `before`."""
+    """One line of events, and its crc, which the next line needs as `before`."""
     entry = {"seq": seq, "t": round(float(t), 9), "kind": kind, "data": plain(data)}
     body = json.dumps(entry, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()[:-1]
     crc = zlib.crc32(body, before)
@@ -435,16 +435,16 @@ def encode_line(seq: int, t: float, kind: str, data: Mapping[str, Any], before: 
 
 @dataclass(frozen=True)
 class Journal:
-    """The lines up to the first that is not whole, and what was wrong with that one (empty: nothing)."""
+    """The lines before the first invalid one, and what is wrong with that (empty: all lines are valid)."""
 
     lines: tuple[dict[str, Any], ...]
     fault: str = ""
 
 
 def decode_lines(raw: bytes, seq: int = 0, crc: int = 0) -> Journal:
-    """Every whole line from the start on; nothing after a bad line is taken.
+    """All valid lines up to the first invalid one.
 
-    Where `raw` goes on after lines that were read before, `seq` is their number and `crc` that of the last of them.
+    If `raw` continues lines that were read before, `seq` is their number and `crc` the value of the last of them.
     """
     lines: list[dict[str, Any]] = []
     for number, line in enumerate(raw.split(b"\n"), start=1):
@@ -468,7 +468,7 @@ def decode_lines(raw: bytes, seq: int = 0, crc: int = 0) -> Journal:
 def journal_summary(manifest: Mapping[str, Any], journal: Journal, spans: list[tuple[float, float]]) -> dict[str, Any]:
     """Trials planned and finished, and the duration [s] from the first to the last sample or event.
 
-    A reference trial that was done again is none of the plan's.
+    Repeated reference trials do not count.
     """
     ends = [line["data"] for line in journal.lines if line["kind"] == "trial-end"]
     begins = [line["data"] for line in journal.lines if line["kind"] == "trial-begin"]

@@ -1,4 +1,4 @@
-"""JSON files that a stranger may have written: of limited size and depth, with a known schema, checked by a model."""
+"""Reads JSON files that are not trusted: limited size and depth, known schema, checked by a model."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 DEEPEST = 20
-"""Levels of objects and lists; what reads a file goes down by recursion."""
+"""Largest nesting of objects and lists, since readers use recursion."""
 Model = TypeVar("Model", bound="BaseModel")
 
 
 def read_json(path: Path, schema: str, what: str, most: int, missing: str = "there is no such file") -> dict[str, Any]:
-    """The object in a file whose entry `schema` is `schema`; numbers in it are finite.
+    """The object in a JSON file with the entry `schema`; all numbers are finite.
 
-    `what`: how messages call such a file. `most`: bytes that it may have. `missing`: what is said where there is none.
-
-    Raises InvalidFile for a file that is none, too large, cut off, too deep, or of another schema or version.
+    `what`: name of such a file in messages. `most`: largest size [bytes]. `missing`: message for a missing file. Raises
+    InvalidFile for a file that is missing, too large, cut off, nested too deeply, or of another schema or version.
     """
     with reading(path):
         if not path.is_file():
@@ -46,7 +45,7 @@ def read_json(path: Path, schema: str, what: str, most: int, missing: str = "the
 def read_model(
     model: type[Model], path: Path, schema: str, what: str, most: int, missing: str = "there is no such file"
 ) -> Model:
-    """A file as `read_json` reads it, checked by a model; raises InvalidFile with the first place that is wrong."""
+    """Read a file as `read_json` does, and check it by a model; raises InvalidFile with the first fault."""
     from pydantic import ValidationError
 
     data = read_json(path, schema, what, most, missing)
@@ -63,7 +62,7 @@ def _no_constant(name: str) -> float:
 
 
 def _shallow(value: Any, left: int) -> bool:
-    """Whether a value is nested no deeper than `left` levels."""
+    """Whether a value is nested at most `left` levels deep."""
     if isinstance(value, dict | list):
         inner = value.values() if isinstance(value, dict) else value
         return left > 0 and all(_shallow(item, left - 1) for item in inner)

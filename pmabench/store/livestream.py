@@ -1,8 +1,10 @@
-"""Samples on disk while they are taken: an Arrow stream whose batches carry seq, crc32 and an end mark; no run folder.
+"""Samples written to disk during a run: an Arrow stream whose batches carry seq, crc32 and an end mark.
+
+Knows no run folder.
 
 A batch's crc32 covers the schema message (names, types, scales), the text "seq rows end", `host_ns` where it is given,
 and the bytes of each column in order. `rows` counts all rows up to and including the batch; the first batch is empty
-and the last has `end` 1. `host_ns` is when the last sample of the batch came in, on the clock of the host.
+and the last has `end` 1. `host_ns` is the arrival of the batch's last sample, on the clock of the host.
 """
 
 from __future__ import annotations
@@ -27,11 +29,11 @@ from pmabench.base.errors import RecordError
 from pmabench.base.quantities import QUANTITIES
 from pmabench.store.folder import AppendFile, plain
 
-pa: Any = pyarrow  # pyarrow declares no types: everything else takes it from here
+pa: Any = pyarrow  # pyarrow has no type hints: other modules import these names
 pq: Any = pyarrow.parquet
 arrow_csv: Any = pyarrow.csv
 DAMAGED: tuple[type[Exception], ...] = (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError)
-"""What reading damaged files raises."""
+"""Errors raised on reading damaged files."""
 STREAM_SCHEMA = "pmabench.stream/1"
 TIME, FLAGS = "time_ns", "flags"
 KEY = b"pmabench"
@@ -41,7 +43,7 @@ _TYPES = {"int32": pa.int32(), "float64": pa.float64()}
 
 
 def describe(name: str, columns: Sequence[Mapping[str, Any]], rate: float) -> dict[str, Any]:
-    """What a stream's JSON file and schema say of it: name, rate [Hz], and each column as its ChannelRecord."""
+    """Description of a stream for its JSON file and schema: name, rate [Hz], and each column as its ChannelRecord."""
     return {"schema": STREAM_SCHEMA, "stream": name, "rate": rate, "columns": [plain(column) for column in columns]}
 
 
@@ -68,7 +70,7 @@ def arrow_schema(about: Mapping[str, Any]) -> Any:
 
 
 def about_stream(schema: Any) -> dict[str, Any]:
-    """The inverse of `arrow_schema`; raises ValueError for a schema that is not one of ours."""
+    """The description in a schema from `arrow_schema`; raises ValueError for any other schema."""
     about = json.loads((schema.metadata or {}).get(KEY, b"null"))
     if not isinstance(about, dict) or about.get("schema") != STREAM_SCHEMA:
         raise ValueError(f"is not of the schema {STREAM_SCHEMA}")
@@ -78,10 +80,10 @@ def about_stream(schema: Any) -> dict[str, Any]:
 
 
 class _Sink(BytesIO):
-    """Takes what Arrow writes, so that it goes to disk in one piece per batch."""
+    """Buffers Arrow's output, so that each batch is written to disk in one piece."""
 
     def take(self) -> bytes:
-        """What came since the last call."""
+        """The bytes since the last call."""
         piece = self.getvalue()
         self.seek(0)
         self.truncate()
@@ -89,7 +91,7 @@ class _Sink(BytesIO):
 
 
 class LiveStream:
-    """Writes one stream. `put` may be called while another thread calls `drain`; nothing is lost when that fails."""
+    """Writes one stream; `put` and `drain` may be called by different threads, and a failed write loses nothing."""
 
     def __init__(self, path: Path, about: Mapping[str, Any]) -> None:
         """Create the file with its schema and an empty first batch. Raises OSError or RecordError."""
@@ -113,9 +115,9 @@ class LiveStream:
         self.drain()
 
     def put(self, time_ns: Any, columns: Mapping[str, Any], flags: Any, host_ns: int | None = None) -> None:
-        """Take a copy of samples; all of length n, one entry per column. Raises RecordError where they do not fit.
+        """Take a copy of samples, arrays of length n for all columns. Raises RecordError where they do not fit.
 
-        `host_ns`: when they came in, on the host's monotonic clock since the start of the run [ns].
+        `host_ns`: their arrival on the host's monotonic clock since the start of the run [ns].
         """
         given = {TIME: time_ns, **columns, FLAGS: flags}
         if given.keys() != self._types.keys():
@@ -143,11 +145,11 @@ class LiveStream:
         return kept
 
     def waiting(self) -> float:
-        """For how long the oldest sample has waited to be written [s]."""
+        """Time that the oldest unwritten sample has waited [s]; 0 without one."""
         return time.monotonic() - self._since if self._pending else 0.0
 
     def drain(self) -> None:
-        """Write all that waits as one batch; what fails is kept for the next call. Raises OSError."""
+        """Write all waiting samples as one batch; a failed batch is kept for the next call. Raises OSError."""
         with self._lock:
             while self._block or self._pending:
                 if not self._block:
@@ -175,7 +177,7 @@ class LiveStream:
             self.last_ns = int(columns[TIME][-1])
 
     def finish(self) -> None:
-        """Write all that waits, the end mark, and sync; then let go of the file. Raises OSError."""
+        """Write all waiting samples and the end mark, sync, and close the file. Raises OSError."""
         self.drain()
         with self._lock:
             self._build({name: np.empty(0, kind) for name, kind in self._types.items()}, end=1)
@@ -188,7 +190,7 @@ class LiveStream:
 
 
 def _crc_of_head(data: Any) -> int:
-    """Crc32 of the schema message, byte for byte as the stream begins."""
+    """Crc32 of the schema message at the beginning of a stream."""
     return zlib.crc32(data[: 8 + int.from_bytes(data[4:8].to_pybytes(), "little")])
 
 
@@ -210,13 +212,13 @@ def numbers(array: Any) -> NDArray[Any]:
 
 
 class LiveReader:
-    """Iterates over the whole batches of a live stream and stops before the first that is not whole."""
+    """Iterates over the batches of a live stream and stops before the first damaged or incomplete one."""
 
     def __init__(self, data: Any, batches: int = 0, rows: int = 0) -> None:
-        """`data`: a `pyarrow.Buffer` with the file's bytes. Raises ValueError where not even the schema is whole.
+        """`data`: a `pyarrow.Buffer` with the file's bytes. Raises ValueError where even the schema is incomplete.
 
-        Where so many whole `batches` with so many `rows` were read before, `data` is the schema message and the bytes
-        after these batches.
+        To continue after `batches` batches with `rows` rows, `data` is the schema message and the bytes after these
+        batches.
         """
         self.batches = batches
         self.rows = rows
@@ -224,7 +226,7 @@ class LiveReader:
         self.fault = ""
         self.torn = False
         self.arrivals: list[tuple[int, int]] = []
-        """Clock of the device and of the host [ns] for the last sample of each batch that has it."""
+        """Times of device and host [ns] for the last sample of each batch with `host_ns`."""
         self._data = data
         try:
             self._source = pa.BufferReader(data)
@@ -236,10 +238,10 @@ class LiveReader:
             raise ValueError(f"has no whole schema ({error})") from error
 
     def __iter__(self) -> Iterator[Any]:
-        """Batches in order; afterwards `rows`, `ended`, `fault` say how far it came and why it stopped.
+        """Batches in order; afterwards `rows`, `ended` and `fault` state how far it came and why it stopped.
 
-        `torn`: bytes are left that belong to no whole batch; `position`: where the whole ones end in the data, `head`:
-        where the first begins.
+        `torn`: whether bytes remain that belong to no complete batch; `position`: end of the complete batches in the
+        data, `head`: begin of the first.
         """
         head = _crc_of_head(self._data)
         seq = self.batches

@@ -1,8 +1,8 @@
-"""Notes on a run: words, files and exclusions, appended one by one as a chain of hashes; the sealed part stays.
+"""Notes on a run: texts, files and exclusions, appended as a chain of hashes; the sealed part is not changed.
 
-A note is a folder `notes/0001` with `note.json` and copies of its files; it appears whole, by one rename. It carries
-the sha256 of the note before (the first: of the manifest) and of each file. `notes.json` says how many there are and
-the sha256 of the last, so that a note missing at the end is found too. Standard library only.
+A note is a folder `notes/0001` with `note.json` and copies of its files; a rename makes it appear complete. It contains
+the sha256 of the note before (the first one: of the manifest) and of each file. `notes.json` has the number of notes
+and the sha256 of the last, so that a note missing at the end is detected too. Standard library only.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ from pmabench.store import folder as files
 NOTE_SCHEMA = "pmabench.note/1"
 HEAD_SCHEMA = "pmabench.notes/1"
 NAME = re.compile(r"\d{4,}")
-"""Of the folder of a note."""
+"""Pattern of the name of a note's folder."""
 NOTE = "note.json"
 PART = ".part-"
-"""How the folder of a note begins that is being written."""
+"""Prefix of the folder of a note that is being written."""
 _LONGEST = 100_000
 
 
 @dataclass(frozen=True)
 class Note:
-    """What somebody said of a run after the fact."""
+    """A note added to a run afterwards."""
 
     number: int
-    """From 1."""
+    """Number, from 1."""
     utc: str
     operator: str
     text: str
     exclude: int | None
-    """Index of a trial that is kept out of fits."""
+    """Index of a trial to exclude from fits; None for none."""
     because: str
     files: tuple[str, ...]
     """Attached files, as names inside the run folder."""
 
     @property
     def excluded(self) -> int | None:
-        """The number, from 1, of the trial that is kept out of fits."""
+        """Number, from 1, of the trial to exclude from fits; None for none."""
         return None if self.exclude is None else self.exclude + 1
 
     def as_data(self) -> dict[str, Any]:
-        """As plain data for people and programs, who count trials from 1."""
+        """Plain data for users and programs; trials count from 1."""
         return {**vars(self), "exclude": self.excluded}
 
 
@@ -68,10 +68,10 @@ def add_note(
     because: str = "",
     operator: str = "",
 ) -> Note:
-    """Append a note to a run, open or closed; it is there whole and synced when this returns, else not at all.
+    """Append a note to an open or closed run, atomically and synced.
 
-    Raises UsageError for a note that says nothing or an exclusion without reason, InvalidFile for what is no run, has
-    no such trial, or whose notes were changed, RecordError where it cannot be written.
+    Raises UsageError for an empty note or an exclusion without reason, InvalidFile for a folder that is not a run, has
+    no such trial, or whose notes were changed, RecordError where the note cannot be written.
     """
     if not (text.strip() or attach or exclude is not None):
         raise UsageError("the note says nothing: give a TEXT, --attach FILE, or --exclude TRIAL --because TEXT")
@@ -94,7 +94,7 @@ def add_note(
 
 
 def _append(run: Path, manifest: Mapping[str, Any], said: Mapping[str, Any], attach: Sequence[Path]) -> Note:
-    """The note as it was written; `said`: operator, text, exclude and because."""
+    """Write a note and return it; `said`: operator, text, exclude and because."""
     known, faults, last = _look(run)
     if faults:
         raise InvalidFile(problem for name, what in faults for problem in invalid(run / name, what).problems)
@@ -102,7 +102,7 @@ def _append(run: Path, manifest: Mapping[str, Any], said: Mapping[str, Any], att
     folder.mkdir(exist_ok=True)
     for left in folder.glob(f"{PART}*"):
         shutil.rmtree(left, ignore_errors=True)
-    _write_head(run, manifest, len(known), last)  # it may be missing, or one behind where a writer died
+    _write_head(run, manifest, len(known), last)  # after a crash it may be missing, or one note behind
     number = len(known) + 1
     part = folder / f"{PART}{secrets.token_hex(4)}"
     part.mkdir()
@@ -140,7 +140,7 @@ def _check_trial(run: Path, trial: int) -> None:
 
 
 def _names(attach: Sequence[Path]) -> list[str]:
-    """A legal name for each attached file, each once."""
+    """A legal, unique name for each attached file."""
     taken = {NOTE}
     names = []
     for source in attach:
@@ -161,7 +161,7 @@ def _write_head(run: Path, manifest: Mapping[str, Any], count: int, last: str) -
 
 @contextmanager
 def _alone(run: Path) -> Iterator[None]:
-    """Lock the run folder, so that one note is written at a time, where the system has such locks."""
+    """Lock the run folder, so that only one note is written at a time; no lock on Windows."""
     if sys.platform == "win32":
         yield
         return
@@ -185,14 +185,14 @@ def read_notes(run: Path) -> tuple[Note, ...]:
 
 
 def check_notes(run: Path) -> list[tuple[str, str]]:
-    """File and sentence of everything that is wrong with the notes of a run."""
+    """All faults in the notes of a run, as (file, sentence)."""
     return _look(run)[1]
 
 
 def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
-    """The notes that are as they were written, what is wrong, and the sha256 of the last note.
+    """The unchanged notes, the faults, and the sha256 of the last note.
 
-    What somebody put among them is no fault of the notes: `pmabench.store.since` names it.
+    Files that were put among the notes are not faults: `pmabench.store.since` reports them.
     """
     notes: list[Note] = []
     faults: list[tuple[str, str]] = []
@@ -244,7 +244,10 @@ def _attached(run: Path, place: str, entries: Sequence[Mapping[str, Any]]) -> It
 
 
 def _head(run: Path, chain: Sequence[str]) -> list[tuple[str, str]]:
-    """`chain`: sha256 of the manifest and of each note. A note that was written last may not be in the head yet."""
+    """Faults of the head file; `chain`: sha256 of the manifest and of each note.
+
+    The last note may be missing in the head, if the writer died.
+    """
     if not files.is_regular(run / files.NOTES_HEAD):
         return [] if len(chain) == 1 else [(files.NOTES_HEAD, f"is missing; there are {len(chain) - 1} notes")]
     try:

@@ -1,8 +1,8 @@
 """Opens a run folder, closed or not, as plain records in SI; never writes into it.
 
-All streams are on the time of the run, each by its own clock. Samples of a trial come at the times of the stream that
-has `displacement` (else `pressure`, else of the first); `timebase` puts the channels of other streams there. The same
-raw samples may be read with another calibration, or moved in time (`Recalibration`): the run itself is never touched.
+Each stream is converted to the time of the run by its own clock. Trials have the sample times of the stream with
+`displacement` (else `angle`, else `pressure`, else of the first); `timebase` interpolates other streams to these. The
+same raw samples can be read with another calibration or shifted in time (`Recalibration`); the run is not changed.
 """
 
 from __future__ import annotations
@@ -46,18 +46,16 @@ if TYPE_CHECKING:
 
 
 TIMING = ("displacement", "angle", "pressure")
-"""The stream of the first of these channels gives the times of the samples."""
+"""The stream with the first of these channels gives the sample times."""
 
 
 def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration | None = None) -> RunData:
-    """Load a run with all its trials; notes exclude some of them unless `honour_notes` is False.
+    """Load a run with all its trials; notes may exclude some of them unless `honour_notes` is False.
 
-    `anew`: other calibrations for the same raw samples, and channels moved in time.
-
-    Files of a closed run are checked against its seal, and what was added to them is not read but named in `since`, as
-    are kept files that were changed and that no sample comes from; of a dead or running one, whole batches and events
-    are read.
-    Raises InvalidFile for what is no run, is damaged, was changed, or was written by a newer pmabench.
+    `anew`: other calibrations for the same raw samples, and shifts of channels in time. Files of a closed run are
+    checked against its seal. Added files are not read but listed in `since`, as are changed files that contain no
+    samples. Of an unfinished run all complete batches and events are read. Raises InvalidFile for a folder that is not
+    a run, is damaged, was changed, or was written by a newer pmabench.
     """
     folder = RunFiles(Path(path), anew)
     journal = folder.journal()
@@ -113,9 +111,9 @@ def _reaches(stream: Samples) -> float:
 
 
 def read_stream(path: Path | str, name: str = "", raw: bool = False) -> pd.DataFrame:
-    """A whole stream (the first, where no name is given): `t` [s], the channels [SI] and `flags`.
+    """A whole stream (the first without a name): `t` [s], the channels [SI] and `flags`.
 
-    With `raw` the columns are `time_ns` and the values as the device gave them. Units are in `frame.attrs["units"]`.
+    With `raw` the columns are `time_ns`, the raw values of the device and `flags`. Units are in `frame.attrs["units"]`.
     Raises InvalidFile as `open_run` does.
     """
     import pandas as pd
@@ -172,20 +170,20 @@ class RunFiles:
         self.path = path
         self.anew = anew
         self.lines: dict[str, Line] = {}
-        """What became of values on the old scale, by channel, of the streams that were read."""
+        """Channel -> conversion from the old to the new scale, for the streams read so far."""
         self.manifest = read_manifest(path)
         self.seal = read_seal(path)
 
     def has(self, name: str) -> bool:
-        """Whether the file is part of the run: in its seal, or present while the run is not closed."""
+        """Whether a file is part of the run: listed in its seal, or present while the run is not closed."""
         return name in self.seal["files"] if self.seal is not None else is_regular(self.path / name)
 
     def read(self, name: str) -> bytes:
-        """The bytes of a file, as they were sealed."""
+        """The bytes of a file; raises InvalidFile where they are not those that were written."""
         expected, most = "", None
         if self.seal is not None:
             entry = self.seal["files"].get(name) or {"sha256": "not sealed", "bytes": 0}
-            expected, most = entry["sha256"], int(entry["bytes"]) + 1  # one more shows that it has grown
+            expected, most = entry["sha256"], int(entry["bytes"]) + 1  # one more, to detect that it has grown
         elif name in self.manifest.get("snapshots", {}):
             expected = self.manifest["snapshots"][name]
         raw = read_file(self.path, name, most)
@@ -194,20 +192,20 @@ class RunFiles:
         return raw
 
     def journal(self) -> Journal:
-        """The events; of an unsealed run those before the first that is not whole."""
+        """The events before the first invalid line."""
         if self.seal is None and not self.has(files.EVENTS):
             return Journal(())
         return decode_lines(self.read(files.EVENTS))
 
     def plan(self) -> dict[str, Any]:
-        """The plan as it was kept; empty where there is none, as in imports."""
+        """The stored plan; empty where there is none, as in most imports."""
         if not self.has(files.PLAN):
             return {}
         plan = json.loads(self.read(files.PLAN))
         return plan if isinstance(plan, dict) else {}
 
     def described(self, journal: Journal) -> dict[str, Any]:
-        """The manifest with how the run ended."""
+        """The manifest, with entries about the end of the run."""
         guard = self.guard()
         data = {**self.manifest, **({"guard": guard} if guard else {})}
         if self.seal is None:
@@ -216,13 +214,13 @@ class RunFiles:
         return {**data, **{key: self.seal.get(key) for key in kept}}
 
     def guard(self) -> dict[str, Any]:
-        """How the guard process vented the bench after the program had died; empty where it did not."""
+        """The guard's report of a vent after the program had died; empty where there is none."""
         if not self.has(files.GUARD):
             return late_guard(self.path) if self.seal is None else {}
         try:
             found = json.loads(self.read(files.GUARD))
         except ValueError as error:
-            if self.seal is None:  # it may be just being written
+            if self.seal is None:  # it may be incomplete while it is being written
                 return {}
             raise invalid(self.path / files.GUARD, "is not JSON") from error
         return found if isinstance(found, dict) else {}
@@ -236,7 +234,7 @@ class RunFiles:
         return sorted({file.stem for file in found if file.suffix in (".arrows", ".parquet")})
 
     def stream(self, name: str, events: tuple[Event, ...]) -> Samples:
-        """A stream in SI; of an unsealed run as far as its batches are whole."""
+        """A stream in SI; of an unsealed run its complete batches."""
         parquet, live = (f"{files.STREAMS}/{name}{suffix}" for suffix in (".parquet", ".arrows"))
         sealed = self.seal is not None
         found = (self.seal or {}).get("streams", {}).get(name, {})
@@ -264,9 +262,9 @@ class RunFiles:
 
 
 def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]], *, own: bool) -> ClockInfo:
-    """The last `clock` event of the stream holds, else what its arrivals show; without both the clocks are equal.
+    """The clock of a stream from its last `clock` event, else from arrivals; without both the clocks are equal.
 
-    `own`: the device has a clock; else the computer's is the stamp.
+    `own`: the device has its own clock; otherwise the computer stamps its samples.
     """
     found = [event.data for event in events if event.kind == "clock" and event.data.get("stream") == name]
     if found:
@@ -282,7 +280,7 @@ def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) 
     flags = columns.pop(FLAGS)
     rate = float(about.get("rate") or 0.0)
     infos = {column["name"]: channel_info(column, about["stream"], rate) for column in about["columns"]}
-    with np.errstate(all="ignore"):  # an imported file may hold any bits
+    with np.errstate(all="ignore"):  # an imported file may have any values
         channels = {name: values * infos[name].slope for name, values in columns.items()}
         for name, values in channels.items():
             values += infos[name].offset
@@ -302,7 +300,7 @@ def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) 
 
 
 def channel_info(column: Mapping[str, Any], stream: str, rate: float) -> ChannelInfo:
-    """A channel as the head of its stream describes it."""
+    """A channel from the description in its stream."""
     scale, calibration = column.get("scale") or {}, column.get("calibration") or {}
     quantity = str(column.get("quantity", ""))
     unsure = ("offset_uncertainty", "gain_uncertainty", "sensor_lag")
@@ -323,21 +321,21 @@ def channel_info(column: Mapping[str, Any], stream: str, rate: float) -> Channel
 
 
 LONGEST = 60.0
-"""Most that a channel can be moved in time [s]."""
+"""Largest shift of a channel in time [s]."""
 Line = tuple[float, float]
-"""What becomes of a value [SI] of the old scale: factor and summand."""
+"""Conversion of a value [SI] from the old to the new scale: factor and offset [SI]."""
 
 
 @dataclass(frozen=True)
 class NewScale:
-    """A straight line from raw to SI, and what is known of it."""
+    """A linear scale from raw values to SI, and its calibration data."""
 
     quantity: str
     raw_unit: str
     slope: float
     offset: float
     calibration: Mapping[str, Any]
-    """As a stream's column has it: id, reference, date, uncertainties, sha256."""
+    """As in a stream's column: id, reference, date, uncertainties, sha256."""
 
 
 @dataclass(frozen=True)
@@ -347,13 +345,13 @@ class Recalibration:
     scales: Mapping[str, NewScale] = field(default_factory=dict)
     """By channel."""
     late: Mapping[str, float] = field(default_factory=dict)
-    """Channel -> how much older its values are than their time stamps [s]."""
+    """Channel -> delay of its time stamps: values are older than stamped by this [s]."""
 
     def columns(self, about: Mapping[str, Any], path: object) -> tuple[dict[str, Any], dict[str, Line]]:
-        """What a stream says of its columns, with the new scales, and what becomes of old values by channel.
+        """The description of a stream with the new scales, and by channel the conversion of old values.
 
-        A zero that the session took stays what it was: the reading that stood for 0 does so on the new scale.
-        Raises InvalidFile for a channel of another quantity, or whose readings have another unit.
+        A zero from the session is preserved: the reading that meant 0 also means 0 on the new scale. Raises InvalidFile
+        for a channel of another quantity or with another raw unit.
         """
         columns, lines = [], dict[str, Line]()
         for column in about["columns"]:
@@ -379,9 +377,9 @@ class Recalibration:
         return {**about, "columns": columns}, lines
 
     def moved(self, samples: Samples) -> Samples:
-        """The samples with each late channel read where its values belong, by straight lines between samples.
+        """The samples with each late channel shifted in time, by linear interpolation.
 
-        A row whose value lies between two of which one is flagged carries that flag; where there is none, GAP.
+        A value between two samples gets the flags of both that make them unusable; a row without a value gets GAP.
         """
         late = {name: self.late[name] for name in samples.channels if self.late.get(name)}
         if not late or len(samples.t) < 2:
@@ -397,7 +395,7 @@ class Recalibration:
 
 
 def refound(trials: Sequence[TrialData], lines: Mapping[str, Line]) -> tuple[TrialData, ...]:
-    """The trials, with the values that their searches found (such as where a load lifted off) on the new scale."""
+    """The trials with results of searches (such as the lift-off of a load) converted to the new scale."""
 
     def one(name: str, value: Any) -> Any:
         return lines[name][0] * value + lines[name][1] if name in lines and is_number(value) else value
@@ -414,9 +412,9 @@ def refound(trials: Sequence[TrialData], lines: Mapping[str, Line]) -> tuple[Tri
 
 
 def channel_for(runs: Sequence[RunData], quantity: str, name: str = "") -> str:
-    """The channel that a calibration of `quantity` is for: `name`, or the only measured one of every run.
+    """The channel for a calibration of `quantity`: `name`, or the only measured one in all runs.
 
-    Raises UsageError where that is none or several.
+    Raises UsageError where there is none or more than one.
     """
     names = {
         channel.name
@@ -435,9 +433,9 @@ def channel_for(runs: Sequence[RunData], quantity: str, name: str = "") -> str:
 
 
 def refuse_loops(runs: Sequence[RunData], loops: Collection[str]) -> None:
-    """Raise InvalidFile for runs whose results depend on what a control loop did with the values that it measured.
+    """Raise InvalidFile for runs whose control loop used the old calibration, so that a new one needs a new run.
 
-    `loops`: the kinds of test whose loop acts on calibrated values.
+    `loops`: kinds of test whose loop acts on calibrated values.
     """
     problems: list[Problem] = []
     for run in runs:

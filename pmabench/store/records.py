@@ -1,7 +1,7 @@
-"""What a run looks like once it is loaded: the plain records that analysis and report work on; no file formats.
+"""Plain records of a loaded run, which analysis and report use; no file formats.
 
-All arrays are SI on one time base; `t` counts seconds from the start of the run. Flags say per sample what is wrong.
-Trials are cut from the samples along the events of the run.
+All arrays are SI on one time base; `t` counts seconds from the start of the run. Flags mark faults per sample. Trials
+are cut from the samples by the events of the run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Flags = NDArray[np.uint16]
 
 
 class Flag(IntFlag):
-    """What is wrong with a sample; flagged samples are kept, counted and left out of fits, never mended."""
+    """Faults of a sample; flagged samples are kept and counted, most flags exclude them from fits, none is repaired."""
 
     OK = 0
     GAP = 1
@@ -36,22 +36,22 @@ class Flag(IntFlag):
     STALE = 8
     """A channel has not changed for longer than its signal allows."""
     TIME_JUMP = 16
-    """The clock went back, or leapt."""
+    """The clock went back or jumped."""
     DROPOUT = 32
-    """A channel reads what a cut wire reads."""
+    """A channel has the reading of a broken wire, or no value."""
     SLACK = 64
     """The specimen carries no force."""
     SUSPECT = 128
-    """Doubted by a rule of an import map."""
+    """Doubtful by a check of the import."""
 
 
 UNUSABLE = Flag.GAP | Flag.OVERRANGE | Flag.STALE | Flag.TIME_JUMP | Flag.DROPOUT | Flag.SUSPECT
-"""Samples with one of these do not enter fits."""
+"""Samples with one of these flags are left out of fits."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """One line of the run's events: when [s from the start], what, and its data in SI."""
+    """One event of the run: time [s from the start], kind, and data in SI."""
 
     seq: int
     t: float
@@ -76,7 +76,7 @@ class Command:
 
     @property
     def recorded(self) -> bool:
-        """Whether somebody recorded when it was given; an import finds it in the measured channel where nobody did."""
+        """Whether the command itself was recorded; else an import detected it in the measured channel."""
         return not self.data.get("found")
 
 
@@ -85,8 +85,8 @@ class TrialData:
     """One trial with its samples.
 
     `channels` maps `pressure` [Pa], `displacement` [m, contraction positive], `force` [N], `pressure_command` [Pa],
-    `displacement_command` [m] (those that the bench has) to arrays as long as `t` [s]. A value that another stream
-    has no value of near a time is NaN there, and the sample is flagged GAP.
+    `displacement_command` [m] (those that the bench has) to arrays as long as `t` [s]. Where another
+    stream has no value near a sample time its channels are NaN, and the sample is flagged GAP.
     """
 
     run: str
@@ -95,7 +95,7 @@ class TrialData:
     repeat: int
     reference: bool
     status: str
-    """`finished` or what ended it; `excluded` where a note excludes it, `superseded` where it was done again."""
+    """`finished` or how it ended; `excluded` by a note, `superseded` by a later attempt."""
     t: Array
     channels: Mapping[str, Array]
     flags: Flags
@@ -103,29 +103,29 @@ class TrialData:
     found: Mapping[str, Mapping[str, Any]]
     """Results of searches, keyed by the phase of the seek."""
     attempt: int = 1
-    """From 1; more where the trial was begun again."""
+    """Number of the attempt, from 1."""
     again: bool = False
-    """A reference trial repeated by a run that continues another one: compared with the first, used in no fit."""
+    """Whether it is a reference trial repeated by a run that continues another one: for comparison only, in no fit."""
 
     @property
     def number(self) -> int:
-        """The number of the trial for people: from 1, while the record counts indices from 0."""
+        """Number of the trial for users, from 1; the index counts from 0."""
         return self.index + 1
 
     @property
     def name(self) -> str:
-        """`run/number`, as results name a trial."""
+        """`run/number`, the name of the trial in results."""
         return f"{self.run}/{self.number}"
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """True where no flag forbids the use in a fit."""
+        """Mask of samples that may be used in a fit, shape (n,)."""
         return np.asarray((self.flags & np.uint16(UNUSABLE)) == 0)
 
 
 @dataclass(frozen=True)
 class ChannelInfo:
-    """What the record knows of a channel: how raw became SI, and how well."""
+    """Scale of a channel from raw values to SI, its range and uncertainties [SI]."""
 
     name: str
     quantity: str
@@ -140,7 +140,7 @@ class ChannelInfo:
     calibration: str = ""
     stream: str = ""
     rate: float = 0.0
-    """Samples a second of its stream [Hz]; 0 where it has no regular ones."""
+    """Sampling rate of its stream [Hz]; 0 if it is not regular."""
 
 
 @dataclass(frozen=True)
@@ -152,12 +152,11 @@ class ClockInfo:
     at: float = 0.0
     """Time of the run at that reading [s]."""
     drift: float = 0.0
-    """How much faster the time of the run goes than the device's clock [1]."""
+    """Relative rate of the time of the run compared with the device's clock, minus 1 [1]."""
     uncertainty: float = 0.0
-    """Half width of the 95 % interval of t over the whole stream [s], delays that never change not counted."""
+    """Half width of the 95 % interval of t over the whole stream [s], without constant delays."""
     how: str = "stated equal"
-    """`stated equal`, `clock event`, `host arrivals`: fitted to when the samples came in, or `stamped by the computer`,
-    which asked for them."""
+    """Their source: `stated equal`, `clock event`, `host arrivals` (a fit), or `stamped by the computer` (polled)."""
 
     @property
     def offset(self) -> float:
@@ -191,14 +190,14 @@ class RunData:
     trials: tuple[TrialData, ...]
     notes: tuple[Note, ...] = ()
     clocks: Mapping[str, ClockInfo] = field(default_factory=dict)
-    """By stream."""
+    """Stream -> its clock."""
     interpolated: Mapping[str, str] = field(default_factory=dict)
-    """Channels of other streams that were put on the time base of the trials, each with a sentence that says how."""
+    """Channel of another stream, interpolated to the time base of the trials -> sentence that states how."""
     since: Since = field(default_factory=Since)
-    """What came after the run was sealed; no part of it."""
+    """Changes after the run was sealed; not part of it."""
 
     def skew(self, one: str, other: str) -> float:
-        """Bound of the time skew between two channels that comes from the clocks of their streams [s], 95 %."""
+        """Bound (95 %) of the time skew between two channels due to the clocks of their streams [s]."""
         streams = {self.channels[name].stream for name in (one, other)}
         if len(streams) == 1:
             return 0.0
@@ -206,17 +205,17 @@ class RunData:
 
 
 ENDED = ("finished", "failed", "excluded")
-"""Statuses of a trial that was carried through."""
+"""Statuses of a completed trial."""
 GOOD = ("finished", "excluded")
-"""Those without a verdict against it; a note that leaves a trial out does not bring back an earlier attempt."""
+"""Statuses without a negative verdict; excluding a trial by a note does not restore an earlier attempt."""
 _SLACK = 1e-6
-"""Events and samples closer than this [s] are at the same time."""
+"""Events and samples closer than this [s] count as simultaneous."""
 _COMMAND = ("output", "type", "value", "before", "phase", "trial")
 
 
 @dataclass
 class _Cut:
-    """A trial while its events are gathered."""
+    """A trial while its events are collected."""
 
     begin: float = 0.0
     end: float | None = None
@@ -231,8 +230,8 @@ def cut_trials(
 ) -> tuple[TrialData, ...]:
     """The trials of a run in order; `t` [s], each of `channels` [SI] and `flags` have shape (n,).
 
-    A trial without an end is `interrupted`, and so is one that claims to be finished after `recorded_until` [s], where
-    the samples of a dead run end. A sample at which one trial ends and the next begins belongs to the first of them.
+    A trial without an end is `interrupted`, and so is one that finished after `recorded_until` [s], the end of the
+    samples of an unfinished run. A sample at which one trial ends and the next begins belongs to the first.
     """
     ordered = bool(np.all(t[1:] >= t[:-1])) if len(t) > 1 else True
     trials = []
@@ -268,9 +267,9 @@ def cut_trials(
 
 
 def supersede(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
-    """Of the attempts at one trial the last good one counts, else the last that came to an end.
+    """Mark all completed attempts at a trial as `superseded` except the last good one, or else the last.
 
-    The others that came to an end are `superseded`: a repeat that failed takes nothing away.
+    So a failed repeat does not replace a good attempt.
     """
     last = {trial.index: number for number, trial in enumerate(trials) if trial.status in ENDED}
     last |= {trial.index: number for number, trial in enumerate(trials) if trial.status in GOOD}
@@ -281,7 +280,7 @@ def supersede(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
 
 
 def exclude(trials: Sequence[TrialData], excluded: Collection[int]) -> tuple[TrialData, ...]:
-    """The trials, with the status `excluded` where a note leaves out one that came to an end."""
+    """The trials, with the status `excluded` for completed ones that notes leave out."""
     return tuple(
         replace(trial, status="excluded") if trial.index in excluded and trial.status in ENDED else trial
         for trial in trials
@@ -289,12 +288,12 @@ def exclude(trials: Sequence[TrialData], excluded: Collection[int]) -> tuple[Tri
 
 
 def trial_spans(events: Sequence[Event]) -> list[tuple[float, float]]:
-    """Begin and end of each trial [s]; the end is infinite where it is not known."""
+    """Begin and end of each trial [s]; the end is infinite where unknown."""
     return [(cut.begin, np.inf if cut.end is None else cut.end) for cut in _cuts(events)]
 
 
 def _cuts(events: Sequence[Event]) -> list[_Cut]:
-    """Events grouped by trial: a command or finding belongs to the latest begin of its trial, or to the next."""
+    """Events grouped by attempt: commands and findings belong to the latest begin of their trial, or to the next."""
     cuts: list[_Cut] = []
     latest: dict[Any, _Cut] = {}
     for event in events:
@@ -319,12 +318,12 @@ def _cuts(events: Sequence[Event]) -> list[_Cut]:
 
 
 def _sent_within(command: Command, took: float) -> Command:
-    """A command that its device had at some time until it answered, `took` [s] later: half way, give or take `late`."""
+    """A command that its device received within `took` [s]: at the middle of that time, with the tolerance `late`."""
     return replace(command, t=command.t + 0.5 * took, data={**command.data, "late": 0.5 * took})
 
 
 def command_of(event: Event) -> Command:
-    """A `command` event as a Command; what else it says goes into `data` where it is a number."""
+    """A `command` event as a Command; its other numeric entries go into `data`."""
     data = event.data
     return Command(
         t=event.t,
@@ -338,14 +337,12 @@ def command_of(event: Event) -> Command:
 
 
 def is_number(value: Any) -> TypeGuard[float]:
-    """Whether a value of JSON is a number, which true and false are not."""
+    """Whether a JSON value is a number; true and false are not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _rounded(value: Any) -> float:
-    """A coordinate of an operating point to twelve digits: 2.3 bar and 230 kPa are one pressure, of which one is a last
-    digit off.
-    """
+    """A coordinate rounded to twelve digits, so that 2.3 bar and 230 kPa, which differ in the last digit, are equal."""
     return float(f"{float(value):.12g}")
 
 

@@ -1,9 +1,8 @@
-"""Closes a run folder: streams into Parquet, a summary, the hash of every file; also for a run whose writer died.
+"""Closes a run folder: streams to Parquet, a summary, the hash of every file; also for a run whose writer died.
 
-A disk that is full when a run ends would leave it without a seal, so without the cause and the result of the vent. Two
-hidden files hold room for them from before the first command on: `.seal.json.part` is overwritten in place and becomes
-the seal, so that nobody can take its room away; `.events.jsonl.part` is deleted when the last events do not fit
-otherwise.
+If the disk is full at the end of a run, it would get no seal, and the cause and the result of the vent would be lost.
+Two hidden files reserve space from the start: `.seal.json.part` is overwritten in place and becomes the seal;
+`.events.jsonl.part` is deleted when the last events do not fit otherwise.
 """
 
 from __future__ import annotations
@@ -29,19 +28,19 @@ from pmabench.store.since import adopt
 GROUP = 500_000
 """Rows of a row group."""
 ARRIVALS = "arrivals"
-"""Metadata of the file: two lists, the clock of the device and of the host [ns], for the last sample of batches."""
+"""Metadata key of the file: two lists, times of device and host [ns] for the last samples of batches."""
 
 
 def archive(live: Path, target: Path) -> tuple[int, str, bool]:
-    """Write the whole batches of `live` to the Parquet file `target`, synced, re-read and compared byte for byte.
+    """Write the complete batches of `live` to the Parquet file `target`, synced, re-read and compared byte for byte.
 
-    Returns the rows, why reading stopped before the end mark (empty: it did not), and whether bytes were left that
-    belong to no whole batch. Raises OSError where it cannot be written, ValueError where `live` has no whole schema or
-    what was read back differs; `target` then does not exist.
+    Returns the number of rows, the reason why reading stopped before the end mark (empty: it did not), and whether
+    bytes remain that belong to no complete batch. Raises OSError where it cannot be written, ValueError where `live`
+    has no complete schema or the re-read data differ; `target` then does not exist.
     """
     with files.whole(target) as part:
         with live.open("rb") as file:
-            source = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last batch that is on it
+            source = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last batch on it
         reader = LiveReader(pa.py_buffer(source))
         digests = _write(part, reader, source)
         arrivals = reader.arrivals
@@ -55,10 +54,10 @@ def archive(live: Path, target: Path) -> tuple[int, str, bool]:
 
 
 def _write(part: Path, reader: LiveReader, source: mmap.mmap) -> list[bytes]:
-    """The digest of each row group written; what was read of `source` does not stay in memory."""
+    """Write the batches; returns the digest of each row group. Pages of `source` are released from memory."""
     schema = reader.schema
     integers = [field.name for field in schema if pa.types.is_signed_integer(field.type)]
-    others = [field.name for field in schema if pa.types.is_unsigned_integer(field.type)]  # flags: few different ones
+    others = [field.name for field in schema if pa.types.is_unsigned_integer(field.type)]  # flags: few different values
     digests = []
     with pq.ParquetWriter(
         part,
@@ -114,9 +113,9 @@ def _row_groups(path: Path) -> Iterator[Any]:
 
 
 def read_archive(source: Any) -> tuple[Any, dict[str, Any], list[tuple[int, int]]]:
-    """The table of a Parquet stream (a buffer), what its schema says, and its arrivals; ValueError where it is damaged.
+    """The table of a Parquet stream (a buffer), its description, and its arrivals; ValueError where it is damaged.
 
-    Arrivals: clock of the device and of the host [ns] for the last sample of each batch that has it.
+    Arrivals: times of device and host [ns] for the last sample of each batch with `host_ns`.
     """
     try:
         with pq.ParquetFile(source, page_checksum_verification=True) as file:
@@ -138,44 +137,44 @@ def span_of(path: Path) -> tuple[int, int, int]:
 
 
 FOR_SEAL = 64 * 1024
-"""Bytes; a seal is one hash a file, the cause, the counts and the result of each action of the vent: a tenth of it."""
+"""Space for the seal [bytes]; with one hash per file, cause, counts and vent actions it needs about a tenth of this."""
 FOR_EVENTS = 64 * 1024
-"""Bytes; some hundred events."""
+"""Space for some hundred events [bytes]."""
 
 
 def keep_room(folder: Path) -> None:
-    """Reserve the room for the end of a run in its folder. Raises OSError where there is not so much."""
+    """Reserve the space for the end of a run in its folder. Raises OSError if the disk has too little."""
     _reserve(files.part_of(folder / files.SEAL), FOR_SEAL)
     _reserve(files.part_of(folder / files.EVENTS), FOR_EVENTS)
 
 
 def free_for_events(folder: Path) -> None:
-    """Give the room for the last events back to the disk, for them. Harmless when repeated."""
+    """Release the space reserved for the last events; may be called again."""
     with suppress(OSError):
         files.part_of(folder / files.EVENTS).unlink()
 
 
 def write_into_room(path: Path, content: bytes) -> None:
-    """As `write_whole`, in the disk space that was reserved for `path`, if any was. Raises OSError."""
+    """As `write_whole`, but in the disk space reserved for `path`, if there is any. Raises OSError."""
     part = files.part_of(path)
     if not files.is_regular(part):
         files.write_whole(path, content)
         return
     flags = os.O_WRONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
-    with os.fdopen(os.open(part, flags), "wb") as file:  # which does not cut it off first
+    with os.fdopen(os.open(part, flags), "wb") as file:  # opened without truncation
         _write_all(file, content)
     part.replace(path)
     files.sync_folder(path.parent)
 
 
 def _reserve(path: Path, size: int) -> None:
-    """Make a file that takes `size` bytes of the disk: zeros would take none where the file system compresses."""
+    """Make a file of `size` random bytes: a compressing file system would not allocate space for zeros."""
     with path.open("xb") as file:
         _write_all(file, os.urandom(size))
 
 
 def _write_all(file: BufferedWriter, content: bytes) -> None:
-    """Make `content` all that a file holds, on the disk."""
+    """Write and sync `content` as the whole content of a file."""
     file.write(content)
     file.truncate()
     file.flush()
@@ -183,12 +182,12 @@ def _write_all(file: BufferedWriter, content: bytes) -> None:
 
 
 STRAY = re.compile(r"(?:.*/)?(?:\..*|.*~|Thumbs\.db|ehthumbs\.db|desktop\.ini)(?:/.*)?", re.IGNORECASE | re.DOTALL)
-"""Names that only file managers and editors make: they may change at any time, and are no part of a run."""
+"""Names of files that file managers and editors create; they may change at any time and are not part of a run."""
 
 
 @dataclass
 class _Streams:
-    """What became of the streams."""
+    """Result of the conversion of the streams."""
 
     described: dict[str, dict[str, Any]] = field(default_factory=dict)
     spans: list[tuple[float, float]] = field(default_factory=list)
@@ -196,15 +195,15 @@ class _Streams:
 
 
 def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
-    """Turn the streams into Parquet, write `seal.json` and make every file read-only.
+    """Convert the streams to Parquet, write `seal.json` and make every file read-only.
 
-    Raises OSError where something could not be written; streams that could not be turned stay as they are, and the
+    Raises OSError where something could not be written; streams that could not be converted stay as they are, and the
     status is then `error`.
     """
     streams = _turn(folder / files.STREAMS)
     if streams.failure is not None:
         text = str(files.cannot_write(folder, streams.failure))
-        known = status == "error" and files.reason_of(streams.failure) in why  # a full disk is named once
+        known = status == "error" and files.reason_of(streams.failure) in why  # not reported twice
         status, why = "error", why if known else f"{text}; before that: {status} {why}".rstrip()
     _tidy(folder)
     manifest = files.read_manifest(folder)
@@ -235,7 +234,7 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
 
 
 def _part_of_the_run(folder: Path) -> Iterator[tuple[str, Path]]:
-    """The files that are sealed: not the notes, which may come at any time, and nothing that is no file of a run."""
+    """The files to seal: regular files without notes, which may come at any time, and without stray files."""
     for name, path in files.files_of(folder):
         note = name == files.NOTES_HEAD or name.startswith(f"{files.NOTES}/")
         if not note and files.is_regular(path) and not STRAY.fullmatch(name):
@@ -243,7 +242,7 @@ def _part_of_the_run(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _tidy(folder: Path) -> None:
-    """Delete files that were begun and not completed; the space reserved for the seal stays. Raises OSError."""
+    """Delete incomplete files, except the space reserved for the seal. Raises OSError."""
     free_for_events(folder)
     room = files.part_of(folder / files.SEAL)
     for place in (folder, folder / files.STREAMS):
@@ -277,9 +276,9 @@ def _found(folder: Path, pattern: str) -> list[Path]:
 
 
 def close_interrupted(folder: Path) -> Path:
-    """Seal a run whose writer died, with all whole batches and the status `interrupted`; a sealed run stays as it is.
+    """Seal a run whose writer died, with all complete batches and the status `interrupted`; a sealed run is unchanged.
 
-    Raises RecordError where its writer still lives or it cannot be written, InvalidFile where it is no run.
+    Raises RecordError where its writer still runs or it cannot be written, InvalidFile where it is not a run.
     """
     manifest = files.read_manifest(folder)
     if files.read_seal(folder) is not None:

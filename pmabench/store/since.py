@@ -1,11 +1,11 @@
-"""What came to a run after it was sealed, and whether a run is still what it was; changes nothing.
+"""Finds additions to a run after it was sealed, and fingerprints runs; changes nothing.
 
-A sealed folder is never written again. What arrives late (the guard's account of a vent) lies in a folder next to it,
-whose name is that of the run folder and `.late`. What somebody else put into the folder (a file manager, an editor) is
-no part of the run: it is named, and nothing reads it. Standard library only.
+A sealed folder is never written again. Late data (the guard's report of a vent) are in a folder next to it, with the
+name of the run folder and `.late`. Files that others put into the folder (a file manager, an editor) are not part of
+the run: they are reported, and never read. Standard library only.
 
-The fingerprint of a run covers the bytes of manifest, seal and head of the notes, which carry the hashes of all that
-was recorded and said; of every other file its size and time of change, so that a file changed in place is seen too.
+The fingerprint of a run covers the bytes of manifest, seal and head of the notes, which contain the hashes of all data
+and notes, and size and modification time of every other file, so that a file changed in place is detected too.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from pmabench.store import notes
 from pmabench.store.folder import is_regular, kind_of, open_regular, read_file
 
 LONGEST = 1_000_000
-"""Most bytes of a guard's account; a longer file is ignored."""
+"""Largest size of a guard's report [bytes]; a longer file is ignored."""
 NAMED = 3
-"""So many names are in a sentence."""
+"""Largest number of names in a sentence."""
 
 
 @dataclass(frozen=True)
 class Added:
-    """Something in the folder of a sealed run that was not sealed."""
+    """An entry in the folder of a sealed run that is not in the seal."""
 
     name: str
-    """Inside the run folder, `/` between folders."""
+    """Path inside the run folder, with `/`."""
     what: str
     """`a file`, `a folder`, `a link`, `a FIFO` ..."""
 
     @property
     def sentence(self) -> str:
-        """As `runs verify` says it after the name."""
+        """Text of `runs verify` after the name."""
         kind = "" if self.what == "a file" else f"; it is {self.what}"
         if self.name.startswith(f"{files.NOTES}/"):
             return f"was added to the note{kind}" if self.name.count("/") > 1 else "was put among the notes; it is none"
@@ -55,19 +55,19 @@ class Added:
 
 @dataclass(frozen=True)
 class Since:
-    """Everything that came after the seal."""
+    """Everything that changed after the seal."""
 
     added: tuple[Added, ...] = ()
     late: tuple[str, ...] = ()
     """Names of the files in the folder next to the run."""
     guard: Mapping[str, Any] = field(default_factory=dict)
-    """The guard's account that came late, from either place; empty where there is none."""
+    """The guard's late report, from either place; empty where there is none."""
     altered: tuple[str, ...] = ()
-    """What happened to kept files that the samples do not come from (an imported file, calibrations), one each."""
+    """Sentences about changed files without samples (an imported file, calibrations)."""
 
     @property
     def sentences(self) -> list[str]:
-        """What people should know; empty for a run that is as it was sealed."""
+        """Sentences for the user; empty for an unchanged run."""
         found = list(self.altered)
         if self.added:
             names = _listed([entry.name for entry in self.added])
@@ -80,21 +80,21 @@ class Since:
         return found
 
     def as_data(self) -> dict[str, Any]:
-        """As plain data for programs."""
+        """Plain data for programs."""
         added = [vars(entry) for entry in self.added]
         return {"added": added, "late": list(self.late), "guard": dict(self.guard), "altered": list(self.altered)}
 
 
 def vent_of(guard: Mapping[str, Any]) -> str:
-    """The result of the vent in a guard's account."""
+    """The result of the vent in a guard's report."""
     vent = guard.get("vent")
     return str((vent.get("result") if isinstance(vent, Mapping) else None) or "no result is given")
 
 
 def since(folder: Path, manifest: Mapping[str, Any], seal: Mapping[str, Any] | None) -> Since:
-    """What came to a run after its seal, and what became of kept files; raises InvalidFile where one cannot be read."""
+    """Additions to a run after its seal, and changes of kept files; raises InvalidFile where one cannot be read."""
     hashes = {name: entry["sha256"] for name, entry in seal["files"].items()} if seal else manifest.get("snapshots", {})
-    own = (files.MANIFEST, files.EVENTS, files.PLAN, files.GUARD)  # whoever reads these refuses changed ones
+    own = (files.MANIFEST, files.EVENTS, files.PLAN, files.GUARD)  # readers of these refuse changed ones
     kept = sorted(name for name in hashes if name not in own and name.split("/")[0] != files.STREAMS)
     try:
         faults = {name: files.fault_of(folder, name, hashes[name]) for name in kept}
@@ -110,20 +110,20 @@ def since(folder: Path, manifest: Mapping[str, Any], seal: Mapping[str, Any] | N
 
 
 def as_sealed(folder: Path) -> bool:
-    """Whether every file of a sealed run, and every note, holds the bytes that were written."""
+    """Whether every file of a sealed run and every note is unchanged."""
     sealed = (files.read_seal(folder) or {}).get("files", {})
     same = all(not files.fault_of(folder, name, entry["sha256"], entry["bytes"]) for name, entry in sealed.items())
     return same and next(iter(notes.check_notes(folder)), None) is None
 
 
 def late_folder(folder: Path) -> Path:
-    """The folder next to a run for files that came after its seal."""
+    """The folder next to a run for files written after its seal."""
     whole = folder if folder.name not in {"", ".", ".."} else folder.resolve()
     return whole.with_name(whole.name + files.LATE)
 
 
 def late_files(folder: Path) -> list[str]:
-    """Names of what came late for a run, sorted; unfinished files are left out."""
+    """Names of the late files of a run, sorted, without unfinished ones."""
     place = late_folder(folder)
     with suppress(OSError):
         if not place.is_symlink():
@@ -132,13 +132,13 @@ def late_files(folder: Path) -> list[str]:
 
 
 def late_guard(folder: Path) -> dict[str, Any]:
-    """The guard's account next to a run; empty where there is none that can be read."""
+    """The guard's report next to a run; empty where there is none that can be read."""
     place = late_folder(folder)
     return {} if place.is_symlink() else guard_account(place / files.GUARD)
 
 
 def guard_account(path: Path) -> dict[str, Any]:
-    """A guard's account that no seal protects; empty where it cannot be read."""
+    """A guard's report that no seal protects; empty where it cannot be read."""
     with suppress(OSError, ValueError, RecursionError), open_regular(path) as file:
         raw = file.read(LONGEST + 1)
         account = json.loads(raw) if len(raw) <= LONGEST else None
@@ -147,7 +147,7 @@ def guard_account(path: Path) -> dict[str, Any]:
 
 
 def adopt(folder: Path) -> None:
-    """Take the guard's account into a run that is not sealed yet, so that the seal will protect it. Raises OSError."""
+    """Move the guard's report into a run that is not sealed yet, so that the seal covers it. Raises OSError."""
     late = late_folder(folder)
     if late.is_symlink() or os.path.lexists(folder / files.GUARD) or not is_regular(late / files.GUARD):
         return
@@ -156,15 +156,15 @@ def adopt(folder: Path) -> None:
     if len(raw) > LONGEST:
         return
     files.write_whole(folder / files.GUARD, raw)
-    with suppress(OSError):  # it is in both places then, and says the same
+    with suppress(OSError):  # harmless: it is then in both places
         (late / files.GUARD).unlink()
         late.rmdir()
 
 
 def added(folder: Path, seal: Mapping[str, Any]) -> Iterator[Added]:
-    """What the folder of a sealed run holds and its seal does not name, sorted; a folder that was added counts as one.
+    """Entries in the folder of a sealed run that its seal does not list, sorted; an added folder counts as one.
 
-    Notes are left out, since they may come at any time and have hashes of their own; what was put among them is not.
+    Notes are left out, since they may come at any time and have their own hashes; other files among them are included.
     Raises OSError.
     """
     sealed = set(seal["files"])
@@ -201,7 +201,7 @@ def _among_notes(folder: Path) -> Iterator[Added]:
 
 
 def _attached(note: Path) -> set[str]:
-    """Names of the files of a note, as far as it can be read; whether it is right, `check_notes` says."""
+    """Names of the files of a note; empty if it cannot be read. `check_notes` verifies them."""
     with suppress(OSError, ValueError, RecursionError, TypeError, KeyError), open_regular(note) as file:
         return {str(entry["name"]) for entry in json.loads(file.read(LONGEST))["files"]}
     return set()
@@ -219,14 +219,14 @@ def _listed(names: list[str]) -> str:
 
 READ = (files.MANIFEST, files.SEAL, files.NOTES_HEAD)
 PARTS = ("analysis", "base", "bench", "files", "kinds", "model", "plotting", "report", "store")
-"""Packages that make results of runs, and reports of results."""
+"""Packages whose code affects results and reports."""
 LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "matplotlib", "jinja2")
 GROUPS = ("pmabench.kinds", "pmabench.models", "pmabench.rules")
-"""Entry points by which other packages bring code that makes results."""
+"""Groups of entry points through which other packages add code that affects results."""
 
 
 def fingerprint(chain: Iterable[Path], about: str) -> str:
-    """Hash of the runs of a chain and of `about` (options); empty where one of them is not closed or cannot be read."""
+    """Hash of the runs of a chain and of `about` (options); empty if one of them is not closed or cannot be read."""
     digest = hashlib.sha256(about.encode())
     try:
         for run in chain:
@@ -240,7 +240,7 @@ def fingerprint(chain: Iterable[Path], about: str) -> str:
 
 
 def stamp(folder: Path) -> str:
-    """Hash of the names, sizes and times of all files of a folder; empty where it cannot be read."""
+    """Hash of the names, sizes and modification times of all files of a folder; empty if it cannot be read."""
     digest = hashlib.sha256()
     try:
         _take(digest, folder)
@@ -250,7 +250,10 @@ def stamp(folder: Path) -> str:
 
 
 def _take(digest: hashlib._Hash, folder: Path, read: Collection[str] = ()) -> set[str]:
-    """Add name, size and time of each file of a folder to a hash, the bytes of those to `read`; returns the names."""
+    """Update a hash with name, size and time of each file of a folder, or the bytes of those in `read`.
+
+    Returns the names.
+    """
     names = set()
     for name, entry in _walk(folder):
         names.add(name)
@@ -261,7 +264,7 @@ def _take(digest: hashlib._Hash, folder: Path, read: Collection[str] = ()) -> se
 
 
 def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str]]]:
-    """Every file below a folder with its name there, in one order everywhere."""
+    """Every file below a folder as (relative name, entry), in the same order on every system."""
     for entry in _inside(folder):
         if entry.is_dir(follow_symlinks=False):
             yield from _walk(Path(entry.path), f"{prefix}{entry.name}/")
@@ -271,15 +274,13 @@ def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str
 
 @cache
 def program() -> str:
-    """Hash of the code that makes results and reports, of pmabench and of packages that extend it, and of the versions
-    of the libraries that compute and draw.
-    """
+    """Hash of the code of pmabench and its extensions that affects results and reports, and of library versions."""
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parents[1]
     for place in [*(root / part for part in PARTS), *_extensions()]:
         inside = _walk(place) if place.is_dir() else [("", place)]
         for name, path in inside:
-            if "__pycache__/" not in name:  # compiled templates, too: the first report would change the program
+            if "__pycache__/" not in name:  # includes compiled templates, which the first report creates
                 digest.update(f"{place.name}/{name}\0".encode())
                 digest.update(Path(path).read_bytes())
     for library in LIBRARIES:

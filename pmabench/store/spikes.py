@@ -1,4 +1,4 @@
-"""Single samples that stand out from all their neighbours as nothing else in a channel does."""
+"""Finds spikes: single samples that differ from all their neighbours much more than others in the channel."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ import numpy as np
 from pmabench.store.records import Array
 
 MANY = 0.1
-"""Share of the samples that may be spikes or bursts; what is more frequent is the signal."""
+"""Largest share of samples that may be spikes or bursts; anything more frequent is signal."""
 FEW = 50
-"""With fewer samples scatter cannot be distinguished from spikes."""
+"""Least number of samples to distinguish spikes from scatter."""
 AROUND = 12
-"""Neighbours on either side with which a spike is compared ..."""
+"""Number of neighbours on either side with which a sample is compared ..."""
 ALONE = 3
 """... without those nearer than this, since a spike may be three samples long."""
 SPIKE = 4.0
-"""A spike lies so many times further out than all but the most scattered samples."""
+"""A spike is this many times further out than all but the most scattered samples."""
 SMALLEST = 0.02
-"""Share of the span of a channel below which nothing is a spike."""
+"""Smallest spike, as a share of the channel's span."""
 SCATTERED = 0.005
-"""Share of the samples that are the most scattered; at least six."""
+"""Share of samples that count as the most scattered; at least six samples."""
 ENDS = (SCATTERED, 1.0 - SCATTERED)
 RARE = 6.5
-"""Standard deviations of the noise from sample to sample within which nothing is a spike."""
+"""Smallest spike, in standard deviations of the noise."""
 ENOUGH = 100_000
-"""Samples that show in which steps a channel reads."""
+"""Number of samples that suffices for statistics of a channel."""
 
 
 def beyond_neighbours(values: Array, swings: bool = True) -> Array:
-    """How far each value stands out alone, shape (n,): the lesser of two distances, none below 0.
+    """Isolated deviation of each value, shape (n,): the smaller of two distances, at least 0.
 
-    Beyond all of its neighbours, the 3rd to the 12th on either side; from the running median of seven, which three in
-    a row do not move. Of what `swings`, as no command does, the difference of the levels before and after is taken off,
-    since what swings over after a step is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours
-    are on one side only, so much is taken off as these move.
+    The distances are those beyond all neighbours from the 3rd to the 12th on either side, and from the running median
+    of seven, which three outliers do not move. For channels with overshoot (`swings`; commands have none) the
+    difference of the levels before and after is subtracted, since overshoot after a step is not a spike. Steps, ramps
+    and waves give values near 0. At the ends, with neighbours on one side only, their range is subtracted.
     """
     low, high = _extremes(values)
     beyond = np.fmax(values - high, low - values)
     out = np.zeros(len(values))
     padded = np.pad(values, AROUND, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
-    outside = np.flatnonzero(beyond > 0)  # all others lie among their neighbours: 0
+    outside = np.flatnonzero(beyond > 0)  # all others are within the range of their neighbours: 0
     for begin in range(0, len(outside), 100_000):
         rows = outside[begin : begin + 100_000]
         around = windows[rows]
@@ -60,12 +60,12 @@ def beyond_neighbours(values: Array, swings: bool = True) -> Array:
 
 
 def _extremes(values: Array) -> tuple[Array, Array]:
-    """The lowest and the highest of the neighbours of each value, the 3rd to the 12th on either side."""
+    """Lowest and highest neighbour of each value, from the 3rd to the 12th on either side; shape (n,) each."""
     wide, ends = AROUND - ALONE + 1, []
     for least, nothing in ((np.fmin, np.inf), (np.fmax, -np.inf)):
         run = np.pad(values, AROUND, constant_values=nothing)
         done = 1
-        while done < wide:  # the extreme of so many values in a row, from that of fewer
+        while done < wide:  # extreme of a longer window from that of shorter ones
             more = min(done, wide - done)
             run, done = least(run[:-more], run[more:]), done + more
         ends.append(least(run[: len(values)], run[AROUND + ALONE :][: len(values)]))
@@ -73,10 +73,10 @@ def _extremes(values: Array) -> tuple[Array, Array]:
 
 
 def spike_limit(values: Array, apart: Array) -> float:
-    """Distance from which on a sample counts as a spike: far beyond scatter, resolution and 2 % of the channel's span.
+    """Deviation above which a sample is a spike: far beyond scatter, resolution and 2 % of the channel's span.
 
-    Frequent spikes would pass for scatter. The gap below them shows them: the largest lie
-    `SPIKE` times further out than all that follow.
+    Frequent spikes could be taken for scatter. A gap reveals them: the largest deviations are `SPIKE` times larger than
+    all that follow.
     """
     most = max(6, int(MANY * len(apart)))
     above = apart[apart > 0]
@@ -98,7 +98,7 @@ def spike_limit(values: Array, apart: Array) -> float:
 
 
 def some_of(values: Array) -> Array:
-    """Some of many values, evenly spread, so that their quantiles cost little."""
+    """About `ENOUGH` of the values, evenly spread, for fast quantiles."""
     return values[:: 1 + len(values) // ENOUGH]
 
 

@@ -1,6 +1,7 @@
-"""Times of samples: a device's clock against the host's, streams put on one time base, how even the sampling was.
+"""Times of samples: clocks of device and host, streams on one time base, regularity of the sampling.
 
-Pure functions. Interpolation fills no hole: where another stream has no value near a time, the sample is flagged.
+Pure functions. Interpolation does not bridge gaps: where another stream has no value near a time, the sample is
+flagged.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from numpy.typing import NDArray
 from pmabench.store.records import UNUSABLE, Array, ClockInfo, Flag, Flags, TrialData
 
 REACH = 1.5
-"""Neighbours farther apart than so many periods of their stream have a hole between them."""
+"""Longest interval between neighbours without a gap [periods of the stream]."""
 _SAME = 1e-9
-"""Times closer than this [s] are the same."""
+"""Times closer than this [s] count as equal."""
 
 
 def onto(
     t: Array, flags: Flags, other_t: Array, other_flags: Flags, channels: Mapping[str, Array], rate: float
 ) -> tuple[dict[str, Array], Flags, str]:
-    """`channels` of a stream with times `other_t` [s] and `rate` [Hz, 0: none], at the times `t` [s] of `flags`.
+    """`channels` of a stream with times `other_t` [s] and `rate` [Hz, 0: irregular], interpolated to the times `t` [s].
 
-    Streams with the same times are taken as they are, with the flags of both. Else values are interpolated between two
-    neighbours that can be used and are closer than REACH periods, by a cubic that stays between their values and is
-    straight where a neighbour's neighbour is missing; elsewhere they are NaN and the sample is flagged GAP. Returns
-    channels and flags, both of the length of `t`, and what was done (empty: nothing).
+    Streams with equal times are combined unchanged, with the flags of both. Otherwise values are interpolated between
+    two usable neighbours less than REACH periods apart, by a monotone cubic with one-sided slopes next to a gap;
+    elsewhere they are NaN and the sample is flagged GAP. Returns channels and flags, both of the length of `t`, and a
+    phrase that states what was done (empty: nothing).
     """
     if np.array_equal(t, other_t):
         return dict(channels), flags | other_flags, ""
@@ -57,9 +58,9 @@ def onto(
 
 
 def _slopes(steps: Array, values: Array, left: NDArray[np.intp], right: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Slopes at both ends of the stretches from `left` to `right`, so that the cubic is monotone between samples.
+    """Slopes at both ends of the intervals from `left` to `right`, for a cubic that is monotone between samples.
 
-    `steps` [s] between the samples, inf over a hole. Fritsch, Butland: A method for constructing local monotone
+    `steps` [s] between the samples, inf over a gap. Fritsch, Butland: A method for constructing local monotone
     piecewise cubic interpolants, SIAM J. Sci. Stat. Comput. 5 (1984), 300-304.
     """
     slope = np.where(np.isfinite(steps), np.diff(values) / steps, np.nan)
@@ -76,19 +77,19 @@ def _slopes(steps: Array, values: Array, left: NDArray[np.intp], right: NDArray[
 
 
 PRIOR_DRIFT = 100e-6
-"""A quartz clock is not farther off than this [1]: what holds where the arrivals do not show drift better."""
+"""Largest drift of a quartz clock [1], used where the arrivals do not determine the drift better."""
 WINDOWS = 10
-"""Stretches of time whose shortest delays are compared with the fit."""
+"""Number of time windows whose shortest delays are compared with the fit."""
 
 
 def fit_clock(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:
     """The clock of a device from pairs of the device's time and the host's time of arrival [ns].
 
-    A delay is never negative, so the line lies below all points and as close to them as it can: that of least mean
-    delay, an edge of the lower convex hull (Moon, Skelly, Towsley: Estimation and removal of clock skew from network
-    delay measurements, INFOCOM 1999; hull: Zhang, Liu, Xia, INFOCOM 2002). The uncertainty comes from the shortest
-    delays in each of `WINDOWS` stretches: how far they lie above the line, and how far apart the shortest two are. A
-    delay that is the same for all samples cannot be seen from here and stays in the offset.
+    A delay is never negative, so the line is below all points, with the least mean delay: an edge of the lower convex
+    hull (Moon, Skelly, Towsley: Estimation and removal of clock skew from network delay measurements, INFOCOM 1999;
+    hull: Zhang, Liu, Xia, INFOCOM 2002). The uncertainty comes from the shortest delays in each of `WINDOWS` time
+    windows: their distance above the line, and the difference of the shortest two. A constant delay cannot be observed
+    and stays in the offset.
     """
     device, host = np.asarray(device_ns, dtype=np.int64), np.asarray(host_ns, dtype=np.int64)
     middle = int(device[0]) + int(np.int64(device[-1]) - device[0]) // 2
@@ -106,17 +107,17 @@ def fit_clock(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:
 
 
 def stamped(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:
-    """The clock of a stream that the computer itself stamps, halfway between question and answer [ns].
+    """The clock of a stream that the computer stamps itself, halfway between request and answer [ns].
 
-    It is the time of the run. When in a poll the device measured is not known, so the mean time from stamp to arrival,
-    half of a poll, bounds the mean error.
+    It is the time of the run. The time of measurement within a poll is unknown, so the mean time from stamp to arrival,
+    half a poll, bounds the mean error.
     """
     late = np.asarray(host_ns, dtype=np.int64) - np.asarray(device_ns, dtype=np.int64)
     return ClockInfo(uncertainty=float(np.mean(np.maximum(late, 0))) / 1e9, how="stamped by the computer")
 
 
 def _below(x: Array, delay: Array) -> tuple[float, float]:
-    """Slope and value at 0 of the line below all points whose mean distance to them is least; shapes (n,)."""
+    """Slope and value at 0 of the line below all points with the least mean distance; `x`, `delay`: shape (n,)."""
     order = np.lexsort((delay, x))
     hull: list[tuple[float, float]] = []
     for point in zip(x[order].tolist(), delay[order].tolist(), strict=True):
@@ -138,7 +139,7 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 
 
 def _shortest(x: Array, delay: Array) -> Array:
-    """Of each stretch of time with points: the shortest delay, and how much longer the next is; shape (m, 2)."""
+    """Shortest delay of each window with at least two points, and how much longer the next is; shape (m, 2)."""
     which = np.searchsorted(np.linspace(float(x.min()), float(x.max()), WINDOWS + 1)[1:-1], x)
     found = []
     for number in range(WINDOWS):
@@ -150,21 +151,21 @@ def _shortest(x: Array, delay: Array) -> Array:
 
 @dataclass(frozen=True)
 class Sampling:
-    """How evenly a run was sampled: statistics of the intervals between neighbouring samples of all trials."""
+    """Regularity of a run's sampling: statistics of the intervals between samples of all trials."""
 
     rows: int
     rate: float
-    """Samples by time from the first to the last one of each trial [Hz]."""
+    """Number of intervals divided by their total duration [Hz]."""
     interval: float
-    """Median [s]."""
+    """Median interval [s]."""
     jitter: float
-    """Standard deviation of the intervals before which nothing is missing, about the median [s]."""
+    """Rms deviation from the median, of intervals without missing samples [s]."""
     longest: float
-    """[s]"""
+    """Longest interval [s]."""
     late: int
-    """Samples that were taken late."""
+    """Number of samples that were taken late."""
     gaps: int
-    """Samples before which others are missing."""
+    """Number of samples before which others are missing."""
 
 
 def sampling(trials: Sequence[TrialData]) -> Sampling | None:

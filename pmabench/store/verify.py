@@ -1,4 +1,4 @@
-"""Tells whether a run folder is what was written: hashes, checksums, sequences, rows, time; never mends anything."""
+"""Verifies that a run folder is unchanged: hashes, checksums, sequences, rows, time; never repairs anything."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _FLAGGED = np.uint16(Flag.GAP | Flag.LATE | Flag.TIME_JUMP)
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with one file of a run, or that was added to it."""
+    """A fault of one file of a run, or a file that was added to it."""
 
     file: str
     message: str
     added: bool = False
-    """No damage: the sealed part is whole, and somebody put something into its folder."""
+    """Whether it is an added file and not damage to the sealed part."""
 
     def __str__(self) -> str:
         """`file: message`."""
@@ -37,10 +37,10 @@ class Finding:
 
 
 def verify(path: Path | str) -> list[Finding]:
-    """Everything that is wrong with a run, or was added to it; empty for one that was closed and not touched since.
+    """All faults of a run and additions to it; empty for a closed and unchanged run.
 
-    Only files of the run are opened, and of them only regular ones. Gaps that the record itself flags are no finding.
-    Raises InvalidFile for what is not a run folder.
+    Only regular files of the run are opened. Gaps that are flagged in the record are not reported. Raises InvalidFile
+    for a folder that is not a run.
     """
     try:
         return _verify(Path(path))
@@ -80,14 +80,14 @@ def _or_finding(found: list[Finding], name: str, read: Callable[[], dict[str, An
 
 
 def _changed(folder: Path, known: Mapping[str, tuple[str, int | None]]) -> Iterator[Finding]:
-    """Files that are not as they were; `known`: name -> sha256 and bytes, where these are known."""
+    """Findings for changed files; `known`: name -> sha256 and size [bytes], None where not known."""
     for name, (digest, size) in sorted(known.items()):
         if fault := files.fault_of(folder, name, digest, size):
             yield Finding(name, fault)
 
 
 def _read(folder: Path, seal: Mapping[str, Any] | None, name: str) -> bytes:
-    """A file; of a sealed one at most so much that it shows whether it has grown."""
+    """The bytes of a file; of a sealed one at most one more than its size, which shows whether it has grown."""
     sealed = seal["files"].get(name) if seal is not None else None
     return files.read_file(folder, name, None if sealed is None else sealed["bytes"] + 1)
 
@@ -138,7 +138,7 @@ def _streams(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
 
 
 def _time(folder: Path) -> list[Finding]:
-    """Holes and steps back within a trial that no flag marks."""
+    """Findings for gaps and backward steps of time within a trial that are not flagged."""
     run = RunFiles(folder)
     events = events_of(run.journal())
     found = []

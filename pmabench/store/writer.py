@@ -1,8 +1,8 @@
-"""Writes one run: the folder before anything moves, samples and events while it runs, the seal at its end.
+"""Writes one run: the folder before anything moves, samples and events during the run, the seal at its end.
 
-Samples wait in memory for at most a twentieth of a second of wall clock; a thread hands them to the operating system,
-and another one syncs them, so that a slow disk holds up nothing. The writer must not know plans, what trials mean, or
-SI values. Its README.txt says how to read a run without pmabench, in lines that the tests execute.
+Samples wait in memory for about 0.05 s of wall-clock time; one thread passes them to the operating system, and another
+one syncs them, so that a slow disk does not block the run. The writer must not know plans, the meaning of trials, or SI
+values. The README.txt explains how to read a run without pmabench, in lines that the tests execute.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from pmabench.store.livestream import LiveStream, describe
 from pmabench.store.seal import free_for_events, keep_room, seal
 
 FLUSH_EVERY = 0.05
-"""Samples go to the operating system after so long [s of wall clock]."""
+"""Interval at which samples are passed to the operating system [s of wall clock]."""
 SYNC_EVERY = 1.0
-"""Samples and events are synced after so long [s of wall clock]."""
+"""Interval at which samples and events are synced [s of wall clock]."""
 STALLED = 5.0
-"""A disk that has taken nothing for so long [s of wall clock] has failed, where samples come in real time."""
+"""In real time, a disk that has accepted nothing for this long [s of wall clock] has failed."""
 PATIENT = 120.0
-"""The same where they can wait: in virtual time, and when files are imported."""
+"""The same where samples can wait: in virtual time, and for imports."""
 AT_ONCE = 100_000
-"""Rows that are written together where all of them are there already."""
+"""Number of rows written together if all are available at once."""
 _SAMPLES_FIRST = ("trial-end", "vent", "end")
-"""Events that are written after all samples before them."""
+"""Kinds of events before which all waiting samples are written."""
 
 
 class RunWriter:
@@ -53,7 +53,7 @@ class RunWriter:
         """Use `RunWriter.create`."""
         self.folder = folder
         self.waits = False
-        """Whether samples can wait for the disk."""
+        """Whether samples can wait for the disk, as in virtual time."""
         self._manifest = manifest
         self._events = events
         self._lines: list[bytes] = []
@@ -79,10 +79,10 @@ class RunWriter:
     def create(
         cls, parent: Path, name: str, manifest: Mapping[str, Any], snapshots: Mapping[str, bytes | files.Copy]
     ) -> RunWriter:
-        """Make the folder `parent`/`name` (`name-2` ... where taken) with snapshots and manifest, whole and synced.
+        """Make the folder `parent`/`name` (`name-2` ... if it exists) with snapshots and manifest, complete and synced.
 
-        `snapshots` maps names inside the folder to the bytes of files that the run was made from. What the manifest
-        does not say of id, schema, start, versions and hashes is added. Leaves nothing behind where it fails.
+        `snapshots` maps names inside the folder to the contents of the run's source files. Id, schema, versions and
+        hashes are added to the manifest, and the start if missing. Leaves nothing behind if it fails.
         """
         contents = {files.check_name(key): value for key, value in snapshots.items()}
         contents[files.README] = Path(__file__).with_name("readme.txt").read_bytes()
@@ -117,7 +117,7 @@ class RunWriter:
         return cls(folder, full, events)
 
     def open_stream(self, name: str, columns: Sequence[Mapping[str, Any]], rate: float) -> None:
-        """Begin a stream of one device, with its columns as `asdict(ChannelRecord)` and its rate [Hz, 0: none]."""
+        """Begin a stream of one device with its columns as `asdict(ChannelRecord)` and its rate [Hz, 0: irregular]."""
         self._check()
         if name in self._streams:
             raise RecordError(f"stream {name} is open already")
@@ -141,10 +141,10 @@ class RunWriter:
     ) -> None:
         """Take samples of a stream: device clock [ns], raw values by column and flags, all of shape (n,).
 
-        `host_ns` is when they came in, on the host's monotonic clock [ns since the start of the run]; without it the
-        two clocks are taken as equal, or as a `clock` event says.
-        They are copied, and on disk within a quarter of a second. When it raises because of an earlier failure to
-        write, they are kept all the same, and tried once more by `close`.
+        `host_ns` is their arrival on the host's monotonic clock [ns since the start of the run]; without it the clocks
+        are taken as equal, or related by a `clock` event. The samples are copied; they are written after about
+        `FLUSH_EVERY` and synced after about `SYNC_EVERY`. If it raises because of an earlier failed write, they are
+        still kept, and `close` tries to write them again.
         """
         if stream not in self._streams or self._closed:
             raise RecordError(f"stream {stream} is not open")
@@ -160,7 +160,7 @@ class RunWriter:
     def append_now(
         self, stream: str, time_ns: NDArray[np.int64], columns: Mapping[str, Any], flags: NDArray[np.uint16]
     ) -> None:
-        """As `append`, and returns when they are written: so many rows may follow that they cannot wait in memory."""
+        """As `append`, but returns after they are written, for more rows than memory can hold."""
         for begin in range(0, len(time_ns), AT_ONCE):
             part = slice(begin, begin + AT_ONCE)
             self.append(stream, time_ns[part], {name: values[part] for name, values in columns.items()}, flags[part])
@@ -169,9 +169,9 @@ class RunWriter:
                 self._check()
 
     def event(self, kind: str, t: float, **data: Any) -> None:
-        """Add an event at `t` [s from the start]; with the operating system when this returns.
+        """Add an event at `t` [s from the start]; it has been passed to the operating system when this returns.
 
-        Samples that came before the end of a trial, a vent or the end are written before it.
+        Before the end of a trial, a vent or the end of the run all waiting samples are written.
         """
         if self._closed:
             raise RecordError(f"the run {self.folder.name} is closed")
@@ -190,9 +190,9 @@ class RunWriter:
                 self._lines.clear()
 
     def _try(self, path: Path, act: Callable[[], None], failures: type[Exception] = OSError) -> bool:
-        """Whether `act` could write `path`; the first failure of a run is the one that is reported.
+        """Run `act`, which writes `path`; returns whether it succeeded. The first failure is stored for `_check`.
 
-        In the threads every failure counts: the run is then not recorded, and its engine must know.
+        The threads catch every kind of error: the run is then no longer recorded, and the engine must be informed.
         """
         try:
             act()
@@ -207,13 +207,13 @@ class RunWriter:
             raise self._failure
 
     def _pump(self) -> None:
-        """A thread: hands samples to the operating system, and does not wait for the disk."""
+        """Thread body: passes samples to the operating system without waiting for the disk."""
         while not self._stop.wait(FLUSH_EVERY):
             if not all(self._try(s.file.path, s.drain, Exception) for s in list(self._streams.values())):
                 return
 
     def _sync(self) -> None:
-        """A thread: syncs what was handed over, so that it survives a power cut."""
+        """Thread body: syncs the written data, so that they survive a power cut."""
         while not self._stop.wait(SYNC_EVERY):
             self._syncing = time.monotonic()
             streams = [stream.file for stream in list(self._streams.values())]
@@ -222,7 +222,7 @@ class RunWriter:
             self._syncing = None
 
     def _halt(self) -> None:
-        """End the threads and hand over what still waits; at the interpreter's end at the latest."""
+        """End the threads and write waiting samples; at the interpreter's exit at the latest."""
         self._stop.set()
         for thread in self._threads:
             thread.join()
@@ -232,10 +232,10 @@ class RunWriter:
                 stream.drain()
 
     def close(self, status: str, why: str = "", **end: Any) -> Path:
-        """Write the end mark with `end`, turn streams into Parquet, seal the folder; returns it.
+        """Write the end mark with `end`, convert streams to Parquet, and seal the folder; returns its path.
 
-        `status` is one of `finished`, `failed`, `aborted`, `tripped`, `error`. Where rows or events could not be
-        written the status becomes `error`, all that can be kept is sealed, and RecordError is raised after that.
+        `status` is one of `finished`, `failed`, `aborted`, `tripped`, `error`. If rows or events could not be written
+        the status becomes `error`, everything available is sealed, and then RecordError is raised.
         """
         if self._closed:
             raise RecordError(f"the run {self.folder.name} is closed")
@@ -250,7 +250,7 @@ class RunWriter:
         self._closed = True
         try:
             try:
-                if self._lines:  # what could not be written before, once more
+                if self._lines:  # retry events that could not be written
                     free_for_events(self.folder)
                 self._events.write(b"".join(self._lines))
                 self._events.sync()
@@ -277,7 +277,7 @@ class RunWriter:
 
 
 def _with(failure: RecordError, status: str, why: str) -> str:
-    """The failure of the record with the status and cause that the run had before it; nothing is repeated."""
+    """Sentence with the failure of the record, and the status and cause of the run before it, without repetition."""
     return why if why.startswith(str(failure)) else f"{failure}; before that: {status} {why}".rstrip()
 
 

@@ -170,7 +170,7 @@ REFUSED = {
     "a dead band without lag": ("regulator", "regulator: {dead_band: 1 kPa}", 'needs a "lag"'),
     "a lag of a day": ("regulator", "regulator: {lag: 1 day}", "outside 0 s to 60 s"),
     "another law": ("law", "law: hill", '"hill" is no law of a plant'),
-    "too much pressure": ("highest_pressure", "highest_pressure: 60 bar", "6000 kPa is outside 1 kPa to 1000 kPa"),
+    "too much pressure": ("highest_pressure", "highest_pressure: 60 bar", "6000 kPa is outside 1 kPa to 2000 kPa"),
 }  # fmt: skip
 
 

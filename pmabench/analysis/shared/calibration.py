@@ -1,4 +1,4 @@
-"""Effect of the uncertainties of the channels' scales on a result, to first order; knows no test.
+"""Effect of the calibration uncertainties of channels on a result, to first order.
 
 A calibration gives two expanded uncertainties (95 %, k = 2), independent of each other: an offset, the same at every
 reading [SI of the channel], and a gain, a share of the reading: true value = (1 + gain) reading + offset.
@@ -14,20 +14,20 @@ from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import RunData
 
 Sensitivities = Mapping[str, float]
-"""Channel -> change of a result."""
+"""Channel -> derivative of a result by its gain or offset."""
 Values = Mapping[str, float | None]
 """Symbol -> value; None where there is none."""
 NOT_DECLARED = "calibration part: the record gives no"
-"""Words of a note about a channel whose uncertainty is not in the calibration part."""
+"""Text in a note about a channel whose uncertainty is not in the calibration part."""
 
 HYSTERESIS = 1 / 3
-"""Share of the uncertainty of a sensor's offset that may be hysteresis, as data sheets have it: the rest is its zero,
-which may drift, and its line, which may be bent."""
+"""Share of the uncertainty of a sensor's offset that may be hysteresis, from data sheets: the rest is drift of its zero
+and non-linearity."""
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Expanded uncertainties by channel, the largest of several runs; only those that every run's record gives."""
+    """Expanded uncertainties by channel, the largest of several runs; only channels for which every run gives it."""
 
     offsets: Mapping[str, float]
     """[SI of the channel]."""
@@ -36,7 +36,7 @@ class Scales:
 
     @classmethod
     def of(cls, runs: Iterable[RunData]) -> Scales:
-        """Of the channels of runs; a channel that a run does not record counts as unknown."""
+        """Uncertainties of the channels of runs; a channel that one run did not record counts as unknown."""
         infos = [run.channels for run in runs]
         names = [name for name in (infos[0] if infos else ()) if all(name in info for info in infos)]
 
@@ -47,9 +47,9 @@ class Scales:
         return cls(worst("offset_uncertainty"), worst("gain_uncertainty"))
 
     def part(self, gains: Sensitivities, offsets: Sensitivities | None = None) -> float | None:
-        """Half width from the scales, independent causes added as squares; None where none of them is known.
+        """Half width of a result from the calibrations, root of the sum of squares; None where no uncertainty is known.
 
-        `gains`: change of the result per relative change of a channel; `offsets`: per change of its offset [SI].
+        `gains`: derivatives of the result by the channels' gains [1]; `offsets`: by their offsets [SI].
         """
         offsets = offsets or {}
         if (gains or offsets) and len(self._missing(gains, offsets)) == len({*gains, *offsets}):
@@ -60,16 +60,16 @@ class Scales:
     def part_at(
         self, pressure: float, over_P: float | None, gains: Sensitivities, offsets: Sensitivities
     ) -> float | None:
-        """As `part`, of a value for a set `pressure` [Pa], with which it changes by `over_P` [per Pa], where known.
+        """As `part`, for a value at a set `pressure` [Pa] with derivative `over_P` [1/Pa], which may be unknown.
 
-        Channels on which it does not depend do not count as unknown.
+        Channels with a derivative of 0 do not count as unknown.
         """
         if over_P is not None:
             gains, offsets = {**gains, "pressure": over_P * pressure}, {**offsets, "pressure": over_P}
         return self.part(*({name: change for name, change in one.items() if change} for one in (gains, offsets)))
 
     def lack(self, gains: Iterable[str], offsets: Iterable[str] = ()) -> str:
-        """A sentence that names the channels of `part` whose uncertainty the record does not give; empty if none."""
+        """Note that names the channels of `part` without a recorded uncertainty; empty if there are none."""
         gains, offsets = list(gains), list(offsets)
         missing = self._missing(gains, offsets)
         if not missing:
@@ -79,18 +79,18 @@ class Scales:
         return f"{'no' if whole else 'incomplete'} {NOT_DECLARED} {kind} of {listed(missing)}"
 
     def findings(self, results: Sized, gains: Iterable[str], offsets: Iterable[str] = ()) -> list[Finding]:
-        """That sentence as a note, where there are results and a channel lacks its uncertainty."""
+        """The text of `lack` as a note, where there are results and a channel lacks its uncertainty."""
         lack = self.lack(gains, offsets)
         return [Finding("note", lack)] if results and lack else []
 
     def _missing(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
-        """Channels without a known uncertainty."""
+        """Channels with no known uncertainty."""
         known = {*(set(gains) & set(self.gains)), *(set(offsets) & set(self.offsets))}
         return [name for name in dict.fromkeys((*gains, *offsets)) if name not in known]
 
 
 def changes(now: Values, *others: Values) -> dict[str, float]:
-    """The largest change of each value to one of `others`; 0 where one of the two is not known."""
+    """Largest absolute difference of each value from those of `others`; 0 where none is known."""
     pairs = {name: [(value, other[name]) for other in others] for name, value in now.items()}
     return {
         name: max((abs(a - b) for a, b in both if a is not None and b is not None), default=0.0)
@@ -101,10 +101,10 @@ def changes(now: Values, *others: Values) -> dict[str, float]:
 def of_one_channel(
     values: Callable[[float, float], Values], now: Values, scales: Scales, channel: str
 ) -> dict[str, float] | None:
-    """Half widths that the scale of one channel gives to several values, not to first order; None where it is unknown.
+    """Half widths of several values from one channel's calibration, by recomputing them; None where it is unknown.
 
-    `values` gives them for a channel with another offset [SI] and gain [1]. Each changes to the further end of either
-    uncertainty, and both add as squares.
+    `values(offset, gain)` gives the values with the offset [SI] and gain [1] changed. The larger change of both signs
+    counts, and offset and gain add as squares.
     """
     offset, gain = scales.offsets.get(channel, 0.0), scales.gains.get(channel, 0.0)
     causes = [(more, share) for more, share in ((offset, 0.0), (0.0, gain)) if more or share]
@@ -113,17 +113,17 @@ def of_one_channel(
 
 
 def calibrated(e: Estimate, scales: Scales, gains: Sensitivities, offsets: Sensitivities) -> Estimate:
-    """The estimate with its calibration part as in `Scales.part`, or with a note that says what the record lacks."""
+    """The estimate with the calibration part of `Scales.part`, or with a note that names what is not recorded."""
     part = scales.part(gains, offsets)
     lack = "" if part is not None else scales.lack(gains, offsets)
     return replace(e, parts=replace(e.parts, calibration=part), note=sentences(e.note, lack))
 
 
 def listed(names: Sequence[str]) -> str:
-    """`a, b and c`."""
+    """Names as text: `a, b and c`."""
     return ", ".join(names[:-1]) + (" and " if names[:-1] else "") + names[-1]
 
 
 def sentences(*parts: str) -> str:
-    """The sentences about the calibration parts, as one note."""
+    """Texts without repeats and empty ones, joined to one note."""
     return "; ".join(part for part in dict.fromkeys(parts) if part)

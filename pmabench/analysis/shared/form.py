@@ -1,7 +1,7 @@
-"""Effect of a departure from the assumed form on a value: a line of its budget, or the reason to withhold it.
+"""Effect of a departure from the assumed form on a value: a line of its budget, or a reason to withhold it.
 
-A departure that is seen shifts the value one way: its effect is added to the half width as it is. One that could only
-hide adds as a square. Decision 0019 says why; knows no test kind.
+A significant departure shifts the value one way: its effect is added to the half width linearly. One that the data
+only do not exclude adds as a square. Reasons are in decision 0019.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from pmabench.store.analyses.results import Estimate, Parts, Source, is_below_0,
 from pmabench.store.records import Array, RunData, TrialData
 
 MOST_HIDDEN = 0.02
-"""A significant departure that could change a value by more than this share withholds it, where no other is given."""
+"""Default share of a value above which a significant departure withholds it."""
 NEGLIGIBLE = 0.05
-"""Share of a half width below which an effect needs no line."""
+"""Share of a half width below which an effect is left out of the budget."""
 SURE = 0.9995
-"""Probability of Student's t beyond which a change from cycle to cycle is seen."""
+"""Probability of Student's t above which a change from cycle to cycle is significant."""
 NAMES = {
     "repeats": "scatter of repeats",
     "method": "method",
@@ -38,23 +38,23 @@ class Doubt:
     """The effect of one departure on one value."""
 
     name: str
-    """As in the budget."""
+    """Name of the line in the budget."""
     part: str
-    """Field of `Parts` that it belongs to."""
+    """Field of `Parts` to which it is added."""
     half: float
     """Effect on the value at the largest size that the data allow [as the value]."""
     seen: bool
     """Whether the departure is significant."""
     reason: str = ""
-    """What was found, how large, and what to do: why the value is withheld where the effect is too large."""
+    """Note with which the value is withheld where the effect is too large: what was found, how large, what to do."""
     most: float = MOST_HIDDEN
-    """Share of the value above which a significant one withholds it."""
+    """Share of the value above which a significant departure withholds it."""
 
 
 def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) -> Estimate:
     """The estimate with the effects of `doubts` in its interval and budget, or withheld.
 
-    `scale` is what an effect is compared with in place of the value [as the value], where that can be near 0.
+    Effects are compared with `scale` [as the value] in place of a value that can be near 0.
     """
     if e.value is None:
         return e
@@ -82,8 +82,9 @@ def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) ->
 
 
 def more_than_squares(shifts: Sequence[float], rest: float) -> float:
-    """By how much `shifts` are to be multiplied so that their squares and that of `rest` add up to the square of the
-    sum of them all: a shift goes one way, and adds to a half width as it is.
+    """Factor on `shifts` so that their squares and `rest` squared sum to the square of `rest` plus all shifts.
+
+    Shifts add linearly to a half width, while budgets add lines as squares.
     """
     total, squares = sum(shifts), sum(shift**2 for shift in shifts)
     return sqrt((total**2 + 2 * total * rest) / squares) if squares else 1.0
@@ -91,17 +92,17 @@ def more_than_squares(shifts: Sequence[float], rest: float) -> float:
 
 @dataclass(frozen=True)
 class Change:
-    """What a value changes by from the first cycle to the last [as the value], without a sign."""
+    """Absolute change of a value from the first cycle to the last [as the value]."""
 
     size: float
-    """The likeliest."""
+    """Best estimate."""
     most: float
-    """The largest that the cycles allow (95 %)."""
+    """Upper end of the 95 % interval."""
     seen: bool
 
 
 def change_over(cycles: Sequence[Array]) -> Change | None:
-    """Of values cycle by cycle, one array for each trial, by one line through all; None without three in a trial."""
+    """Change of values by cycle, one array per trial, from a common slope; None without three cycles in a trial."""
     rows = [(np.arange(len(one)) - 0.5 * (len(one) - 1), one - one.mean()) for one in cycles if len(one) > 2]
     if not rows:
         return None
@@ -116,7 +117,7 @@ def change_over(cycles: Sequence[Array]) -> Change | None:
 
 
 def force_from_cycle_to_cycle(cycles: Sequence[Array], share: float = 1.0) -> list[Doubt]:
-    """What a force changes by from the first cycle to the last [N], times `share`, where that is seen."""
+    """Doubt about a change of force from the first cycle to the last [N] times `share`; empty where not significant."""
     change = change_over(cycles)
     if change is None or not change.seen:
         return []
@@ -129,9 +130,9 @@ CUT_OFF = "half a step of the channels, where a converter cuts off"
 
 
 def half_steps(pairs: Iterable[tuple[RunData, TrialData]], channels: Iterable[str]) -> dict[str, float]:
-    """Channel -> half the step in which it is read [SI]: a converter that cuts off, as many do, reads so much too low.
+    """Channel -> half its quantisation step [SI]: a converter that truncates reads too low by that on average.
 
-    A channel whose offset has a declared uncertainty was calibrated through its converter: that holds it.
+    Channels with a declared offset uncertainty are left out: they were calibrated through their converter.
     """
     found: dict[str, float] = {}
     for run, trial in pairs:
@@ -144,16 +145,16 @@ def half_steps(pairs: Iterable[tuple[RunData, TrialData]], channels: Iterable[st
 
 
 def cut_off(half: Mapping[str, float], changes: Mapping[str, float]) -> Doubt:
-    """What `half_steps` make of a value that changes by `changes` per unit of each channel."""
+    """Doubt from `half_steps` about a value with the derivatives `changes` by the channels."""
     return Doubt(CUT_OFF, "method", hypot(*(half.get(name, 0.0) * change for name, change in changes.items())), False)
 
 
 OF_THE_LOOP = ("F_c", "H", "h_1", "W", "W_c", "eta", "phi")
-"""What an error of the gap between both branches goes into."""
+"""Symbols that depend on the gap between both branches."""
 
 
 def without_negative_friction(estimates: Sequence[Estimate]) -> list[Estimate]:
-    """The estimates; of cells whose F_c is below 0 by more than its interval all that rests on the gap is withheld."""
+    """The estimates; those of `OF_THE_LOOP` are withheld in cells whose F_c is below 0 by more than its interval."""
     found = [e for e in estimates if e.symbol == "F_c" and is_below_0(e)]
 
     def judged(e: Estimate) -> Estimate:

@@ -1,6 +1,6 @@
-"""Lines F = m P + c at set contractions: the tests, the line through all their samples, its intervals and estimates.
+"""Lines F = m P + c at set contractions: tests, the line through all their samples, its intervals and estimates.
 
-Knows trials with pressure and force at a set contraction; neither where they come from nor which samples to use.
+The caller chooses which samples are used.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from pmabench.store.records import Array, RunData, TrialData
 
 METHOD = "isometric-line"
 FEWEST = 50
-"""Samples that a line needs."""
+"""Fewest samples for a line."""
 FEWEST_STEPS = 5
-"""Commands of one phase in a row that make a staircase."""
+"""Fewest successive commands of one phase that count as a staircase."""
 PLACES = 9
-"""Pressures along a line at which its force is kept."""
+"""Number of pressures along a line for which forces are given."""
 SAME = 4
-"""Contractions that agree to so many decimals of a metre are one."""
+"""Decimals [m] to which contractions are compared."""
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """One trial: its usable samples in the wanted phases, and which phase each is in."""
+    """Usable samples of one trial in the wanted phases; arrays of shape (n,), SI."""
 
     run: RunData
     trial: TrialData
@@ -52,7 +52,7 @@ class Test:
 
 
 Used = Callable[[Test], Mask]
-"""Which samples of a test enter the line."""
+"""Returns the mask of the samples of a test that enter the line, shape (n,)."""
 Groups = dict[float, list[Test]]
 """Contraction [m] -> its tests."""
 
@@ -77,24 +77,24 @@ class Line:
 
 @dataclass(frozen=True)
 class Pooled:
-    """The line through the samples of all tests at one contraction, and the line of each test that has one."""
+    """Line through the samples of all tests at one contraction, and the line of each test that has one."""
 
     line: Line
     each: tuple[Line, ...]
     names: tuple[str, ...]
-    """The tests that `each` is of."""
+    """Names of the tests in `each`."""
     repeats: tuple[tuple[float, float], ...]
-    """m and c of each repeat: the mean of its sides where the contraction was reached from both, else of one test."""
+    """m and c of each repeat: mean of both sides where the contraction was reached from both, else of one test."""
     sessions: tuple[str, ...]
     """The session of each repeat."""
 
     @property
     def rms(self) -> float:
-        """Residual of the tests from their own lines [N]."""
+        """Rms residual of the tests from their own lines [N]."""
         return sqrt(sum(line.n * line.rms**2 for line in self.each) / max(1, sum(line.n for line in self.each)))
 
     def half(self, of: str) -> float | None:
-        """Half width of the 95 % interval of `m` or `c` from the scatter between sessions, of one between repeats."""
+        """95 % half width of `m` or `c` from the scatter between sessions, or repeats of one session; or None."""
         return mean_over_sessions([pair["mc".index(of)] for pair in self.repeats], self.sessions)[1]
 
     @property
@@ -113,7 +113,7 @@ def spread(values: Sequence[float] | Array) -> float | None:
 def tests_of(
     runs: Sequence[RunData], phases: Sequence[str], lacks: Callable[[Test], str]
 ) -> tuple[Groups, list[Dropped]]:
-    """Usable tests by contraction, and the trials that are none; `lacks` says what a test lacks, or nothing."""
+    """Usable tests by contraction, and the other trials; `lacks` returns what a test lacks, or an empty text."""
 
     def usable(run: RunData, trial: TrialData) -> Test:
         test, reason = as_test(run, trial, phases)
@@ -126,7 +126,7 @@ def tests_of(
 
 
 def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test | None, str]:
-    """The samples of a trial that can be used, or why there are none."""
+    """The test of a trial with an empty text, or None with the reason."""
     missing = [name for name in ("pressure", "force") if name not in trial.channels]
     if missing:
         return None, f"{' and '.join(missing)} not recorded"
@@ -145,12 +145,11 @@ def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test
 
 
 def stairs(trial: TrialData, phases: Sequence[str]) -> Array | None:
-    """Index of the phase of each sample that is held on a step of a staircase, -1 of all others; None without stairs.
+    """Index of the phase of each sample in the settled part of a step, -1 elsewhere; None where there is no staircase.
 
-    A staircase has commands of one phase in a row, each held for longer than it takes to get there. What is on its way
-    between two holds counts by the lag of the sensors, and shows no force at a pressure. Half of the time of a hold is
-    left for the way and to settle. The highest hold belongs to the phase that leads to it, and to the one that leads
-    away.
+    A staircase has successive commands of one phase, each held for longer than its ramp takes. Samples between holds
+    depend on the lags of the sensors and are left out, as is the first half of each hold. The last quarter of a hold
+    before a change of phase belongs to the following phase, so that the highest hold belongs to both.
     """
     commands = [c for c in trial.commands if c.output == "pressure"]
     arrived = [ends(c) if c.data.get("rate") else c.t for c in commands]
@@ -176,9 +175,9 @@ def stairs(trial: TrialData, phases: Sequence[str]) -> Array | None:
 
 
 def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
-    """Index of the phase of each sample, from `phase` events of imports, else from the commands of a bench.
+    """Index of the phase of each sample, from `phase` events of imports, else from commands; -1 in other phases.
 
-    Without either, all samples are in the first wanted phase.
+    Without either, all samples are in the first phase.
     """
     events = [e for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index]
     begun = [(e.t, str(e.data.get("name"))) for e in events]
@@ -192,7 +191,7 @@ def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
 
 
 def line_of(P: Array, F: Array) -> Line | None:
-    """Least squares of F = m P + c; None where there are too few samples, or one pressure only."""
+    """Least squares of F = m P + c; None with fewer than `FEWEST` samples or a single pressure."""
     if len(P) < FEWEST or np.ptp(P) == 0:
         return None
     middle, level = float(P.mean()), float(F.mean())
@@ -207,7 +206,7 @@ def line_of(P: Array, F: Array) -> Line | None:
 
 
 def pool(tests: Sequence[Test], used: Used) -> Pooled | None:
-    """The line through the `used` samples of all tests, and that of each; None where they are too few."""
+    """Line through the `used` samples of all tests, and that of each; None with too few samples."""
     parts = [(test.P[mask], test.F[mask]) for test in tests for mask in [used(test)]]
     whole = _through(parts)
     if whole is None:
@@ -220,12 +219,12 @@ def pool(tests: Sequence[Test], used: Used) -> Pooled | None:
 
 
 def _through(parts: Sequence[tuple[Array, Array]]) -> Line | None:
-    """The line through all pressures and forces together."""
+    """Line through all pressures and forces together; None with too few samples."""
     return line_of(np.concatenate([P for P, _ in parts]), np.concatenate([F for _, F in parts]))
 
 
 def _repeats(tests: Sequence[Test]) -> list[list[int]]:
-    """Places of the tests of each repeat: of both sides where it was reached from both, else of one test."""
+    """Indices of the tests of each repeat: both sides where the contraction was reached from both, else one test."""
 
     def repeat(place: int) -> object:
         test = tests[place]
@@ -235,12 +234,12 @@ def _repeats(tests: Sequence[Test]) -> list[list[int]]:
 
 
 def by_repeat(tests: Sequence[Test], values: Sequence[float] | Array) -> Array:
-    """Mean of the values of each repeat: of both sides where it was reached from both, else of one test."""
+    """Mean of the values of each repeat: over both sides where the contraction was reached from both, else one."""
     return np.array([np.mean([float(values[place]) for place in places]) for places in _repeats(tests)])
 
 
 def branches(tests: Sequence[Test], used: Used, phases: Sequence[str]) -> dict[str, float]:
-    """Slope [N/Pa] in each phase alone."""
+    """Phase -> slope [N/Pa] of the line through its samples, where it has one."""
     found = {}
     for index, name in enumerate(phases):
         masks = [used(test) & (test.phase == index) for test in tests]
@@ -259,8 +258,8 @@ def estimates_of(
 ) -> tuple[Estimate, Estimate]:
     """The slope m [N/Pa] and the intercept c [N] with the interval parts of repeats and calibration.
 
-    The method part is the largest distance from `others`: m and c of the lines that an analyst might as well have
-    chosen, through other samples or with other weights.
+    The method part is the largest distance from `others`: m and c of equally justified lines, through other samples or
+    with other weights.
     """
     line = pooled.line
     scales = Scales.of([test.run for test in tests])
@@ -285,7 +284,7 @@ def estimates_of(
 def forces_of(pooled: Pooled, tests: Sequence[Test], others: Sequence[tuple[float, float]]) -> list[list[float | None]]:
     """Rows of P [Pa], F [N] and the parts of F for repeats, method and calibration, along the line.
 
-    m and c err together, so F has a narrower interval than the two. `others` are those of `estimates_of`.
+    Errors of m and c are correlated, so the interval of F is narrower. `others` as in `estimates_of`.
     """
     line, scales = pooled.line, Scales.of([test.run for test in tests])
     rows: list[list[float | None]] = []

@@ -1,7 +1,7 @@
-"""What sweeps and locked torques of a joint share: turns, play, commands that are not kept, an estimate of all cycles.
+"""What sweeps and locked torques of a joint share: turns, play, deviation from commands, an estimate of all cycles.
 
-Where pressures or angle are not those that were commanded, the record cannot say which of the two is wrong, a sensor or
-what was to follow the command: a value is given for the command, and its interval holds both.
+Where pressures or angle differ from their commands, the record does not show whether sensor or actuator is wrong: a
+value is given for the command, and its interval covers both.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ from pmabench.store.records import Array, RunData
 MUSCLES = ("pressure_1", "pressure_2")
 AXES = Axes("angle", "torque", MUSCLES, "rise", "fall")
 TORQUE, STIFFNESS = ("N.m", "torque"), ("N.m/rad", "torsional stiffness")
-"""Unit and quantity."""
+"""Unit and quantity of each."""
 CUT = 3.0
-"""So many w after a turn a branch is itself: 5 % of the turn are left."""
+"""Distance after a turn, in multiples of w, from which on a branch is used: 5 % of the turn are left."""
 NOT_SEEN = 4.0
-"""A gap below so many times the noise of its points counts as none."""
+"""A gap below this multiple of the noise of its points counts as none."""
 SMALLEST = radians(10)
-"""Half a sweep that shows no gap must be as wide [rad]: in a smaller one the gap of any hysteresis is below the noise,
-and its branches are three times as steep all the same. Turns of braided muscles fade on 0.5 to 2 % of contraction."""
+"""Least half width of a sweep without a gap [rad]: in a smaller one hysteresis has a gap below the noise, and yet
+branches up to three times as steep. Turns of braided muscles fade within 0.5 to 2 % of contraction."""
 BY_PRESSURE = 1.5
-"""The stiffness may change by so many times its share with the pressures: rubber takes a part of it away."""
+"""Factor on the relative change of stiffness over that of the pressures, because rubber adds to the stiffness."""
 SCALE = 2e-3
-"""Share by which encoder and drive may disagree unseen [1]."""
+"""Relative difference between encoder and drive that is not reported [1]."""
 ZERO = radians(0.1)
-"""Angle by which they may do so."""
+"""Difference between their zeros that is not reported [rad]."""
 ORDER = 5
-"""Of the smooth torque next to a step where it changes its sign."""
+"""Order of the polynomial for the torque next to a step at its change of sign."""
 SURE = 4.0
-"""Standard errors from which on such a step counts."""
+"""Standard errors above which such a step counts."""
 SMEARED = 2.0
-"""A step that is spread over some angles may be so many times as large as it looks."""
+"""Factor by which a step that is spread over some angles may be larger than fitted."""
 SHORT = 0.01
-"""Share of a commanded pressure by which the measured one may be off it without a word."""
+"""Relative deviation of a pressure from its command that is not reported."""
 
 
 def why_no_turns(turns: Turns | None, half: float, gap: float, noise: float) -> str:
-    """Why a gap [N m] has the wrong sign, or is never open within +-`half` [rad], in words; empty where it is open.
+    """Why a gap [N m] has the wrong sign or is not fully open within +-`half` [rad]; empty where it is.
 
     `noise` is that of a point of the gap [N m].
     """
@@ -75,35 +75,35 @@ def why_no_turns(turns: Turns | None, half: float, gap: float, noise: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """How far a joint is from its commands, as measured: measured less commanded."""
+    """Deviation of a joint from its commands: measured minus commanded."""
 
     pressures: Array
-    """Of both muscles [Pa], shape (2,)."""
+    """Of the pressures of both muscles [Pa], shape (2,)."""
     zero: float
     """Of the angle at 0 [rad]."""
     scale: float
-    """Of the way: measured over commanded, less 1."""
+    """Of the range of angles: measured over commanded, minus 1 [1]."""
 
 
 def place(kept: Sequence[Kept], angle: float, by_angle: float) -> Doubt:
-    """Effect of an encoder that disagrees with the drive on a value at `angle` [rad], changing `by_angle` [1/rad]."""
+    """Effect of a difference between encoder and drive on a value at `angle` [rad] with slope `by_angle` [1/rad]."""
     off = max(abs(one.zero + one.scale * angle) for one in kept)
     reason = f"the encoder reads {show(off, 'angle', 2)} off the angle that the drive was sent to: one of them is wrong"
     return Doubt("angle of the drive", "method", abs(by_angle) * off, off > ZERO, reason)
 
 
 def way(kept: Sequence[Kept], stiffness: float) -> Doubt:
-    """Effect on a stiffness of an encoder that disagrees with the drive on how far the joint went."""
+    """Effect on a stiffness [N m/rad] of a difference in scale between encoder and drive."""
     scale = max((one.scale for one in kept), key=abs)
     reason = f"the encoder reads {scale:+.1%} of the way that the drive was sent: one of them has a wrong scale"
     return Doubt("scale of the angle", "method", abs(scale * stiffness), abs(scale) > SCALE, reason)
 
 
 def flank(x: Array, rising: Array, falling: Array, ends: tuple[float, float], turns: Turns | None) -> float:
-    """Step of the torque where it changes its sign, in both branches over the angles `x` (n,) alike [N m]; else 0.
+    """Step of the torque at its change of sign [N m], mean of both branches; 0 where one of them shows none.
 
-    Play that the torque loads lets the joint over to its other flank there, and the torque stays behind. A branch,
-    shape (n,), is NaN where it does not count; what lies within `CUT` after its turn, at one of the `ends`, does not.
+    There the joint moves through its play to the other flank. Branches over the angles `x` [rad] have shape (n,), NaN
+    where they do not count; points within `CUT` after a turn, at one of the `ends`, are left out.
     """
     cut = 0.0 if turns is None else CUT * turns.w
     steps = []
@@ -128,10 +128,10 @@ def estimate(
     trials: tuple[str, ...], kept: Sequence[Kept], scales: Scales,
     by_pressure: float = 0.0, by_angle: float = 0.0, by_gain: float = 0.0,
 ) -> Estimate:  # fmt: skip
-    """The mean of `values`, the cycles of each of `trials`, at pressures and an angle `at`; calibration to first order.
+    """The mean of `values`, the cycles of each of `trials`, at the operating point `at`; calibration to first order.
 
-    It changes `by_pressure` [1/Pa] of either muscle, `by_angle` [1/rad] and `by_gain` of the angle [1]. `extra` is its
-    method part without pressures that are not those commanded, which both may add.
+    Derivatives: `by_pressure` of either muscle [1/Pa], `by_angle` [1/rad], `by_gain` of the angle [1]. `extra` is the
+    method part, to which the effect of pressures that differ from their commands is added.
     """
     value, half = mean_of_cycles(values)
     gains = {"torque": value, "angle": by_gain} | {name: by_pressure * at[name] for name in MUSCLES}
@@ -147,7 +147,7 @@ def findings(
     runs: Sequence[RunData], kept: Sequence[tuple[Mapping[str, float], Kept]], scales: Scales,
     estimates: Sequence[Estimate],
 ) -> Iterator[Finding]:  # fmt: skip
-    """What is off the commands, `kept` with the point of each trial; what calibration lacks; times of the streams."""
+    """Deviations from commands (`kept`, with the point of each trial), missing calibrations, skew of the streams."""
     for n, name in enumerate(MUSCLES):
         off = [(float(one.pressures[n]), point[name]) for point, one in kept if point[name] > 0]
         size, wanted = max(off, key=lambda pair: abs(pair[0]) / pair[1], default=(0.0, 1.0))

@@ -1,6 +1,6 @@
-"""Straight lines and means over repeated points, with honest intervals: knows no test kind.
+"""Straight lines and means over repeated points, with intervals that allow for correlation.
 
-Also least squares where one number of the form is tried at many values: variable projection (Golub and Pereyra 1973).
+Also least squares for many values of one non-linear parameter: variable projection (Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from pmabench.analysis.shared import student
 from pmabench.store.records import Array
 
 ALIKE = 1e-12
-"""Columns that differ by less than the root of this share of their size are taken for one."""
+"""Relative cut-off of the pseudo-inverse: columns that differ by less than its root count as one."""
 AT_ONCE = 30_000
-"""Numbers that are worked on at once: more than the processor's cache holds takes longer."""
+"""Numbers processed at once, so that they fit the processor's cache."""
 
 
 def left_by(fixed: Array, tried: Array, y: Array) -> Array:
-    """Sum of squares that least squares leaves of y, shape (n,), for each set of columns: shape (k,).
+    """Residual sum of squares of y, shape (n,), for each of k sets of columns: shape (k,).
 
-    `fixed`, shape (p, n), are the columns of every set, `tried`, shape (k, m, n), those that differ from set to set.
+    `fixed`, shape (p, n): columns of every set; `tried`, shape (k, m, n): columns that differ from set to set.
     """
     basis, _ = np.linalg.qr(fixed.T)
     y = y - basis @ (basis.T @ y)
@@ -43,12 +43,12 @@ def _left(basis: Array, tried: Array, y: Array) -> Array:
 
 
 PROPORTIONAL = 2e-3
-"""Least error of a point as a share of its size: nothing on a bench is known better."""
+"""Least relative error of a point."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """y = start + slope s, with half widths of the 95 % intervals; None where nothing is there to take them from."""
+    """y = start + slope s, with half widths of the 95 % intervals; None without degrees of freedom."""
 
     start: float
     slope: float
@@ -57,10 +57,11 @@ class Line:
 
 
 def weighted_line(group: Array, s: Array | None, y: Array, size: Array | None = None) -> Line:
-    """Weighted least squares of y = start + slope s (no slope where `s` is None); weights 1/(share of `size`)^2.
+    """Weighted least squares of y = start + slope s (a mean where `s` is None), all of shape (n,).
 
-    `group` says which values are repeats of each other. Intervals by Student's t, once from all points and once from
-    the means of the groups, the wider of the two: points of one frequency share what the line cannot follow there.
+    The error of a point is `PROPORTIONAL` times its `size` and the pooled scatter of repeats, added as squares; values
+    with equal `group` are repeats. Intervals are by Student's t, the wider of that from all points and that from group
+    means: points of one group share the departure from the line. NaN with fewer groups than coefficients.
     """
     size = np.abs(y) if size is None else size
     floor = PROPORTIONAL * np.maximum(size, 1e-3 * size.max())
@@ -95,7 +96,7 @@ def weighted_line(group: Array, s: Array | None, y: Array, size: Array | None = 
 
 
 def _scatter(group: Array, y: Array) -> float:
-    """Standard deviation of repeats at one frequency [as y], pooled; 0 without repeats."""
+    """Pooled standard deviation within groups [as y]; 0 without repeats."""
     squares, freedom = 0.0, 0
     for name in np.unique(group):
         values = y[group == name]
@@ -105,16 +106,16 @@ def _scatter(group: Array, y: Array) -> float:
 
 
 def mean_of_cycles(values: Sequence[Array]) -> tuple[float, float | None]:
-    """Mean of the trials' means over their cycles, and its half width by `mean_half`; an array for each trial."""
+    """Mean of the trials' means over cycles, and its half width by `mean_half`; `values` has an array per trial."""
     means = np.array([float(one.mean()) for one in values])
     return float(means.mean()), mean_half(means, values)
 
 
 def mean_half(values: Array, by_cycle: Sequence[Array]) -> float | None:
-    """Half width of the 95 % interval of the mean of `values`, one per trial, with their cycles `by_cycle`.
+    """95 % half width of the mean of `values`, one per trial, with the cycles of each in `by_cycle`; None if unknown.
 
-    Cycles of one trial are not independent: their scatter is widened by the correlation of neighbours. With repeats,
-    the larger of that and of the scatter between trials counts.
+    The scatter of cycles is widened by the correlation of neighbours. With several trials the larger of that and of the
+    scatter between trials counts.
     """
     halves = []
     for cycles in by_cycle:

@@ -1,15 +1,15 @@
-"""One isobaric loop: branches on a common grid of contraction, their ends, gap, mean and work.
+"""One isobaric loop: branches on a common grid of contraction, their gap, mean and work.
 
-After a turn the force goes over to the other branch as exp(-way/w), whatever the speed. In a loop that repeats itself,
-between ends `lower` and `upper` with E = exp(-(upper - lower)/w), and d1, d2 the ways from the two ends:
+After a turn the force approaches the other branch as exp(-distance/w), at any speed. In a periodic loop between
+`lower` and `upper`, with E = exp(-(upper - lower)/w) and d1, d2 the distances from the two ends:
 
     gap  = 2 h - 2 h/(1 + E) (exp(-d1/w) + exp(-d2/w))
-    mean = what it is without hysteresis + h/(1 + E) (exp(-d1/w) - exp(-d2/w))
+    mean = mean without hysteresis + h/(1 + E) (exp(-d1/w) - exp(-d2/w))
 
-What the muscle does without hysteresis is not in the gap, so h and w are found whatever it is.
+The gap does not contain the curve without hysteresis, so h and w are found independently of it.
 
-Knows one trial of slow ramps; no campaign and no fit over pressure or speed. A joint's torque over its angle is the
-same with other `Axes`: its torque falls while the angle rises as the force does while the muscle contracts (`joint`).
+Measures one trial of slow ramps. The torque of a joint over its angle is evaluated in the same way with other `Axes`:
+it falls while the angle rises, as the force does while the muscle contracts (`joint`).
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.store.records import Array, Command, Flag, RunData, TrialData
 
 BETTER = 0.5
-"""Turns are accepted where they bring the rms of the gap below this share of that about a constant."""
+"""Turns are accepted where they reduce the rms residual of the gap to this share."""
 UNEVEN = 0.2
-"""Share by which the drift within a cycle may differ from that of a straight line through the cycles."""
+"""Relative difference that the drift within a cycle may have from a straight line through the cycles."""
 LATE = "time between what moves and what pulls"
 WIDEST = 0.4
-"""Largest w, as a share of the stroke."""
+"""Largest w over the stroke."""
 
 
 @dataclass(frozen=True)
 class Axes:
-    """Which channels a loop is made of, and how the phases of its ramps are called."""
+    """Channels of a loop, and names of the phases of its ramps."""
 
     moved: str = "displacement"
     pulls: str = "force"
@@ -66,7 +66,7 @@ OF_A_MUSCLE = Axes()
 
 @dataclass(frozen=True)
 class Turns:
-    """h: half the gap of the open loop [N]; w: way on which a turn fades to 1/e [m]; ends of the stroke [m]."""
+    """h: half the gap of the open loop [N]; w: distance in which a turn fades to 1/e [m]; ends of the stroke [m]."""
 
     h: float
     w: float
@@ -76,22 +76,22 @@ class Turns:
     """Of the gap about the fit [N]."""
 
     def of_mean(self, x: Array) -> Array:
-        """What the turns leave in the mean of the branches [N] at `x` [m]."""
+        """Contribution of the turns to the mean of the branches [N] at `x` [m]."""
         first, second = fading(x, self.lower, self.upper, self.w)
         return np.asarray(0.5 * self.h * (first - second))
 
 
 def fading(x: Array, lower: float, upper: float, w: float) -> tuple[Array, Array]:
-    """2/(1 + E) exp(-d1/w) and 2/(1 + E) exp(-d2/w)."""
+    """2/(1 + E) exp(-d1/w) and 2/(1 + E) exp(-d2/w) at `x`, shape (n,) each."""
     size = 2.0 / (1.0 + np.exp(-(upper - lower) / w))
     return size * np.exp(-(x - lower) / w), size * np.exp(-(upper - x) / w)
 
 
 def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
-    """The turns in a gap [N] at `x` [m], both of shape (n,); None where none show.
+    """The turns in a gap [N] at `x` [m], both of shape (n,); None where none are significant.
 
-    The gap of the open loop is a constant, or where that does not do a parabola over the stroke: pressure that depends
-    on the motion makes one.
+    The gap of the open loop is a constant, or where that does not fit a parabola over the stroke, as pressure that
+    depends on the motion makes it.
     """
     for order in (0, 2):
         found, shown = _found(x, gap, lower, upper, order)
@@ -101,9 +101,9 @@ def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
 
 
 def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> tuple[Turns | None, bool]:
-    """The turns where the gap of the open loop is a polynomial of `order` over the stroke, and whether they show.
+    """The turns with a polynomial of `order` for the gap of the open loop, and whether they are accepted.
 
-    Without those that show, something else in the gap is larger; None without a gap.
+    None with too few points, or where the gap has no variation or h is not above 0.
     """
     from scipy.optimize import minimize_scalar  # takes long to import, and most kinds have no ramps
 
@@ -111,7 +111,7 @@ def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> tupl
     powers = [z**k for k in range(order + 1)]
 
     def left(columns: list[Array]) -> tuple[float, float]:
-        """The first coefficient, and the rms of what is left [N]."""
+        """First coefficient, and rms of the residual [N]."""
         design = np.column_stack(columns)
         terms, *_ = np.linalg.lstsq(design, gap, rcond=None)
         return float(terms[0]), float(np.sqrt(np.mean((gap - design @ terms) ** 2)))
@@ -142,11 +142,11 @@ def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> tupl
 
 
 POINTS = 81
-"""Points of the grid."""
+"""Number of points of the grid."""
 FEWEST = 40
-"""Samples that a branch needs between the ends of the grid."""
+"""Fewest samples of a branch between the ends of the grid."""
 TURN = 0.05
-"""Share of the stroke that is left out at each end where the plan does not say."""
+"""Default share of the stroke that is left out at each end."""
 COVERED = 0.9
 """Share of the grid that all branches must cover."""
 
@@ -156,22 +156,22 @@ class Loop:
     """One trial; grids of shape (n,), branches of shape (cycles, n)."""
 
     x: Array
-    """Contraction [m], rising: the points of the grid that all branches reach."""
+    """Rising contractions [m]: points of the grid that all branches reach."""
     contracting: Array
     """Force [N]."""
     expanding: Array
     turns: Turns | None
-    """How the branches turn into each other; None where that does not show."""
+    """The accepted turns; None where there are none."""
     possible: Turns | None
-    """How they may do so, although something else makes more of the gap; None where they do not."""
+    """The fitted turns, accepted or not; None where none can be fitted."""
     speed: float
-    """Of the measured displacement [m/s], mean of both directions."""
+    """Speed of the measured displacement [m/s], mean of both directions."""
     pressure: float
     """Mean pressure [Pa] on the grid; nan where it is not recorded."""
     apart: float
     """Mean pressure while expanding minus while contracting [Pa]; nan where it is not recorded."""
     given: Array
-    """Work that the muscle gives while contracting [J], shape (cycles,)."""
+    """Work done by the muscle while contracting [J], shape (cycles,)."""
     lost: Array
     """Work lost in the loop [J], -integral of F dx over the whole cycle, shape (cycles,)."""
     last: tuple[Array, Array]
@@ -179,47 +179,47 @@ class Loop:
     noise: float
     """Of the force [N]."""
     drift: Array
-    """What the force grows by over each cycle [N], shape (cycles,); it is not in the gap."""
+    """Increase of the force over each cycle [N], shape (cycles,); it is not in the gap."""
     late: Doubt
-    """Time by which the force may come behind the displacement, or before it [s]."""
+    """Possible delay between force and displacement, either way [s]."""
     ends: tuple[float, float]
     """Of the stroke [m]."""
     moments: Array
-    """When each cycle begins, turns and ends by its commands [s], shape (cycles, 3)."""
+    """Commanded begin, turn and end of each cycle [s], shape (cycles, 3)."""
 
     @cached_property
     def gap(self) -> Array:
-        """Force while expanding minus force while contracting [N]: above 0 where the contracting branch is lower."""
+        """Force while expanding minus force while contracting, without drift [N], shape (cycles, n)."""
         return np.asarray(self.expanding - self.contracting - _between_branches(self.x, self.drift, *self.ends))
 
     @cached_property
     def raw_mean(self) -> Array:
-        """Mean of both branches [N]: what a model without hysteresis is to give (paper 3)."""
+        """Mean of both branches [N], shape (cycles, n), to which models without hysteresis are compared (paper 3)."""
         return np.asarray(0.5 * (self.expanding + self.contracting))
 
     @cached_property
     def mean(self) -> Array:
-        """The same without what the turns at the ends of the stroke leave in it [N]."""
+        """`raw_mean` without the contribution of the turns at the ends of the stroke [N]."""
         return self.raw_mean - self.turns.of_mean(self.x) if self.turns is not None else self.raw_mean
 
     def cropped(self, x: Array) -> Loop:
-        """The same at the points of the grid that are in `x` alone."""
+        """The loop restricted to the grid points that are in `x`."""
         kept = np.isin(np.round(self.x, 9), np.round(x, 9))
         return replace(self, x=self.x[kept], contracting=self.contracting[:, kept], expanding=self.expanding[:, kept])
 
     @property
     def uneven_drift(self) -> float:
-        """By how much the drift of a cycle may differ from a straight line [N]."""
+        """Possible difference of the drift of a cycle from a straight line [N]."""
         return max(UNEVEN * float(np.max(np.abs(self.drift))), float(np.ptp(self.drift)))
 
     @property
     def whole_drift(self) -> float:
-        """What the force may have gone away by since the trial began, in the mean of its cycles [N]."""
+        """Possible change of the force since the begin of the trial, mean over its cycles [N]."""
         return 0.5 * float(np.sum(np.abs(self.drift))) * (1 + 1 / len(self.drift))
 
     @property
     def middle_gap(self) -> Array:
-        """The gap at mid stroke [N], the mean of the middle tenth of the grid; shape (cycles,)."""
+        """Gap at mid stroke [N], mean over the middle tenth of the grid, shape (cycles,)."""
         n = self.x.size
         wide = max(1, n // 20)
         return np.asarray(np.mean(self.gap[:, n // 2 - wide : n // 2 + wide + 1], axis=1))
@@ -231,12 +231,10 @@ class Loop:
 
 
 def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axes = OF_A_MUSCLE) -> Loop:
-    """One trial from its samples: `discard` cycles at the start and `turn` [m] at both ends are left out.
+    """The loop of a trial, without the first `discard` cycles and `turn` [m] at both ends, corrected for sensor lags.
 
-    With other `axes` all units are those of their channels: rad for m and N m for N.
-
-    Sensors' lags are taken off. Raises `NotUsable` where the trial ended early, lacks a channel or whole cycles, or
-    went slack.
+    With other `axes` units are those of their channels: rad for m and N m for N. Raises `NotUsable` where the trial
+    ended early, lacks a channel or whole cycles, has too many flagged samples, or went slack.
     """
     cycles, whole = _usable_cycles(trial, discard, axes)
     lower, upper = cycles[0][0].before, cycles[0][0].value
@@ -291,11 +289,11 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
 def _given(
     t: Array, x: Array, F: Array, cycles: Sequence[tuple[Command, Command, float]], lines: Sequence[Array]
 ) -> Array:
-    """Work given while contracting [J], shape (cycles,), from turn to turn of the motion.
+    """Work done while contracting [J], shape (cycles,), from turn to turn of the motion.
 
-    `lines` are slope and start of each branch over the time since the turn of its cycle was commanded: where those of a
-    cycle cross, the motion turns. A drive does so late and on a curve, and noise hides which sample is the last one of
-    a branch.
+    `lines` are slope and start of each branch over the time since the commanded turn of its cycle; the motion turns
+    where the two of a cycle intersect. This is used because drives turn late and gradually, and noise hides the last
+    sample of a branch.
     """
     pairs = zip(lines[::2], lines[1::2], strict=True)
     late = float(np.median([(two[1] - one[1]) / (one[0] - two[0]) for one, two in pairs]))
@@ -305,7 +303,7 @@ def _given(
 
 
 def _reached(forces: Array, trial: TrialData, seen: Array, axes: Axes) -> NDArray[np.bool_]:
-    """Points of the grid that all branches reach, of forces (cycles, n); raises `NotUsable` where these are too few."""
+    """Mask of grid points that all branches reach, from forces (cycles, n); raises `NotUsable` with too few."""
     known = np.isfinite(forces).all(axis=0)
     if known.mean() < COVERED and trial.point.get("pressure", 1.0) > 0:
         reached = show(float(np.nanmin(seen)), CHANNEL_QUANTITY[axes.pulls], 3)
@@ -316,14 +314,14 @@ def _reached(forces: Array, trial: TrialData, seen: Array, axes: Axes) -> NDArra
 
 
 def _between_branches(x: Array, drift: Array, lower: float, upper: float) -> Array:
-    """What a drift makes of the gap [N], shape (cycles, n): the branches are a whole cycle apart at `lower`."""
+    """Contribution of a drift to the gap [N], shape (cycles, n): at `lower` the branches are a whole cycle apart."""
     return np.asarray(np.outer(drift, (upper - x) / (upper - lower)))
 
 
 def _late(
     run: RunData, trial: TrialData, channels: tuple[Array, Array], moments: Sequence[float], span: float, axes: Axes
 ) -> Doubt:
-    """What of the time between force and displacement is open: what the record leaves open, or the turns show."""
+    """Doubt about a delay between force and displacement, from the record and from the turns."""
     good, known, (x, F), lag = trial.usable, lag_open(run, axes.pulls), channels, lag_of(run, axes.pulls)
     shown = behind(trial.t[good], x[good], F[good], moments, span)
     sample = float(np.median(np.diff(trial.t)))
@@ -346,14 +344,14 @@ def _late(
 
 
 def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Loop:
-    """`measure` with what `options` say, else the plan, of `discard` and `turn`."""
+    """`measure` with `discard` and `turn` of `options`, else of the plan, else the defaults."""
     settings = settings_of(run, options)
     stroke = trial.point.get("upper", 0.0) - trial.point.get("lower", 0.0)
     return measure(run, trial, int(settings.get("discard", 1)), float(settings.get("turn", TURN * stroke)))
 
 
 def _followed(trial: TrialData, axes: Axes) -> TrialData:
-    """The trial with motion and force, where they are read less often than recorded, on lines between new values."""
+    """The trial with motion and force interpolated between new values where they are read less often than recorded."""
     names = {axes.moved, axes.pulls} & set(trial.channels)
     return replace(
         trial, channels={**trial.channels, **{name: between_new(trial.t, trial.channels[name])[0] for name in names}}
@@ -363,7 +361,7 @@ def _followed(trial: TrialData, axes: Axes) -> TrialData:
 def _usable_cycles(
     trial: TrialData, discard: int, axes: Axes
 ) -> tuple[list[tuple[Command, Command, float]], NDArray[np.bool_]]:
-    """The cycles to measure, and which samples lie in them; raises `NotUsable`."""
+    """The cycles to measure, and the mask of samples in them; raises `NotUsable`."""
     refuse_incomplete(trial, axes.moved, axes.pulls)
     cycles = _cycles(trial, axes)[discard:]
     if not cycles:
@@ -374,7 +372,7 @@ def _usable_cycles(
 
 
 def _cycles(trial: TrialData, axes: Axes) -> list[tuple[Command, Command, float]]:
-    """Whole cycles: the ramp that contracts, the ramp that expands, and when that is over [s]."""
+    """Whole cycles: the contracting ramp, the expanding ramp, and the end of that [s]."""
     ramps = [c for c in trial.commands if c.output == axes.moved and c.kind == "ramp"]
     found = []
     for one, two in pairwise(ramps):
@@ -391,7 +389,7 @@ def _between(trial: TrialData, begin: float, end: float) -> NDArray[np.intp]:
 
 
 def on_grid(grid: Array, x: Array, F: Array) -> Array:
-    """Means of `F` about each point of an even `grid`, shape (n,), from samples of one branch; NaN beyond them."""
+    """Means of `F` about each point of an even `grid`, from samples of one branch, shape (n,); NaN beyond them."""
     step = grid[1] - grid[0]
     known = np.isfinite(F)
     place = np.floor((x[known] - grid[0]) / step + 0.5).astype(int) + 1
@@ -407,6 +405,6 @@ def on_grid(grid: Array, x: Array, F: Array) -> Array:
 
 
 def stiffness_of(run: RunData, trial: TrialData) -> float:
-    """Slope of the mean curve of one trial with its sign changed [N/m]; raises `NotUsable`."""
+    """Stiffness [N/m]: negative slope of the mean curve of one trial; raises `NotUsable`."""
     loop = measure_as_planned(run, trial, {})
     return -float(np.polyfit(loop.x, loop.mean.mean(axis=0), 1)[0])

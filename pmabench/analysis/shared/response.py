@@ -1,4 +1,4 @@
-"""What one held position says: rise, overshoot, settling, steady-state error, limit cycle; knows no run.
+"""Response to one set-point: rise, overshoot, settling, steady-state error, limit cycle.
 
 Rise time, overshoot and settling time refer to the step, from the position at rest to the set-point; IAE is the
 integral of |set-point - x|.
@@ -17,22 +17,22 @@ from pmabench.analysis.shared.signals import SEEN, SMOOTHED, SURE, smooth
 from pmabench.store.records import Array
 
 SMALLEST = 1e-4
-"""A cycle counts where it is larger than this share of the set-point, than the noise and than two counts."""
+"""Share of the set-point above which a cycle counts, if it also exceeds the noise and two counts."""
 SUSTAINED = 0.5
-"""Last cycle over first from which on it is sustained [1]."""
+"""Size of the last cycle over that of the first above which an oscillation is sustained [1]."""
 OVERDUE = 1.5
-"""Without a further cycle for so many periods it has died out [1]."""
+"""Number of periods without a further cycle after which an oscillation has died out [1]."""
 FEWEST = 2
-"""Fewest whole cycles that are called a limit cycle."""
+"""Fewest whole cycles of a limit cycle."""
 STILL = 0.01
-"""A fortieth of a cycle in which it moves less than this share of its size is spent at rest; a sine spends 8 % so."""
+"""Motion within a fortieth of a cycle, over its size, below which it is at rest; a sine is so for 8 % of the time."""
 PART = 0.02
-"""Share by which a smoothed cycle may be off: at its corners, and where its middle is crossed."""
+"""Relative error of size and period of a cycle from smoothing."""
 LONGEST, FADES = 1e3, 0.5
-"""Muscles creep with the logarithm of time: a motion that is seen in the window may go on so until then [s], where it
-goes on over that by more than this share of what it did before."""
+"""A motion in the window is extrapolated over the logarithm of time until the first [s], where its slope over that is
+more than the second share of the slope before: muscles creep so."""
 STICKS = 0.3
-"""Share of a cycle spent at rest from which on it is stick-slip."""
+"""Share of the time at rest from which on a cycle is stick-slip."""
 
 
 @dataclass(frozen=True)
@@ -46,53 +46,53 @@ class Cycle:
     count: int
     """Whole cycles seen."""
     at_rest: float
-    """Share of the time in which nothing moves [1]."""
+    """Share of the time at rest [1]."""
 
     @property
     def sticks(self) -> bool:
-        """Whether it sticks and jumps, as stiction makes it, and does not swing."""
+        """Whether it is a stick-slip cycle."""
         return self.at_rest >= STICKS
 
 
 @dataclass(frozen=True)
 class Response:
-    """One step of the set-point from rest; times from the step on."""
+    """Response to a step of the set-point from rest; times are counted from the step."""
 
     rise: float | None
-    """10 % to 90 % of the step [s]; None where it does not get there, as far as noise lets one say."""
+    """Time from 10 % to 90 % of the step [s]; None where 90 % is not reached by more than the noise."""
     overshoot: float
-    """Largest excess over the set-point, as a share of the step [1]; 0 for none."""
+    """Largest excess over the set-point, over the step [1]; 0 for none."""
     settling: float | None
-    """From when on it stays in the band around the set-point [s]; None where it does not, noise taken off the band."""
+    """Time after which it stays in the band around the set-point [s]; None where it leaves the band less the noise."""
     error: float
     """Mean of set-point minus x in the window [m]."""
     IAE: float
     """Integral of |set-point - x| over the whole hold [m.s]."""
     cycle: Cycle | None
     wander: float
-    """Peak to peak in the window [m]; larger than `smallest` without a cycle: too slow for the window, or a drift."""
+    """Peak to peak in the window [m]; above `smallest` without a cycle it is a drift, or slower than the window."""
     smallest: float
-    """Smallest cycle that would be seen, peak to peak [m]."""
+    """Smallest cycle that can be detected, peak to peak [m]."""
     unsure: Unsure
 
 
 @dataclass(frozen=True)
 class Unsure:
-    """Half widths of what sampling, noise and a motion in the window leave open, as in `Response` and `Cycle`."""
+    """Half widths from sampling, noise and motion in the window, for values of `Response` and `Cycle`."""
 
     rise: float
     overshoot: float
     settling: float
-    """Between the times at which it stays in a band that is narrower and wider by what noise is left."""
+    """Difference between the settling times of a band that is narrower and one that is wider by the noise."""
     IAE: float
     size: float
     period: float
     error: float
-    """What the mean in the window differs by from that at rest, or over whole cycles [m]."""
+    """Possible difference of the mean in the window from that at rest, or over whole cycles [m]."""
     moves: bool
-    """Whether a motion in the window is seen."""
+    """Whether a motion in the window is significant."""
     creep: float
-    """How far that may go on along the logarithm of time, until `LONGEST` [m]; 0 where it dies away faster."""
+    """Possible further motion over the logarithm of time until `LONGEST` [m]; 0 where it decays faster."""
 
 
 def respond(
@@ -108,9 +108,9 @@ def respond(
 ) -> Response:
     """Measures of the samples `x` [m] at `t` [s from the step], shape (n,), from the step to the end of the hold.
 
-    `window` [s] for error and cycle; `band` as a share of the step [1]; `origin`: position at rest before [m];
-    `resolution`: one count of the channel [m]; `lag`: time constant of its sensor, which is undone [s]. Raises
-    ValueError where nothing can be measured.
+    `window` [s] is for error and cycle; `band` is over the step [1]; `origin`: position at rest before [m];
+    `resolution`: one count of the channel [m]; `lag`: time constant of its sensor, which is corrected [s]. Raises
+    ValueError with fewer than 8 samples in the window, or where `origin` is not below the set-point.
     """
     period = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     inside = (t >= window[0]) & (t <= window[1])
@@ -156,7 +156,7 @@ def respond(
 
 
 def _creep(t: Array, x: Array, window: tuple[float, float]) -> float:
-    """How far the motion in the window may go on along the logarithm of time [m]; 0 where it dies away faster."""
+    """Possible further motion over the logarithm of time [m]; 0 where the motion decays faster."""
 
     def by_log(low: float, high: float) -> float:
         rows = (t >= low) & (t <= high) & (t > 0)
@@ -169,9 +169,9 @@ def _creep(t: Array, x: Array, window: tuple[float, float]) -> float:
 
 
 def _rise(t: Array, x: Array, step: float, rest: float) -> tuple[float | None, list[float]]:
-    """From 10 to 90 % of the step [s], None where it does not surely get there; what noise leaves open of both times.
+    """Rise time from 10 to 90 % of the step [s] and the uncertainty of both times [s]; None where 90 % is not certain.
 
-    Each time is between those at which it comes within a standard deviation, a third of `rest`, below and above.
+    The uncertainty is the time between passing one standard deviation (a third of `rest`) below and above a level.
     """
 
     def reached(level: float) -> float | None:
@@ -186,10 +186,10 @@ def _rise(t: Array, x: Array, step: float, rest: float) -> tuple[float | None, l
 
 
 def cycle_of(t: Array, x: Array, smallest: float, lag: float = 0.0) -> Cycle | None:
-    """The sustained oscillation of `x` [m] at `t` [s], shape (n,), if it has one larger than `smallest` [m].
+    """The sustained oscillation of `x` [m] at `t` [s], shape (n,); None without one larger than `smallest` [m].
 
-    `lag`: time constant of the sensor, which is undone [s]. Cycles go from one upward crossing of the middle to the
-    next, with a hysteresis of a tenth of the size, so that the corners of a stick-slip cycle do not matter.
+    `lag`: time constant of the sensor, which is corrected [s]. Cycles are from one upward crossing of the middle to the
+    next, with a hysteresis of a tenth of the size, so that corners of a stick-slip cycle do not matter.
     """
     period = float(np.median(np.diff(t)))
     at = smooth(t, x, lag).y
@@ -214,7 +214,7 @@ def cycle_of(t: Array, x: Array, smallest: float, lag: float = 0.0) -> Cycle | N
 
 
 def _upward(x: Array, middle: float, hysteresis: float) -> list[int]:
-    """Indices at which `x` comes through `middle` upwards, each after it was `hysteresis` below and before above."""
+    """Indices at which `x` crosses `middle` upwards, between values `hysteresis` below and `hysteresis` above it."""
     far = np.flatnonzero(np.abs(x - middle) > hysteresis)
     above = x[far] > middle
     reached, below = far[1:][above[1:] & ~above[:-1]], np.flatnonzero(x < middle)

@@ -1,7 +1,4 @@
-"""Samples of one trial: stretches and their noise, whether and when something moves, whether it is at rest.
-
-Knows samples and commands, no coefficient.
-"""
+"""Samples of one trial: noise, quantisation and lag of channels, onset of motion, change still to come at rest."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ UNUSABLE_SHARE = 0.02
 
 
 class NotUsable(Exception):
-    """A trial that cannot be measured, with the reason."""
+    """Raised with the reason where a trial cannot be measured."""
 
 
 def refuse_incomplete(trial: TrialData, *channels: str) -> None:
@@ -45,20 +42,20 @@ def refuse_unusable(trial: TrialData, *channels: str) -> None:
 
 
 def settings_of(run: RunData, options: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """What the plan says to the reduction, and `options` over it."""
+    """Settings of the plan for the reduction, overridden by `options`."""
     return {**(run.plan.get("settings") or {}), **(options or {})}
 
 
 def ends(ramp: Command) -> float:
-    """When a commanded ramp is over [s]."""
+    """End of a commanded ramp [s]; it needs a rate above 0."""
     return ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
 
 
 @dataclass(frozen=True)
 class Samples:
-    """One stretch of samples on its way into segments: arrays of shape (n,), SI.
+    """Successive samples of one trial: arrays of shape (n,), SI.
 
-    `force` is the measured F_L, None where there is no load cell: then it is `load` [N] moving with `mass` [kg].
+    `force` is the measured F_L, None without a load cell; `load` [N] is what hangs there, `mass` [kg] moves with it.
     """
 
     trial: int
@@ -72,19 +69,19 @@ class Samples:
 
     @property
     def channels(self) -> dict[str, Array]:
-        """Channel -> its samples [SI], of those that were recorded."""
+        """Recorded channels and their samples [SI]."""
         found = {"pressure": self.P, "displacement": self.x}
         return found if self.force is None else {**found, "force": self.force}
 
     def having(self, channels: Mapping[str, Array]) -> Samples:
-        """The same with other samples of some channels."""
+        """A copy with other samples of the given channels."""
         P, x = channels.get("pressure", self.P), channels.get("displacement", self.x)
         return replace(self, P=P, x=x, force=channels.get("force", self.force))
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviation of the white noise of each channel, as seen in the samples [SI]."""
+    """Standard deviation of the white noise of each channel [SI]."""
 
     pressure: float = 0.0
     displacement: float = 0.0
@@ -92,7 +89,7 @@ class Noise:
 
 
 def noise_of(y: Array) -> float:
-    """Standard deviation of the white noise on `y`, shape (n,), from its third differences; robust to the signal.
+    """Standard deviation of the white noise on `y`, shape (n,), from third differences; 0 with fewer than 8 samples.
 
     The third difference of white noise has 20 times its variance.
     """
@@ -103,43 +100,43 @@ def noise_of(y: Array) -> float:
 
 
 def autocorrelation(y: Array, most: int) -> Array:
-    """Sums of y(k) y(k + lag) for lags from 0 to `most` samples, y of shape (n,); by Fourier transforms."""
+    """Sums of y(k) y(k + lag), y of shape (n,), for lags from 0 to `most` samples, shape (most + 1,); by FFT."""
     size = 2 ** int(np.ceil(np.log2(2 * len(y))))
     return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(y, size)) ** 2, size)[: most + 1])
 
 
 LAG_KNOWN = 0.2
-"""Share to which the time constant of a sensor counts as known: data sheets give typical values, and one digit."""
+"""Relative uncertainty of a declared sensor time constant: data sheets give typical values with one digit."""
 UNDECLARED = 5e-3
-"""Time constant [s] that the filter of a sensor may have where its channel declares no `sensor_lag`."""
+"""Assumed largest time constant of a sensor whose channel declares no `sensor_lag` [s]."""
 
 STEPS = "steps of the channels"
 OF_TWO = 1.55
-"""What the difference of two means that are read in steps may be off (95 %), over what one may (`unresolved`)."""
+"""95 % error of the difference of two quantised means over that of one (`unresolved`)."""
 PLACES = 8
 FINE = 1e-3
-"""Steps up to this share of a swing change nothing."""
+"""Steps up to this share of a swing are neglected."""
 
 
 def lag_of(run: RunData, channel: str) -> float:
-    """Declared time constant of the sensor of a channel [s], 0 where none is declared."""
+    """Declared time constant of a channel's sensor [s]; 0 where none is declared."""
     info = run.channels.get(channel)
     return 0.0 if info is None else info.sensor_lag
 
 
 def lags_of(run: RunData, trial: TrialData) -> dict[str, float]:
-    """Channel of the trial -> declared time constant of its sensor [s], 0 where none is declared."""
+    """Channel of the trial -> declared time constant of its sensor [s]; 0 where none is declared."""
     return {name: lag_of(run, name) for name in trial.channels}
 
 
 def lag_open(run: RunData, channel: str) -> float:
-    """By how much the declared time constant of a sensor may be off [s], or what it may be where none is declared."""
+    """Uncertainty of a sensor's declared time constant [s], or its largest value where none is declared."""
     lag = lag_of(run, channel)
     return LAG_KNOWN * lag if lag > 0 else UNDECLARED
 
 
 def count_of(run: RunData, trial: TrialData, channel: str) -> float:
-    """One count of a channel whose device gives counts, or the step in which a trial reads it [SI]; 0 for none."""
+    """One count of a channel that is recorded in counts, else its quantisation step in the trial [SI]; 0 for none."""
     info = run.channels.get(channel)
     if info is not None and info.unit in ("count", "counts"):
         return abs(info.slope)
@@ -148,14 +145,13 @@ def count_of(run: RunData, trial: TrialData, channel: str) -> float:
 
 
 EVEN, MOSTLY = 0.1, 0.8
-"""A sample changes as the one before did within this share of a step; in a ramp without noise most do."""
+"""Changes equal within the first share of a step; a ramp without noise has more than the second share of these."""
 
 
 def step_of(y: Array) -> float:
-    """Step in which samples (n,), in their order, were rounded [as y].
+    """Quantisation step of samples (n,) in order of time [as y]; inf where all are equal.
 
-    0 where they lie at no even distances, or only as a ramp without noise does, which moves as far with each sample;
-    inf where all are one.
+    0 where they are not multiples of a step, or are so only because they form a ramp without noise.
     """
     apart = np.diff(np.unique(y))
     apart = apart[apart > 1e-9 * float(apart.sum())]
@@ -168,17 +164,17 @@ def step_of(y: Array) -> float:
 
 
 FEWEST_NEW, FEWEST_JUMPS = 12, 5
-"""A channel that is held is new so often at least, and so often by more than two of the steps that it is read in."""
+"""Fewest new values of a channel that counts as held, and fewest changes by more than two quantisation steps."""
 HELD, RARELY, AGAIN = 0.3, 0.05, 1.85
-"""It is new sooner than the first share of its usual time, or twice in a row, but rarely: devices answer sooner or
-later. After the last one it was read again, and was the same."""
+"""A held channel has new values sooner than the first share of its usual interval, or twice in a row, in at most the
+second share of cases; after the third multiple of the interval it was read again with the same value."""
 
 
 def fresh(y: Array) -> NDArray[np.bool_]:
-    """Which samples (n,) of a channel are new, where it is read less often than it is recorded and held in between.
+    """Mask of new samples, shape (n,), of a channel that may be read less often than it is recorded; all if it is not.
 
-    It is never new sooner than that. A channel that is read in steps changes by one of them at a time, if it is slow,
-    and with every sample while it changes by several. What is held for longer was read again.
+    Such a channel holds its value for about the same number of samples. A slow quantised channel holds values too, but
+    changes with every sample while it moves by several steps. A value held for longer was read again.
     """
     new, every = np.append(True, y[1:] != y[:-1]), np.ones(len(y), dtype=bool)
     if 3 * np.count_nonzero(new) > 2 * len(y) + 3:
@@ -198,11 +194,11 @@ def fresh(y: Array) -> NDArray[np.bool_]:
 
 
 STAYS = 0.7
-"""A reading with noise moves with more than this share of its samples."""
+"""Share of samples with a change below which a reading often stays."""
 
 
 def sticks(y: Array) -> bool:
-    """Whether a reading (n,) often stays as it was, and moves by no single steps when it does not: by hysteresis."""
+    """Whether a reading (n,) shows hysteresis: it often stays, and then moves by more than one quantisation step."""
     moves = np.abs(np.diff(y))
     moved = moves[moves > 0]
     often = len(moved) > 0 and len(moved) < STAYS * len(moves)
@@ -210,7 +206,7 @@ def sticks(y: Array) -> bool:
 
 
 def between_new(t: Array, y: Array) -> tuple[Array, float]:
-    """A channel on straight lines between its new values, and how far apart these are at `t` [s]; 0 if all are new."""
+    """The channel interpolated between its new values, and the interval of these [s]; 0 where all are new."""
     new = fresh(y)
     if new.all():
         return y, 0.0
@@ -218,11 +214,11 @@ def between_new(t: Array, y: Array) -> tuple[Array, float]:
 
 
 def unresolved(y: Array, step: float) -> float:
-    """By how much the mean of samples at rest `y` (n,), which are read in steps, may be off [as y], at the most.
+    """Largest error of the mean of samples at rest `y` (n,) that are quantised in steps of `step` [as y].
 
-    Noise that is small next to a step is read as the next one now and then: where a variance v [steps^2] is read, the
-    mean is off by sqrt(1/4 - v). Larger noise leaves exp(-2 pi^2 (v - 1/12)) / pi (the characteristic function of
-    Gaussian noise at one turn per step: Widrow), up to 1.31 times that where v depends on the place between two steps.
+    Small noise reaches the next step now and then: with the variance v [steps^2] of the readings the error is
+    sqrt(1/4 - v). Larger noise leaves exp(-2 pi^2 (v - 1/12)) / pi (the characteristic function of Gaussian noise at
+    one turn per step: Widrow), up to 1.31 times that where v depends on the place between two steps.
     """
     if not 0 < step < np.inf or len(y) < FEWEST:
         return 0.0
@@ -231,9 +227,9 @@ def unresolved(y: Array, step: float) -> float:
 
 
 def rounded(y: Array, step: float, channel: int = 0) -> Array:
-    """`y` (n,), and as it is read in steps, at `PLACES` where these may lie and where its swing may end in one.
+    """`y` (n,) and `PLACES` quantised versions of it with different offset and size of the steps, (1 + PLACES, n).
 
-    Shape (1 + places, n). Steps do not average away as noise does, for all cycles meet the same ones.
+    Unlike noise, quantisation does not average out over cycles, which all meet the same steps. `channel` is the seed.
     """
     swing = float(np.ptp(y))
     if not FINE * swing < step < np.inf:
@@ -244,16 +240,16 @@ def rounded(y: Array, step: float, channel: int = 0) -> Array:
 
 
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:
-    """A channel without the lag of its sensor, which along a ramp shows what was there one lag ago; NaN if missing."""
+    """A channel shifted earlier by the lag of its sensor, which is exact on ramps; NaN where it is not recorded."""
     values = trial.channels.get(name, np.full(trial.t.shape, np.nan))
     lag = lag_of(run, name)
     return np.interp(trial.t + lag, trial.t, values) if lag else values
 
 
 def least_squares(design: Array, values: Array) -> Array:
-    """Coefficients of the columns of `design`, shape (n, p), that come closest to `values`, shape (n,) or (n, m).
+    """Least-squares coefficients of the columns of `design`, shape (n, p), for `values`, shape (n,) or (n, m).
 
-    By the normal equations, a fifth of the time of a decomposition: for columns far from parallel, as waves are.
+    By the normal equations, in a fifth of the time of a decomposition: for columns that are far from parallel.
     """
     try:
         return np.asarray(np.linalg.solve(design.T @ design, design.T @ values), dtype=np.float64)
@@ -262,7 +258,7 @@ def least_squares(design: Array, values: Array) -> Array:
 
 
 def on_time_run(run: RunData, *names: str) -> RunData:
-    """The run with channels of these names without the declared lags of their sensors."""
+    """The run with these channels corrected by `on_time`."""
     late = [name for name in names if name in run.channels and run.channels[name].sensor_lag > 0]
 
     def moved(trial: TrialData) -> TrialData:
@@ -282,30 +278,30 @@ def three_parameter(t: Array, signals: Array, frequency: float) -> tuple[Array, 
 
 
 PARTS = 40
-"""The trial is averaged in at most so many parts ..."""
+"""Most parts of a trial whose means are compared, ..."""
 LEAST_SAMPLES = 10
-"""... of at least so many samples, so that noise averages out and motion does not."""
+"""... and fewest samples of a part, so that noise averages out and motion does not."""
 MOST_NAMES = 3
-"""So many trials are named in a sentence."""
+"""Most trials that are named in a finding."""
 SPREADS = 3.0
-"""Standard deviations of the noise that a change must exceed."""
+"""Standard deviations of the noise above which a change counts."""
 LEAST_MOTION = {"displacement": 20e-6}
-"""Channel -> smallest change [SI] that counts as one: a gauge is repeatable to this."""
+"""Channel -> smallest change that counts [SI]: the repeatability of a gauge."""
 DRIVEN = ("frequency", "speed", "step", "amplitude", "lower", "upper", "setpoint")
-"""Entries of an operating point that say that the free end is driven."""
+"""Entries of an operating point that show that the free end is driven."""
 Holds = Callable[[float, float], bool]
-"""Whether the muscle at a pressure [Pa] does not lift a load [N]."""
+"""Returns whether the muscle at a pressure [Pa] does not lift a load [N]."""
 
 
 def never(_pressure: float, _load: float) -> bool:
-    """`Holds` of a muscle of which nothing is known: it is meant to lift every load."""
+    """`Holds` of an unknown muscle: False, it is expected to lift every load."""
     return False
 
 
 def not_moved(channel: str, trial: TrialData, holds: Holds) -> bool:
-    """Whether `channel`, which changes in each trial of its kind of test, should have changed and did not.
+    """Whether `channel` should have changed in the trial and did not.
 
-    Nothing moves without pressure, nor under a load that the muscle `holds`, unless the free end is driven.
+    No change is expected without pressure, or under a load that the muscle `holds`, unless the free end is driven.
     """
     pressure, load = trial.point.get("pressure"), trial.point.get("load")
     if pressure is None or any(name in trial.point for name in DRIVEN):
@@ -315,7 +311,7 @@ def not_moved(channel: str, trial: TrialData, holds: Holds) -> bool:
 
 
 def with_motion(analysis: Analysis, runs: Sequence[RunData], channel: str) -> Analysis:
-    """The analysis with a doubt where `channel` did not change in a trial that lifts its load by the F_ce found."""
+    """The analysis with a doubt where `channel` did not change in trials that lift their load by the F_ce found."""
     found = {e.at["pressure"]: e.value for e in analysis.estimates if e.symbol == "F_ce" and "pressure" in e.at}
     known = sorted((pressure, value) for pressure, value in found.items() if value is not None)
     friction = max((abs(e.value) for e in analysis.estimates if e.symbol == "F_c" and e.value is not None), default=0.0)
@@ -337,10 +333,9 @@ def with_motion(analysis: Analysis, runs: Sequence[RunData], channel: str) -> An
 
 
 def nothing_moved(trial: TrialData, channel: str) -> bool:
-    """Whether a channel of a trial changed by less than its noise.
+    """Whether a channel of a trial changed by less than its noise; False with too few samples.
 
     The change is the range of the means over parts of the trial; the noise is the scatter of neighbouring samples.
-    False where there are too few samples to say.
     """
     if channel not in trial.channels:
         return False
@@ -354,20 +349,20 @@ def nothing_moved(trial: TrialData, channel: str) -> bool:
 
 
 SEEN = 6.0
-"""A change counts where it exceeds this many standard deviations of the baseline."""
+"""Standard deviations of the baseline above which a change counts."""
 LEAST = {"pressure": 200.0, "displacement": 10e-6}
-"""Least change that counts, where the baseline has less noise [SI]."""
+"""Channel -> least change that counts [SI]."""
 RISE = 4.0
-"""The line back to the baseline is laid through the samples up to this many times the threshold."""
+"""Multiple of the threshold up to which samples are used for the line back to the baseline."""
 KINDS = ("command-to-pressure", "pressure-to-motion", "command-to-motion")
 
 
 def onset(t: Array, y: Array, command: float, least: float) -> float | None:
-    """The moment [s] at which `y` leaves its level before `command` [s]; None if it does not.
+    """Time at which `y` leaves its level before `command` [s]; None where it does not, or with too few samples before.
 
-    Threshold: `SEEN` times the noise of the samples before the command, at least `least`. From there a line through
-    the first samples above it is followed back to the level; where it misses the last still sample by far, y has
-    jumped from one sample to the next, at the latter.
+    The threshold is `SEEN` times the noise before the command, at least `least`. The line through the first samples
+    above it is extrapolated back to the level; where that is well before the last sample at rest, y has jumped between
+    two samples.
     """
     before = y[t < command - 1e-9]
     if len(before) < 8:
@@ -393,7 +388,7 @@ def onset(t: Array, y: Array, command: float, least: float) -> float | None:
 
 
 def dead_times(t: Array, channels: Mapping[str, Array], usable: NDArray[np.bool_], command: float) -> dict[str, float]:
-    """Times [s] between command, pressure and motion of a contraction that is commanded at `command` [s]."""
+    """Times of `KINDS` [s] for a contraction commanded at `command` [s]; those that cannot be found are left out."""
     near = usable & (t < command + 2.0)
     pressure, motion = (onset(t[near], channels[name][near], command, least) for name, least in LEAST.items())
     result = {}
@@ -407,53 +402,53 @@ def dead_times(t: Array, channels: Mapping[str, Array], usable: NDArray[np.bool_
 
 
 BLOCKS = 20
-"""Means that a stretch is divided into."""
+"""Most parts of a hold whose means are used."""
 FEWEST = 5
 TIMES = np.geomspace(0.15, 4.0, 10)
-"""Time constants that are tried, over the length of the stretch; what takes longer looks like a drift."""
+"""Time constants that are fitted, over the length of the hold; slower motion looks like a drift."""
 ALIKE = 4.0
-"""By so many variances may the sum of squares of a time constant exceed the least (95 %)."""
+"""Variances by which the sum of squares of a time constant may exceed the least (95 %)."""
 MORE = 1.2
-"""Factor on the change that is still to come, because a motion need not be one exponential."""
+"""Factor on the change still to come, because the motion may not be a single exponential."""
 SURE = 5.0
-"""Standard deviations from which on a motion is seen."""
+"""Standard deviations above which a motion is significant."""
 
 
 @dataclass(frozen=True)
 class Left:
-    """Change of a signal that is still to come after the mean of its end, by a fitted exponential [as the signal]."""
+    """Change of a signal still to come after the mean of its end, by a fitted exponential [as the signal]."""
 
     size: float
-    """The likeliest."""
+    """Best estimate."""
     most: float
-    """The largest that the samples allow (95 %), without a sign."""
+    """Upper bound of its absolute value (95 %)."""
     seen: bool
-    """Whether it moves at all, as far as noise lets one say."""
+    """Whether the motion is significant."""
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Means of a signal along the later part of a hold."""
+    """Means of a signal over parts of a hold, shape (parts,)."""
 
     t: Array
-    """From its begin on [s]."""
+    """Time since the first sample [s]."""
     y: Array
     late: Array
-    """1 where it is of the end whose mean counts, else 0."""
+    """1 for parts at the end, whose mean counts, else 0."""
 
     @classmethod
     def of(cls, t: Array, y: Array, since: float) -> Held:
-        """Of samples `y` (n,) at `t` (n,) [s]; the mean counts from the time `since` on."""
+        """Means of samples `y` (n,) at `t` (n,) [s]; those from the time `since` on count as the end."""
         parts = np.array_split(np.arange(len(t)), max(1, min(BLOCKS, len(t) // 3)))
         at, mean = (np.array([float(values[part].mean()) for part in parts]) for values in (t - t[0], y))
         return cls(at, mean, np.where(at >= min(since - t[0], at[-1]), 1.0, 0.0))
 
 
 def left(holds: Sequence[Held]) -> Left:
-    """Change still to come after the mean of the ends of similar holds.
+    """Change still to come after the ends of similar holds, from the mean of these.
 
-    An exponential with each of `TIMES` is fitted to the means of all; those that fit nearly as well as the best
-    bound the result, and with few samples the range of the means does.
+    An exponential with each of `TIMES` is fitted; those with nearly the least residual bound the result. With fewer
+    than `FEWEST` parts the range of the means is the bound.
     """
     count = min(len(one.t) for one in holds)
     at, mean, late = np.mean([[one.t[:count], one.y[:count], one.late[:count]] for one in holds], axis=0)

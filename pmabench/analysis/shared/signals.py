@@ -1,8 +1,6 @@
-"""One signal by itself: spikes and noise taken off, the filter of its sensor undone, its peaks, and how it swings.
+"""Processing of one signal: spikes, smoothing, correction of a sensor's lag, peaks, and oscillations.
 
-Samples that stand out alone, as a loose wire or a disturbance gives them, are left out where a reduction withholds.
-Of an oscillation: extremes, swings, growth per half period, period, and its damped mode. Knows samples and times, no
-test.
+An oscillation has extremes, swings, growth per half period, period, and a damped mode.
 """
 
 from __future__ import annotations
@@ -20,43 +18,42 @@ from pmabench.store.records import Array, Flag, RunData, TrialData
 from pmabench.store.spikes import ALONE, FEW, spike_limit
 
 SMOOTHED = 0.02
-"""Samples are averaged over so long [s], over one time constant of the sensor where that is longer."""
+"""Averaging time [s]; one time constant of the sensor where that is longer."""
 LENGTHS = (5.0, 1.0, 0.5)
-"""Lengths of the parabolas over that time [1]: on a slow peak noise averages out, a quick one is not flattened."""
+"""Lengths of the fitted parabolas over that time [1]: long ones for slow peaks, short ones for quick peaks."""
 SURE = 3.0
-"""Standard deviations that the largest of many samples may lie off."""
+"""Standard deviations of noise by which the largest of many samples may be off."""
 
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """A signal at the times of its samples, without noise and without the lag of its sensor."""
+    """A signal at the times of its samples, smoothed and corrected for the lag of its sensor."""
 
     y: Array
     """Means over `SMOOTHED`, shape (n,)."""
     gain: float
-    """Standard deviation of the noise left in them over that of the samples [1]."""
+    """Standard deviation of the noise in `y` over that of the samples [1]."""
     fitted: Array
-    """By parabolas of `LENGTHS`, shape (3, n): a mean takes its curvature off a peak, they do not (Savitzky and Golay
+    """Fits by parabolas of `LENGTHS`, shape (3, n), which unlike a mean keep the height of a peak (Savitzky and Golay
     1964)."""
     gains: tuple[float, ...]
-    """As `gain`, of each."""
+    """As `gain`, for each row of `fitted`."""
     reach: int
-    """A mean is over so many samples before and after."""
+    """Number of samples before and after that are averaged."""
 
     def part(self, rows: NDArray[np.bool_]) -> Smooth:
-        """The samples of `rows`."""
+        """The signal at the samples of `rows`, a mask of shape (n,)."""
         return replace(self, y=self.y[rows], fitted=self.fitted[:, rows])
 
     def against(self, reference: Array | float, sign: float = 1.0) -> Smooth:
-        """Its excess over `reference`, or with -1 what it lacks."""
+        """The signal minus `reference`, times `sign`."""
         return replace(self, y=sign * (self.y - reference), fitted=sign * (self.fitted - reference))
 
     def peak(self, noise: float) -> float:
-        """The largest value [as y], where the samples have noise of standard deviation `noise`.
+        """Largest value [as y], where the samples have noise of standard deviation `noise`.
 
-        The largest of many noisy samples lies high, so only its place counts, which a mean shifts by less than its
-        length. The height there is that of the longest parabola from which no shorter one differs by more than noise
-        can make it.
+        The largest of many noisy values is biased, so it only gives the place. The height there is that of the longest
+        parabola from which no shorter one differs by more than noise.
         """
         at = int(np.argmax(self.y))
         heights = self.fitted[:, max(0, at - self.reach) : at + self.reach + 1].max(axis=1)
@@ -66,9 +63,9 @@ class Smooth:
 
 
 def smooth(t: Array, y: Array, lag: float = 0.0) -> Smooth:
-    """Samples `y` at `t` [s], shape (n,), of a sensor with a first-order filter of time constant `lag` [s].
+    """Smooth samples `y` at `t` [s], shape (n,), and correct a first-order filter of time constant `lag` [s].
 
-    Where it reads y, y + lag y' was there: the slope is that of a line over as long as the mean or the parabola.
+    The input of the filter is y + lag y'; the slope is that of a line over the length of the mean or parabola.
     """
     period = float(np.median(np.diff(t)))
     grid = t[0] + period * np.arange(round((t[-1] - t[0]) / period) + 1)
@@ -83,7 +80,7 @@ def smooth(t: Array, y: Array, lag: float = 0.0) -> Smooth:
 
 
 def _kernel(half: int, order: int, lag: float) -> Array:
-    """Weights of 2 half + 1 samples for their middle: a mean (order 0) or a parabola (2), and `lag` times the slope.
+    """Weights of 2 half + 1 samples for their middle: a mean (order 0) or a parabola (2), plus `lag` times the slope.
 
     `lag` is in samples.
     """
@@ -94,18 +91,18 @@ def _kernel(half: int, order: int, lag: float) -> Array:
 
 
 def _convolved(y: Array, kernel: Array) -> Array:
-    """Weighted sums about each sample; before and after the samples it rests at the mean of the first and last."""
+    """Weighted sums about each sample, shape (n,); the signal is extended by means of its first and last samples."""
     half = len(kernel) // 2
     ends = float(y[: half + 1].mean()), float(y[-half - 1 :].mean())
     return np.correlate(np.pad(y, half, constant_values=ends), kernel, "valid")
 
 
 HARMONICS = 3
-"""Of a damped mode that are fitted."""
+"""Number of fitted harmonics of a damped mode."""
 SKIPPED = 2
-"""Swings after a kick that do not count: faster modes are still in them."""
+"""First swings that are left out, because they contain faster modes."""
 SEEN = 12.0
-"""A swing, peak to peak, counts where it is larger than this many standard deviations of the noise."""
+"""Standard deviations of the noise above which a swing, peak to peak, counts."""
 
 
 def extremes(t: Array, y: Array, threshold: float) -> tuple[Array, Array]:
@@ -147,12 +144,12 @@ def extremes(t: Array, y: Array, threshold: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Swinging:
-    """A stretch of oscillation, described by its swings (half periods)."""
+    """An oscillation, described by its swings (half periods)."""
 
     times: Array
-    """Of the extremes [s]."""
+    """Times of the extremes [s]."""
     sizes: Array
-    """Peak-to-peak of each half period, one fewer than `times`."""
+    """Peak to peak of each half period, one fewer than `times`."""
     log_ratio: float
     """Mean natural logarithm of the ratio of successive swings [1]."""
     period: float
@@ -162,7 +159,7 @@ class Swinging:
 
     @property
     def root(self) -> complex:
-        """The mode s = (2/T)(ln ratio + j pi) [1/s] that swings like this."""
+        """The mode s = (2/T)(ln ratio + j pi) with this growth and period [1/s]."""
         return complex(self.log_ratio, np.pi) * 2.0 / self.period
 
 
@@ -204,11 +201,11 @@ def mode_amplitudes(t: Array, signals: Array, root: complex) -> tuple[Array, Arr
 
 
 AT_ONCE = 200_000
-"""Samples whose neighbours are sorted at one time, for their memory."""
+"""Samples whose medians are computed at once, which limits memory."""
 
 
 def without_spikes(runs: Sequence[RunData]) -> tuple[list[RunData], list[Finding]]:
-    """The runs with their spikes flagged as suspect, and a sentence on each measured channel that has some."""
+    """The runs with spikes flagged as suspect, and a doubt for each measured channel that has some."""
     cleaned, counts = [], dict[str, tuple[int, int, float, str]]()
     for run in runs:
         trials = []
@@ -232,7 +229,7 @@ def without_spikes(runs: Sequence[RunData]) -> tuple[list[RunData], list[Finding
 
 
 def _spikes(trial: TrialData, name: str) -> tuple[NDArray[np.intp], float]:
-    """Rows of a trial in which a channel has a spike, and how far the furthest stands out [SI]."""
+    """Indices of the samples of a trial with a spike in a channel, and the largest distance of one [SI]."""
     rows = np.flatnonzero(trial.usable & np.isfinite(trial.channels[name]))
     if len(rows) < FEW:
         return rows[:0], 0.0

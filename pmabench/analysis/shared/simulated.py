@@ -1,6 +1,6 @@
-"""Models simulated next to a trial: a fitted muscle, or the model that a plan carries; fits nothing.
+"""Simulation of trials with a fitted muscle or with the model in a plan.
 
-Many stretches are integrated side by side.
+Many intervals are integrated in parallel.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ if TYPE_CHECKING:  # plants import scipy, which takes longer than a reduction th
     from pmabench.model.presets import Described
 
 SUBSTEPS = 2
-"""Integration steps from sample to sample."""
+"""Integration steps per sample."""
 GOLDEN = (1 + sqrt(5)) / 2
-"""Places between two steps that fill it evenly are multiples of this."""
+"""Multiples of this, modulo 1, fill the interval between two steps evenly."""
 LEAST = 1.0
-"""Least stiffness [N/m] and damping [N.s/m] with which a replay goes on where a line falls below."""
+"""Lower limit of stiffness [N/m] and damping [N.s/m] in a simulation."""
 
 
 class Coefficients(Protocol):
-    """A muscle as its coefficients over pressure: a solved fit, or a model from elsewhere."""
+    """A muscle given by its coefficients over pressure."""
 
     @property
     def coulomb(self) -> float:
@@ -41,7 +41,7 @@ class Coefficients(Protocol):
 
 @dataclass(frozen=True)
 class Replayed:
-    """What the fitted muscle does: contraction [m] and force at the cell [N], shape (n, m) for m stretches."""
+    """Simulated contraction [m] and force at the cell [N], shape (n, m) for m intervals."""
 
     x: Array
     force: Array
@@ -53,8 +53,8 @@ def run(
 ) -> Replayed:  # fmt: skip
     """Integrate M x'' = F_ce(P) - K(P) x - B(P) x' - F_c sign(x') - F_L with x >= 0, from rest.
 
-    Per step: exact in the velocity for the damping, trapezoidal in the spring, coefficients at the middle; so no mass
-    is too small. A muscle at rest stays until more than F_c is out of balance. The cell reads F_L + M x''.
+    Each step is exact for the damping and trapezoidal for the spring, with coefficients at the middle, and so stable
+    for any mass. A muscle at rest stays until the unbalanced force exceeds F_c. The cell reads F_L + M x''.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def run(
     load, mass, x
         F_L [N], moving mass [kg] and contraction at the start [m] of each stretch, shape (m,).
     more
-        Force [N] by contraction [m] and pressure [Pa], shape (m,): what a bent muscle pulls more than F_ce - K x.
+        Force [N] in addition to F_ce - K x, from contraction [m] and pressure [Pa], shape (m,).
     """
     F_ce, *others = (fit.values(symbol, P) for symbol in ("F_ce", "K", "B_c", "B_r"))
     K, B_c, B_r = (np.maximum(values, LEAST) for values in others)
@@ -107,7 +107,7 @@ def run(
 
 @dataclass(frozen=True)
 class Stretches:
-    """Equally long pieces of trials, each from rest, that a replay starts from: columns of `P` (n, m) [Pa]."""
+    """Intervals of trials of equal length, each starting at rest, as columns of `P` (n, m) [Pa]; others (m,), SI."""
 
     source: tuple[Samples, ...]
     P: Array
@@ -118,15 +118,15 @@ class Stretches:
 
 
 def as_columns(courses: Sequence[Array]) -> Array:
-    """Courses of unlike length next to each other, shape (n, m); the shorter ones go on at their last value."""
+    """Arrays of different length as columns, shape (n, m); shorter ones are extended by their last value."""
     most = max(map(len, courses))
     return np.column_stack([np.pad(one, (0, most - len(one)), mode="edge") for one in courses])
 
 
 def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> Stretches:
-    """Pieces of trials as columns; the shorter ones go on at their last pressure.
+    """Intervals of trials, sampled every `dt` [s], as columns; shorter ones are extended by their last pressure.
 
-    Each begins at rest at the mean contraction of the `rest` samples before it.
+    Each starts at rest at the mean contraction of the `rest` samples before it.
     """
     courses, source, start = list[Array](), list[Samples](), list[float]()
     for samples, rows in pieces:
@@ -146,9 +146,9 @@ def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> 
 def measured(
     work: Stretches, replayed: Replayed, noise: Noise, cell: bool, seed: int, step: float = 0.0
 ) -> list[Samples]:
-    """The replay as sensors with `noise` would show it; the same `seed` gives the same samples.
+    """The simulated samples with `noise`, with a force where there is a `cell`; reproducible by `seed`.
 
-    A pressure that is read in steps of `step` [Pa] is so here, in others for each seed.
+    Pressure is quantised in steps of `step` [Pa], with another offset for each seed; not at all where that is 0.
     """
     generator = np.random.default_rng(seed)
     result = []
@@ -163,16 +163,16 @@ def measured(
 
 
 def between_steps(P: Array, step: float) -> Array:
-    """A pressure (n,) that is read in steps [as P], as it may have been: straight from one passing of the middle
-    between two readings to the next, and level while a reading lasts longer than both next to it.
+    """Reconstruct a pressure (n,) that was quantised in steps of `step` [as P].
 
-    Noise makes readings go to and fro where one is passed: the first and the last time count by half each.
+    It is straight between successive crossings of the middle between two readings, and constant while a reading lasts
+    much longer than its neighbours. Where noise repeats a crossing, the mean of the first and last time is used.
     """
     return np.asarray(0.5 * step * (_passed(P / step) + _passed(P[::-1] / step)[::-1]))
 
 
 def _passed(read: Array) -> Array:
-    """The same in units of the step, by the first time that each is passed."""
+    """Reconstruction in units of the step, from the first time of each crossing."""
     now, found = float(read[0]), list[tuple[float, float]]()
     for place in (np.flatnonzero(np.diff(read)) + 1).tolist():
         to = min(max(now, read[place] - 0.5), read[place] + 0.5)
@@ -197,15 +197,15 @@ def _passed(read: Array) -> Array:
 
 
 LEAST_MASS = 0.5
-"""Moving mass where the record gives none [kg]."""
+"""Moving mass [kg] where none is recorded."""
 
 
 CALMED = 0.05
-"""Time over which the measured pressure is averaged before it drives a model with friction [s]."""
+"""Averaging time of the measured pressure that drives a model with friction [s]."""
 
 
 def _calm(P: Array, width: int) -> Array:
-    """Moving mean over `width` samples, ends held."""
+    """Moving mean over `width` samples, same shape; ends are extended by their values."""
     if width <= 1:
         return P
     padded = np.concatenate((np.full(width // 2, P[0]), P, np.full(width - 1 - width // 2, P[-1])))
@@ -214,7 +214,7 @@ def _calm(P: Array, width: int) -> Array:
 
 @dataclass(frozen=True)
 class _Coefficients:
-    """A described muscle as `run` takes it."""
+    """Coefficients of a described muscle, for `run`."""
 
     model: Described
 
@@ -229,7 +229,7 @@ class _Coefficients:
 
 
 def model_of(run: RunData) -> Described | None:
-    """The model in a run's plan; None where it has none."""
+    """The model in a run's plan; None without one."""
     from pmabench.model.presets import Described
 
     model = (run.plan.get("settings") or {}).get("model")
@@ -245,11 +245,10 @@ def load_of(trial: TrialData) -> tuple[float, float]:
 def from_measured_pressure(
     model: Described, trials: Sequence[TrialData], period: float, origins: Sequence[float]
 ) -> list[Array]:
-    """Contractions [m], each as long as its trial: the muscle of the model, driven by the measured pressure from
-    rest at `origins` [m].
+    """Contraction [m] of the model for each trial, driven by the measured pressure from rest at `origins` [m].
 
-    All trials are stepped side by side every `period` [s]. Where the model has friction the pressure is averaged over
-    `CALMED`: its noise would shake the muscle loose.
+    All trials are integrated in parallel with steps of `period` [s]. For a model with friction the pressure is averaged
+    over `CALMED`, because its noise would release the muscle.
     """
     if not trials:
         return []
@@ -276,9 +275,9 @@ def from_measured_pressure(
 
 
 def from_commanded_pressure(model: Described, trial: TrialData, origin: float = 0.0) -> Array:
-    """Contraction [m], shape (n,): muscle and regulator of the model, driven by the pressures that were commanded.
+    """Contraction [m], shape (n,), of muscle and regulator of the model, driven by the commanded pressures.
 
-    It rests at `origin` [m] before.
+    It starts at rest at `origin` [m].
     """
     from pmabench.model.regulator import constant
 
@@ -301,9 +300,10 @@ class Loop:
 
 
 def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], period: float, origin: float = 0.0) -> Loop:
-    """The controller of a trial around the model, sampled every `period` [s] as the bench does.
+    """Simulate a trial's PID controller with the model, sampled every `period` [s].
 
-    `law` is what the law `pid` wrote down. Before, it rests without pressure at `origin` [m].
+    `law` holds the recorded parameters of the law `pid`. The model starts at rest at `origin` [m], with the recorded
+    start pressure.
     """
     from pmabench.model.pid import PID
     from pmabench.model.regulator import constant

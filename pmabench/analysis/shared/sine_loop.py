@@ -1,6 +1,6 @@
-"""One driven sine: harmonics of displacement, force and pressure, area and width of its loop, by cycle and as a whole.
+"""One driven sine: harmonics of displacement, force and pressure, area and width of its loop, in total and by cycle.
 
-Also the force that a fitted muscle would have given along the same motion. Knows no campaign.
+Also the force of a fitted muscle along the same motion.
 """
 
 from __future__ import annotations
@@ -30,26 +30,27 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 RECOVERED = "of isobaric cycles: work given while contracting, over work taken up while expanding; air is not measured"
-"""What eta is, where it is given."""
+"""Definition of eta, where it is reported."""
 MIDDLE = 0.25
-"""The width at mid stroke is read from samples within this share of the amplitude."""
+"""Distance from mid stroke, over the amplitude, of samples from which the width there is taken."""
 PLACE = 0.02
-"""Positions nearer than this share of the amplitude are one: noise around two places makes no parabola."""
+"""Distance of positions, over the amplitude, below which they count as equal for the order of the fit."""
 STILL = 1e-9
-"""An amplitude below this [m] is rounding and no motion."""
+"""Amplitude below which there is no motion but rounding [m]."""
 COARSE, JUMPS = 0.15, 0.4
-"""Steps of a channel up to this share of its swing are evaluated. Two or three values are no steps of a converter but a
-channel that jumps, which is judged by its form.
+"""Largest quantisation step over the swing that is evaluated.
+
+Above the second share the channel has two or three values and jumps, which is judged by its form.
 """
 FEWEST = 12
-"""Samples that a cycle needs."""
+"""Fewest samples of a cycle."""
 HARMONICS = 5
-"""Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
+"""Harmonics kept for the displacement of a replay, and in corrections of lags and delays."""
 
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """The loop of a driven sine: first harmonics, area and width, of a whole trial or of one cycle."""
+    """Loop of a driven sine, of a trial or of one cycle: first harmonics, area and width."""
 
     frequency: float
     """[Hz]."""
@@ -88,13 +89,13 @@ class Swing:
         return float(np.arctan2(-self.ratio.imag, -self.ratio.real))
 
     def less(self, loss: float) -> Swing:
-        """The same with a loss that is smaller [N]; the width at mid stroke changes by twice that."""
+        """A copy with the loss reduced by `loss` [N] and the width at mid stroke by twice that."""
         return Swing(
             self.frequency, self.amplitude, self.ratio + 1j * loss / self.amplitude, self.area, self.width - 2 * loss
         )
 
     def turned(self, by: float) -> Swing:
-        """The same with the force `by` [s] earlier; the width at mid stroke grows by twice what the loss does."""
+        """A copy with the force `by` [s] earlier; the width at mid stroke grows by twice the change of the loss."""
         ratio = self.ratio * complex(np.exp(1j * self.omega * by))
         more = -ratio.imag * self.amplitude - self.loss
         return Swing(self.frequency, self.amplitude, ratio, self.area, self.width + 2 * more)
@@ -102,7 +103,7 @@ class Swing:
 
 @dataclass(frozen=True, eq=False)
 class Sine(Swing):
-    """One trial, measured over whole cycles. x(t) = mean + Re(X exp(j omega t)), and so on."""
+    """A trial measured over whole cycles: x(t) = mean + Re(X exp(j omega t)); arrays of shape (n,)."""
 
     t: Array
     x: Array
@@ -114,16 +115,16 @@ class Sine(Swing):
     pressure: float
     """Mean pressure [Pa]; nan where it is not recorded."""
     ripple: complex
-    """Amplitude of the pressure at the sine's frequency [Pa], with the displacement's phase as 0."""
+    """Complex amplitude of the pressure at the sine's frequency, relative to the phase of the displacement [Pa]."""
     distortion: float
-    """Rms of what the sine leaves of the displacement, over its own rms [1]."""
+    """Rms of the displacement minus its sine, over the rms of the sine [1]."""
     cycles: tuple[Swing, ...]
     steps: tuple[float, float] = (0.0, 0.0)
-    """In which displacement [m] and force [N] are read."""
+    """Quantisation steps of displacement [m] and force [N]; 0 for none."""
 
     @cached_property
     def motion(self) -> Waves:
-        """The displacement without noise."""
+        """Harmonics of the displacement."""
         return Waves(self.t, self.x, self.frequency)
 
 
@@ -131,12 +132,11 @@ def measure(
     run: RunData, trial: TrialData, discard: float, force_per_pressure: float = 0.0,
     later: Mapping[str, float] | None = None, delay: float = 0.0,
 ) -> Sine:  # fmt: skip
-    """One trial from its samples, the first `discard` cycles left out, the lags of the sensors taken off.
+    """The sine of a trial without the first `discard` cycles, corrected for the lags of the sensors.
 
-    `force_per_pressure` [N/Pa] takes off the force that pressure at the sine's own frequency makes; `later` is added to
-    the declared lags, `delay` is another one of the force [s].
-
-    Raises `NotUsable` where the trial ended early, lacks a channel, went slack, or has too many flagged samples.
+    With `force_per_pressure` [N/Pa] the force from pressure at the sine's frequency is subtracted. `later` [s] is added
+    to the declared lags, and `delay` [s] is an additional delay of the force. Raises `NotUsable` where the trial ended
+    early, lacks a channel, went slack, has too many flagged samples, or is sampled too rarely or coarsely.
     """
     refuse_incomplete(trial, "displacement", "force")
     frequency = trial.point.get("frequency", 0.0)
@@ -173,7 +173,7 @@ def measure(
 
 
 def _window(trial: TrialData, frequency: float, discard: float) -> slice:
-    """Samples of whole cycles, from the command of the sine on, the first `discard` cycles left out."""
+    """Samples of whole cycles since the command of the sine, without the first `discard` cycles."""
     command = next((c for c in trial.commands if c.kind == "sine"), None)
     begin = float(trial.t[0]) if command is None else command.t
     cycles = trial.point.get("cycles") if command is None else command.data.get("cycles")
@@ -194,9 +194,9 @@ def evaluate(
     t: Array, x: Array, F: Array, frequency: float, pressure: float = float("nan"), ripple: complex = 0j, *,
     by_cycle: bool = True,
 ) -> Sine:  # fmt: skip
-    """Harmonics, area and width of the loop of displacement `x` [m] and force `F` [N] at `t` [s], shapes (n,).
+    """Harmonics, area and width of the loop of displacement `x` [m] and force `F` [N] at `t` [s], shape (n,) each.
 
-    Without `by_cycle` there are no `cycles`.
+    `cycles` is empty unless `by_cycle`. Raises `NotUsable` where the displacement is within its noise.
     """
     omega = 2 * pi * frequency
     both = np.column_stack([x, F])
@@ -233,13 +233,13 @@ def evaluate(
 
 
 def lost_work(x: Array, F: Array) -> float:
-    """Work lost [J] along a path that is closed from its last sample to its first: -integral of F dx."""
+    """Work lost along a path that is closed from its last sample to its first: -integral of F dx [J]."""
     ahead, pull = np.append(x[1:], x[0]), np.append(F[1:], F[0])
     return -float(np.sum(0.5 * (F + pull) * (ahead - x)))
 
 
 def at_middle(t: Array, x: Array, F: Array, mean: float, X: complex, omega: float) -> tuple[float, float]:
-    """Returning and contracting force [N] at `mean`, each from a parabola through the branch's middle samples."""
+    """Force while returning and while contracting at `mean` [N], by parabolas through middle samples; NaN without."""
     position = (x - mean) / abs(X)
     contracting = np.real(1j * X * np.exp(1j * omega * t)) > 0
     middle = np.abs(position) < MIDDLE
@@ -253,7 +253,7 @@ def at_middle(t: Array, x: Array, F: Array, mean: float, X: complex, omega: floa
 
 
 class Waves:
-    """The first five harmonics of `y` over `t` [s], with its mean, by least squares; shapes (n,)."""
+    """Mean and up to `HARMONICS` harmonics of `y` over `t` [s], by least squares; shape (n,) each."""
 
     def __init__(self, t: Array, y: Array, frequency: float) -> None:
         order = max(1, min(HARMONICS, int(0.2 * len(t) / max(1.0, (t[-1] - t[0]) * frequency))))
@@ -265,11 +265,11 @@ class Waves:
         self._mean, self._amplitude = fitted[0], fitted[1 : order + 1] - 1j * fitted[order + 1 :]
 
     def value(self, by: float = 0.0) -> Array:
-        """What it is `by` [s] after `t`."""
+        """Value `by` [s] after `t`, shape (n,)."""
         return np.asarray(self._mean + self._sum(self._amplitude * np.exp(1j * self._k * by)))
 
     def slope(self, by: float = 0.0) -> Array:
-        """Its rate [1/s] `by` [s] after `t`."""
+        """Derivative `by` [s] after `t` [1/s times the unit of y], shape (n,)."""
         return self._sum(1j * self._k * self._amplitude * np.exp(1j * self._k * by))
 
     def _sum(self, amplitude: NDArray[np.complex128]) -> Array:
@@ -277,12 +277,12 @@ class Waves:
 
 
 def without_lag(t: Array, y: Array, frequency: float, lag: float) -> Array:
-    """The input of a sensor with a first-order `lag` [s] that reads `y`: y + lag y'. Its noise stays as it is."""
+    """Input of a first-order `lag` [s] with output `y`: y + lag y', with y' from harmonics; noise is unchanged."""
     return y + lag * Waves(t, y, frequency).slope() if lag else y
 
 
 def earlier(t: Array, y: Array, frequency: float, by: float) -> Array:
-    """`y` with its first five harmonics `by` [s] earlier: the input of a delay. Its noise stays as it is."""
+    """`y` with its harmonics `by` [s] earlier, as the input of a delay; noise is unchanged."""
     if not by:
         return y
     waves = Waves(t, y, frequency)
@@ -290,9 +290,9 @@ def earlier(t: Array, y: Array, frequency: float, by: float) -> Array:
 
 
 def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:
-    """Displacement [m] without noise and force [N] of F = const - K x - B x' - F_c sign x' at the trial's times.
+    """Harmonics of the displacement [m] and F = const - K x - B x' - F_c sign x' [N] at the trial's times.
 
-    The displacement keeps its first five harmonics; the constant gives the trial's mean force.
+    The constant is such that the mean force is that of the trial.
     """
     x, v = sine.motion.value(), sine.motion.slope()
     F = -K * (x - sine.mean) - B * v - F_c * np.sign(v)
@@ -300,11 +300,11 @@ def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:
 
 
 def replay(sine: Sine, K: float, B: float, F_c: float) -> Sine:
-    """The trial measured again with the force of a fitted muscle: what the estimator itself adds."""
+    """Evaluation of the trial with the force of a fitted muscle, which shows the bias of the estimator."""
     x, F = along(sine, K, B, F_c)
     return evaluate(sine.t, x, F, sine.frequency, by_cycle=False)
 
 
 def stiffness_of(run: RunData, trial: TrialData) -> float:
-    """Stiffness of one trial [N/m], the first cycles left out as the plan says; raises `NotUsable`."""
+    """Stiffness of one trial [N/m], without the first cycles by the plan; raises `NotUsable`."""
     return measure(run, trial, float(settings_of(run).get("discard", 1))).stiffness

@@ -1,7 +1,7 @@
-"""Effect of streams with separate clocks on a result: how far their channels may be apart in time; knows no test.
+"""Effect of streams with separate clocks on a result: bounds of the time between their channels.
 
-A stream's clock is known within +-u over the whole run (95 %, `ClockInfo.uncertainty`), by a straight line of time. So
-what is left of its error is a straight line, too, and lies between two: u all the time, and from -u to u.
+A stream's clock is known within +-u over the whole run (95 %, `ClockInfo.uncertainty`) by a straight line over time.
+Its remaining error is a straight line too, between two extremes: constant u, and from -u to u.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from pmabench.store.analyses.results import Estimate, Finding, without_value
 from pmabench.store.records import Array, RunData, TrialData
 
 WIDE = 0.25
-"""A coefficient is withheld where the skew alone is worth more than this share of it, and more than all else."""
+"""Share of a coefficient above which its skew part withholds it, where that also exceeds all other parts."""
 REFUSED = "not identifiable in time"
 EQUAL, ARRIVALS, STAMPED = "stated equal", "host arrivals", "stamped by the computer"
 """`ClockInfo.how`."""
 NO_JITTER = 1e-6
-"""Arrivals that scatter less than this about a device's own stamps [s] are those stamps."""
+"""Scatter below which arrivals are taken to be the device's own time stamps [s]."""
 
 
 def apart(runs: Iterable[RunData], channels: Sequence[str]) -> float:
-    """Bound of the time between any two of the channels [s], the largest of several runs; 0 in one stream."""
+    """Bound of the time between any two of the channels [s], the largest of all runs; 0 within one stream."""
     known = [(run, [name for name in channels if name in run.channels]) for run in runs]
     return round(max((run.skew(*pair) for run, names in known for pair in combinations(names, 2)), default=0.0), 9)
 
 
 def off(runs: Iterable[RunData], channel: str) -> float:
-    """Bound of the time between a channel and the commands, which have the time of the run [s].
+    """Bound of the time between a channel and the commands [s], the largest of all runs.
 
-    A device that takes its time to answer had a command at some time before that.
+    It includes the time that a device took to answer to a command.
     """
     bounds = [0.0]
     for run in (one for one in runs if channel in one.channels):
@@ -46,12 +46,12 @@ def off(runs: Iterable[RunData], channel: str) -> float:
 
 
 def late(run: RunData, channel: str) -> float:
-    """What is open of the time between a channel and the commands [s]: the filter of its sensor, and its clock."""
+    """Uncertainty of the time between a channel and the commands [s], from the lag of its sensor and its clock."""
     return lag_open(run, channel) + off([run], channel)
 
 
 def causes(runs: Iterable[RunData], channels: Sequence[str]) -> dict[tuple[str, ...], float]:
-    """Channels that share a clock -> how far that may be off [s]; empty where all channels share one in every run."""
+    """Channels that share a clock -> bound of its error [s]; empty where all channels share one in every run."""
     found: dict[tuple[str, ...], float] = {}
     for run in runs:
         names = [name for name in channels if name in run.channels]
@@ -63,7 +63,7 @@ def causes(runs: Iterable[RunData], channels: Sequence[str]) -> dict[tuple[str, 
 
 
 def courses(trials: Sequence[TrialData]) -> Array:
-    """Both extreme courses of a clock's error over its bound, at each trial; shape (2, trials)."""
+    """Both extreme courses of a clock's error over its bound at each trial, shape (2, trials)."""
     place = np.zeros(len(trials))
     for run in {trial.run for trial in trials}:
         mine = np.array([trial.run == run for trial in trials])
@@ -73,12 +73,12 @@ def courses(trials: Sequence[TrialData]) -> Array:
 
 
 def milliseconds(skew: float) -> str:
-    """A time [s] in ms, for people."""
+    """A time [s] as text in ms."""
     return f"{1e3 * skew:.3g} ms"
 
 
 def settled(estimate: Estimate, between: str, skew: float) -> Estimate:
-    """The estimate, or the same without a value where its skew part does not allow one.
+    """The estimate, without a value where its skew part is too large.
 
     `between` names the channels, `skew` is the bound of the time between them [s].
     """
@@ -96,7 +96,7 @@ def settled(estimate: Estimate, between: str, skew: float) -> Estimate:
 def findings(
     runs: Sequence[RunData], channels: Sequence[str], skew: float, estimates: Iterable[Estimate]
 ) -> list[Finding]:
-    """What has no value for the `skew` between the channels [s], and where nothing bounds it."""
+    """Findings about values withheld for the `skew` between channels [s], and about clocks without a bound."""
     said = []
     none = [e.symbol for e in estimates if e.value is None and e.note.startswith(REFUSED)]
     if none:

@@ -1,4 +1,4 @@
-"""Student's t, as a rule without scipy, whose import takes longer than most reductions; means with half widths."""
+"""Student's t, usually without scipy, whose import takes longer than most reductions; means with half widths."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from pmabench.store.records import Array
 
 SHARES, FREEDOMS = (0.5, 0.99), (1.0, 300.0)
-"""Where the quadrature is as exact as scipy, to 1e-11; over more degrees a series is, and elsewhere scipy is used."""
+"""Range in which the quadrature agrees with scipy to 1e-11; above it a series is used, elsewhere scipy."""
 OF_WHOLE = 0.999
-"""The highest share where the degrees of freedom are a whole number."""
+"""Highest share for whole degrees of freedom."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)
 STEPS = 100
 
@@ -33,9 +33,10 @@ def ppf(share: float, freedom: float | Array) -> Array:
 
 @lru_cache(maxsize=4096)
 def _quantile(share: float, freedom: float) -> float:
-    """With t = sqrt(freedom) tan(a), the probability between 0 and t is the integral of c cos(a)^(freedom - 1).
+    """Quantile by Newton's method in the angle a, with t = sqrt(freedom) tan(a).
 
-    The integral is concave in a: Newton's method from a = 0 comes to the value from below, until only rounding is left.
+    The probability between 0 and t is the integral of c cos(a)^(freedom - 1), which is concave in a, so the iteration
+    from a = 0 converges from below.
     """
     if freedom > FREEDOMS[1] and SHARES[0] <= share <= OF_WHOLE:
         return _of_many(NormalDist().inv_cdf(share), freedom)
@@ -56,7 +57,7 @@ def _quantile(share: float, freedom: float) -> float:
 
 
 def _of_many(z: float, freedom: float) -> float:
-    """The quantile next to the normal one, z, by powers of 1 / freedom (Abramowitz and Stegun 1964, 26.7.5)."""
+    """Quantile from the normal one, z, by powers of 1 / freedom (Abramowitz and Stegun 1964, 26.7.5)."""
     terms = (
         (z**3 + z) / 4,
         (5 * z**5 + 16 * z**3 + 3 * z) / 96,
@@ -67,29 +68,28 @@ def _of_many(z: float, freedom: float) -> float:
 
 
 def half_width(se: float | None, freedom: int) -> float | None:
-    """95 % half width by Student's t; None where there is no degree of freedom."""
+    """95 % half width by Student's t; None without a standard error or a degree of freedom."""
     return None if se is None or freedom < 1 else float(ppf(0.975, freedom)) * se
 
 
 def mean_with_half(values: Sequence[float] | Array) -> tuple[float, float | None]:
-    """Mean and its 95 % half width."""
+    """Mean and its 95 % half width, which is None for a single value."""
     array = np.array(values)
     se = float(array.std(ddof=1)) / sqrt(len(array)) if len(array) > 1 else None
     return float(array.mean()), half_width(se, len(array) - 1)
 
 
 def half_of_trials(values: Sequence[float] | Array, halves: Sequence[float]) -> float | None:
-    """95 % half width of the mean of trials: by that of each, NaN where it is unknown, or by their scatter if wider."""
+    """95 % half width of the mean of trials: from `halves` of each (NaN: unknown) or their scatter, the larger."""
     within = sqrt(float(np.mean(np.square(halves))) / len(values))
     known = [half for half in (within, mean_with_half(values)[1]) if half is not None and not isnan(half)]
     return max(known, default=None)
 
 
 def mean_over(values: Sequence[float], conditions: Sequence[float]) -> tuple[float, float | None, tuple[float, float]]:
-    """Mean over unlike conditions, each counting alike; its 95 % half width; least and largest mean of a condition.
+    """Mean over conditions with equal weights, its 95 % half width, and the least and largest mean of a condition.
 
-    Conditions are no repeats of each other: the half width comes from the scatter of repeats of one condition, pooled
-    over all of them, and is None where each was tested once.
+    The half width is from the scatter of repeats within conditions, pooled, and None where each was tested once.
     """
     array = np.array(values)
     _, group, count = np.unique(np.array(conditions), return_inverse=True, return_counts=True)

@@ -1,4 +1,4 @@
-"""Trials of one operating point together: its repeats, trials of reference and their drift, sessions; fits nothing."""
+"""Grouping of trials: operating points and repeats, reference trials and their drift, sessions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Key = TypeVar("Key", bound=Hashable)
 def measured_trials(
     runs: Sequence[RunData], measure: Callable[[RunData, TrialData], One]
 ) -> tuple[list[One], list[Dropped]]:
-    """What `measure` finds in every trial, and the trials that it refuses by `NotUsable`."""
+    """Results of `measure` for all trials, and the trials for which it raises `NotUsable`."""
     found: list[One] = []
     dropped: list[Dropped] = []
     for run in runs:
@@ -39,7 +39,7 @@ def measured_trials(
 
 
 def grouped(items: Iterable[One], key: Callable[[One], Key]) -> dict[Key, list[One]]:
-    """The items with the same key together, in the order that they came."""
+    """Items by key, in their order."""
     groups: dict[Key, list[One]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)
@@ -47,22 +47,22 @@ def grouped(items: Iterable[One], key: Callable[[One], Key]) -> dict[Key, list[O
 
 
 def point_of(trial: TrialData) -> Point:
-    """The operating point of a trial as a key: names and values [SI] to nine decimals, sorted."""
+    """Operating point of a trial as a key: sorted names and values [SI] to nine decimals."""
     return tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
 
 
 def point_by(trial: TrialData, names: Sequence[str]) -> Point:
-    """Those of the operating point's entries that have one of `names`, in their order, as a key."""
+    """Entries of the operating point with these names, in the order of `names`, as a key."""
     return tuple((name, round(trial.point[name], 9)) for name in names if name in trial.point)
 
 
 def six_digits(at: Mapping[str, float], without: str = "") -> Point:
-    """An operating point to six digits as a key, so that equal settings agree; without one of its entries."""
+    """Operating point to six digits as a key, without the entry `without`."""
     return tuple((name, float(f"{value:.6g}")) for name, value in sorted(at.items()) if name != without)
 
 
 def by_point(members: Sequence[tuple[RunData, TrialData]]) -> list[tuple[dict[str, float], Members]]:
-    """Operating points [SI] in rising order, each with its runs and trials in the order that they came."""
+    """Operating points [SI] in rising order, each with its runs and trials in their order."""
     return [(dict(key), group) for key, group in sorted(grouped(members, lambda one: point_of(one[1])).items())]
 
 
@@ -73,10 +73,10 @@ ONE_SESSION = (
 
 
 def session_of(run: RunData) -> str:
-    """The session that a run belongs to.
+    """Identifier of the session of a run.
 
-    That is the session of the bench that the record names; of imports the day, where the file gives it, else the
-    folder; else the run by itself.
+    The session of the bench in the manifest; for imports the day where the file gives it, else the folder; else the
+    id of the run.
     """
     session, imported = run.manifest.get("session"), run.manifest.get("imported")
     if isinstance(session, Mapping) and session.get("at"):
@@ -88,9 +88,9 @@ def session_of(run: RunData) -> str:
 
 
 def mean_over_sessions(values: Sequence[float] | Array, sessions: Sequence[str]) -> tuple[float, float | None]:
-    """Mean of the sessions' means and its 95 % half width by Student's t over sessions; over values where there is one.
+    """Mean of the sessions' means and its 95 % half width by Student's t; over values where there is one session.
 
-    None in place of the half width where there are fewer than two values.
+    The half width is None with fewer than two values.
     """
     groups = grouped(zip(map(float, values), sessions, strict=True), lambda one: one[1]).values()
     means = [float(np.mean([value for value, _ in group])) for group in groups]
@@ -101,9 +101,9 @@ def mean_of_trials(
     symbol: str, kind: tuple[str, str], method: str, at: Mapping[str, float], trials: tuple[str, ...],
     values: Sequence[float] | Array, extra: float | None, calibration: float | None, once: str, more: str = "",
 ) -> Estimate:  # fmt: skip
-    """The mean of one value of each trial, in `kind`: unit and quantity; half width by their scatter.
+    """Mean of one value per trial, with the half width from their scatter; `kind` is unit and quantity.
 
-    `extra` is its method part. `once` notes that there is no scatter of one trial, `more` anything else.
+    `extra` is the method part. `once` is the note for a single trial, `more` any other note.
     """
     mean, half = mean_with_half(values)
     note, parts = sentences(once if half is None else "", more), Parts(half, extra, calibration)
@@ -111,12 +111,12 @@ def mean_of_trials(
 
 
 DOUBTED = 0.02
-"""A stroke that differs by more from that of the first reference trial is doubted [1]."""
+"""Relative change of stroke from the first reference trial above which it is doubted [1]."""
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One reference trial compared with the first at the same point; strokes in m."""
+    """A reference trial compared with the first at the same point; strokes in m."""
 
     trial: TrialData
     first: float
@@ -124,15 +124,14 @@ class Compared:
 
     @property
     def off(self) -> float:
-        """Change since the first [1]."""
+        """Relative change since the first [1]."""
         return self.stroke / self.first - 1.0
 
 
 def compared(runs: Sequence[RunData]) -> list[Compared]:
-    """Each finished reference trial after the first one of its point and specimen, in order of time.
+    """All finished reference trials but the first of each point and specimen, in order of time.
 
-    Its stroke is the contraction from the rest before the first pressure command to the last fifth of the hold at
-    pressure [m].
+    The stroke is the contraction from rest before the first pressure command to the last fifth of the hold [m].
     """
     first: dict[tuple[object, ...], float] = {}
     found = []
@@ -150,7 +149,7 @@ def compared(runs: Sequence[RunData]) -> list[Compared]:
 
 
 def reference_findings(runs: Sequence[RunData]) -> list[Finding]:
-    """What the reference trials say, a line for each that was done again by a run that went on, and for the rest."""
+    """Findings about reference trials: one for each repeated when a run was resumed, and one for all others."""
     every = compared(runs)
     lines = [
         _finding(one, f"the reference trial, done again when the run went on ({one.trial.name}),")
@@ -172,7 +171,7 @@ def _finding(one: Compared, what: str) -> Finding:
 
 
 def stroke_of(run: RunData, trial: TrialData) -> float | None:
-    """Contraction at the end of the hold less that at rest [m]; None where either has no usable sample."""
+    """Contraction at the end of the hold minus that at rest [m]; None without usable samples or pressure commands."""
     if "displacement" not in trial.channels:
         return None
     times = sorted(c.t for c in trial.commands if c.output == "pressure" and c.phase != "precondition")
@@ -189,17 +188,16 @@ FIGURE = "repeats"
 POINTS = 360
 LONGEST_TRACE = 1500
 MOST = 8
-"""Most repeats."""
+"""Most repeats in the figure."""
 HIDDEN = frozenset(("side", "mass", "cycles"))
-"""Coordinates that need no word in the title."""
+"""Coordinates left out of the title."""
 
 
 def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
-    """The repeats of the operating point that has most of them, of several the middle one; none without repeats.
+    """A trace of the repeats at the point with most of them, the middle one of several; empty without repeats.
 
-    `channel` is the one in which they differ over time; empty for kinds of test whose trials have no common course.
-
-    Columns `t` [s] since the trial's first command and `repeat 1` ... [m] or [N], in the order of recording.
+    `channel` is the plotted one. Columns are `t` [s] since the trial's first command, and `repeat 1` ... [m] or [N] in
+    the order of recording.
     """
 
     def known(trial: TrialData) -> NDArray[np.bool_]:
@@ -230,13 +228,13 @@ def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
 
 
 def thinned(columns: Mapping[str, Array], most: int = LONGEST_TRACE) -> dict[str, Array]:
-    """Every so many-th row of the columns of a figure, `most` rows at most."""
+    """Columns of a figure with every n-th row, at most `most` rows."""
     stride = max(1, -(-max(map(len, columns.values()), default=0) // most))
     return {name: column[::stride] for name, column in columns.items()}
 
 
 def _means(grid: Array, t: Array, y: Array) -> Array:
-    """Means of y about each point of an even grid, shape (n,): noise of single samples is no scatter of repeats."""
+    """Means of y about each point of an even grid, shape (n,); interpolated where there is no sample."""
     step = grid[1] - grid[0]
     place = np.floor((t - grid[0]) / step + 0.5).astype(int)
     inside = (place >= 0) & (place < len(grid))

@@ -1,10 +1,8 @@
-"""How far what pulls comes behind what is moved, by the moments at which both turn.
+"""Delay of the force behind the motion, from the times at which both turn.
 
-Hysteresis and damping change the force at the moment at which the motion turns, however slowly its branches go over
-into each other. A filter of the force cell, another clock or backlash of the displacement sensor part the two moments;
-on the branches each of them looks like hysteresis or damping.
-
-Knows samples and moments; no test.
+Hysteresis and damping change the force at the moment at which the motion turns, however slowly it approaches the other
+branch. A filter of the force cell, another clock or backlash of the displacement sensor separate the two moments; on
+the branches each of them looks like hysteresis or damping.
 """
 
 from __future__ import annotations
@@ -20,27 +18,27 @@ from pmabench.analysis.shared.lines import left_by
 from pmabench.store.records import Array
 
 FEWEST = 6
-"""Samples that are needed on either side of a turn."""
+"""Fewest samples on either side of a turn."""
 TRIED = 41
-"""Delays that are tried either way, with none."""
+"""Number of delays tried in each direction, including 0."""
 REACH = 0.6
-"""Longest delay that is tried, as a share of the time that is looked at on either side of a turn."""
+"""Longest tried delay over the time span on either side of a turn."""
 REACHED = 0.8
-"""A longer share of that is looked for over twice the time."""
+"""Share of the longest delay above which the search is repeated over a longer span."""
 WIDER = 3.0
-"""The motion may turn so many of these times before or after its command."""
+"""Spans before and after its command within which the turn of the motion is searched."""
 ORDER = 3
 ALIKE = 1e-9
-"""Sums of squares that differ by less than this share of theirs are the same: delays between the same two samples."""
+"""Relative difference below which sums of squares count as equal, as for delays between the same two samples."""
 OF_FILTER = 4.0
-"""Time constants of a filter that are looked at on either side of a turn."""
+"""Span on either side of a turn, in time constants of the filter."""
 SURE = 4.0
-"""A filter is taken for a delay that leaves so many standard deviations more."""
+"""Standard deviations by which a filter must fit better than a delay, to be taken in its place."""
 
 
 @dataclass(frozen=True)
 class Behind:
-    """Time by which the force comes behind the motion [s], its half width, whether it lies within what was tried."""
+    """Delay of the force behind the motion [s], its half width [s], and whether it is within the tried range."""
 
     time: float
     half: float
@@ -48,14 +46,13 @@ class Behind:
 
 
 def behind(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: float) -> Behind | None:
-    """The time by which `pulls` is behind `moved`; None where too few samples show a turn.
+    """Delay of `pulls` behind `moved`; None where too few samples are near a turn.
 
-    `t`, `moved`, `pulls` have shape (n,), `turns` are the commanded ones [s]. Half of `span` [s] before and after each
-    turn is looked at: before it a straight line, after it a polynomial of third order from a jump on, late by a delay
-    or through a filter of first order. What the whole of `span` gives says how much that form matters; a time that half
-    of it hardly reaches is looked for in the whole of it and in twice that. The interval is that of the
-    profile likelihood, by Student's t for as many delays as there are samples to tell them apart: what is left jumps
-    from sample to sample, and its curvature says nothing.
+    `t` [s], `moved`, `pulls` have shape (n,), `turns` are the commanded times [s]. Within half of `span` [s] about each
+    turn the force is a straight line before, and after it a jump and a cubic polynomial, delayed or through a
+    first-order filter. The result for the whole `span` shows the effect of this form, and is in the half width. Delays
+    near the limit of half the span are searched within `span` and twice that. The interval is by profile likelihood,
+    with Student's t corrected for the number of distinguishable delays, because the residual is not smooth.
     """
     near, wide = (_of_turns(t, moved, pulls, turns, share * span) for share in (0.5, 1.0))
     if wide is not None and abs(wide.time) > REACHED * REACH * 0.5 * span:
@@ -66,7 +63,7 @@ def behind(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: f
 
 
 def through_filter(t: Array, moved: Array, pulls: Array, turns: Sequence[float], constant: float) -> bool:
-    """Whether `pulls` comes through a filter of first order with a time `constant` [s], as far as its turns show."""
+    """Whether the turns agree with `pulls` being filtered by a first-order filter of time `constant` [s]."""
     span = OF_FILTER * constant
     windows = _windows(t, moved, pulls, turns, span)
     if not windows:
@@ -92,7 +89,7 @@ def _of_turns(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span
 
 
 def _window(t: Array, moved: Array, pulls: Array, turn: float, span: float) -> tuple[Array, Array] | None:
-    """Times from the turn of the motion on [s], and what pulls."""
+    """Times relative to the turn of the motion [s] and `pulls` there; None with too few samples or without a turn."""
     wide = _about(t, turn, WIDER * span)
     begin = None if wide is None else corner(t[wide] - turn, moved[wide])
     near = None if begin is None else _about(t, turn + begin, span)
@@ -106,7 +103,7 @@ def _about(t: Array, moment: float, span: float) -> NDArray[np.intp] | None:
 
 
 def corner(t: Array, y: Array) -> float | None:
-    """When y(t) goes over from one straight line to another [s], shape (n,) each; None where that is at an end."""
+    """Time [s] at which y(t) changes from one straight line to another; None where that is at an end."""
     tried = np.linspace(0.7 * float(t[0]), 0.7 * float(t[-1]), 2 * TRIED)
     left = left_by(np.stack([np.ones_like(t), t]), np.maximum(t - tried[:, None], 0.0)[:, None], y)
     place = int(np.argmin(left))
@@ -119,15 +116,15 @@ def corner(t: Array, y: Array) -> float | None:
 
 
 def _delayed(t: Array, late: Array) -> Array:
-    """1, t, t2, t3 from each of `late` on, shape (k, 4, n)."""
+    """1, s, s^2, s^3 of the time s since each of `late`, 0 before, shape (k, 4, n)."""
     since = np.maximum(t - late[:, None], 0.0)
     return np.stack([np.where(t >= late[:, None], 1.0, 0.0), since, since * since, since * since * since], axis=1)
 
 
 def _filtered(t: Array, constant: Array) -> Array:
-    """1, t, t2, t3 from 0 on through a filter of first order with each time constant, shape (k, 4, n).
+    """1, t, t^2, t^3 from t = 0, filtered by first-order filters of each time constant, shape (k, 4, n).
 
-    A constant that is not above 0 is a delay.
+    A constant of 0 or below is a delay.
     """
     early = constant <= 0
     tau = np.where(early, 1.0, constant)[:, None]
@@ -141,7 +138,7 @@ def _filtered(t: Array, constant: Array) -> Array:
 
 
 def _left(windows: Sequence[tuple[Array, Array]], of: Callable[[Array, Array], Array], tried: Array) -> Array:
-    """What each time that is `tried` leaves [square of what pulls], shape (k,)."""
+    """Residual sum of squares for each of `tried` [square of what pulls], shape (k,)."""
     every = [left_by(np.stack([np.ones_like(t), t]), of(t, tried), y) for t, y in windows]
     return np.asarray(np.sum(every, axis=0))
 
@@ -149,7 +146,7 @@ def _left(windows: Sequence[tuple[Array, Array]], of: Callable[[Array, Array], A
 def _best(
     windows: Sequence[tuple[Array, Array]], reach: float, of: Callable[[Array, Array], Array]
 ) -> tuple[Behind, float, float]:
-    """The best of one way to be late; what it leaves [square of what pulls], and the variance of that by sample."""
+    """Best delay of one form, its residual sum of squares [square of what pulls], and the variance per sample."""
     tried = np.linspace(-reach, reach, 2 * TRIED - 1)
     left = _left(windows, of, tried)
     least = float(left.min())

@@ -1,8 +1,8 @@
-"""A muscle as it is: force over contraction and pressure as a smooth surface, with hysteresis, damping and creep.
+"""Model of a muscle: force as a smooth surface over contraction and pressure, with hysteresis, damping and creep.
 
-- `trials`: one slow trial as arrays, and how they come from a trial of a run
-- `muscle`: the terms, what each makes of the past of a trial, and what a fitted muscle does
+- `trials`: one slow trial as arrays, from a trial of a run
+- `muscle`: the terms, their memory of the past of a trial, and the fitted muscle
 - `fit`: bounded least squares of all trials
-- `choice`: which terms the data need, by trials that are left out, and how well a value is known
-- `replay`: measured trials next to a fitted muscle and to straight lines
+- `choice`: choice of terms by cross-validation, and intervals of values
+- `replay`: measured trials compared with a fitted muscle and with straight lines
 """

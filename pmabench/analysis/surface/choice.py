@@ -1,9 +1,9 @@
-"""Which terms a muscle needs, and how well its values are known: one is kept only where it predicts clearly better.
+"""Choice of the terms of a muscle by cross-validation, and intervals of its values.
 
-Left out are whole groups of trials: a load, a pressure, a loop. A term is kept if the error there falls by more than
-`CLEAR` and by more than the standard error of that fall over the groups. R squared and information criteria do not
-decide, since the errors of one trial hang together. A value is known by what it is without each group of trials, and
-with other choices of the analyst.
+Whole groups of trials are left out: a load, a pressure, a loop. A term is kept if it reduces the error there by more
+than `CLEAR` and by more than the standard error of that reduction over the groups. R squared and information criteria
+are not used, since the errors of one trial are correlated. The interval of a value is from its values without each
+group of trials, and with other choices of the analyst.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from pmabench.analysis.surface.muscle import ALWAYS, CREEP_X, TERMS, Muscle
 from pmabench.store.records import Array
 
 FEWEST = 4
-"""Groups of trials without which there is no interval."""
+"""Fewest groups of trials for an interval."""
 SMOOTHER = 10.0
-"""The surface may as well be so many times smoother or rougher."""
+"""Factor on the smoothness, both ways, for alternative surfaces."""
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,17 @@ class Known:
 
     value: float
     repeats: float | None
-    """Jackknife: from the values without each group; None with too few groups."""
+    """Half width by jackknife over groups of trials; None with fewer than `FEWEST`."""
     method: float
-    """The largest change by other smoothness or terms that predict about as well, or without the rows that come before
-    it is known which way friction acts.
+    """Largest change by another smoothness, by other terms that predict about as well, or without the rows before the
+
+    direction of friction is known.
     """
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The muscle, those without each group of trials, and those of other choices."""
+    """The muscle, those fitted without each group of trials, and those of other choices."""
 
     muscle: Muscle
     without: tuple[Muscle, ...]
@@ -49,7 +50,7 @@ class Spread:
 
     @classmethod
     def of(cls, choice: Choice) -> Spread:
-        """All muscles that a choice allows."""
+        """Fit all muscles for a choice."""
         known, frame, best = choice.sums, choice.data.frame, choice.score
         every = np.ones(len(choice.data.records))
 
@@ -66,7 +67,7 @@ class Spread:
         return cls(choice.muscle, tuple(without), tuple(others))
 
     def of_value(self, value: Callable[[Muscle], float]) -> Known:
-        """What a function of the muscle is, and how well it is known."""
+        """The value of a function of the muscle with its half widths."""
         middle = value(self.muscle)
         changed = max((abs(value(other) - middle) for other in self.others), default=0.0)
         number = len(self.without)
@@ -78,37 +79,37 @@ class Spread:
 
 
 CLEAR = 0.10
-"""Share by which the error on what was left out must fall."""
+"""Relative reduction of the cross-validation error above which a term is kept."""
 ALIKE = 1.3
-"""Hysteresis or creep is named as the cause only where the other in its place leaves so many times the error."""
+"""Ratio of errors above which hysteresis and creep count as distinguished."""
 PASSES = 3
-"""Creep acts through the stiffness of the pass before."""
+"""Number of passes of the fit: creep acts through the stiffness of the pass before."""
 FOLDS = 24
-"""Most groups that are left out one at a time; with more, several together."""
+"""Most folds; with more groups several share a fold."""
 SMOOTH = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Weights of the bends of the surface that are tried: the one that predicts best what was left out is taken."""
+"""Weights of the curvature of the surface that are tried; the one with the least cross-validation error is used."""
 RIVALS = ((muscle_terms.STOPS_X, CREEP_X), (muscle_terms.STOPS_P, muscle_terms.CREEP_P))
-"""Hysteresis and creep of the same thing, which one cycle does not tell apart."""
+"""Pairs of hysteresis and creep that a single cycle does not distinguish."""
 STRAIGHT_FORM = (muscle_terms.STRAIGHT, muscle_terms.VISCOUS, muscle_terms.SLIDING)
-"""What the fit is compared with."""
+"""Terms of the straight form with which the fit is compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """How a choice of terms predicts what was left out."""
+    """Cross-validation error of a choice of terms."""
 
     terms: tuple[str, ...]
     rms: float
-    """Over all groups, each predicted without it [N]."""
+    """Rms error over all folds, each predicted without it [N]."""
     each: Array
-    """Mean square of each fold [N2]."""
+    """Mean square error of each fold [N2]."""
     size: Array
-    """Share of each fold of all rows."""
+    """Weight of each fold over that of all rows."""
     smooth: float
-    """Weight of the bends of the surface."""
+    """Weight of the curvature of the surface."""
 
     def better_than(self, other: Score) -> bool:
-        """Whether the error is lower by more than `CLEAR` and by more than its standard error over the folds."""
+        """Whether the error is lower by more than `CLEAR` and by more than the standard error over the folds."""
         fall = other.rms - self.rms
         number = len(self.each)
         by_fold = (other.each - self.each) * self.size * number / max(self.rms + other.rms, 1e-300)
@@ -118,7 +119,7 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The muscle with the terms that the data need, and what each choice would have done."""
+    """The muscle with the chosen terms, and the errors of all choices that were tried."""
 
     data: Data
     sums: Sums
@@ -126,13 +127,13 @@ class Choice:
     score: Score
     tried: tuple[Score, ...]
     undecided: tuple[tuple[str, str], ...]
-    """Pairs of hysteresis and creep that do about equally well: first the one that was taken."""
+    """Pairs of hysteresis and creep that predict about equally well, the chosen one first."""
     plain: Score
-    """What the surface and damping alone would do."""
+    """Score of surface and damping alone."""
     straight: Score
-    """What the straight form with damping and Coulomb friction would do."""
+    """Score of the straight form with damping and Coulomb friction."""
     lines: Muscle
-    """That straight form, of all records."""
+    """The straight form fitted to all records."""
     folds: Array
     """Fold of each record."""
 
@@ -143,7 +144,7 @@ class Choice:
 
 
 def choose(data: Data, passes: int = PASSES) -> Choice:
-    """The muscle of all records, with the terms that predict clearly better what was left out."""
+    """Choose terms by cross-validation, and fit the muscle to all records."""
     folds = folds_of(data)
     every = np.ones(len(data.records))
     known = sums(data, first_stiffness(data))
@@ -160,14 +161,14 @@ def choose(data: Data, passes: int = PASSES) -> Choice:
 
 
 def folds_of(data: Data) -> Array:
-    """Fold of each record: records of one group are in the same."""
+    """Fold of each record, shape (records,); records of one group share a fold."""
     names = list(dict.fromkeys(record.group for record in data.records))
     number = min(len(names), FOLDS)
     return np.array([names.index(record.group) % number for record in data.records])
 
 
 def scored(known: Sums, folds: Array, terms: Sequence[str]) -> Score:
-    """How a choice of terms predicts each fold without it, with the smoothness of the surface that does so best."""
+    """Cross-validation error of a choice of terms, with the best smoothness of the surface."""
     numbers = np.unique(folds)
     rows = np.array([known.n[folds == one].sum() for one in numbers])
     size = rows / rows.sum()
@@ -181,7 +182,7 @@ def scored(known: Sums, folds: Array, terms: Sequence[str]) -> Score:
 
 
 def _selected(known: Sums, folds: Array) -> tuple[Score, list[Score]]:
-    """All terms, then without those that do not clearly help, the least useful first."""
+    """Backward elimination of terms that do not clearly help; the best score, and all scores tried."""
     best = scored(known, folds, TERMS)
     tried = [best]
     while len(best.terms) > len(ALWAYS):
@@ -197,7 +198,7 @@ def _selected(known: Sums, folds: Array) -> tuple[Score, list[Score]]:
 
 
 def _undecided(known: Sums, folds: Array, best: Score) -> tuple[tuple[str, str], ...]:
-    """Pairs of which one was taken while the other does about as well in its place."""
+    """Pairs of `RIVALS`, the chosen one first, where the other predicts about as well in its place."""
     found = []
     for one, two in RIVALS:
         if (one in best.terms) == (two in best.terms):

@@ -1,7 +1,7 @@
-"""Bounded least squares of all trials of a muscle together, from sums over each trial, so that leaving out is quick.
+"""Bounded least squares of all trials of a muscle, from sums over each trial, so that leaving out trials is fast.
 
-Trials whose length was set by hand have a constant of their own, which a priori is of the size `SETTING` times the
-stiffness; it is eliminated before the sums are used.
+Trials whose length was set by hand have an unknown constant force, a priori of the size `SETTING` times the stiffness;
+it is eliminated from the sums.
 """
 
 from __future__ import annotations
@@ -22,37 +22,37 @@ from pmabench.store.records import Array
 FIRST_SMOOTH = 0.1
 RIDGE = 1e-9
 TURNS = 1e-3
-"""Weight of the turns of the polygons of the straight form, of that of the bends of the surface."""
+"""Weight of the second differences of the straight form, relative to the curvature of the surface."""
 STILL = 0.01
-"""Share of the range of pressure or contraction within which a muscle counts as held."""
+"""Share of the range of pressure and contraction within which a muscle counts as held."""
 HOLD = 1.0
-"""Time [s] after which the rows of a hold begin to count less."""
+"""Time after which the weights of the rows of a hold decrease [s]."""
 SETTING = 0.3e-3
-"""Scatter of a length that is set by hand [m]; recorded tests show 0.25 to 0.5 mm."""
+"""Scatter of a length set by hand [m]; recorded tests show 0.25 to 0.5 mm."""
 BEGIN = 0.1
-"""Share of the range of contraction that a muscle must move before it is known how friction acts in it."""
+"""Share of the range of contraction after which the direction of friction is known."""
 FRICTION = 0.02
-"""Half of the width of a usual loop, as a share of the largest force."""
+"""Half the width of a typical loop over the largest force."""
 NOISE = 0.003
-"""A priori misfit as a share of the largest force: against it the constant of a trial is weighed."""
+"""A priori misfit over the largest force, for the weight of the constant of a trial."""
 
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """All records of a muscle, and what its past is at each row."""
+    """All records of a muscle, with its memory at each row."""
 
     records: tuple[Record, ...]
     frame: Frame
     past: muscle.Memory
     rows: Rows
     weight: Array
-    """Of each row."""
+    """Weight of each row, shape (n,)."""
     careful: bool
-    """Nothing is taken from a record before it is known which way friction acts in it, see `sure` and `level_of`."""
+    """Whether rows before the direction of friction is known are left out, see `sure` and `level_of`."""
 
     @classmethod
     def of(cls, records: Sequence[Record], frame: Frame | None = None, *, careful: bool = False) -> Data:
-        """The data of records, over their own ranges where no frame is given."""
+        """The data of records; without a frame, over their own ranges."""
         rows = Rows.of_records(records)
         P, x = rows.P[rows.used], rows.x[rows.used]
         frame = frame or Frame.over((P.min(), P.max()), (x.min(), x.max()))
@@ -68,7 +68,7 @@ class Data:
 
 
 def weights_of(record: Record, frame: Frame) -> Array:
-    """Weight of each row of a record: equal ways count alike, and in a hold equal steps of the logarithm of time."""
+    """Weight of each row, shape (n,): 1, and in a hold decreasing as 1 / time; 0 where it does not count."""
     places = np.column_stack([record.P / max(frame.P.span, 1.0), record.x / max(frame.x.span, 1e-6)]) / STILL
     found = np.ones(len(record.t))
     since, start = places[0], float(record.t[0])
@@ -80,14 +80,14 @@ def weights_of(record: Record, frame: Frame) -> Array:
 
 
 def sure(record: Record, frame: Frame) -> NDArray[np.bool_]:
-    """Rows at which it is known how friction acts: those after a move of `BEGIN` of the range, if there is one."""
+    """Mask of rows with known direction of friction: those after a motion of `BEGIN` of the range; all without one."""
     so_far = np.maximum.accumulate(record.x) - np.minimum.accumulate(record.x)
     moved = so_far >= BEGIN * frame.x.span
     return moved if moved.any() else np.ones(len(moved), dtype=bool)
 
 
 def level_of(record: Record, data: Data, stiffness: float) -> float:
-    """How far the force of a whole record may be off by a constant [N]: by its length, or by unknown friction in it."""
+    """Standard deviation of the constant force of a record [N]: from its length, or from unknown friction."""
     if record.by_hand:
         return SETTING * stiffness
     still = np.ptp(record.x) < BEGIN * data.frame.x.span
@@ -96,38 +96,38 @@ def level_of(record: Record, data: Data, stiffness: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Weighted sums over the rows of each record of products of columns with each other; the last column is the force.
+    """Weighted sums of products over the rows of each record, for p columns and the force as last column.
 
-    Shapes (records, p + 1, p + 1), for p columns.
+    The p columns are those of all terms.
     """
 
     products: Array
-    """Without what a constant of the record may be."""
+    """Sums of products, with the constant of each record eliminated, shape (records, p + 1, p + 1)."""
     n: Array
-    """Sum of the weights of each record."""
+    """Sum of the weights of each record, shape (records,)."""
     places: dict[str, slice]
     """Term -> its columns."""
     penalty: Array
-    """Shape (p, p)."""
+    """Quadratic penalty of the weights, shape (p, p)."""
 
     @cached_property
     def _whole(self) -> Array:
         return np.asarray(self.products.sum(axis=0))
 
     def of(self, used: Array) -> Array:
-        """Sum of `products` over the records with `used` (n,) 1 and not 0."""
+        """Sum of `products` over the records with `used` 1, shape (p + 1, p + 1); `used` is (records,) of 0 and 1."""
         few = used.sum() < 0.5 * len(used)
         part = self.products[(used > 0) == few].sum(axis=0)
         return np.asarray(part if few else self._whole - part)
 
     def part(self, terms: Collection[str]) -> NDArray[np.int64]:
-        """Numbers of the columns of terms."""
+        """Indices of the columns of terms."""
         every = np.arange(len(self.penalty))
         return np.concatenate([every[self.places[term]] for term in self.places if term in terms])
 
 
 def sums(data: Data, stiffness: Stiffness, terms: Sequence[str] = TERMS) -> Sums:
-    """The sums of terms, with the stiffness [N/m] that creep of contraction acts through."""
+    """Sums for terms, with the stiffness [N/m] through which creep of contraction acts."""
     rows, number = data.rows, len(data.records)
     blocks = [muscle.columns_of(term, data.frame, rows, data.past, stiffness) for term in terms]
     ends = np.cumsum([0, *(block.shape[1] for block in blocks)])
@@ -149,7 +149,7 @@ def sums(data: Data, stiffness: Stiffness, terms: Sequence[str] = TERMS) -> Sums
 
 
 def _penalty(frame: Frame, diagonal: Array, places: Mapping[str, slice]) -> Array:
-    """What bends of the surface cost, and turns of the polygons of the straight form."""
+    """Penalty (p, p) of the curvature of the surface, and of second differences of the straight form."""
     found = np.zeros((len(diagonal) - 1, len(diagonal) - 1))
     if surface := places.get(muscle.SURFACE):
         bends = frame.bends()
@@ -161,7 +161,7 @@ def _penalty(frame: Frame, diagonal: Array, places: Mapping[str, slice]) -> Arra
 
 
 def solve(sums: Sums, terms: Collection[str], used: Array, smooth: float) -> Array:
-    """Weights of the columns of terms, by the records with `used` (n,) 1 and not 0; 0 for all other columns."""
+    """Weights (p,) of the columns of terms from the records with `used` 1; 0 for all other columns."""
     part = sums.part(terms)
     whole = sums.of(used)
     H = whole[np.ix_(part, part)] + smooth * sums.penalty[np.ix_(part, part)]
@@ -173,7 +173,7 @@ def solve(sums: Sums, terms: Collection[str], used: Array, smooth: float) -> Arr
 
 
 def bounded(H: Array, b: Array, free: NDArray[np.bool_]) -> Array:
-    """Minimum of y.H.y / 2 - b.y where all y but the `free` ones are at least 0; H (n, n) positive definite."""
+    """Minimise y.H.y / 2 - b.y where all y but the `free` ones are at least 0; H (n, n) is positive definite."""
     inner = H[np.ix_(free, free)]
     cross = H[np.ix_(free, ~free)]
     through = np.linalg.solve(inner, np.column_stack([b[free], cross]))
@@ -187,30 +187,30 @@ def bounded(H: Array, b: Array, free: NDArray[np.bool_]) -> Array:
 
 
 def muscle_of(sums: Sums, frame: Frame, terms: Collection[str], weights: Array) -> Muscle:
-    """The muscle of the weights that `solve` gave."""
+    """The muscle with the weights from `solve`."""
     return Muscle(frame, split(sums, [term for term in TERMS if term in terms], weights))
 
 
 def split(sums: Sums, terms: Collection[str], weights: Array) -> dict[str, Array]:
-    """The weights of each term."""
+    """Term -> its weights."""
     return {term: weights[sums.places[term]] for term in terms}
 
 
 def misfit(sums: Sums, weights: Array, of: Array) -> float:
-    """Root mean square of what weights leave of the records with `of` (n,) 1 [N], their own constants taken off."""
+    """Rms residual [N] of the records with `of` 1, with the constant of each record eliminated."""
     both = np.append(weights, -1.0)
     left = float(both @ sums.of(of) @ both)
     return float(np.sqrt(max(left, 0.0) / max(float(of @ sums.n), 1e-300)))
 
 
 def fitted(data: Data, stiffness: Stiffness, terms: Collection[str], smooth: float) -> Muscle:
-    """The muscle of all records with given terms; creep acts through a stiffness that is known before."""
+    """The muscle fitted to all records with the given terms; creep acts through the given stiffness."""
     known = sums(data, stiffness)
     return muscle_of(known, data.frame, terms, solve(known, terms, np.ones(len(data.records)), smooth))
 
 
 def first_stiffness(data: Data) -> Stiffness:
-    """The stiffness of the surface without creep."""
+    """Stiffness of the surface from a fit without creep of contraction."""
     steep = data.largest / max(data.frame.x.span, 1e-3)
     terms = [term for term in TERMS if term != muscle.CREEP_X]
     return fitted(data, lambda P, x: np.full_like(P, steep), terms, FIRST_SMOOTH).stiffness

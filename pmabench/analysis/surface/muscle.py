@@ -1,6 +1,6 @@
-"""The muscle that a fit gives: its force, stiffness, loops and creep, from the weights of its terms; SI throughout.
+"""The fitted muscle: force, stiffness, loops and creep from the weights of its terms; SI throughout.
 
-And what each term makes of the past of a trial: splines, stops, lags.
+Also the basis functions of the terms: splines, stops, lags.
 """
 
 from __future__ import annotations
@@ -18,27 +18,29 @@ from pmabench.store.records import Array
 
 DEGREE = 3
 SECANT_PLACES = 41
-"""Contractions through which a straight line is laid."""
+"""Number of contractions for the fit of a straight line."""
 SLIDES = 0.0003
-"""Half the way over which friction turns round that counts as turning at once, as a share of the range of x."""
+"""Half width of the stop for friction that reverses at once, over the range of x."""
 WIDTHS_X = (0.003, 0.01, 0.03, 0.08, 0.23)
-"""Half widths of the stops on contraction over its range: 0.15 to 12 mm of 52 mm."""
+"""Half widths of the stops on contraction, over its range: 0.15 to 12 mm of 52 mm."""
 WIDTHS_P = (1 / 60, 1 / 20, 1 / 6, 0.3)
-"""Half widths of the stops on pressure over the highest pressure: 10 to 180 kPa of 600 kPa. One of half the range never
-slips: it is a spring, which the surface has already.
+"""Half widths of the stops on pressure, over the highest pressure: 10 to 180 kPa of 600 kPa.
+
+One of half the range would never slip and be a spring, which is in the surface already.
 """
 TIMES = (0.3, 0.95, 3.0, 9.5, 30.0, 95.0, 300.0)
-"""Time constants of creep [s], two in a decade: their sum can follow a straight line over the logarithm of time."""
+"""Time constants of creep [s], two per decade, so that sums can follow straight lines over the logarithm of time."""
 SETTLED = 5.0
-"""Time [s] before a record since which the muscle has been where it begins."""
+"""Time for which the muscle has been at its first position before a record begins [s]."""
 FAST = 5.0
-"""Lags of less time [s] are counted from where they end, so that the surface is the muscle this long after a move:
-slow tests do not tell faster creep from stiffness.
+"""Lags with shorter time constants [s] are counted from their final value.
+
+So the surface is the muscle this long after a motion: slow tests do not separate faster creep from stiffness.
 """
 LAW = np.maximum(0.0, 1.0 - np.abs(np.arange(len(TIMES))[:, None] - np.array([0.0, 3.0, 6.0])) / 3.0)
-"""Weights of the lags in each column of creep: straight lines over the logarithm of time between three of them."""
+"""Weights of the lags in each column of creep: linear in the logarithm of time between three of them."""
 STEP = 50e3
-"""Distance of the pressures between which the straight form has straight lines [Pa]."""
+"""Distance of the pressures between which the straight form is interpolated [Pa]."""
 INTERVALS_P = (0.0, 1 / 3, 2 / 3, 1.0)
 INTERVALS_X = (0.0, 1 / 13, 5 / 26, 5 / 13, 8 / 13, 1.0)
 """Knots over the range of x, closer near the longest muscle, where the force falls fastest."""
@@ -46,7 +48,7 @@ INTERVALS_X = (0.0, 1 / 13, 5 / 26, 5 / 13, 8 / 13, 1.0)
 
 @dataclass(frozen=True)
 class Axis:
-    """Cubic B-splines over a range; beyond it they go on as straight lines. One constant where there is no range."""
+    """Cubic B-splines over a range, extrapolated linearly; a single constant where the range is empty."""
 
     low: float
     high: float
@@ -64,11 +66,11 @@ class Axis:
         return len(self.shares) + DEGREE - 1 if self.span > 0 else 1
 
     def share(self, at: Array) -> Array:
-        """Where values lie in the range, 0 to 1 and cut there; 0 where there is no range."""
+        """Position of values in the range, limited to 0 to 1; 0 where the range is empty."""
         return np.clip((at - self.low) / self.span, 0.0, 1.0) if self.span > 0 else np.zeros_like(at)
 
     def functions(self, at: Array, slope: bool = False) -> Array:
-        """Values of the functions, or their slopes, at places of shape (n,); shape (n, size)."""
+        """Values of the functions, or their slopes, at `at` (n,); shape (n, size)."""
         if self.span <= 0:
             return np.full((len(at), 1), 0.0 if slope else 1.0)
         knots = self._knots()
@@ -80,9 +82,9 @@ class Axis:
         return np.asarray(values + (at - inside)[:, None] * steep)
 
     def bends(self) -> Array:
-        """Third derivative within each interval times the cube of its width, (intervals, size): what it bends there.
+        """Third derivative in each interval times the cube of its width, shape (intervals, size), which is penalised.
 
-        A parabola has none: where no rows are, the functions go on as one.
+        It is 0 for a parabola, so without rows the functions continue as parabolas.
         """
         if self.span <= 0:
             return np.zeros((0, 1))
@@ -97,19 +99,19 @@ class Axis:
 
 @dataclass(frozen=True)
 class Frame:
-    """Ranges of pressure [Pa] and contraction [m] over which a muscle is fitted; sizes of stops follow from them."""
+    """Ranges of pressure [Pa] and contraction [m] of a fit, from which the widths of the stops follow."""
 
     P: Axis
     x: Axis
 
     @classmethod
     def over(cls, P: Sequence[float], x: Sequence[float]) -> Frame:
-        """The frame of lowest and highest pressure [Pa] and contraction [m]."""
+        """The frame for lowest and highest pressure [Pa] and contraction [m]."""
         return cls(Axis(P[0], P[1], INTERVALS_P), Axis(x[0], x[1], INTERVALS_X))
 
     @property
     def radii(self) -> Array:
-        """Half widths of the stops on contraction [m]: first the one that slides at once."""
+        """Half widths of the stops on contraction [m], first that of friction which reverses at once."""
         return np.array([SLIDES, *WIDTHS_X]) * max(self.x.span, 1e-9)
 
     @property
@@ -118,25 +120,25 @@ class Frame:
         return np.array(WIDTHS_P) * max(self.P.high, 1.0)
 
     def surface(self, P: Array, x: Array) -> Array:
-        """Products of the splines of both axes, shape (n, size of P times size of x)."""
+        """Products of the splines of both axes, shape (n, P.size * x.size)."""
         return _products(self.P.functions(P), self.x.functions(x))
 
     def slope(self, P: Array, x: Array) -> Array:
-        """Derivative of the products over x [1/m]."""
+        """Derivative of `surface` by x [1/m], same shape."""
         return _products(self.P.functions(P), self.x.functions(x, slope=True))
 
     @property
     def pressures(self) -> Array:
-        """Where the straight lines between pressures of the straight form meet [Pa], `STEP` apart."""
+        """Pressures of the nodes of the straight form [Pa], about `STEP` apart."""
         return np.linspace(self.P.low, self.P.high, max(2, round(self.P.span / STEP) + 1))
 
     def straight(self, P: Array, x: Array) -> Array:
-        """A straight line over contraction whose height and slope are straight lines between `pressures`."""
+        """Columns of a line over contraction, with intercept and slope linear between `pressures`, shape (n, 2 k)."""
         hats = np.column_stack([np.interp(P, self.pressures, one) for one in np.eye(len(self.pressures))])
         return np.hstack([hats, -hats * x[:, None]])
 
     def bends(self) -> Array:
-        """Sum of squared bends along both axes, as a matrix of the surface's coefficients."""
+        """Matrix of the sum of squares of `Axis.bends` along both axes, for the coefficients of the surface."""
         along_P, along_x = self.P.bends(), self.x.bends()
         return np.kron(along_P.T @ along_P, np.eye(self.x.size)) + np.kron(np.eye(self.P.size), along_x.T @ along_x)
 
@@ -146,27 +148,27 @@ def _products(one: Array, other: Array) -> Array:
 
 
 def between(share: Array, columns: Array) -> Array:
-    """Columns (n, m) times 1 - share and times share: weights that are a line over the range; shape (n, 2 m)."""
+    """Columns (n, m) times 1 - share and times share, for weights linear over the range; shape (n, 2 m)."""
     return np.hstack([columns * (1.0 - share)[:, None], columns * share[:, None]])
 
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What a muscle remembers along the rows of records one after the other; shapes (n, number)."""
+    """Internal states of a muscle along the rows of successive records; shapes (n, number)."""
 
     stops_x: Array
-    """Each stop over its half width, -1 to 1."""
+    """State of each stop over its half width, -1 to 1."""
     stops_P: Array
     lag_x: Array
-    """Contraction behind each of `TIMES` [m], from the nominal length on; for those below `FAST` less contraction."""
+    """Contraction after a lag of each of `TIMES` [m]; for those below `FAST` minus the contraction."""
     lag_P: Array
-    """Pressure behind each of `TIMES` [Pa], in the same way."""
+    """Pressure after a lag of each of `TIMES` [Pa]; for those below `FAST` minus the pressure."""
 
 
 def memory(records: Sequence[Record], frame: Frame) -> Memory:
-    """Stops and lags along records, of a muscle that was rested, vented and at nominal length before.
+    """Stops and lags along records of a muscle that was rested, vented and at nominal length before.
 
-    It came to the first place of a record that does not go on `SETTLED` before; a length that is set by hand, long ago.
+    It reached the first position of a record that does not go on `SETTLED` before; a length set by hand, long before.
 
     A stop of half width r: S <- min(r, max(-r, S + change of u)). A lag: T y' = u - y, exact for u straight between
     rows.
@@ -186,13 +188,13 @@ def memory(records: Sequence[Record], frame: Frame) -> Memory:
 
 
 def chains(records: Sequence[Record]) -> list[list[Record]]:
-    """Records that go on one after the other, together."""
+    """Records split into sequences in which each goes on from the one before."""
     begins = [i for i, record in enumerate(records) if not (i and record.goes_on)]
     return [list(records[first:last]) for first, last in pairwise([*begins, len(records)])]
 
 
 def stops(u: Array, radii: Array, start: Array) -> Array:
-    """Stop operators of half widths `radii` (m,) along u (n,), over their half widths, from `start` (m,) on; (n, m)."""
+    """Stop operators over their half widths `radii` (m,), along u (n,) from the state `start` (m,); shape (n, m)."""
     found = np.empty((len(u), len(radii)))
     found[0] = state = np.array(start, dtype=np.float64)
     for row, change in enumerate(np.diff(u)[:, None] / radii, start=1):
@@ -201,7 +203,7 @@ def stops(u: Array, radii: Array, start: Array) -> Array:
 
 
 def lags(t: Array, u: Array, start: Array | float = 0.0) -> Array:
-    """First-order lags of u (n,) at t (n,) [s] for each of `TIMES`, from `start` on; shape (n, number)."""
+    """First-order lags of u (n,) at t (n,) [s] for each of `TIMES`, from the state `start`; shape (n, number)."""
     T = np.array(TIMES)
     found = np.empty((len(u), len(T)))
     found[0] = state = np.zeros(len(T)) + start
@@ -224,11 +226,11 @@ SURFACE, VISCOUS, SLIDING, STOPS_X, STOPS_P, CREEP_X, CREEP_P = TERMS = (
     "creep under pressure",
 )
 STRAIGHT = "straight lines"
-"""F_ce(P) - K(P) x in place of the surface, for comparison only."""
+"""The term F_ce(P) - K(P) x in place of the surface, for comparison only."""
 FREE = (SURFACE, STRAIGHT)
 """Terms whose weights may have either sign."""
 ALWAYS = (SURFACE, VISCOUS)
-"""Terms that every muscle has; the data decide about the others."""
+"""Terms that every muscle has; the others are chosen by the data."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,23 +239,23 @@ class Muscle:
 
     frame: Frame
     weights: Mapping[str, Array]
-    """By term; a term that is not there is left out."""
+    """Term -> its weights; terms that are missing do not act."""
 
     def static(self, P: Array, x: Array) -> Array:
         """Force of the surface alone [N] at pressures [Pa] and contractions [m], shape (n,)."""
         return np.asarray(self.frame.surface(P, x) @ self.weights[SURFACE])
 
     def stiffness(self, P: Array, x: Array) -> Array:
-        """Minus the slope of the surface over contraction [N/m], shape (n,)."""
+        """Negative slope of the surface over contraction [N/m], shape (n,)."""
         return np.asarray(-self.frame.slope(P, x) @ self.weights[SURFACE])
 
     def secant(self, P: float, first: float, last: float) -> float:
-        """Minus the slope of the least-squares straight line through the surface between two contractions [N/m]."""
+        """Negative slope of the least-squares line through the surface between two contractions [m], in N/m."""
         x = np.linspace(first, last, SECANT_PLACES)
         return float(-np.polyfit(x - x.mean(), self.static(np.full(SECANT_PLACES, P), x), 1)[0])
 
     def force(self, records: Sequence[Record]) -> Array:
-        """Force [N] along the rows of records, one after the other, shape (n,)."""
+        """Force along the rows of successive records [N], shape (n,)."""
         rows, past = Rows.of_records(records), memory(records, self.frame)
         found = np.zeros(len(rows.P))
         for term, weights in self.weights.items():
@@ -261,7 +263,7 @@ class Muscle:
         return found
 
     def gap(self, P: float, amplitude: float) -> float:
-        """Width of the loop of force over contraction at its centre at rest [N], for a stroke of +- amplitude [m]."""
+        """Width of the static loop of force over contraction at its centre [N], for a stroke of +- amplitude [m]."""
         reach = np.minimum(self.frame.radii, np.maximum(amplitude - self.frame.radii, 0.0)) / self.frame.radii
         return float(2.0 * self._stops_x(P) @ reach)
 
@@ -270,7 +272,7 @@ class Muscle:
         return float(4.0 * self._stops_x(P) @ np.maximum(amplitude - self.frame.radii, 0.0))
 
     def pressure_gap(self, x: float, amplitude: float) -> float:
-        """Width of the loop of force over pressure at its centre at rest [N], for a stroke of +- amplitude [Pa]."""
+        """Width of the static loop of force over pressure at its centre [N], for a stroke of +- amplitude [Pa]."""
         radii = self.frame.pressure_radii
         reach = np.minimum(radii, np.maximum(amplitude - radii, 0.0)) / radii
         share = self.frame.x.share(np.array([x]))
@@ -278,12 +280,12 @@ class Muscle:
         return 0.0 if weights is None else float(2.0 * (between(share, reach[None, :]) @ weights)[0])
 
     def creep_per_decade(self, first: float, last: float) -> float:
-        """Contraction that creep adds in each decade between two times [s] after a step, over that of the step [1]."""
+        """Contraction by creep per decade between two times [s] after a step, over the step [1]; 0 without creep."""
         weights = self.weights.get(CREEP_X)
         return 0.0 if weights is None else float((LAW @ weights) @ _risen(first, last) / np.log10(last / first))
 
     def pressure_creep_per_decade(self, x: float, first: float, last: float) -> float:
-        """Force that creep adds in each decade between two times [s] after a step, per step of pressure [N/Pa]."""
+        """Force by creep per decade between two times [s] after a step, over the step of pressure [N/Pa]."""
         weights = self.weights.get(CREEP_P)
         if weights is None:
             return 0.0
@@ -292,19 +294,19 @@ class Muscle:
         return float((between(share, risen[None, :]) @ weights)[0]) / max(self.frame.P.span, 1.0)
 
     def damping(self, P: float) -> tuple[float, float]:
-        """Damping while contracting and while expanding [N.s/m]."""
+        """Damping while contracting and while expanding at a pressure [Pa], in N.s/m."""
         share = self.frame.P.share(np.array([P]))
         contracting, expanding = between(share, np.eye(2)) @ self.weights[VISCOUS]
         return float(contracting), float(expanding)
 
     def friction(self, P: float) -> float:
-        """Friction that turns round at once [N]."""
+        """Friction that reverses at once [N], at a pressure [Pa]; 0 without that term."""
         weights = self.weights.get(SLIDING)
         share = self.frame.P.share(np.array([P]))
         return 0.0 if weights is None else float((between(share, np.ones((1, 1))) @ weights)[0])
 
     def straight_form(self) -> dict[str, list[float]]:
-        """Pressures [Pa] and there F_ce [N], K [N/m], B_c, B_r [N.s/m] and F_c [N], of a muscle of straight lines."""
+        """Pressures [Pa] and F_ce [N], K [N/m], B_c, B_r [N.s/m] and F_c [N] there; only for the straight form."""
         pressures = self.frame.pressures.tolist()
         F_ce, K = self.weights[STRAIGHT].reshape(2, -1).tolist()
         B_c, B_r = (list(each) for each in zip(*(self.damping(P) for P in pressures), strict=True))
@@ -312,7 +314,7 @@ class Muscle:
         return {"pressure": pressures, "F_ce": F_ce, "K": K, "B_c": B_c, "B_r": B_r, "F_c": F_c}
 
     def identified(self, name: str) -> IdentifiedMuscle:
-        """The same muscle as a model, which needs no record to go along."""
+        """The muscle as a model for simulation."""
         frame, weights, times = self.frame, self.weights, np.array(TIMES)
         low, high = frame.P.low, frame.P.high
 
@@ -334,7 +336,7 @@ class Muscle:
         )  # fmt: skip
 
     def _stops_x(self, P: float) -> Array:
-        """Weight of each stop on contraction at a pressure [N]."""
+        """Weight of each stop on contraction at a pressure [N], shape (stops,)."""
         share = self.frame.P.share(np.array([P]))
         found = np.zeros(len(self.frame.radii))
         found[0] = self.friction(P)
@@ -344,7 +346,7 @@ class Muscle:
 
 
 def _risen(first: float, last: float) -> Array:
-    """What each lag of `TIMES` rises by between two times [s] after a step [1]."""
+    """Rise of each lag of `TIMES` between two times [s] after a unit step [1]."""
     return np.asarray(np.exp(-first / np.array(TIMES)) - np.exp(-last / np.array(TIMES)))
 
 
@@ -353,10 +355,10 @@ Stiffness = Callable[[Array, Array], Array]
 
 
 def columns_of(term: str, frame: Frame, record: Rows, past: Memory, stiffness: Stiffness) -> Array:
-    """What a term adds to the force along rows, for each of its weights; shape (n, number of weights).
+    """Columns of a term: force along rows for unit weights, shape (n, number of weights); ValueError for no term.
 
-    All weights but those of the surface are at least 0: friction and damping take work, and creep gives way. Those of
-    hysteresis and damping are straight lines over pressure or contraction, from one end of the range to the other.
+    All weights but those of the surface are at least 0: friction and damping dissipate, and creep yields. Those of
+    hysteresis and damping are linear over the range of pressure or contraction.
     """
     over_P, over_x = frame.P.share(record.P), frame.x.share(record.x)
     if term == SURFACE:

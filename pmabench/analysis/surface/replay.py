@@ -1,4 +1,4 @@
-"""Measured trials next to what an identified muscle, and straight lines, make of their pressure, load and motion."""
+"""Comparison of measured trials with an identified muscle and with its straight form."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from pmabench.model.presets import Described
 from pmabench.store.records import Array, RunData, TrialData
 
 FEWEST = 25
-"""Samples of a trial."""
+"""Fewest usable samples or rows of a trial."""
 SLACK = 0.02
-"""Share of the largest force below which a driven muscle hangs slack: these rows do not count."""
+"""Share of the largest force below which a driven muscle is slack; these rows are not compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One trial: arrays of shape (n,), SI."""
+    """Measured and computed values of one trial: arrays of shape (n,), SI."""
 
     trial: TrialData
     quantity: str
-    """`displacement` of a free end under its load, `force` of a driven one."""
+    """`displacement` for a free end under its load, `force` for a driven one."""
     t: Array
     P: Array
     measured: Array
     surface: Array
     straight: Array
     counts: NDArray[np.bool_]
-    """Rows that are compared."""
+    """Mask of rows that are compared."""
     beyond: bool
-    """Whether the surface was used outside the pressures and contractions that it was found from."""
+    """Whether pressures or contractions lie outside the range of the fit."""
 
     @property
     def off(self) -> tuple[float, float]:
-        """Root mean square of what the surface, and the straight lines, are off."""
+        """Rms error of the surface and of the straight form [SI of the quantity]."""
         off = [(one - self.measured)[self.counts] for one in (self.surface, self.straight)]
         return float(np.sqrt(np.mean(off[0] ** 2))), float(np.sqrt(np.mean(off[1] ** 2)))
 
 
 def together(replays: Sequence[Replay]) -> tuple[float, float]:
-    """Root mean square over all samples of all trials of what the surface, and the straight lines, are off."""
+    """Rms error over all compared rows of all trials, of the surface and of the straight form."""
     count = np.array([one.counts.sum() for one in replays])
     square = np.array([one.off for one in replays]) ** 2
     surface, lines = np.sqrt(count @ square / count.sum())
@@ -55,10 +55,10 @@ def together(replays: Sequence[Replay]) -> tuple[float, float]:
 
 
 def replayed(model: Described, run: RunData, trial: TrialData) -> Replay | str:
-    """A trial next to a model that holds a surface, or why it cannot be compared.
+    """Compare a trial with a model that has a surface; returns a reason as text where that is not possible.
 
-    A free end with a known load is simulated from the measured pressure alone; of a driven one, whose length is
-    measured, the force. Both come from rest.
+    For a free end with a known load the motion is simulated from the measured pressure; for a driven end the force is
+    computed from the measured length. Both start at rest.
     """
     if trial.status != "finished":
         return f"it is {trial.status}"

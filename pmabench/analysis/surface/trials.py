@@ -1,7 +1,7 @@
-"""One trial of a slow test as rows of pressure, contraction and force at an even, low rate.
+"""Rows of pressure, contraction and force at an even, low rate, from trials of slow tests.
 
-A kind of test names the function that makes them in its record, by how the length is set. Each takes run, trial and
-rate [Hz], and gives a `Record` or a sentence that says why the trial has no rows.
+A kind of test names one of these functions in its record, by how the length is set. Each takes run, trial and rate
+[Hz], and returns a `Record`, or the reason as text where the trial has no rows.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 RATE = 25.0
-"""Rows a second [Hz]: stops and creep are computed at this rate, and slow tests have nothing faster."""
+"""Rows per second [Hz], at which stops and creep are computed."""
 FEW = 4
-"""Samples of a row from which its speed is the slope of a line through them; with fewer, of the rows around it."""
+"""Fewest samples of a row for its speed to be their slope; with fewer it is from the neighbouring rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Record:
 
     name: str
     group: str
-    """What it shares with others that are left out together: `isobaric-ramp, pressure 300 kPa`."""
+    """Group of trials that are left out together, for instance `isobaric-ramp, pressure 300 kPa`."""
     t: Array
     P: Array
     x: Array
@@ -37,16 +37,16 @@ class Record:
     v: Array
     """Speed of contraction [m/s]."""
     used: NDArray[np.bool_]
-    """Rows that count; the others, where the muscle is slack, only pass on what it remembers."""
+    """Mask of rows that are fitted; the others only update the internal states."""
     by_hand: bool = False
-    """The length was set by hand, so that the force of the whole trial is off by a constant."""
+    """Whether the length was set by hand, so that the force of the trial has a constant error."""
     goes_on: bool = False
-    """Follows the record before it on the same muscle: what the muscle remembers then goes on."""
+    """Whether it follows the record before it on the same muscle, whose internal states continue."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of several records, one after the other; shape (n,), SI."""
+    """Rows of successive records, shape (n,), SI."""
 
     P: Array
     x: Array
@@ -54,11 +54,11 @@ class Rows:
     F: Array
     used: NDArray[np.bool_]
     of: NDArray[np.int64]
-    """Which record each row is of."""
+    """Index of the record of each row."""
 
     @classmethod
     def of_records(cls, records: Sequence[Record]) -> Rows:
-        """All rows of records in their order."""
+        """All rows of records, in order."""
         P, x, v, F = (np.concatenate([getattr(r, name) for r in records]) for name in ("P", "x", "v", "F"))
         used = np.concatenate([r.used for r in records])
         return cls(P, x, v, F, used, np.repeat(np.arange(len(records)), [len(r.t) for r in records]))
@@ -67,9 +67,9 @@ class Rows:
 def rows_of(
     t: Array, P: Array, x: Array, F: Array, usable: NDArray[np.bool_], rate: float = RATE
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Time, pressure, contraction, force and speed at `rate` [Hz], means over the samples of each row, shape (n,), SI.
+    """Time, pressure, contraction, force and speed at `rate` [Hz] as means of samples, shape (n,), SI.
 
-    Of samples of shape (m,), of which only `usable` ones with finite values count; a row without one is left out.
+    Samples have shape (m,); only `usable` ones with finite values count. Rows without one are left out.
     """
     good = usable & np.isfinite(t) & np.isfinite(P) & np.isfinite(x) & np.isfinite(F)
     t, P, x, F = t[good], P[good], x[good], F[good]
@@ -91,16 +91,16 @@ def rows_of(
 
 
 FEWEST = 25
-"""Rows of a trial."""
+"""Fewest rows of a trial."""
 CONSTANT = 0.03
-"""Change, as a share of the value, below which a pressure counts as held."""
+"""Relative change below which a pressure counts as constant."""
 HELD = 0.5e-3
-"""Change below which a contraction counts as held [m]."""
+"""Change below which a contraction counts as constant [m]."""
 GRAVITY = 9.80665
 
 
 def driven(run: RunData, trial: TrialData, rate: float) -> Record | str:
-    """Rows of a trial whose free end is moved or held by an actuator, with a load cell and a gauge of the length."""
+    """Rows of a trial whose end is moved or held by an actuator, with force and displacement recorded."""
     if lacks := _lacking(trial, "pressure", "displacement", "force"):
         return lacks
     return _record(run, trial, rate, on_time(run, trial, "displacement"), on_time(run, trial, "force"))
@@ -112,7 +112,7 @@ def _lacking(trial: TrialData, *channels: str) -> str:
 
 
 def by_hand(run: RunData, trial: TrialData, rate: float) -> Record | str:
-    """Rows of a trial at a length that somebody set: the one of its operating point, where no gauge was recorded."""
+    """Rows of a trial at a length set by hand: the contraction of its point where no displacement was recorded."""
     if lacks := _lacking(trial, "pressure", "force"):
         return lacks
     if "displacement" in trial.channels:
@@ -124,7 +124,7 @@ def by_hand(run: RunData, trial: TrialData, rate: float) -> Record | str:
 
 
 def hanging(run: RunData, trial: TrialData, rate: float) -> Record | str:
-    """Rows of a trial with a weight on the muscle: the force of the cell, else load and inertia of what hangs there."""
+    """Rows of a trial with a hanging weight: force of the cell, else load plus inertia."""
     if "force" in trial.channels:
         return driven(run, trial, rate)
     if lacks := _lacking(trial, "pressure", "displacement"):
@@ -148,7 +148,7 @@ def _record(run: RunData, trial: TrialData, rate: float, x: Array, F: Array, *, 
 
 
 def _held(trial: TrialData, P: Array, x: Array) -> str:
-    """What stays the same throughout a trial, in words: its load, its pressure or its length; else the trial itself."""
+    """The constant quantity of a trial as text: load, contraction or pressure with its value; else the trial's name."""
     for name, quantity in (("load", "force"), ("contraction", "length"), ("pressure", "pressure")):
         if name in trial.point:
             return f"{name} {show(trial.point[name], quantity, 3)}"

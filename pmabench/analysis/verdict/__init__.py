@@ -1,7 +1,7 @@
-"""Checks of results, their acceptance, and results compared with each other.
+"""Checks, acceptance and comparison of results.
 
-- next to its residual, and open questions of its runs: `checks`; limits of a protocol: `acceptance`
-- independent tests of one specimen against each other, by what each kind offers, several muscles as one: `agreement`
-- two analyses coefficient by coefficient (`compare`), and what a recalibration changed: `comparison`
-- runs of several sessions in one analysis: `sessions`; a specimen over its runs (`history`): `life`
+- checks besides the residual, and open questions of runs: `checks`; limits of a protocol: `acceptance`
+- agreement of independent tests of one specimen, several muscles as one: `agreement`
+- differences of two analyses (`compare`), and changes by a recalibration: `comparison`
+- scatter between sessions in one analysis: `sessions`; a specimen over all its runs (`history`): `life`
 """

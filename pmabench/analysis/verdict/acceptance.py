@@ -1,6 +1,6 @@
-"""Limits of a protocol against an analysis: one sentence for each that is not kept, with limit, value and place.
+"""Acceptance limits of a protocol: one sentence for each that an analysis exceeds, with limit, value and place.
 
-Limits come as the plan holds them (`accept`), which may be a file that anybody wrote: what is no limit is left out.
+Limits are read from the plan (`accept`), which may be any file: invalid entries are ignored.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ MEASURES = {
     "at_most": ("≤", "at most ", ""),
     "at_least": ("≥", "at least ", ""),
 }
-"""How a limit is meant -> its sign in a list and in a sentence, and against what in a list."""
+"""Kind of limit -> its sign in a list, its sign in a sentence, and the reference as named in a list."""
 Pairs = Mapping[float, tuple[Estimate, Estimate]]
-"""Pressure [Pa] -> F_ce of one test and of static load."""
+"""Pressure [Pa] -> F_ce of a test and of static load."""
 
 
 @dataclass(frozen=True)
@@ -42,33 +42,33 @@ class Limit:
     place: str
     """File and line of the protocol."""
     expected: tuple[tuple[float, float], ...] = ()
-    """What the specimen file expects over pressure [Pa], in SI."""
+    """Pressures [Pa] and values expected by the specimen file [SI]."""
     everywhere: float | None = None
-    """The same for what does not depend on pressure."""
+    """Expected value [SI] of a coefficient that does not depend on pressure."""
 
     @property
     def asked(self) -> str:
-        """The limit in words, with its place."""
+        """The limit as text, with its place."""
         place = f" ({self.place})" if self.place else ""
         return f"accepted {MEASURES[self.measure][1]}{self.size}{place}"
 
     @property
     def short(self) -> str:
-        """What is limited and how, for a list: `K ± 2 %`, `repeat spread ≤ 3 %`."""
+        """The limit for a list: `K ± 2 %`, `repeat spread ≤ 3 %`."""
         sign, _, of = MEASURES[self.measure]
         what = f"E_n of {self.what}" if self.measure == "static_E_n" else self.what
         return f"{what.replace('_', ' ') if self.measure == 'at_most' else what} {sign} {self.size}{of}"
 
     @property
     def size(self) -> str:
-        """The number with its unit."""
+        """The limit as a number with its unit."""
         if self.measure == "of_static_by":
             return show(self.limit, "force", 4)
         return f"{self.limit:g}" if self.measure in ("at_least", "static_E_n") else f"{100 * self.limit:g} %"
 
 
 def limits_of(run: RunData) -> list[Limit]:
-    """The limits in a run's plan; an older plan names only the widest interval of each quantity."""
+    """Limits in a run's plan; older plans only have the widest interval of each coefficient."""
     limits = run.plan.get("accept")
     if not isinstance(limits, Mapping):
         return []
@@ -104,7 +104,7 @@ def _limit(entry: Any) -> Limit | None:
 def not_accepted_as_form(
     runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str]
 ) -> Iterator[str]:
-    """As `not_accepted` for a form of all tests: intervals of what it gives are judged, any other limit is not kept."""
+    """As `not_accepted`, for a form of all tests: its intervals are judged, and any other limit counts as exceeded."""
     given = {estimate.symbol for estimate in analysis.estimates}
     for limit in _limits(runs, analysis):
         if limit.measure != "relative_interval" or limit.what not in given:
@@ -116,10 +116,10 @@ def not_accepted_as_form(
 def not_accepted(
     runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str], static: Pairs | None = None
 ) -> Iterator[str]:
-    """One sentence for each limit of the analysis' runs that is not kept; `named` gives a coefficient's words.
+    """One sentence for each limit of the analysis' runs that is exceeded; `named` returns the name of a coefficient.
 
-    Coefficients count by the first method that gives them; a value in a place where the specimen file expects nothing
-    is not judged by it. `static` has F_ce of this and of the specimen's static-load test; None without that.
+    Coefficients are those of the first method that gives them; where the specimen file expects no value they are not
+    compared with it. `static` holds F_ce of this test and of the specimen's static-load test; None without that.
     """
     for limit in _limits(runs, analysis):
         if limit.measure in ("relative_interval", "of_specimen"):
@@ -137,7 +137,7 @@ def _limits(runs: Sequence[RunData], analysis: Analysis) -> list[Limit]:
 
 
 def _primary(analysis: Analysis) -> dict[str, str]:
-    """Symbol -> the method that gives it first."""
+    """Symbol -> first method that gives it."""
     primary: dict[str, str] = {}
     for estimate in analysis.estimates:
         primary.setdefault(estimate.symbol, estimate.method)
@@ -182,7 +182,7 @@ def _of_specimen(e: Estimate, limit: Limit, *, known: bool) -> str:
 
 
 def _expected(limit: Limit, pressure: float | None) -> float | None:
-    """What the specimen file expects there, on straight lines between its points; None outside them."""
+    """Value expected by the specimen file, interpolated over pressure [Pa]; None outside its points."""
     if limit.everywhere is not None or not limit.expected:
         return limit.everywhere
     P, values = (np.array(column) for column in zip(*sorted(limit.expected), strict=True))
@@ -192,7 +192,7 @@ def _expected(limit: Limit, pressure: float | None) -> float | None:
 
 
 def _against_static(pairs: Pairs | None, limit: Limit, named: Callable[[Estimate], str]) -> Iterator[str]:
-    """F_ce against that of static load, at every pressure that both cover."""
+    """Limits of F_ce against static load, at every common pressure."""
     lack = ""
     if pairs is None:
         lack = f"no static-load test of this specimen to compare with, {limit.asked}; process both runs together"
@@ -225,7 +225,7 @@ def _apart(mine: Estimate, theirs: Estimate, limit: Limit) -> str:
 
 
 def _r2(analysis: Analysis, limit: Limit, primary: Mapping[str, str]) -> Iterator[str]:
-    """R2 of each coefficient over pressure, by its best curve."""
+    """Limit of R2 over pressure, for the best curve of each coefficient."""
     best: dict[str, Curve] = {}
     for curve in analysis.curves:
         before = best.get(curve.symbol)
@@ -248,6 +248,6 @@ def _check(analysis: Analysis, limit: Limit) -> str:
 
 
 def _percent(share: float) -> str:
-    """Two digits, and no more behind the point than these."""
+    """A share in %, without the sign, to two significant digits below 10."""
     size = 100 * share
     return f"{size:.2g}" if abs(size) < 10 else f"{size:.0f}"

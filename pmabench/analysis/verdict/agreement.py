@@ -1,11 +1,11 @@
-"""Whether independent tests of one specimen agree: what each offers, differences with combined intervals; fits nothing.
+"""Agreement of independent tests of one specimen: values offered by each test, differences with combined intervals.
 
-Each kind has a function `offers` in its own room, named in its record: a new kind that measures a quantity of another
-one is compared with all others from then on, wherever both say something.
+Each kind of test has a function `offers`, named in its record; its values are compared with those of all other kinds
+wherever both have one.
 
-And several like muscles side by side, as one of them: forces and volumes add up while contraction and pressure are
-shared (paper 2: the arm's force is 4 f). Friction between the muscles, or one that is longer than the others, shows as
-a difference from a single muscle.
+Also conversion of several like muscles in parallel to a single one: forces and volumes add up, contraction and
+pressure are shared (paper 2: the arm's force is 4 f). Friction between the muscles, or one that is longer than the
+others, shows as a difference from a single muscle.
 """
 
 from __future__ import annotations
@@ -24,46 +24,46 @@ from pmabench.base.quantities import show
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Curve, Estimate, Finding, Parts
 
 SAME = 1e-6
-"""Contractions nearer to each other are one [m]."""
+"""Distance below which contractions are equal [m]."""
 Place = tuple[float, float | None]
-"""Pressure [Pa] and contraction [m]; None for what does not depend on it, NaN for what belongs to no pressure."""
+"""Pressure [Pa] and contraction [m]; None where there is no dependence on contraction, NaN for none on pressure."""
 ANYWHERE: Place = (nan, None)
-"""Of what holds for the whole campaign."""
+"""Place of a value for the whole campaign."""
 At = Callable[[Place], Estimate | None]
 Points = Mapping[Place, Estimate]
 
 
 @dataclass(frozen=True)
 class Offer:
-    """A quantity as one test knows it: at its own places, and as a function wherever it has one."""
+    """A quantity measured by one test: values at its own places, and a function of the place."""
 
     symbol: str
-    """`F`: the mean pull of both directions at rest; `x`: contraction without load; K, B: of both directions; F_c."""
+    """`F`: static force, mean of both directions; `x`: contraction without load; K, B: of both directions; F_c."""
     points: Points
     at: At
-    """The value there; None outside of what the test knows."""
+    """Returns the value at a place; None outside the range of the test."""
     words: str = ""
-    """Of the method, where it is not the primary one."""
+    """Name of the method where it is not the primary one."""
     side: int = 0
-    """1: an upper bound of what others measure, -1: a lower bound, 0: the value itself."""
+    """1: an upper bound of the quantity, -1: a lower bound, 0: the value itself."""
     bent: bool = False
-    """Whether it changes over contraction, so that a value for a whole stroke is another quantity."""
+    """Whether it depends on contraction, so that a value for a whole stroke is another quantity."""
     rubs: bool = False
-    """Whether friction may be in it, with an unknown sign: how a held muscle came to its length is not recorded."""
+    """Whether it may contain friction of unknown sign, because it is not recorded how the length was reached."""
     why: str = ""
-    """Why it may differ to that side: a sentence."""
+    """Reason for a difference to that side."""
     test: str = ""
-    """`Kind.word` of the test, which `offers_of` adds."""
+    """`Kind.word` of the test, set by `offers_of`."""
 
 
 def offers_of(analysis: Analysis, kind: Kind | None) -> list[Offer]:
-    """All offers of one analysis of a kind."""
+    """All offers of an analysis; empty for kinds of test without any."""
     found = kind.part("offers")(analysis) if kind is not None and kind.offers else ()
     return [replace(offer, test=kind.word) for offer in found] if kind is not None else []
 
 
 def values_of(analysis: Analysis, symbol: str, method: str) -> list[Estimate]:
-    """The values of a method at set pressures, without those of single frequencies or terms of curves."""
+    """Values of a symbol by a method at set pressures, without those of single frequencies or terms of curves."""
     return [
         e
         for e in analysis.estimates
@@ -73,12 +73,12 @@ def values_of(analysis: Analysis, symbol: str, method: str) -> list[Estimate]:
 
 
 def at_pressures(analysis: Analysis, symbol: str, method: str) -> dict[float, Estimate]:
-    """The same by pressure [Pa]."""
+    """Pressure [Pa] -> estimate, from `values_of`."""
     return {e.at["pressure"]: e for e in values_of(analysis, symbol, method)}
 
 
 def everywhere(symbol: str, known: Mapping[float, Estimate], words: str = "") -> Offer:
-    """An offer at pressures [Pa], at any contraction."""
+    """An offer for pressures [Pa], at any contraction."""
     return Offer(symbol, {(P, None): e for P, e in known.items()}, lambda place: known.get(place[0]), words)
 
 
@@ -88,7 +88,7 @@ def anywhere(symbol: str, known: Estimate, words: str = "") -> Offer:
 
 
 def exactly(symbol: str, points: Points, words: str = "") -> Offer:
-    """An offer at its places alone; one without a contraction is met at any."""
+    """An offer at its own places only; a place without a contraction matches any."""
 
     def at(place: Place) -> Estimate | None:
         P, x = place
@@ -118,17 +118,17 @@ def straight(
 
 
 def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = False) -> Estimate | None:
-    """A value on the straight line between the neighbours of `at` in `known`, which rises; None outside of them.
+    """Value at `at`, interpolated linearly in `known`, which has rising places; None outside of it.
 
-    The half width there is at most what those of the neighbours are. Of what may be `bent` between them, even sharply
-    as at the end of a dead band, the method part is how far the next straight piece, continued, is from that line.
+    Half widths are interpolated, too. For a quantity that may be `bent`, even sharply as at the end of a dead band, the
+    method part is the distance of the extrapolated neighbouring piece from the line.
     """
     places = np.array([place for place, _ in known])
     if len(known) < 2 or not places[0] - SAME <= at <= places[-1] + SAME:
         return known[0][1] if len(known) and abs(places[0] - at) <= SAME else None
 
     def along(pair: Sequence[tuple[float, Estimate]]) -> float:
-        """The straight line through two points, at another place."""
+        """The line through two points, evaluated at `at`."""
         (low, one), (high, two) = pair
         return (one.value or 0.0) + ((two.value or 0.0) - (one.value or 0.0)) * (at - low) / (high - low)
 
@@ -147,7 +147,7 @@ def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = 
 
 
 def weighted(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:
-    """A sum of estimates with weights, otherwise like the first; parts add as squares, as if independent."""
+    """Weighted sum of estimates, otherwise like the first; parts add as squares, as if independent."""
     parts: dict[str, float] = {}
     for name in vars(Parts()):
         known = [(getattr(e.parts, name), weight) for e, weight in pairs]
@@ -160,16 +160,16 @@ def weighted(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:
 
 KIND = "agreement"
 FALSE_ALARM = 0.01
-"""Probability that tests which agree are called contradictory, over all comparisons of one specimen together."""
+"""Probability of a false contradiction in all comparisons of one specimen together."""
 FEWEST = 3
-"""Degrees of freedom of a scatter, at least: where there is one trial it is that of its cycles."""
+"""Least degrees of freedom of a scatter; that of a single trial is the scatter of its cycles."""
 OF_FORM = ("F_ce", "F", "K")
-"""Quantities that a muscle whose force is no straight line over contraction may contradict, too."""
+"""Quantities that also disagree where the force of the muscle is not linear over contraction."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two tests at one place."""
+    """Values of two tests at one place."""
 
     symbol: str
     place: Place
@@ -179,36 +179,36 @@ class Comparison:
     tests: tuple[str, str]
     """`Offer.test` of both."""
     side: int = 0
-    """1: the first need not be equal, only not below the second; -1: not above."""
+    """1: the first is an upper bound, which must not be below the second; -1: a lower bound; 0: both are values."""
     why: str = ""
-    """Why it may differ to that side."""
+    """Reason for a difference to that side."""
 
     @property
     def known(self) -> bool:
-        """Whether both have an interval."""
+        """Whether both values have an interval."""
         return self.one.parts.combined is not None and self.two.parts.combined is not None
 
     @property
     def value(self) -> float:
-        """The difference [SI]."""
+        """Difference of the first from the second [SI]."""
         return (self.one.value or 0.0) - (self.two.value or 0.0)
 
     @property
     def half(self) -> float:
-        """Root of the sum of squares of both half widths."""
+        """Combined half width: root of the sum of squares of both [SI]."""
         return hypot(self.one.parts.combined or 0.0, self.two.parts.combined or 0.0)
 
     @property
     def score(self) -> float:
-        """|E_n| (ISO/IEC 17043); for a bound only the part on the wrong side counts."""
+        """|E_n| (ISO/IEC 17043); for a bound only a difference to the wrong side counts."""
         off = max(-self.side * self.value, 0.0) if self.side else abs(self.value)
         return off / self.half if self.half else (0.0 if off == 0 else inf)
 
     def limit(self, count: int) -> float:
-        """|E_n| that is no chance any more among `count` comparisons (Bonferroni).
+        """Largest |E_n| that is likely by chance among `count` comparisons (Bonferroni).
 
-        A half width that rests on few trials is often too small by chance: Student's t with the effective degrees of
-        freedom of Welch and Satterthwaite, of which all parts but the repeats have no end.
+        Half widths from few trials are often too small by chance, hence Student's t with the effective degrees of
+        freedom of Welch and Satterthwaite, which are infinite for all parts but the repeats.
         """
         scatter = sum((e.parts.repeats or 0.0) ** 4 / max(e.n - 1, FEWEST) for e in (self.one, self.two))
         freedom = self.half**4 / scatter if scatter else inf
@@ -217,20 +217,20 @@ class Comparison:
 
     @property
     def at(self) -> dict[str, float]:
-        """The place by names; F_ce belongs to no contraction."""
+        """Operating point [SI]; without the contraction for F_ce."""
         P, x = self.place
         at = {} if isnan(P) else {"pressure": P}
         return at if x is None or self.symbol == "F_ce" else {**at, "contraction": x}
 
     @property
     def where(self) -> str:
-        """The place in words."""
+        """The operating point as text, for instance ` at 300 kPa`; empty without one."""
         digits = {"pressure": ("pressure", 6), "contraction": ("length", 3)}
         places = [show(value, *digits[name]) for name, value in self.at.items()]
         return " at " + " and ".join(places) if places else ""
 
     def estimate(self) -> Estimate:
-        """The difference as a row of a table."""
+        """The difference as an estimate, for a table."""
         return Estimate(
             self.symbol, self.value, self.one.unit, self.one.quantity, self.title, self.at, Parts(repeats=self.half),
             self.one.n + self.two.n, coordinate="difference",
@@ -238,15 +238,14 @@ class Comparison:
 
 
 def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: str = "") -> Analysis | None:
-    """The differences between tests of one specimen at the same places; None where nothing can be compared.
+    """Differences between tests of one specimen at common places; None where nothing can be compared.
 
-    `offers` are those of all `analyses`, in the order in which tests are named; `instead` is what to do about a muscle
-    whose force is no straight line. A value without an interval is compared with nothing, and a finding says so.
+    `offers` are those of all `analyses`; `instead` is the advice for a muscle whose force is not linear. Values without
+    an interval are not compared, and reported in a finding.
 
-    Two values agree where their difference is smaller than the root of the sum of squares of their 95 % half widths
-    (E_n number at most 1). Of many comparisons one in twenty is beyond that by chance: results are refused where a
-    difference is larger than chance makes in one of a hundred campaigns. Calibration errors that both tests share are
-    counted in both: the judgement is generous by that.
+    Two values agree where |E_n| is at most 1, which one in twenty comparisons exceeds by chance. Results are refused
+    beyond `Comparison.limit`, which chance exceeds in one of a hundred campaigns. Calibration errors that both tests
+    share are counted in both, which makes the judgement milder.
     """
     tests = [[offer for offer in offers if offer.test == test] for test in dict.fromkeys(o.test for o in offers)]
     friction = [e.value or 0.0 for o in offers if o.symbol == "F_c" and not o.side for e in o.points.values()]
@@ -276,7 +275,7 @@ def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: st
 
 
 def _compared(left: Sequence[Offer], right: Sequence[Offer], rubs: float) -> Iterator[Comparison]:
-    """Every place where two kinds of test both say something, once; `rubs` is the friction [N] that may be in some."""
+    """Comparisons at common places of two kinds of test; `rubs` [N] is added to offers that may contain friction."""
     seen: set[tuple[object, ...]] = set()
     for one in left:
         for two in right:
@@ -300,25 +299,25 @@ def _with_friction(offer: Offer, known: Estimate | None, rubs: float) -> Estimat
 
 
 def _are_one_quantity(one: Offer, two: Offer) -> bool:
-    """Whether two offers can be compared: two bounds cannot, nor a value along a bent curve and one for all of it."""
+    """Whether two offers can be compared: not two bounds, nor a local value of a bent curve and one for a stroke."""
     local = all(x is not None for offer in (one, two) for _, x in offer.points)
     return one.symbol == two.symbol and not (one.side and two.side) and (local or not (one.bent or two.bent))
 
 
 def _places(one: Offer, two: Offer) -> set[Place]:
-    """The places of both, and those at the pressure of one and the contraction of the other."""
+    """Places of both, and those with the pressure of one and the contraction of the other."""
     crossed = {(P, x) for a in one.points for b in two.points for P, x in ((a[0], b[1]), (b[0], a[1])) if x is not None}
     return {*one.points, *two.points, *crossed}
 
 
 def _order(place: Place) -> tuple[float, bool, float]:
-    """By pressure, then by contraction; what has none comes last, for it is what others are compared with anywhere."""
+    """Sort key: by pressure, then by contraction; places without one are last."""
     P, x = place
     return inf if isnan(P) else P, x is None, x or 0.0
 
 
 def against_static(mine: Sequence[Offer], static: Sequence[Offer]) -> dict[float, tuple[Estimate, Estimate]]:
-    """F_ce of a test by its primary method and of static load, by pressure [Pa] that both cover."""
+    """Common pressure [Pa] -> F_ce of a test by its primary method, and of static load."""
     points = {place: e for o in mine if o.symbol == "F" and not o.words for place, e in o.points.items()}
     found = {}
     for place, e in sorted(points.items(), key=lambda one: (one[0][0], one[0][1] or 0.0)):
@@ -329,7 +328,7 @@ def against_static(mine: Sequence[Offer], static: Sequence[Offer]) -> dict[float
 
 
 def _sentence(group: Sequence[Comparison], count: int) -> Finding:
-    """What a pair of kinds says of a quantity, by its worst place."""
+    """Finding about a quantity of two kinds of test, from the place with the largest difference."""
     worst = max(group, key=lambda one: one.score / one.limit(count))
     difference, half = (show(value, worst.one.quantity, 2) for value in (worst.value, worst.half))
     scope = f", furthest apart{worst.where}" if len(group) > 1 else f",{worst.where}" if worst.where else ""
@@ -344,7 +343,7 @@ def _sentence(group: Sequence[Comparison], count: int) -> Finding:
 
 
 def _refusal(group: Sequence[Comparison], count: int, instead: str) -> list[str]:
-    """Why neither of two tests is accepted; nothing where they agree."""
+    """Reasons to refuse both tests; empty where they agree."""
     beyond = [one for one in group if one.score > one.limit(count)]
     if not beyond:
         return []
@@ -364,17 +363,17 @@ def _refusal(group: Sequence[Comparison], count: int, instead: str) -> list[str]
 
 
 ADDED = ("force", "stiffness", "damping", "work", "volume", "mass flow", "impulse", "force rate")
-"""Quantities that add up side by side, and what is given per pressure of them."""
+"""Quantities that add up over parallel muscles, also per other quantities such as pressure."""
 
 
 def side_by_side(specimen: object) -> int:
-    """How many muscles side by side a manifest's specimen is; 1 where nothing says more."""
+    """Number of parallel muscles of a specimen in a manifest; 1 where it is not given."""
     assembly = specimen.get("assembly") if isinstance(specimen, Mapping) else None
     return int(assembly.get("parallel", 1)) if isinstance(assembly, Mapping) else 1
 
 
 def without_diameter(analysis: Analysis, count: int) -> Analysis:
-    """The analysis of `count` muscles side by side without a diameter, which would be that of a single muscle."""
+    """The analysis of `count` parallel muscles without the diameter, which would be that of a single muscle."""
     if count == 1:
         return analysis
     note = f"{count} muscles side by side: the diameter would be that of one muscle with their force or volume"
@@ -386,12 +385,12 @@ def without_diameter(analysis: Analysis, count: int) -> Analysis:
 
 
 def adds_up(quantity: str) -> bool:
-    """Whether a quantity of `QUANTITIES` is the sum over muscles side by side."""
+    """Whether a quantity of `QUANTITIES` adds up over parallel muscles."""
     return quantity.split(" per ")[0] in ADDED
 
 
 def of_one(analysis: Analysis, count: int) -> Analysis:
-    """The analysis of `count` like muscles side by side with all that adds up divided by it; traces are left out."""
+    """The analysis of `count` like parallel muscles with quantities that add up divided by it, without traces."""
 
     def curve(one: Curve) -> Curve:
         share = 1 / count if any(adds_up(term.quantity) for term in one.terms) else 1.0

@@ -1,11 +1,11 @@
-"""Checks of an analysis besides its residual: named numbers, and open questions of its runs.
+"""Checks of an analysis besides its residual, and open questions of its runs.
 
-A check is plain data in `Analysis.facts["checks"]`, so that a report made from files has it too. Those of the trials
-themselves (spread of repeats, first repeat, drift) are made here for every kind that has a value per trial; those of
-the pooled fit come from the kind of test.
+A check is plain data in `Analysis.facts["checks"]`, so that reports made from files have it too. Checks of trials
+(spread of repeats, first repeat, drift) are made here for every kind of test with a value per trial; those of the
+pooled fit come from the kind.
 
-An import stores questions that nobody answered, a bench what its files seem to have wrong (another muscle than the
-simulated one). Every analysis of such runs repeats it.
+Imports store unanswered questions, benches store doubts about their files (another muscle than the simulated one).
+Every analysis of such runs repeats them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pmabench.store.analyses.results import Analysis, Finding
 from pmabench.store.records import Array, RunData, TrialData, is_number
 
 LONGEST = 1000
-"""Characters of a sentence from a record, which may be another's."""
+"""Most characters of a text from a record."""
 ALTERED = (
     "the results come from the samples, which are whole; what they were made of can no longer be checked; bring the "
     "file back, or import it again"
@@ -37,9 +37,9 @@ REMEDY = "write the answer into the map, import again and process the new run"
 
 
 def with_record(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
-    """The analysis with the doubts of the runs' records as findings and with what refuses its acceptance.
+    """The analysis with doubts from the runs' records as findings, and with refusals.
 
-    That is each question that was open when the runs were imported, and each file that is not what it was.
+    Refusals are the questions that were open at import, and files that were altered since.
     """
     doubts = [(run.id, str(doubt)) for run in runs for doubt in run.manifest.get("doubts") or ()]
     findings = tuple(Finding("doubt", text) for text in _counted(doubts))
@@ -54,7 +54,7 @@ def with_record(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
 
 
 def unresolved_of(run: RunData) -> Iterator[Mapping[str, object]]:
-    """The questions that were open when a run was imported, as its manifest holds them."""
+    """Questions that were open when a run was imported, from its manifest."""
     imported = run.manifest.get("imported")
     entries = imported.get("unresolved") if isinstance(imported, Mapping) else None
     for entry in entries if isinstance(entries, list | tuple) else ():
@@ -63,24 +63,24 @@ def unresolved_of(run: RunData) -> Iterator[Mapping[str, object]]:
 
 
 def _counted(sentences: Sequence[tuple[str, str]]) -> Iterator[str]:
-    """Each text once, with the run that says it, or how many do."""
+    """Each text once, with its run or the number of runs."""
     for text, reported in grouped(sentences, lambda one: one[1]).items():
         names = dict.fromkeys(run for run, _ in reported)
         yield f"{reported[0][0] if len(names) == 1 else f'{len(names)} runs'}: {printable(text, LONGEST)}"
 
 
 SPREAD = 0.03
-"""Spread of repeats, as a share of their mean, from which on they are doubted [1]."""
+"""Relative spread of repeats above which they are doubted [1]."""
 FIRST = 0.01
-"""Difference of the first repeat from later ones that is doubted where it is beyond its interval [1]."""
+"""Relative difference of first repeats above which it is doubted, if it exceeds its interval [1]."""
 DRIFT = 0.02
-"""Change from the first to the last trial that is doubted where it is beyond its interval [1]."""
+"""Relative change from first to last trial above which it is doubted, if it exceeds its interval [1]."""
 APART = 0.1
-"""Repeats show a drift where they lie this far apart, as rms about their mean and share of the whole time [1]."""
+"""Least rms distance in time of repeats from their mean, over the whole time, for a drift to be evaluated [1]."""
 LEAST = 0.05
-"""Values below this share of the largest are left out: a load that hardly moves scatters without bound."""
+"""Share of the largest value below which values are left out, because their relative scatter is unbounded."""
 FEWEST = 3
-"""Fewest cells for a first-repeat effect and fewest trials beyond the number of cells for a drift."""
+"""Fewest operating points for a first-repeat effect, and fewest degrees of freedom for a drift."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ NAMES = {
     "held_out": "error of loads that were left out of the fit, of the largest load",
     "other_direction": "what relaxation is missed by with K and F_ce of contraction, of the largest load",
 }
-"""Every check that a protocol can limit, and what it is."""
+"""Checks that a protocol can limit, with their meaning."""
 
 
 def with_checks(analysis: Analysis, kind: Kind, runs: Sequence[RunData]) -> Analysis:
@@ -123,7 +123,7 @@ def with_checks(analysis: Analysis, kind: Kind, runs: Sequence[RunData]) -> Anal
 
 
 def checks_of(analysis: Analysis) -> tuple[Check, ...]:
-    """The checks in an analysis' facts, which may come from a file: what is none is left out."""
+    """Checks in an analysis' facts, which may come from a file: invalid entries are ignored."""
     entries = analysis.facts.get("checks")
     found = []
     for entry in entries if isinstance(entries, list | tuple) else ():
@@ -137,7 +137,7 @@ def checks_of(analysis: Analysis) -> tuple[Check, ...]:
 
 @dataclass(frozen=True)
 class Repeats:
-    """One value of each of n trials: arrays of shape (n,). `cell` numbers operating points, `t` orders trials [s]."""
+    """One value per trial: arrays of shape (n,). `cell` numbers operating points, `t` is the time of a trial [s]."""
 
     what: str
     cell: Array
@@ -147,11 +147,11 @@ class Repeats:
 
     @property
     def off(self) -> Array:
-        """Each value's relative distance from the mean of its operating point."""
+        """Relative deviation of each value from the mean of its operating point, shape (n,)."""
         return self.value / self.means(self.value) - 1.0
 
     def means(self, of: Array) -> Array:
-        """The mean over its operating point at each trial, shape (n,)."""
+        """Mean of `of` over the operating point of each trial, shape (n,)."""
         cell = self.cell.astype(np.intp)
         return np.asarray((np.bincount(cell, of) / np.maximum(np.bincount(cell), 1))[cell])
 
@@ -162,7 +162,7 @@ class Repeats:
 
 
 def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
-    """Checks of spread of repeats, first-repeat effect and drift, for kinds of test with one value for each trial."""
+    """Checks of repeat spread, first-repeat effect and drift; empty for kinds of test without a value per trial."""
     if not kind.repeated:
         return []
     value_of = kind.part("repeated")
@@ -193,7 +193,7 @@ def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
 
 
 def spread(r: Repeats) -> Check | None:
-    """Pooled standard deviation of repeats, relative; None where nothing is repeated.
+    """Pooled relative standard deviation of repeats; None without repeats.
 
     s = sqrt(sum (v / mean of its cell - 1)^2 / (trials - cells)).
     """
@@ -205,9 +205,9 @@ def spread(r: Repeats) -> Check | None:
 
 
 def first_repeat(r: Repeats) -> Check | None:
-    """Mean over operating points of first / mean of the later ones - 1, with Student's t; None with fewer than three.
+    """Mean over operating points of first / mean of later repeats - 1, with Student's t; None with fewer than three.
 
-    Reference trials, which are far apart in time, are none.
+    Reference trials are not counted, because they are far apart in time.
     """
     apart = []
     for number in np.unique(r.cell):
@@ -228,10 +228,10 @@ def first_repeat(r: Repeats) -> Check | None:
 
 
 def drift(r: Repeats) -> Check | None:
-    """Straight line through the distances from the operating points' means over time, from first to last trial.
+    """Relative change from first to last trial, by a line through deviations from the points' means over time.
 
-    The slope is that of least squares within operating points (each with its own mean); None with too few repeats,
-    or where they lie together in time.
+    The slope is that of least squares within operating points (each with its own mean). None with too few repeats, or
+    where these are too close in time.
     """
     within = r.t - r.means(r.t)
     lever = float(within @ within)

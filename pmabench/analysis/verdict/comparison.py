@@ -1,7 +1,7 @@
-"""Two analyses coefficient by coefficient: difference, its 95 % interval, E_n number; what a recalibration changed.
+"""Comparison of two analyses by coefficient: difference, its 95 % interval, E_n number; changes by a recalibration.
 
 E_n = (a - b) / sqrt(U_a^2 + U_b^2) with the 95 % half widths U (ISO/IEC 17043): values agree where |E_n| <= 1, which
-two right ones miss about once in twenty. b is the reference.
+correct ones exceed about once in twenty. b is the reference.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate
 
 @dataclass(frozen=True)
 class Change:
-    """One coefficient on both sides; None where one side does not have it at all."""
+    """One coefficient before and after; None on a side that does not have it."""
 
     kind: str
     runs: tuple[str, ...]
@@ -30,24 +30,24 @@ class Change:
 
     @property
     def estimate(self) -> Estimate:
-        """The one of the two that there is, the newer first."""
+        """The estimate after, or before where that is missing."""
         found = self.after or self.before
         assert found is not None  # noqa: S101
         return found
 
     @property
     def difference(self) -> float | None:
-        """After less before [SI]; None where one of them has no value."""
+        """After minus before [SI]; None where one of them has no value."""
         if self.before is None or self.after is None or self.before.value is None or self.after.value is None:
             return None
         return self.after.value - self.before.value
 
     @property
     def half_width(self) -> float | None:
-        """95 % half width of the difference [SI]; None where a calibration part was not assessed.
+        """95 % half width of the difference [SI]; None where a calibration part is not known.
 
-        The same samples stand behind both values, so repeats and method cancel; what is left is how well each of the
-        two calibrations is known, taken as independent. Where both rest on one reference it is less.
+        Both values are from the same samples, so repeats and method cancel. The two calibrations are taken as
+        independent; where both use one reference the half width is smaller.
         """
         if self.difference is None or self.before is None or self.after is None:
             return None
@@ -55,7 +55,7 @@ class Change:
         return None if one is None or other is None else hypot(one, other)
 
     def to_dict(self) -> dict[str, Any]:
-        """The documented JSON object of a change."""
+        """The change as its documented JSON object."""
         e = self.estimate
         return {
             "kind": self.kind,
@@ -77,10 +77,10 @@ def _side(estimate: Estimate | None) -> dict[str, Any] | None:
 
 
 def changes(before: Sequence[Analysis], after: Sequence[Analysis]) -> list[Change]:
-    """Every coefficient of either side, in the order of `after`, then those that only `before` has.
+    """Changes of all coefficients of either side, in the order of `after`, then those that only `before` has.
 
-    Analyses belong together by kind and runs, coefficients by symbol, method and operating point; points that were
-    measured are the same to 1e-6 of them only by chance, so they are also taken in their order where they differ.
+    Analyses are matched by kind and runs, coefficients by symbol, method and operating point to 1e-6. Measured points
+    may differ by more, so the remaining coefficients are matched in their order.
     """
     found: list[Change] = []
     sides = {(analysis.kind, analysis.runs): analysis.estimates for analysis in before}
@@ -97,7 +97,7 @@ def changes(before: Sequence[Analysis], after: Sequence[Analysis]) -> list[Chang
 
 
 def _take(left: list[Estimate], estimate: Estimate, *, exact: bool = True) -> Estimate | None:
-    """The estimate of the same coefficient, taken out of `left`."""
+    """Remove the estimate of the same coefficient from `left` and return it; None where there is none."""
 
     def what(e: Estimate) -> tuple[object, ...]:
         return e.symbol, e.coordinate, e.method, tuple(e.at)
@@ -110,35 +110,35 @@ def _take(left: list[Estimate], estimate: Estimate, *, exact: bool = True) -> Es
 
 
 MOST_PLACES = 4
-"""Points that are named in a sentence about what could not be compared."""
+"""Most points that are named in a finding on what could not be compared."""
 TERM = "as "
-"""What the coordinates of a curve's terms begin with."""
+"""Prefix of the coordinates of a curve's terms."""
 CHANCE = 0.05
-"""Share of right values that lie outside their intervals."""
+"""Share of correct values that lie outside their intervals."""
 SESSION = "session"
-"""Name of the session among the calibrations of a side: zeros were taken in it."""
+"""Name of the session among the calibrations of a side; zeros are taken in a session."""
 SCALE_OF, GAIN, OFFSET = "calibration of ", ", gain", ", offset"
-"""How the budget lines of a channel's calibration begin, and how that of its gain and that of its zero end."""
+"""Prefix of the budget lines of a channel's calibration, and suffixes of those of its gain and of its zero."""
 NO_SCALE = ("time", "frequency")
-"""Quantities that no scale of a channel changes."""
+"""Quantities that do not depend on the calibration of a channel."""
 
 Series = tuple[str, str, str, tuple[str, ...]]
-"""Kind of test, symbol, coordinate, and over what it is given."""
+"""Kind of test, symbol, coordinate, and names of the entries of its operating points."""
 
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two that are compared."""
+    """One of the two sides of a comparison."""
 
     name: str
-    """As sentences call it: A, B, a method, a label."""
+    """Name in texts: A, B, a method, a label."""
     analyses: tuple[Analysis, ...]
     about: str = ""
-    """Where it comes from, for people: folder, bench, days."""
+    """Its origin as text: folder, bench, days."""
     calibrations: frozenset[tuple[str, str]] | None = None
-    """What the runs' calibrations are, by name and hash; None where the runs are not at hand."""
+    """Name and hash of the runs' calibrations; None where the runs are not available."""
     published: bool = False
-    """Values of another source, which gives no interval."""
+    """Whether values are from another source, which gives no interval."""
 
     @property
     def runs(self) -> set[str]:
@@ -147,7 +147,7 @@ class Side:
 
     @property
     def simulated(self) -> bool:
-        """Whether anything in it is."""
+        """Whether any of its analyses is of simulated runs."""
         return any(analysis.simulated for analysis in self.analyses)
 
 
@@ -161,11 +161,11 @@ class Difference:
     half: float | None
     """95 % half width of the difference; None unless both sides have an interval."""
     between: str = ""
-    """Which sides were read between two of their points: `a`, `b`, `ab` or none."""
+    """Sides that were interpolated between two of their points: `a`, `b`, `ab` or none."""
     lacks: tuple[str, ...] = ()
-    """Names of the sides whose interval does not hold how far the scales of their channels may be off."""
+    """Names of the sides whose interval does not contain the uncertainty of their calibrations."""
     term: bool = False
-    """A term of a curve: reported and not counted, because the values that the curve goes through are counted."""
+    """Whether it is a term of a curve, which is reported but not counted, because the values of the curve are."""
 
     @property
     def value(self) -> float:
@@ -179,18 +179,18 @@ class Difference:
 
     @property
     def score(self) -> float | None:
-        """E_n; None unless both sides have an interval, and where both are of no width."""
+        """E_n; None where one side has no interval, or both have zero width."""
         return self.value / self.half if self.half else None
 
     @property
     def agrees(self) -> bool | None:
-        """Whether |E_n| <= 1; None where it has no E_n."""
+        """Whether |E_n| <= 1; None without E_n."""
         return None if self.score is None else abs(self.score) <= 1.0
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What `compare` found."""
+    """Result of `compare`."""
 
     differences: tuple[Difference, ...]
     findings: tuple[Finding, ...]
@@ -199,12 +199,12 @@ class Comparison:
 def compare(
     a: Side, b: Side, methods: tuple[str, str | None] | None = None, pressures: Sequence[float] | None = None
 ) -> Comparison:
-    """The differences of all coefficients that both sides have.
+    """Differences of all coefficients that both sides have.
 
-    Of each symbol the first method of each side, or `methods` of a and b. Tests of the same kind are compared; where no
-    kind is on both sides, tests of one kind each. Values over pressure are compared at the pressures [Pa] that both
-    have, those of b where it is published; where they have none in common, or at `pressures`, the side without a value
-    is read on the straight line between its neighbours. Raises UsageError where nothing can be compared.
+    The method is the first one of each symbol on each side, or `methods` of a and b. Tests of the same kind are
+    compared; where no kind is on both sides, tests of different kinds. Values over pressure are compared at common
+    pressures [Pa], or at those of b where it is published. Without common ones, or at `pressures`, a side without a
+    value is interpolated linearly. Raises UsageError where nothing can be compared.
     """
     left, right = _series(a, methods and methods[0]), _series(b, methods and methods[1])
     differences: list[Difference] = []
@@ -221,7 +221,7 @@ def compare(
 
 
 def not_accepted(differences: Iterable[Difference], measure: str, limit: float) -> list[str]:
-    """One sentence for each difference whose size is above the limit, or not known; `E_n` or `difference` [1]."""
+    """A sentence for each difference above the limit or without a size; `measure` is `E_n` or `difference` [1]."""
     failed = []
     by_E_n = measure == "E_n"
     asked = f"accepted {limit:g}" if by_E_n else f"accepted {100 * limit:g} %"
@@ -237,13 +237,13 @@ def not_accepted(differences: Iterable[Difference], measure: str, limit: float) 
 
 
 def named(d: Difference) -> str:
-    """Coefficient and operating point in the units that people read: `K at 300 kPa`."""
+    """Coefficient and operating point as text: `K at 300 kPa`."""
     where = _where(d.a.at)
     return f"{_name((d.a.symbol, d.a.coordinate))}{f' at {where}' if where else ''}"
 
 
 def percent(share: float) -> str:
-    """A share in %, with its sign and two digits: `+4.2`, `-67`, `+240`."""
+    """A share in % with sign and two digits: `+4.2`, `-67`, `+240`."""
     size = abs(100 * share)
     return f"{100 * share:+.0f}" if 10 <= size < 1e5 else f"{100 * share:+.2g}"
 
@@ -267,7 +267,7 @@ def _held(series: Iterable[Series]) -> str:
 
 
 def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate]]:
-    """Series -> values by operating point, of one method; terms of curves count as coefficients."""
+    """Series -> values by operating point, of one method, with terms of curves; raises UsageError if ambiguous."""
     found: dict[Series, dict[Point, Estimate]] = {}
     kinds = [analysis.kind for analysis in side.analyses]
     twice = next((kind for kind in kinds if kinds.count(kind) > 1), None)
@@ -287,9 +287,9 @@ def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate
 
 
 def _terms(analysis: Analysis) -> Iterator[Estimate]:
-    """Terms of curves over the coordinate itself, which mean the same in every analysis of the same form.
+    """Terms of curves that are not normalised, which are comparable between analyses with the same form.
 
-    A term that is a coefficient of the analysis, as the slope of a line is, is compared as that.
+    Terms that are coefficients of the analysis, as the slope of a line is, are left out: they are compared as these.
     """
     known = {(e.symbol, e.value, frozenset(e.at.items())) for e in analysis.estimates}
     for curve in analysis.curves:
@@ -300,7 +300,7 @@ def _terms(analysis: Analysis) -> Iterator[Estimate]:
 
 
 def _pairs(left: Mapping[Series, object], right: Mapping[Series, object]) -> Iterator[tuple[Series, Series]]:
-    """Pairs of series to compare: the same of both sides, else the same symbol of other tests."""
+    """Pairs of series to compare: the same on both sides, else the same symbol of other kinds of test."""
     common = {series[0] for series in left} & {series[0] for series in right}
     for series in left:
         if series in right:
@@ -317,7 +317,7 @@ def _compared(
     b: Side,
     pressures: Sequence[float] | None,
 ) -> tuple[list[Difference], list[str]]:
-    """Differences of one series at its operating points, and what could not be compared in words."""
+    """Differences of one series at its operating points, and texts on what could not be compared."""
     places = dict.fromkeys((*ours, *theirs))
     asked = [(("pressure", float(f"{P:.6g}")),) for P in pressures or ()]
     over = series[3] == ("pressure",)
@@ -353,20 +353,20 @@ def _compared(
 
 
 def _shared(a: Side, b: Side) -> str:
-    """What both used of their calibrations: `all`, only the `gain` where no session took zeros, or nothing."""
+    """Shared part of the calibrations: `all`, `gain` where no session took zeros, or an empty text for none."""
     if not a.calibrations or a.calibrations != b.calibrations:
         return ""
     return "all" if a.runs == b.runs or any(name == SESSION for name, _ in a.calibrations) else "gain"
 
 
 def _recalibrated(a: Side, b: Side, kind: str | None = None) -> list[str]:
-    """Channels that `recalibrate` gave another calibration on one side than on the other, in tests of a kind or all.
+    """Channels with different calibrations by `recalibrate` on the two sides, in tests of one kind or of all.
 
-    The calibrations of a side are those of its runs, which keep what they were recorded with.
+    `Side.calibrations` does not show this: runs keep the calibrations with which they were recorded.
     """
 
     def scales(side: Side) -> dict[tuple[str, str], str]:
-        """Kind and channel -> the calibration, as the analysis has it."""
+        """Kind and channel -> text of the calibration in the analysis."""
         found = {}
         for analysis in side.analyses:
             listed = analysis.facts.get("recalibrated")
@@ -380,7 +380,7 @@ def _recalibrated(a: Side, b: Side, kind: str | None = None) -> list[str]:
 
 
 def _without_scale(e: Estimate) -> bool:
-    """Whether the interval has no calibration part, or one without the uncertainty of a channel that matters."""
+    """Whether the interval has no calibration part, or one that lacks a relevant channel."""
     if e.quantity in NO_SCALE:
         return False
     lines = [s.half for s in e.budget if s.part == "calibration"]
@@ -400,9 +400,9 @@ def _at_places(lack: str, places: Sequence[str]) -> str:
 
 
 def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
-    """The value at pressure P [Pa] on the straight line between the nearest points; None outside or at an open end.
+    """Value at pressure P [Pa], interpolated linearly between neighbours; None outside or where one has no value.
 
-    The parts are shares of those of both ends, which is the most that they can be.
+    Parts are interpolated, too, which is an upper bound.
     """
     known = sorted(place[0][1] for place in values)
     low, high = (max((p for p in known if p <= P), default=None), min((p for p in known if p >= P), default=None))
@@ -423,12 +423,12 @@ def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
 
 
 def _half(one: Estimate, other: Estimate, shared: str, alike: bool, other_scales: Sequence[str] = ()) -> float | None:
-    """Half width of the difference: squares added, but for what is off by the same in both by one method.
+    """Half width of the difference: root of the sum of squares, with common errors counted by their difference.
 
-    That is what both used of a calibration (`shared`), and what the method itself adds where both were tested at the
-    same points (`alike`): each by its difference. Without a session no zero was taken, and that of either day may be
-    off by what the calibration allows, as may the channels of `other_scales`; where no budget parts them from the
-    others, the whole part counts in both.
+    With one method these are the shared part of a calibration (`shared`), and systematic method parts where both were
+    tested at the same points (`alike`). Zeros that no session took are independent, as are the channels of
+    `other_scales`; where no budget separates these from the others, the whole part counts on both sides. None where
+    one side has no interval.
     """
     widths = [half for half in (one.parts.combined, other.parts.combined) if half is not None]
     if len(widths) < 2:
@@ -464,7 +464,7 @@ def _half(one: Estimate, other: Estimate, shared: str, alike: bool, other_scales
 
 
 def _systematic(e: Estimate) -> dict[str, float]:
-    """Half widths that a method adds by its nature, by name; empty without a budget."""
+    """Name -> half width of systematic method parts of the budget; empty without a budget."""
     return {s.name: s.half for s in e.budget if s.part == "method" and s.kind == "B" and s.half is not None}
 
 
@@ -489,7 +489,7 @@ def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequ
 
 
 def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[Finding]:
-    """Sentences about what the E_n numbers do not take into account."""
+    """Findings on effects that E_n does not take into account."""
     bare = [d for d in differences if d.half is None and not d.term]
     if bare and b.published:
         known = [d for d in bare if d.a.parts.combined is not None]
@@ -530,9 +530,9 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
 
 
 def _sentence(group: Sequence[Difference], *, whole: bool) -> Finding:
-    """One line for all points of one coefficient: how many agree, and where they are furthest apart.
+    """Finding for all points of one coefficient: how many agree, and where the difference is largest.
 
-    `whole`: it is the value of all points together, of which there are others at each.
+    `whole`: whether it is the value of all points together, of a coefficient that also has values at each point.
     """
     worst = max(group, key=lambda d: abs(d.score) if d.score is not None else abs(d.relative or 0.0))
     symbol, at = _name((worst.a.symbol, worst.a.coordinate)) + ", of all points" * whole, _where(worst.a.at)

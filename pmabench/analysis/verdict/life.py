@@ -1,14 +1,14 @@
-"""One specimen over its life: cycles, time at pressure, coefficients, a control chart of them; fits nothing.
+"""Life of one specimen: cycles, time at pressure, changes of coefficients, control charts of reference trials.
 
 Individuals chart (Shewhart; ISO 7870-2) of daily means: trials of a day share mounting, zeros and temperature. Limits
-are from the mean of the first values, 2.66 = 3 / d2 times their mean moving range away (d2 = 1.128 for ranges of two),
-or more: the first values know their mean and scatter with a few degrees of freedom only, and each later value is
-another chance (Student's t of a prediction, Bonferroni). Eight values or more in a row on one side of the centre,
-further than it is known, are a shift. Of charts of an unchanged muscle at most about one in twenty has an alarm.
+are at least 2.66 = 3 / d2 times the mean moving range from the mean of the first values (d2 = 1.128 for ranges of two).
+They are wider for few first values and for many later ones (Student's t of a prediction, Bonferroni). Eight values or
+more in a row on one side of the centre, beyond its uncertainty, are a shift. At most about one in twenty charts of an
+unchanged muscle has an alarm.
 
 A pressure cycle is one rise of the commanded pressure from 50 kPa or less to 100 kPa or more; of several muscles the
-one with most counts. What a closed loop does between two commands (ultimate gain, positioning) is not commanded and not
-counted, but for its time.
+one with most cycles counts. Cycles of a closed loop between two commands (ultimate gain, positioning) are not
+commanded and not counted, but its time is.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ from pmabench.store.records import Event, RunData, is_number
 
 FACTOR = 2.66
 CHANCE = 0.05
-"""Share of charts of an unchanged specimen with a value beyond the limits, at most."""
+"""Largest share of charts of an unchanged specimen with a value beyond the limits."""
 TREND = 0.01
-"""The same of series in which a straight line over their order is more than chance."""
+"""Significance level of a trend: largest share of unchanged series that show one."""
 LEAST = 1e-4
-"""Changes below this share of the centre are none: no bench repeats a stroke better over days."""
+"""Relative change below which nothing counts: no bench repeats a stroke better over days."""
 KNOWN = 1.5
-"""Standard deviations of the centre within which a value is on no side of it."""
+"""Standard deviations of the centre within which a value counts for neither side."""
 FEWEST = 5
 """Fewest values for limits."""
 FIRST = 12
-"""Most values from the beginning that make the limits; those that come later are judged by them."""
+"""Most first values from which limits are computed; later values are judged by these."""
 NORMAL = 1.959964
-"""95 % of a normal distribution lie within so many standard deviations."""
+"""Standard deviations within which 95 % of a normal distribution lie."""
 CHANGED = "the muscle changed, or the sensor or its mounting"
-"""What a change over the runs of a life may be: the values do not tell."""
+"""Possible causes of a change over the runs of a life."""
 ROW = 8
-"""So many in a row on one side of the centre are a shift, and one more ..."""
+"""Values in a row on one side of the centre that count as a shift, and one more ..."""
 LONGER = 40
-"""... for each so many values: chance makes longer rows in them."""
+"""... for every so many values, in which chance makes longer rows."""
 
 
 @dataclass(frozen=True)
 class Chart:
-    """Limits from the first `base` values, and which values break them."""
+    """Control limits from the first `base` values, and the values beyond them."""
 
     values: tuple[float, ...]
     centre: float
@@ -63,20 +63,20 @@ class Chart:
     high: float
     base: int
     beyond: tuple[int, ...]
-    """Places of values outside the limits."""
+    """Indices of values outside the limits."""
     shifted: int | None
-    """Place at which the first row on one side is complete."""
+    """Index at which the first row on one side is complete; None without one."""
 
     @property
     def first_alarm(self) -> int | None:
-        """Place of the first value that says that something changed."""
+        """Index of the first value beyond the limits or completing a row; None without one."""
         return min([*self.beyond[:1], *([] if self.shifted is None else [self.shifted])], default=None)
 
 
 def chart(values: Sequence[float], floor: float = 0.0) -> Chart | None:
-    """The chart of values in order of time, shape (n,); None with fewer than `FEWEST`.
+    """Control chart of values in order of time, shape (n,); None with fewer than `FEWEST`.
 
-    `floor`: what a value may be off by the steps in which it is read.
+    `floor`: possible error of a value by quantisation [as the values].
     """
     if len(values) < FEWEST:
         return None
@@ -100,10 +100,10 @@ def chart(values: Sequence[float], floor: float = 0.0) -> Chart | None:
 
 
 def trend(values: Sequence[float], floor: float = 0.0) -> tuple[float, float] | None:
-    """Change of a straight line from the first value to the last and its 95 % half width; None where it may be chance.
+    """Change from first to last value by a straight line, and its 95 % half width; None where it is not significant.
 
-    A change within `floor` is none. The scatter about the line judges it, so a calibration that is off by the same in
-    all takes no part.
+    A change within `floor` counts as none. The significance is from the scatter about the line, which a constant error
+    of calibration does not affect.
     """
     v = np.asarray(values, dtype=np.float64)
     if len(v) < FEWEST or not np.ptp(v):
@@ -115,13 +115,13 @@ def trend(values: Sequence[float], floor: float = 0.0) -> tuple[float, float] | 
 
 
 LOW, HIGH = 50e3, 100e3
-"""Commanded pressures between which a cycle is counted [Pa]."""
+"""A cycle is a rise of the commanded pressure from the first or less to the second or more [Pa]."""
 SYMBOLS = ("K", "F_ce", "m", "W", "H", "B_c", "B_r", "B", "F_c", "leak")
-"""Symbols that are followed over a life, in this order."""
+"""Symbols that are tracked over a life, in this order."""
 SELF_TEST = "self-test"
-"""Kind and method of what the self-test of a session found."""
+"""Kind and method of the result of a session's self-test."""
 LEAK = Result("leak", "fall of the pressure behind the shut valve", "pressure rate", headline=True)
-"""What the self-test gives."""
+"""Result of the self-test."""
 
 
 @dataclass(frozen=True)
@@ -130,22 +130,22 @@ class Use:
 
     cycles: int = 0
     strokes: float = 0.0
-    """Cycles of a driven end: of sines, and ramps by two."""
+    """Cycles of a driven end: those of sines, and half the number of ramps."""
     at_pressure: float = 0.0
-    """Time with a commanded pressure above `LOW`, along ramps [s]."""
+    """Time with a commanded pressure above `LOW` [s], with ramps taken into account."""
     highest: float = 0.0
     """[Pa]"""
     led: float = 0.0
-    """Time in which a closed loop led the pressure away from the command before [s], as which it is counted."""
+    """Time in which a closed loop changed the pressure [s]; it is counted with the command before."""
 
 
 LED = 1e3
-"""A pressure that is further from the last command when the next one comes was led there by a closed loop [Pa]."""
+"""Difference between the last command and the pressure at the next one above which a closed loop was active [Pa]."""
 
 
 @dataclass(frozen=True)
 class _Aim:
-    """Where the pressure of a muscle is sent at a time [s]."""
+    """A command for the pressure of a muscle at a time [s]."""
 
     t: float
     value: float
@@ -153,13 +153,13 @@ class _Aim:
     rate: float = inf
     """[Pa/s]"""
     before: float | None = None
-    """Commanded until then [Pa]; None where that is not recorded."""
+    """Pressure commanded before [Pa]; None where that is not recorded."""
 
 
 def use_of(events: Sequence[Event]) -> Use:
-    """Cycles, strokes and time at pressure of a run, from its commands: of several muscles the most of each.
+    """Cycles, strokes and time at pressure of a run from its commands; of several muscles the largest of each.
 
-    A vent takes the pressure away.
+    A vent counts as a command to 0.
     """
     strokes, muscles = 0.0, dict[str, list[_Aim]]()
     for event in events:
@@ -188,7 +188,7 @@ def use_of(events: Sequence[Event]) -> Use:
 
 
 def _steered(data: Mapping[str, Any]) -> dict[str, list[_Aim]]:
-    """The pressures of each muscle that a law sent, row by row; the first column is the time [s]."""
+    """Muscle -> pressures sent by a control law, from rows whose first column is the time [s]."""
     names, rows = data.get("columns", ()), data.get("aims", ())
     return {
         name: [_Aim(float(row[0]), float(row[place])) for row in rows]
@@ -197,9 +197,9 @@ def _steered(data: Mapping[str, Any]) -> dict[str, list[_Aim]]:
 
 
 def _of_muscle(aims: Sequence[_Aim], end: float) -> Use:
-    """What was done to one muscle until `end` [s].
+    """Use of one muscle until `end` [s].
 
-    A ramp that is stopped has led to where the next command begins.
+    A ramp that is interrupted ends at the pressure at which the next command begins.
     """
     cycles, time, highest, led, emptied, pressure = 0, 0.0, 0.0, 0.0, True, 0.0
     for aim, after in zip(aims, [*aims[1:], _Aim(end, 0.0)], strict=True):
@@ -222,7 +222,7 @@ def _of_muscle(aims: Sequence[_Aim], end: float) -> Use:
 
 
 def _above(begin: float, end: float, rate: float, over: float) -> float:
-    """Time above `LOW` [s] while it goes from `begin` to `end` [Pa] at `rate` [Pa/s] and stays, in `over` [s]."""
+    """Time above `LOW` [s] within `over` [s], for a ramp from `begin` to `end` [Pa] at `rate` [Pa/s] and a hold."""
     if end > LOW:
         return over - min(over, max(0.0, LOW - begin) / rate)
     return min(over, max(0.0, begin - LOW) / rate)
@@ -241,14 +241,13 @@ class Past:
     simulated: bool
     use: Use
     before: int
-    """Pressure cycles before it: those that the specimen file counts, and those of earlier runs."""
+    """Pressure cycles before it, from the specimen file and from earlier runs."""
 
 
 def pasts(rows: Iterable[tuple[str, str, str, str, str, bool, int, Use]]) -> list[Past]:
-    """Runs (id, date, kind, bench, status, simulated, cycles before by the specimen file, use) in order of time.
+    """Runs in order of time, from rows (id, date, kind, bench, status, simulated, cycles by the specimen file, use).
 
-    The specimen file's number counts where it is more than what the runs have made until then: the muscle was used
-    elsewhere.
+    The number in the specimen file counts where it exceeds that of earlier runs: the muscle was used elsewhere.
     """
     found: list[Past] = []
     counted = 0
@@ -276,7 +275,7 @@ class Series:
     kind: str
     moments: tuple[Moment, ...]
     name: str
-    """What its kind of test calls it; its symbol where nobody declared it."""
+    """Title given by its kind of test; else its symbol."""
 
     @property
     def first(self) -> Estimate:
@@ -302,10 +301,10 @@ class Series:
 
 
 def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series]:
-    """The values of `SYMBOLS` over the life, each by the first method that gives it in a kind of test.
+    """Values of `SYMBOLS` over the life, each by the first method that gives it in a kind of test.
 
-    An analysis has the date of its first run; of two analyses of the same runs the last one given counts. A test of the
-    closed muscle tells the share of the air that is lost over a trial.
+    An analysis has the date of its first run; of several analyses of the same runs the last one counts. The fact `leak`
+    of an analysis, a share [1], is included as a symbol.
     """
     place = {past.run: past for past in life}
     latest = {(analysis.kind, tuple(sorted(analysis.runs))): analysis for analysis in analyses}
@@ -334,9 +333,9 @@ def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series
 
 
 def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis | None:
-    """Leak with the isolation valve shut, from the self-test of a session, as a value to follow; None without it.
+    """Leak with the isolation valve shut, from the self-test of a session, as an analysis; None without it.
 
-    Fall of the pressure [Pa/s] of muscle, hoses and fittings together; the half width is that of noise alone.
+    The value is the fall of the pressure of muscle, hoses and fittings [Pa/s], its half width that from noise alone.
     """
     for event in reversed(events):
         leak = event.data.get("leak") if event.kind == "self-test" else None
@@ -351,7 +350,7 @@ def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis |
 
 
 def chosen(series: Sequence[Series]) -> list[Series]:
-    """One series for each symbol of each kind: the one with most values, of several the one in the middle."""
+    """One series per symbol and kind: that with most values, the middle one of several."""
     picked = []
     for group in grouped(series, lambda one: (one.kind, one.first.symbol)).values():
         most = max(len(one.moments) for one in group)
@@ -368,7 +367,7 @@ class References:
     moments: tuple[tuple[str, int, float, str], ...]
     """Date, cycles before the run, stroke [m], trial."""
     step: float = 0.0
-    """Step in which the displacement is read [m]; 0 where it is not seen."""
+    """Quantisation step of the displacement [m]; 0 for none."""
 
     @property
     def title(self) -> str:
@@ -378,20 +377,20 @@ class References:
 
     @property
     def days(self) -> list[tuple[str, int, float, str]]:
-        """A moment for each day: the first one with the mean stroke of all."""
+        """One moment per day: the first of the day, with the mean stroke of all."""
         days = grouped(self.moments, lambda moment: moment[0][:10]).values()
         return [(*day[0][:2], float(np.mean([stroke for _, _, stroke, _ in day])), day[0][3]) for day in days]
 
     @property
     def chart(self) -> Chart | None:
-        """The control chart of its days; None with too few."""
+        """Control chart of the daily means; None with too few days."""
         return chart([stroke for _, _, stroke, _ in self.days], 1.01 * self.step)
 
 
 def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[References]:
-    """The reference trials of all runs by operating point, those that were done again included.
+    """Reference trials of all runs by operating point, including repeated ones.
 
-    One run is held at a time where `runs` loads them one by one.
+    Only one run is in memory at a time where `runs` loads them one by one.
     """
     place = {past.run: past for past in life}
     found: dict[Point, list[tuple[str, int, float, str]]] = {}
@@ -411,7 +410,7 @@ def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[Referen
 
 
 def findings(life: Sequence[Past], series: Sequence[Series], references: Sequence[References]) -> Iterator[Finding]:
-    """How much it was used, how coefficients changed, what the reference trials say."""
+    """Findings on the use of the specimen, changes of coefficients, and reference trials."""
     last = life[-1]
     total, time = last.before + last.use.cycles, sum(past.use.at_pressure for past in life)
     text = f"{len(life)} runs from {life[0].date[:10]} to {last.date[:10]}: {total:,} pressure cycles, "
@@ -450,9 +449,9 @@ def _size(change: Difference) -> str:
 
 
 def _furthest(one: Series) -> str:
-    """The two values that are furthest apart for their intervals, where that is more than so many values allow.
+    """Text on the two values with the largest E_n, where that is significant for the number of values; else empty.
 
-    By chance the range of n values is 95 % of the time within the studentized range, of two within that of E_n = 1.
+    The limit is the 95 % quantile of the studentized range of n values, scaled so that it is E_n = 1 for two.
     """
     known = [m for m in one.moments if m.estimate.value is not None and m.estimate.parts.combined]
     if len(known) < 3:
@@ -470,7 +469,7 @@ def _furthest(one: Series) -> str:
 
 
 def _steadily(values: Sequence[float], quantity: str, floor: float = 0.0) -> str:
-    """A trend in words; empty without one."""
+    """Text on a significant trend; empty without one."""
     if (found := trend(values, floor)) is None:
         return ""
     change, half = found

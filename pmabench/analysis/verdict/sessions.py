@@ -1,7 +1,7 @@
-"""Runs of several sessions reduced together: what the sessions differ by is in the interval of what they share.
+"""Scatter between sessions as a part of the intervals of an analysis of all sessions.
 
-Trials of one session share mounting, zeros and temperature: by their scatter alone a mean over days is known better
-than it is. Knows analyses and their estimates; not how they were made.
+Trials of one session share mounting, zeros and temperature, so their scatter alone underestimates the interval of a
+mean over sessions.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Analysis, Estimate, Finding
 
 CHANCE = 0.05
-"""Share of values of which sessions that do not differ are taken to differ."""
+"""Significance level of the F test between sessions."""
 NAME = "scatter between sessions"
 WITHIN = 3
-"""Degrees of freedom of the interval of one trial, by its cycles [1]."""
+"""Degrees of freedom of the interval of a single trial, from its cycles [1]."""
 
 
 def with_sessions(together: Analysis, alone: Sequence[Analysis]) -> Analysis:
-    """The analysis of all sessions with their scatter, by those of each session alone, in its intervals.
+    """The analysis of all sessions with the scatter between sessions in its intervals; `alone` has one per session.
 
-    Student's t over the values of the sessions, where they differ by more than their repeats do (F test); values that
-    one session has by itself stay as they are.
+    The half width is by Student's t over the values of the sessions, where these differ by more than repeats (F test).
+    Values of a single session are not changed.
     """
     values = [{_key(e): e for e in one.estimates if e.value is not None and not e.withheld} for one in alone]
     made, apart = [], list[str]()
@@ -55,7 +55,7 @@ def _key(e: Estimate) -> tuple[object, ...]:
 
 
 def _between(each: Sequence[Estimate]) -> float | None:
-    """Half width of the mean of the sessions' values [as the value]; None where they do not differ, or one is alone."""
+    """95 % half width of the mean of the sessions' values; None for one session or an insignificant difference."""
     known = [(one.value or 0.0, one.parts.repeats, one.n - 1 if one.n > 1 else WITHIN) for one in each]
     if len(known) < 2 or not all(half for _, half, _ in known):
         return None

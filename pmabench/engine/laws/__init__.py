@@ -1,9 +1,9 @@
-"""Laws of seeks by name, and what a law of several quantities wants at one sample.
+"""Control and search laws by name, and the commands of a law of several quantities at one sample.
 
 A class is a small state machine that is fed one sample at a time: `pmabench.engine.seek.SampledLaw` for one output,
 `LawOfSeveral` for several quantities and valves, whose `Orders` the guard checks before anything moves. A function
-ramps and waits by the `pmabench.engine.seek.Moves` that it is handed. What they need comes as keywords from the plan's
-step. Laws ship with pmabench, or come by entry points of the group `pmabench.laws`.
+ramps and waits through the `pmabench.engine.seek.Moves` that it receives. Their parameters come as keywords from the
+plan's step. Laws ship with pmabench, or come from entry points of the group `pmabench.laws`.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ def law_of(name: str) -> Any:
 
 
 def refuse_wrong(*rules: tuple[bool, str]) -> None:
-    """Raise ValueError with the text of every rule that is not kept."""
+    """Raise ValueError with the texts of all broken rules (holds, text)."""
     wrong = [text for good, text in rules if not good]
     if wrong:
         raise ValueError("; ".join(wrong))
 
 
 def outside_range(bias: float, low: float, high: float) -> str:
-    """The sentence for a bias [SI of the output] that is no command."""
+    """Message for a bias [SI of the output] outside the range of the command."""
     return f"bias {bias:g} is outside the range of the command, {low:g} to {high:g}"
 
 
 @dataclass(frozen=True)
 class Pulse:
-    """Open a valve now, for a time that its device keeps: no multiple of the sample period."""
+    """Open a valve now for `seconds` [s], timed by its device: it need not be a multiple of the sample period."""
 
     valve: str
     seconds: float
@@ -63,17 +63,17 @@ class Pulse:
 
 @dataclass(frozen=True)
 class Orders:
-    """What is wanted at one sample; all may be empty."""
+    """Commands of a law at one sample; each part may be empty."""
 
     aims: Mapping[str, float] = field(default_factory=dict)
-    """Where muscles are to be brought, and what else has a limit, by name [SI]."""
+    """Target pressures of muscles, and other quantities with a limit in the step, by name [SI]."""
     pulses: tuple[Pulse, ...] = ()
     sets: Mapping[str, float] = field(default_factory=dict)
-    """Set-points of outputs whose regulators bring the muscles there, by name [SI]."""
+    """Set-points of outputs with their own regulators, by name [SI]."""
 
 
 class Timed:
-    """What a law that lasts a time keeps: its first and newest sample, how often a limit was in its way, its end."""
+    """State of a law of limited duration: first and newest sample, count of clipped samples, and how it ended."""
 
     done = False
     _ended = "limit"
@@ -85,9 +85,9 @@ class Timed:
         self.done, self._ended = True, why
 
     def _how_it_went(self, lost: str) -> dict[str, Any]:
-        """Times t0, t1 [s], share of samples with a limit in the way, why it ended; `lost` says which signal was.
+        """Times `t0`, `t1` [s], `saturated` (share of clipped samples), and `ended`, for the result.
 
-        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
+        `ended` is `time` (as planned), `no signal` (then `lost` is the reason), or `limit` where the caller stopped it.
         """
         saturated = self._clipped / self._samples if self._samples else 0.0
         data = {"t0": self._first, "t1": self._t, "saturated": saturated, "ended": self._ended}
@@ -97,7 +97,7 @@ class Timed:
 class LawOfSeveral(Protocol):
     """A law that is called at every sample and steers several quantities, by pulses of valves or by set-points.
 
-    With a `called_every` [s] above 0 it is called so often only, with the newest sample.
+    With a `called_every` [s] above 0 it is called only at this interval, with the newest sample.
     """
 
     done: bool

@@ -1,4 +1,4 @@
-"""The law `gain-steps`: raise a proportional gain level by level until the loop keeps oscillating; knows no device.
+"""The law `gain-steps`: raise a proportional gain level by level until the loop keeps oscillating.
 
 It ends by itself before the oscillation leaves its window or the command saturates. Standard library only: it runs
 once per sample. What the levels say about K_u is worked out later, from the samples.
@@ -15,9 +15,9 @@ from pmabench.engine.laws import outside_range, refuse_wrong
 
 LARGEST_FACTOR = 1.08
 SKIPPED = 2
-"""Swings right after a kick that do not count in the ratio: faster modes are still in them."""
+"""Half periods right after a kick that are left out when growth is judged: faster modes still affect them."""
 SEEN = 12.0
-"""A swing, peak to peak, is seen where it is larger than this many standard deviations of the noise."""
+"""Smallest peak-to-peak size of a detected swing [standard deviations of the noise]."""
 FOUND = ("growth", "amplitude")
 REASONS = {
     "saturated": "the command reached the end of its range before the swings grew",
@@ -53,7 +53,7 @@ class GainSteps:
     """Proportional control u = bias + K_p (aim - y) with K_p raised in steps (Ziegler and Nichols 1942).
 
     First the loop settles at the starting gain while the bias is trimmed to the set-point. Then come the levels: at
-    each the aim moves by `kick`, unless the loop still swings by itself, and half periods are counted.
+    each the aim moves by `kick`, unless the loop already oscillates, and half periods are counted.
 
     Parameters
     ----------
@@ -62,16 +62,16 @@ class GainSteps:
     start : gain of the first level [Pa/m]
     low, high : range of the command [Pa]; reaching it ends the search
     channel : measured channel
-    factor : from level to level, at most 1.08
+    factor : ratio of successive gains, at most 1.08
     half_periods : counted at each level before the next, at least 8
     kick : step of the aim that excites the loop [m], between setpoint - kick/2 and setpoint + kick/2
     noise : standard deviation of the channel's noise [m]; swings smaller than twelve times this are not seen
     settle : time at the starting gain before the first level [s]
     trim : time constant of the bias trim while settling [s]; 0 keeps the bias
-    level_time : longest time at one level [s]; at least four expected periods
-    levels : most levels
+    level_time : longest time at one level [s]; choose at least four expected periods
+    levels : largest number of levels
     window : distance from the set-point that ends the search [m]
-    beyond : levels with growing swings after which it has found what it looks for
+    beyond : levels with growing swings that end the search successfully
     """
 
     setpoint: float
@@ -150,7 +150,7 @@ class GainSteps:
         return command
 
     def _begin(self, t: float) -> None:
-        """Open a level; kick the loop where it does not swing by itself."""
+        """Start a level; kick the loop if it does not oscillate already."""
         sizes = self._swings.sizes
         kick = 0.0
         if not sizes or sizes[-1] < self.kick / 2:
@@ -160,12 +160,12 @@ class GainSteps:
         self._swings = _Swings(self.threshold, rising=kick >= 0)
 
     def _close(self) -> None:
-        """Write down the end of the level that is open."""
+        """Note the end of the current level."""
         if self._levels:
             self._levels[-1].update(t1=self._last, half_periods=len(self._swings.sizes))
 
     def _next(self, t: float) -> None:
-        """Close the level, judge its growth, open the next or end."""
+        """Close the level, judge its growth, and open the next one or end."""
         self._close()
         sizes = self._swings.sizes[SKIPPED:]
         if len(sizes) >= self.half_periods - SKIPPED and sizes[-1] >= sizes[0]:

@@ -1,7 +1,7 @@
-"""The law `joint`: two muscles against each other take a joint to angles and hold it there, as stiff as asked for.
+"""The law `joint`: two antagonistic muscles turn a joint to angles and hold it there with a given stiffness.
 
 Feed-forward: both pressures that hold the reference angle at the wanted stiffness, from a table. Feedback: the integral
-of the error is a torque, which the table turns into a difference of the pressures. Knows no device, no muscle, no plan.
+of the error is a torque, which the table turns into a difference of the pressures. Independent of devices and plans.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ PRESSURES = ("pressure_1", "pressure_2")
 
 @dataclass(kw_only=True, eq=False)
 class JointLoop(Timed):
-    """P_i = P_i0(reference) + G_i(reference) (K_i times the integral of reference minus angle).
+    """P_i = P_i0(reference) + G_i(reference) T, with the torque T = K_i times the integral of reference minus angle.
 
     Parameters
     ----------
     goals : angles as (begin [s], angle [rad]), in order; begin counts from the first sample
     duration : how long to control [s]
-    table : `angle` [rad], rising, and at each `pressure_1`, `pressure_2` [Pa] without a torque, and how they change by
-        one: `gain_1`, `gain_2` [Pa/(N m)]
-    K_i : [N.m/(rad s)]; 0 for feed-forward alone
+    table : `angle` [rad], ascending; at each the pressures `pressure_1`, `pressure_2` [Pa] at zero torque, and their
+    change per torque `gain_1`, `gain_2` [Pa/(N m)]
+    K_i : integral gain [N.m/(rad s)]; 0 for feed-forward alone
     reference_lag : time constant of each of the two lags of the reference [s]
     sine : `begin` [s], `amplitude` [rad] and `frequency` [Hz] that are added to the goal, without the lags
     low, high : least and greatest pressure [Pa]
@@ -88,14 +88,14 @@ class JointLoop(Timed):
         return Orders(sets=self._sent)
 
     def _swing(self, since: float) -> float:
-        """What the sine adds to the reference, so long after the first sample [rad]."""
+        """The sine's contribution to the reference [rad], `since` [s] after the first sample."""
         if not self._sine or since < self._sine["begin"]:
             return 0.0
         phase = 2 * math.pi * self._sine["frequency"] * (since - self._sine["begin"])
         return self._sine["amplitude"] * math.sin(phase)
 
     def _row(self, angle: float) -> tuple[float, ...]:
-        """The table at an angle [rad], with straight lines between its rows; its ends beyond them."""
+        """The table at an angle [rad], linearly interpolated; constant beyond its ends."""
         place = min(max(bisect_right(self._angles, angle), 1), len(self._angles) - 1)
         low, high = self._angles[place - 1], self._angles[place]
         share = min(max((angle - low) / (high - low), 0.0), 1.0)

@@ -1,8 +1,8 @@
 """The law `platform`: three muscles with two valves each turn a platform to attitudes and hold it there.
 
 Paper 3's chain: angle error, moment, inverse kinematics, forces, inverse muscle, valves. The paper takes kinematics and
-contraction from the measured attitude; that undoes the muscles' own stiffness through a late sensor and overshoots. So
-they come from the reference here unless `chain` asks for the paper's. Knows no device and no plan.
+contraction from the measured attitude; this cancels the muscles' own stiffness with a delayed sensor and overshoots. So
+they come from the reference here unless `chain` selects the paper's way. Independent of devices and plans.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ ACCELERATIONS = ("acceleration_x", "acceleration_y", "acceleration_z")
 TURNS = ("turn_x", "turn_y", "turn_z")
 """Angular speeds about the platform's own axes [rad/s], where there is a gyroscope."""
 APART = 1e-3
-"""Both valves of a muscle are shut for so long before one opens after the other [s]."""
+"""Dead time between closing one valve of a muscle and opening its other valve [s]."""
 STEEPEST = math.radians(20)
-"""Paper 3's platform tilts so far."""
+"""Largest tilt of Paper 3's platform [rad]."""
 
 
 @dataclass(kw_only=True, eq=False)
 class PlatformLoop(Timed):
-    """M = K_p e + K_i (integral of e), pressures that make it, and on-times that bring the muscles there.
+    """Moment M = K_p e + K_i (integral of e), the pressures for it, and valve on-times that reach these pressures.
 
     Parameters
     ----------
     goals : attitudes as (begin [s], phi [rad], psi [rad]), in order; begin counts from the first sample
     duration : how long to control [s]
-    K_p, K_i : [N.m/rad], [N.m/(rad s)]
+    K_p, K_i : proportional [N.m/rad] and integral gain [N.m/(rad s)]
     most : largest moment of the integral [N.m]
     reference_lag : time constant of each of the two lags of the reference [s]
     attitude_lag : of each of the two lags of the measured attitude [s]
-    period, least : of the pulses, and the shortest that is sent [s]
+    period, least : period of the pulses, and the shortest pulse that is sent [s]
     mean, low, high : mean of the three pressures, their least and greatest [Pa]
     chain : where kinematics and contraction come from, `reference` or `measured`
     gyro_time : time constant of the complementary filter where `turn_x` and `turn_y` are measured [s]
-    platform : what it is made of, as in `model.many.platform.described`
+    platform : geometry and muscles, as in `model.many.platform.described`
     """
 
     goals: Sequence[Sequence[float]]
@@ -75,7 +75,7 @@ class PlatformLoop(Timed):
         self._reference: Lags | None = None
         self._filtered: Lags | None = None
         self._turned: Pair | None = None
-        """Attitude of the complementary filter [rad]."""
+        """Attitude (phi, psi) from the complementary filter [rad]."""
         self._integral: Pair = (0.0, 0.0)
         self._next = 0.0
         self._shuts: dict[str, float] = {}
@@ -93,7 +93,7 @@ class PlatformLoop(Timed):
             return Orders()
         if self._first is None:
             self._first = self._t = t
-            self._next = t + self.period + APART  # a pulse of the loop before may still be open for so long
+            self._next = t + self.period + APART  # a pulse of an earlier loop may still last as long
         h, self._t = t - self._t, t
         reference, attitude = self._follow(h, t - self._first, values)
         error = (reference[0] - attitude[0], reference[1] - attitude[1])
@@ -112,7 +112,7 @@ class PlatformLoop(Timed):
         return self._orders(t, goal, reference if self.chain == "reference" else attitude, moment, values)
 
     def _follow(self, h: float, since: float, values: Mapping[str, float]) -> tuple[Pair, Pair]:
-        """The reference, and the attitude as it is known, `h` [s] after the sample before."""
+        """Reference and filtered measured attitude [rad], `h` [s] after the previous sample."""
         measured = tilt(*(values[name] for name in ACCELERATIONS))
         if self._reference is None or self._filtered is None:
             self._reference, self._filtered = Lags(self.reference_lag, measured), Lags(self.attitude_lag, measured)
@@ -122,11 +122,11 @@ class PlatformLoop(Timed):
         return reference, self._complementary(h, measured, values)
 
     def _goal(self, since: float) -> Pair | None:
-        """Where to go, so long after the first sample [s]; None before the first goal."""
+        """Goal attitude [rad] at `since` [s] after the first sample; None before the first goal."""
         return next((at for begin, at in reversed(self._goals) if since >= begin - 1e-9), None)
 
     def _complementary(self, h: float, measured: Pair, values: Mapping[str, float]) -> Pair:
-        """What the gyroscope says quickly and the accelerometer slowly."""
+        """Attitude [rad]: fast changes from the gyroscope, slow ones from the accelerometer."""
         before = measured if self._turned is None else self._turned
         turned = before[0] + h * values["turn_x"] / math.cos(before[1]), before[1] + h * values["turn_y"]
         keep = math.exp(-h / self.gyro_time)
@@ -154,7 +154,7 @@ class PlatformLoop(Timed):
         return Orders(aims | {"tilt": math.acos(math.cos(goal[0]) * math.cos(goal[1]))}, tuple(pulses))
 
     def result(self) -> dict[str, Any]:
-        """What happened, as plain data; also the share of periods in which limits forbade the moment, why it ended."""
+        """What happened, as plain data, with the share of clipped periods and why it ended."""
         return {
             "goals": [[begin, *at] for begin, at in self._goals],
             "chain": self.chain,

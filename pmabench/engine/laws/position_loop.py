@@ -1,4 +1,4 @@
-"""The law `pid`: a P, PI or PID controller takes a channel to a set-point and holds it there; knows no device, no plan.
+"""The law `pid`: a P, PI or PID controller takes a channel to a set-point and holds it there.
 
 Standard library only: it runs once per sample. The discrete form of the PID is in `pmabench.model.pid`.
 """
@@ -14,7 +14,7 @@ from pmabench.model.pid import PID, ReferencePath
 
 
 class PositionLoop(Timed):
-    """u = PID(setpoint - y) from the command in force on, for a time.
+    """u = PID(setpoint - y) for `duration`, starting at the current command.
 
     Parameters
     ----------
@@ -22,8 +22,8 @@ class PositionLoop(Timed):
     duration : how long to control [s]
     K_p, T_i, T_d, N, low, high, anti_windup, tracking, start : see `PID`; T_i and tracking may be None
     channel : measured channel
-    path : places [m], speed [m/s] and rest [s] of a `ReferencePath`, followed in place of the set-point
-    feedforward : values [SI of the output] at each multiple of `every` [s], added with straight lines between them
+    path : positions [m], speed [m/s] and rest [s] of a `ReferencePath`, which replaces the set-point
+    feedforward : values [SI of the output] at multiples of `every` [s], added with linear interpolation
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class PositionLoop(Timed):
         return command
 
     def _ahead_at(self, since: float) -> float:
-        """Feed-forward at a time after the first sample; the last value after its end."""
+        """Feed-forward [SI of the output] at `since` [s] after the first sample; the last value after its end."""
         if not self._ahead:
             return 0.0
         place = min(max(since / self._every, 0.0), len(self._ahead) - 1.0)

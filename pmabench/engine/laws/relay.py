@@ -1,7 +1,7 @@
-"""The law `relay`: switch the command between two values so that the loop oscillates, at several sizes; no device.
+"""The law `relay`: switch the command between two values so that the loop oscillates, with several amplitudes.
 
-It ends by itself where a window is left. Standard library only: it runs once per sample. What the oscillation says
-about the loop is worked out later, from the samples.
+It ends by itself when a signal leaves its window. Standard library only: it runs once per sample. The oscillation is
+analysed later, from the samples. Knows no device.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ REASONS = {
 
 @dataclass(kw_only=True, eq=False)
 class Relay:
-    """Relay with hysteresis about the place where the bias holds the muscle (Astrom and Hagglund 1984).
+    """Relay with hysteresis about the position at which the bias holds the muscle (Astrom and Hagglund 1984).
 
     First the command stays at the bias until the muscle rests; the mean over the second half of that time is the
     centre. Then, level by level, the command is bias + d (1 + asymmetry) until y is above centre + h, and
@@ -130,7 +130,7 @@ class Relay:
         self._set(t)
 
     def _set(self, t: float) -> None:
-        """Command what the relay's state says, and write down when."""
+        """Command the value of the relay's state, and note the time."""
         level = self._levels[-1]
         share = 1 + self.asymmetry if self._up else self.asymmetry - 1
         self._command = min(max(self.bias + level["amplitude"] * share, self.low), self.high)

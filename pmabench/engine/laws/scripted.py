@@ -1,11 +1,11 @@
 """Laws that ramp and wait: `ramp-until` and `closed-strokes`; they know no devices and no files.
 
 `ramp-until` ramps the output until a channel crosses a threshold: lift, set-down, return to zero, dead band. A fast
-approach finds the neighbourhood, then the output goes back until the crossing is undone and a slow ramp finds it again,
-so that regulator lag and creep do not enter.
+approach finds the neighbourhood, then the output goes back and a slow ramp finds the crossing again, so that lag of the
+regulator and creep have little effect.
 
-`closed-strokes`: a valve shuts the air in, the driven end goes there and back, the valve opens again. The valve is shut
-by its safe state, so whatever ends the run leaves it as it is.
+`closed-strokes`: a valve shuts the air in, the driven end moves to and fro, the valve opens again. Shut is the safe
+state of this valve, so any end of the run leaves it shut.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def ramp_until(
     `direction` "up": the output rises until the channel is above the threshold for `window` [s]; "down": it falls until
     the channel is below. `rate` [SI/s] is the slow one, `approach_rate` the fast one (0: none). After the approach the
     output goes back by `back_off` [SI] and rests for `settle` [s]. Result: measured pressure, time and channel value at
-    the crossing (means over `window`), and the command's end value; none where the channel is above the threshold
-    before the output has risen, for then its zero is somewhere else.
+    the crossing (means over `window`), and the command's end value. Not found where the channel is above the threshold
+    before the output has risen: then its zero is wrong.
     """
     up = direction == "up"
     far = moves.step.high if up else moves.step.low
@@ -105,7 +105,7 @@ class _Crossing:
             return None
         beyond = x > self.threshold if self.above else x < self.threshold
         index = np.arange(len(beyond))
-        runs = index - np.maximum.accumulate(np.where(beyond, -1 - self.run, index))  # since the last one not beyond
+        runs = index - np.maximum.accumulate(np.where(beyond, -1 - self.run, index))  # length of the run beyond
         hits = np.flatnonzero(beyond & (runs >= self.samples))
         if len(hits) == 0:
             self.run = int(runs[-1]) if beyond[-1] else 0
@@ -127,7 +127,7 @@ def closed_strokes(
     Raises
     ------
     LimitTripped
-        Where it takes longer than the step's limit: the end is not where the plan believes, and air is shut in.
+        Where it takes longer than the step's limit: the end is not where the plan expects it, and air is shut in.
     """
     shut = moves.valve(valve, safe=True)
     moves.wait(shut + rest)

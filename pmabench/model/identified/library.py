@@ -1,6 +1,6 @@
-"""An identified muscle as a model of the library: force, stiffness, loop width and damping at a place.
+"""An identified muscle as a model of the library: force, stiffness, loop width and damping at an operating point.
 
-`described`: the one that an analysis of kind surface holds, from its plain facts, with the straight form of the tests.
+`described`: the muscle of an analysis of kind surface, from its facts, together with the three-element form.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from pmabench.model.regulator import Regulator
 MUSCLE, STRAIGHT = "muscle", "straight_form"
 """Entries of the facts of an analysis."""
 LEAST_K, LEAST_B = 1e3, 10.0
-"""Stiffness [N/m] and damping [N.s/m] of the straight form where its lines fall below."""
+"""Lower bounds of stiffness [N/m] and damping [N.s/m] of the three-element form."""
 
 
 def holds_surface(facts: Mapping[str, Any]) -> bool:
-    """Whether the facts of an analysis hold a muscle; those of earlier versions do not."""
+    """Whether the facts of an analysis contain a muscle; those of earlier versions do not."""
     return isinstance(facts.get(MUSCLE), Mapping) and isinstance(facts.get(STRAIGHT), Mapping)
 
 
 def described(facts: Mapping[str, Any], source: str, regulator: Regulator) -> Described:
-    """The muscle of an analysis' facts behind a regulator, with the straight form as `muscle`; ValueError in words."""
+    """The muscle in an analysis' facts with a regulator, and its three-element form as `muscle`; raises ValueError."""
     if not holds_surface(facts):
         raise ValueError(f"{source} holds no muscle as a surface; process its runs again with --form surface")
     try:
@@ -42,7 +42,7 @@ def described(facts: Mapping[str, Any], source: str, regulator: Regulator) -> De
 
 
 def straight(form: Mapping[str, Any], name: str, stop: float) -> Muscle:
-    """The straight form of the same tests: F_ce(P) - K(P) x - B x' - F_c sign x', straight lines between pressures."""
+    """The three-element form of the same tests: F_ce(P) - K(P) x - B x' - F_c sign x', linear between pressures."""
 
     def through(symbol: str, least: float) -> Curve:
         return Curve.through(pressures, [max(float(value), least) for value in form[symbol]])
@@ -62,14 +62,14 @@ def straight(form: Mapping[str, Any], name: str, stop: float) -> Muscle:
 
 
 WAYS = (True, False)
-"""Contracting, and relaxing."""
+"""Contracting: true; relaxing: false."""
 UNTESTED = "beyond what was tested"
 AMPLITUDE = 5e-3
-"""Stroke of the loop whose width is given, either way, where none is asked for [m]."""
+"""Default amplitude of the loop whose width is given [m]."""
 
 
 def as_model(muscle: IdentifiedMuscle, name: str, source: str, note: str) -> Model:
-    """The model `name` of a muscle; outside the tested pressures [Pa] and contractions [m] it refuses."""
+    """The model `name` of a muscle; it raises OutsideDomain outside the tested pressures and contractions."""
     ends = {"pressure": (muscle.over_P.low, muscle.over_P.high), "displacement": muscle.reach}
 
     def values(pressure: ArrayLike, displacement: ArrayLike, amplitude: ArrayLike) -> Values:

@@ -1,10 +1,10 @@
-"""An identified muscle as plain numbers, and its force at a place without its past; knows no fit and no time.
+"""An identified muscle as plain numbers, and its static force at an operating point.
 
     F = F_s(P, x) - sum w_k(P) S_k[x] - sum q_m(x) S_m[P] - B(P, sign x') x' + K(P, x) c[x] + d(x)[P]
 
 F_s is a product of cubic B-splines over P and x, K = -dF_s/dx. S are stops between -1 and 1 (`plant`), c and d sums of
-first-order lags. w, B are straight lines over the tested pressures, q, d over the tested contractions, constant beyond;
-F_s goes on as straight lines beyond them. SI throughout, P gauge.
+first-order lags. w, B are linear over the tested pressures, q, d over the tested contractions, and constant beyond; F_s
+is extrapolated linearly. SI throughout, P gauge.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from pmabench.model.muscle import Friction
 SCHEMA = "pmabench.identified-muscle/1"
 DEGREE = 3
 BEYOND = 2.0
-"""A free end is stopped at this multiple of the largest contraction that was tested."""
+"""End stop of a free end, as a multiple of the largest tested contraction."""
 
 
 @dataclass(frozen=True, eq=False)
 class Splines:
-    """Cubic B-splines over a range, as a cubic polynomial in each interval; one constant where there is no range."""
+    """Cubic B-splines over a range, as cubic polynomials in each interval; one constant if there is no range."""
 
     knots: tuple[float, ...]
-    """Rising ends of the intervals, in the unit of the axis; one for no range."""
+    """Ends of the intervals, ascending, in the unit of the axis; a single one for no range."""
 
     @property
     def low(self) -> float:
@@ -52,9 +52,9 @@ class Splines:
 
     @cached_property
     def pieces(self) -> Array:
-        """Coefficients of each function in each interval, highest power of the way from its lower end first.
+        """Coefficients of each function in each interval, shape (intervals, 4, functions).
 
-        Shape (intervals, 4, functions).
+        Highest power first, of the distance from the interval's lower end.
         """
         if len(self.knots) == 1:
             return np.array([[[0.0], [0.0], [0.0], [1.0]]])
@@ -67,11 +67,11 @@ class Splines:
         return np.stack([*powers, spline(ends)], axis=1)
 
     def share(self, at: float) -> float:
-        """Where a value lies in the range, 0 to 1 and cut there; 0 where there is no range."""
+        """Relative position of a value in the range, limited to 0 to 1; 0 if there is no range."""
         return min(max((at - self.low) / (self.high - self.low), 0.0), 1.0) if len(self.knots) > 1 else 0.0
 
     def functions(self, at: float) -> Array:
-        """The functions at a place, shape (functions,); beyond the range straight lines."""
+        """The functions at a value, shape (functions,); linearly extrapolated beyond the range."""
         left, interval = self.place(at)
         a, b, c, d = self.pieces[interval]
         inside = min(max(at, self.low), self.high) - left
@@ -81,7 +81,7 @@ class Splines:
         return np.asarray(value)
 
     def place(self, at: float) -> tuple[float, int]:
-        """Lower end of the interval that holds a place, and its number; the first or last one beyond the range."""
+        """Lower end and number of the interval that contains a value; beyond the range the first or last one."""
         last = max(len(self.knots) - 2, 0)
         interval = min(max(bisect_right(self.knots, at) - 1, 0), last)
         return self.knots[interval], interval
@@ -89,7 +89,7 @@ class Splines:
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Weights of stops or lags: straight lines between the ends of a range; each of shape (n,)."""
+    """Weights of stops or lags, linear between the ends of a range; each of shape (n,)."""
 
     sizes: Array
     """Half widths [m] or [Pa] of stops, time constants [s] of lags; each above 0."""
@@ -98,7 +98,7 @@ class Weights:
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Weights:
-        """From plain data; ValueError where it cannot be."""
+        """From plain data; ValueError where they are invalid."""
         sizes, low, high = (np.array(data[name], dtype=np.float64) for name in ("sizes", "low", "high"))
         if not len(sizes) == len(low) == len(high) or not (np.isfinite([sizes, low, high]).all() and (sizes > 0).all()):
             raise ValueError("stops and lags need sizes above 0 and as many weights at both ends of the range")
@@ -109,7 +109,7 @@ class Weights:
         return np.asarray(self.low + share * (self.high - self.low))
 
     def to_dict(self) -> dict[str, list[float]]:
-        """The inverse of `of`."""
+        """Plain data for `of`."""
         return {"sizes": self.sizes.tolist(), "low": self.low.tolist(), "high": self.high.tolist()}
 
 
@@ -123,27 +123,27 @@ class IdentifiedMuscle:
     heights: Array
     """Weights of the products of the splines [N], shape (functions over P, functions over x)."""
     stops_x: Weights
-    """[N] over the range of pressure."""
+    """Stops on contraction: sizes [m], weights [N] over the range of pressure."""
     stops_P: Weights
-    """[N] over the range of contraction."""
+    """Stops on pressure: sizes [Pa], weights [N] over the range of contraction."""
     B_c: tuple[float, float]
-    """Damping while contracting at the lowest and highest pressure [N.s/m]."""
+    """Damping in contraction at the lowest and highest pressure [N.s/m]."""
     B_r: tuple[float, float]
-    """Damping while relaxing."""
+    """Damping in relaxation, likewise."""
     creep_x: Weights
-    """Shares of the contraction that is behind each lag [1]; the same at both ends."""
+    """Lags of contraction: time constants [s], shares of the lagged contraction [1], the same at both ends."""
     creep_P: Weights
-    """[N/Pa] of the pressure that is behind each lag, over the range of contraction."""
+    """Lags of pressure: time constants [s], weights [N/Pa] of the lagged pressure over the range of contraction."""
     fast: float
-    """Lags of less time [s] are counted from where they end."""
+    """Lags with a shorter time constant [s] count relative to their final value."""
     settled: float
-    """Time [s] for which a muscle has been where a path begins."""
+    """Time [s] that the muscle has rested at the begin of a path."""
     friction: Friction = field(default_factory=Friction)
-    """None: the stops are it."""
+    """No Coulomb friction: the stops describe it."""
 
     @classmethod
     def of(cls, data: Mapping[str, Any], name: str = "") -> IdentifiedMuscle:
-        """From plain data as `to_dict` gives it; ValueError where it is none of this version."""
+        """From plain data of `to_dict`; ValueError where they are invalid or of another version."""
         if data.get("schema") != SCHEMA:
             raise ValueError(f"the muscle is described as {data.get('schema')}; this version reads {SCHEMA}")
         over_P, over_x = (Splines(_rising(data[axis])) for axis in ("pressure_knots", "contraction_knots"))
@@ -176,16 +176,16 @@ class IdentifiedMuscle:
 
     @property
     def stop(self) -> float:
-        """Contraction at which a free end can go no further [m]: far beyond what was tested."""
+        """End stop of a free end [m], far beyond the tested contractions."""
         return BEYOND * self.over_x.high
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Lowest and highest contraction that was tested [m]."""
+        """Lowest and highest tested contraction [m]."""
         return self.over_x.low, self.over_x.high
 
     def static(self, P: float, x: float) -> float:
-        """Force of the surface alone [N]: half way between both directions."""
+        """Force of the surface alone [N]: the mean of both directions."""
         return float(self.over_P.functions(P) @ self.heights @ self.over_x.functions(x))
 
     def stiffness(self, P: float, x: float) -> float:
@@ -193,18 +193,18 @@ class IdentifiedMuscle:
         return -Inflated(self, P).surface(x)[1]
 
     def damping(self, P: float, contracting: bool) -> float:
-        """Damping of a direction at a pressure [N.s/m]."""
+        """Damping at a pressure for one direction [N.s/m]."""
         low, high = self.B_c if contracting else self.B_r
         return low + self.over_P.share(P) * (high - low)
 
     def gap(self, P: float, amplitude: float) -> float:
-        """Width of the loop of force over contraction at its centre at rest [N], for a stroke of +- amplitude [m]."""
+        """Width of the quasi-static loop of force over contraction at its centre [N], for +- `amplitude` [m]."""
         reach = np.minimum(1.0, np.maximum(amplitude / self.stops_x.sizes - 1.0, 0.0))
         return float(2.0 * self.stops_x.at(self.over_P.share(P)) @ reach)
 
 
 class Inflated:
-    """An identified muscle at one pressure P [Pa]: its surface is then cubics over the contraction."""
+    """An identified muscle at one pressure P [Pa]: its surface as cubics over the contraction."""
 
     def __init__(self, muscle: IdentifiedMuscle, P: float) -> None:
         self.P, self._axis = P, muscle.over_x
@@ -222,7 +222,7 @@ class Inflated:
 
 
 def _rising(knots: Sequence[float]) -> tuple[float, ...]:
-    """Knots, each above the one before; ValueError where they are not."""
+    """The knots as numbers; ValueError unless they increase."""
     found = tuple(float(one) for one in knots)
     if not found or not all(map(math.isfinite, found)) or any(a >= b for a, b in pairwise(found)):
         raise ValueError("the knots of a surface must rise")

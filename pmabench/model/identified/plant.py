@@ -1,14 +1,14 @@
-"""An identified muscle with a load on its free end, and at a driven end, behind a regulator; in time.
+"""An identified muscle behind a regulator over time, with a load on its free end, or with a driven end.
 
-Along a path it remembers. Between two moments pressure and contraction go on straight lines. A stop of half width r: S
-<- min(1, max(-1, S + change / r)). A lag: T y' = u - y, exact for straight lines.
+The muscle has a memory of its path. Within a step pressure and contraction are linear. A stop of half width r:
+S <- min(1, max(-1, S + change / r)). A lag: T y' = u - y, exact for linear inputs.
 
-With g the force without damping less the load, M x'' = g - B x' is solved exactly for a g that goes on a straight line
-within a step; where the step ends, g depends on x there, which Newton's method finds. The support is at x = 0.
+With g the force without damping minus the load, M x'' = g - B x' is solved exactly for a g that is linear within a
+step; its value at the end depends on x there, which Newton's method finds. The support is at x = 0.
 
-`pressures` is the inverse for a feed-forward: the muscle's memory goes along with a wanted contraction, so that each
-small loop has its own pressure. At each moment one equation is left for one pressure, F(P, x, past) - B(P) x' = F_L,
-whose left side rises with P: it is solved inside the range of the command by false position (Illinois).
+`pressures` is the inverse for a feed-forward: the muscle's memory follows the wanted contraction, so that each minor
+loop has its own pressure. At each time it solves F(P, x, past) - B(P) x' = F_L, whose left side increases with P,
+inside the range of the command by the Illinois method.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pmabench.model.regulator import Regulated, Regulator, Wave
 
 
 class Path:
-    """A muscle that was rested, vented and at nominal length, and then came to `P` [Pa] and `x` [m].
+    """Memory of a muscle that was rested, vented and at nominal length, and then came to `P` [Pa] and `x` [m].
 
     Examples
     --------
@@ -53,7 +53,7 @@ class Path:
         self.lag_P = P * (1.0 - np.exp(-muscle.settled / muscle.creep_P.sizes))
 
     def step(self, h: float, P: float) -> Ahead:
-        """What the muscle does in the next `h` [s], in which the pressure goes to `P` [Pa], for any contraction."""
+        """The muscle after the next `h` [s], in which the pressure goes to `P` [Pa], as a function of contraction."""
         muscle = self.muscle
         stops_P = np.clip(self.stops_P + (P - self.P) / muscle.stops_P.sizes, -1.0, 1.0)
         keep_P, begin_P, rise_P, fast_P = lag_shares(muscle.creep_P, h, muscle.fast)
@@ -75,51 +75,51 @@ class Path:
         )  # fmt: skip
 
     def go(self, h: float, P: float, x: float) -> float:
-        """Go on for `h` [s] to `P` [Pa] and `x` [m]; the force there, without damping [N]."""
+        """Advance by `h` [s] to `P` [Pa] and `x` [m]; returns the force there, without damping [N]."""
         ahead = self.step(h, P)
         self.arrive(ahead, x)
         return ahead.pull(x)[0]
 
     def arrive(self, ahead: Ahead, x: float) -> None:
-        """The step has come to `x` [m]."""
+        """Complete a step that ends at `x` [m]."""
         self.stops_x = ahead.stops_x(x)
         self.stops_P, self.lag_P = ahead.stops_P, ahead.lag_P
         self.lag_x = ahead.lag_x + ahead.rise_x * x
         self.P, self.x = ahead.inflated.P, x
 
     def copy(self) -> Path:
-        """An independent path from here on."""
+        """An independent copy."""
         made = object.__new__(Path)
-        made.__dict__.update(self.__dict__)  # its arrays are replaced, never changed
+        made.__dict__.update(self.__dict__)  # arrays are replaced, never changed in place
         return made
 
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """One step of a path at the pressure of its end, open in contraction."""
+    """One step of a path at its final pressure, with the final contraction still open."""
 
     path: Path
     inflated: Inflated
     stops_P: Array
     lag_P: Array
     lag_x: Array
-    """Lags of contraction at the end of the step, without what the contraction there adds to them [m]."""
+    """Lags of contraction at the end of the step, without the part from the final contraction [m]."""
     rise_x: Array
-    """What each takes of the contraction at the end [1]."""
+    """Weight of the final contraction in each lag [1]."""
     ends: tuple[float, float]
-    """Hysteresis and creep of pressure at the lowest and highest contraction [N]."""
+    """Force of hysteresis and creep of pressure at the lowest and highest contraction [N]."""
     crept: float
-    """Contraction that has crept, without what the contraction at the end adds [m]."""
+    """Creep of contraction, without the part from the final contraction [m]."""
     follows: float
-    """What creep takes of the contraction at the end [1]."""
+    """Weight of the final contraction in the creep [1]."""
 
     def stops_x(self, x: float) -> Array:
-        """Stops on contraction where the step ends at `x` [m]."""
+        """Stops on contraction if the step ends at `x` [m]."""
         path = self.path
         return np.clip(path.stops_x + (x - path.x) / path.muscle.stops_x.sizes, -1.0, 1.0)
 
     def pull(self, x: float) -> tuple[float, float]:
-        """Force without damping [N] where the step ends at `x` [m], and about minus its slope there [N/m]."""
+        """Force without damping [N] if the step ends at `x` [m], and approximately minus its slope there [N/m]."""
         muscle, weights = self.path.muscle, self.inflated.stops_x
         force, slope = self.inflated.surface(x)
         stiffness = max(-slope, 0.0)
@@ -133,7 +133,7 @@ class Ahead:
 
 @lru_cache(maxsize=64)
 def lag_shares(lags: Weights, h: float, fast: float) -> tuple[Array, Array, Array, Array]:
-    """What is left of each lag after `h` [s], what it takes of the values at begin and end, and which are fast [1]."""
+    """Weights [1] of each lag's old value, of the input at begin and end, after `h` [s]; and 1 for fast lags."""
     T = lags.sizes
     keep = np.exp(-h / T)
     rise = 1.0 + np.expm1(-h / T) * T / h
@@ -141,9 +141,9 @@ def lag_shares(lags: Weights, h: float, fast: float) -> tuple[Array, Array, Arra
 
 
 def force_along(muscle: IdentifiedMuscle, t: Array, P: Array, x: Array, v: Array) -> Array:
-    """Force of a driven muscle [N], shape (n,), at rising times t [s], with P [Pa], x [m] and its rate v [m/s].
+    """Force of a driven muscle [N], shape (n,), at increasing times t [s], with P [Pa], x [m] and its rate v [m/s].
 
-    It came to the first place from rest; a muscle does not push.
+    It reached the first point from rest; the force is not below 0.
     """
     path = Path(muscle, float(P[0]), float(x[0]))
     found = np.empty(len(t))
@@ -156,21 +156,21 @@ def force_along(muscle: IdentifiedMuscle, t: Array, P: Array, x: Array, v: Array
 
 
 STEP, LONG = 2.5e-3, 20e-3
-"""Longest step while something moves (which is within 2 um of much shorter ones), and while nothing does [s]."""
+"""Longest step in motion (error below 2 um compared with much shorter ones), and at rest [s]."""
 AT_REST = 2e-5
-"""Speed below which a muscle under a steady pressure only creeps [m/s]."""
+"""Speed below which a muscle at constant pressure only creeps [m/s]."""
 SETTLED_PRESSURE = 1.0
-"""Change of pressure that is left, below which it is steady [Pa]."""
+"""Remaining change of pressure below which it counts as constant [Pa]."""
 LEAST_DAMPING = 1.0
-"""Damping with which a muscle moves where a fit found less [N.s/m]."""
+"""Lower bound of damping in simulations [N.s/m]."""
 NEAR = 1e-9
-"""Newton's method ends where it moves less than this [m]."""
+"""Newton's method ends when its correction is below this [m]."""
 
 
 class FreeEnd:
-    """An identified muscle that moves a load: `x` [m], `v` [m/s], `P` [Pa] along a given pressure.
+    """An identified muscle that moves a load under a given pressure: `x` [m], `v` [m/s].
 
-    Rested and vented before; at rest at `x`, and with the pressure `P`.
+    Before, it was rested and vented; it starts at rest at `x` with the pressure `P` [Pa].
     """
 
     def __init__(self, muscle: IdentifiedMuscle, *, force: float, mass: float, P: float = 0.0, x: float = 0.0) -> None:
@@ -192,7 +192,7 @@ class FreeEnd:
         return max(self.muscle.damping(P, contracting), LEAST_DAMPING)
 
     def step(self, h: float, P: float) -> None:
-        """Go on by `h` [s], while the pressure goes on a straight line to `P` [Pa]."""
+        """Advance by `h` [s], while the pressure changes linearly to `P` [Pa]."""
         x, v, g = self.path.x, self.v, self._pull - self.force
         ahead = self.path.step(h, P)
         if (x <= 0.0 and v <= 0.0) or (x >= self.muscle.stop and v >= 0.0):
@@ -224,9 +224,9 @@ class FreeEnd:
 
 
 class IdentifiedPlant(Stepped):
-    """An identified muscle behind its regulator, with a load F_L = `force` [N] of moving `mass` [kg] on its free end.
+    """An identified muscle behind its regulator, with a load F_L = `force` [N] and moving `mass` [kg] on its free end.
 
-    `time` [s], contraction `x` [m], speed `v` [m/s]; from rest at `x`.
+    `time` [s], contraction `x` [m], speed `v` [m/s]; starts at rest at `x`.
     """
 
     def __init__(
@@ -268,7 +268,7 @@ class IdentifiedPlant(Stepped):
 
 
 class IdentifiedDrivenPlant:
-    """An identified muscle behind its regulator, its free end held by an actuator, from `position` [m] on."""
+    """An identified muscle behind its regulator, its end driven by an actuator, which starts at `position` [m]."""
 
     def __init__(
         self, muscle: IdentifiedMuscle, regulator: Regulator, actuator: Actuator, *, position: float = 0.0
@@ -278,15 +278,15 @@ class IdentifiedDrivenPlant:
         self._drive = Regulated(Regulator(dead_time=0.0, lag=actuator.lag), position)
 
     def command(self, waves: tuple[Wave, ...]) -> None:
-        """Command pressure [Pa] along `waves`."""
+        """Command pressures [Pa] by `waves`."""
         self.supply.command(waves)
 
     def move(self, waves: tuple[Wave, ...]) -> None:
-        """Command the position [m] along `waves`; ValueError where the actuator cannot go."""
+        """Command positions [m] by `waves`; ValueError outside the actuator's limits."""
         self._drive.command(self.actuator.approach(waves, self._drive.setpoint(0.0), 0.0))
 
     def advance(self, until: float, times: Sequence[float] | Array) -> Motion:
-        """What happens from 0 to `until` [s], at `times` [s], rising."""
+        """Simulate from 0 to `until` [s]; returns the motion at increasing `times` [s]."""
         asked = np.asarray(times, dtype=np.float64)
         t = np.union1d(asked, np.arange(0.0, until, LONG))
         drive, supply = copy.copy(self._drive), copy.copy(self.supply)
@@ -301,9 +301,9 @@ class IdentifiedDrivenPlant:
 def free_run(
     muscle: IdentifiedMuscle, t: Array, P: Array, load: float, mass: float, x: float = 0.0
 ) -> tuple[Array, Array]:
-    """Contraction [m] and force at the cell [N], shape (n,), under pressures P [Pa] at rising times t [s].
+    """Contraction [m] and force at the cell [N], shape (n,), for pressures P [Pa] at increasing times t [s].
 
-    From rest at `x` [m]; the pressure is a straight line between samples.
+    Starts at rest at `x` [m]; the pressure is linear between samples.
     """
     end = FreeEnd(muscle, force=load, mass=mass, P=float(P[0]), x=min(max(x, 0.0), muscle.stop))
     found, force = np.empty(len(t)), np.empty(len(t))
@@ -318,14 +318,15 @@ def free_run(
 
 
 NEAR_ENOUGH = 1.0
-"""Pressure that is near enough [Pa]."""
+"""Tolerance of the pressure [Pa]."""
 MOST = 40
 
 
 def pressures(muscle: IdentifiedMuscle, t: Array, x: Array, v: Array, load: float, ends: tuple[float, float]) -> Array:
-    """Pressure [Pa], shape (n,), between `ends` [Pa], for contractions x [m] at rates v [m/s] and rising times t [s].
+    """Pressure [Pa], shape (n,), within `ends` [Pa], for contractions x [m] with rates v [m/s] at increasing t [s].
 
-    Under a load F_L [N], from a muscle that was rested and vented. Where no pressure of the range does it, the nearest.
+    For a load F_L [N] and a muscle that was rested and vented before. If no pressure in the range suffices, the
+    nearest.
     """
     path = Path(muscle, 0.0, float(x[0]))
     found = np.empty(len(t))
@@ -343,7 +344,7 @@ def pressures(muscle: IdentifiedMuscle, t: Array, x: Array, v: Array, load: floa
 
 
 def rising_root(of: Callable[[float], float], low: float, high: float, first: float) -> float:
-    """Where a rising function is 0 between two ends, or the end that is nearest; looked for around `first` first."""
+    """Root of an increasing function between two ends, or the nearest end; the search starts around `first`."""
     width = 1e-3 * (high - low)
     a, b = max(low, first - width), min(high, first + width)
     at_a, at_b = of(a), of(b)
@@ -377,7 +378,7 @@ def rising_root(of: Callable[[float], float], low: float, high: float, first: fl
 
 
 def led(t: Array, P: Array, regulator: Regulator, ends: tuple[float, float]) -> Array:
-    """What to command for P(t) [Pa] behind a regulator with dead time and lag: P + lag P', earlier; inside `ends`."""
+    """Command for P(t) [Pa] after a regulator: P + lag P', advanced by the dead time, limited to `ends` [Pa]."""
     early = t + regulator.dead_time
     wanted = np.interp(early, t, P) + regulator.lag * np.interp(early, t, np.gradient(P, t))
     return np.clip(wanted, *ends)

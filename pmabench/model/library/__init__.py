@@ -14,7 +14,7 @@
 | `platform` | three muscles under a tilting platform: pose, moments, pressures, tilt from an accelerometer |
 | `compositions` | parallel, series, cascade; the loop that a controller sees |
 
-`description` says what a model is. A new model is a function decorated with `described`, in one of these modules or in
+`description` defines a model. A new model is a function decorated with `described`, in one of these modules or in
 a package that names its module in the entry-point group `pmabench.models`.
 """
 
@@ -39,7 +39,7 @@ __all__ = ["FAMILIES", "MODELS", "Model", "OutsideDomain", "Parameter", "Refusal
 
 
 def models() -> dict[str, Model]:
-    """Every model by name, those of installed packages included."""
+    """Every model by name, including those of other installed packages."""
     for point in entry_points(group="pmabench.models"):
-        point.load()  # enters its models, once
+        point.load()  # registers its models
     return MODELS

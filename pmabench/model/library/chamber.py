@@ -1,7 +1,7 @@
-"""Pressure in a muscle: in its chamber, and what a regulator makes of a commanded step or sine.
+"""Pressure in a muscle's chamber, and the response of regulators to a commanded step or sine.
 
-Chamber: rate from flow and volume, closed, and a driven muscle behind a regulator. Regulators: lags, limits of rate and
-flow, fill against vent.
+Chamber: rate from flow and volume, closed chamber, and a driven muscle behind a regulator. Regulators: lags, limits of
+rate and flow, different for filling and venting.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ def _pressure_driven(
     if moments[-1] == 0:
         return np.full(t.shape, wanted)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what LSODA says goes into the refusal
+        warnings.simplefilter("ignore")  # a failure is reported by the refusal below
         solved = solve_ivp(
             rate, (0.0, float(moments[-1])), [wanted], "LSODA", moments, rtol=1e-8, atol=1e-3, max_step=0.02 / f
         )
@@ -199,9 +199,10 @@ RATE_VENT = Parameter("rate_vent", "R_vent", "pressure rate", 28 * BAR, "most wh
 
 
 def limited_step(since: Array, step: Array, lag: Array, rate: Array) -> Array:
-    """Answer to a `step` (any sign) after `since` >= 0 [s] of a lag [s] whose rate is limited [units/s].
+    """Response of a first-order `lag` [s] with limited `rate` [units/s], `since` >= 0 [s] after a `step` of any sign.
 
-    A ramp at the limit until step / lag is below it, then the exponential; a lag of 0 is the ramp alone.
+    A ramp at the limit until the remaining step / lag is below it, then the exponential; a lag of 0 gives the ramp
+    alone.
     """
     size = np.abs(step)
     ramp_until = np.maximum(size / rate - lag, 0)
@@ -268,7 +269,7 @@ def regulator_second_order(
     zeta = damping_ratio
     angle = 2 * math.pi * natural_frequency * np.maximum(time - dead_time, 0)
     root = np.sqrt(np.abs(1 - zeta**2))
-    # where root goes to 0 both forms go to the critical one, sin(root angle) / root to angle
+    # for root -> 0 both forms approach the critical one: sin(root angle) / root -> angle
     wave = np.sinc(root * angle / math.pi) * angle
     under = np.exp(-zeta * angle) * (np.cos(root * angle) + zeta * wave)
     slow, fast = zeta - root, zeta + root
@@ -399,7 +400,7 @@ def regulator_sine(amplitude: Array, frequency: Array, rate: Array, dead_time: A
 
 
 def _limited_harmonic(ease: float) -> complex:
-    """First harmonic of sin(theta) held to a slope of `ease` = R / (A w); 1 is the sine itself."""
+    """First harmonic of sin(theta) with its slope limited to `ease` = R / (A w); 1 is the sine itself."""
     if ease >= 1:
         return 1 + 0j
     if ease <= 1 / math.sqrt(1 + math.pi**2 / 4):

@@ -1,6 +1,6 @@
-"""Coefficients over pressure, published ones and your own, each refused outside the pressures that it was fitted on.
+"""Coefficients over pressure, published or your own, each valid only at the pressures that it was fitted on.
 
-Your own are parabolas, joined lines and polynomials up to the sixth order.
+Your own can be parabolas, two joined lines, or polynomials up to the sixth order.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ POLYNOMIALS = {
 }
 """Paper 1 eqs. 17-19, highest power of z = (P - CENTRE) / SCALE first; N/m and N.s/m."""
 LINES = {"S": (0.09069, 14133.0), "D_c": (0.01608, 13481.0), "D_r": (0.19929, -17225.0)}
-"""Straight lines through the polynomials at 1.0, 1.5 .. 6.0 bar: slope per Pa, value at 0."""
+"""Straight lines fitted to the polynomials at 1.0, 1.5 .. 6.0 bar: slope per Pa, value at 0."""
 DMSP_PRESSURE = Parameter(
     "pressure", "P", "pressure", 6 * BAR, "gauge pressure", 1 * BAR, 6 * BAR,
     "fitted on 1 to 6 bar; below 0.594 bar the damping of relaxation would be negative",
@@ -217,7 +217,7 @@ def dmsp_40_305_contraction(
 
 
 def _at_rest(P: float, load: float, radius: float, length: float, angle: float, S: float, most: float) -> float:
-    """F_ce [N] at the contraction at which it balances S x + load."""
+    """F_ce [N] at the contraction where it balances S x + load."""
 
     def force(eps: float) -> float:
         one = np.asarray(1.0)
@@ -230,7 +230,7 @@ PRESSURE = Parameter("pressure", "P", "pressure", 300 * KPA, "gauge pressure", 0
 
 
 def within(pressure: Array, low: Array, high: Array) -> None:
-    """Refuse pressures outside of what a fit holds for, all [Pa gauge]."""
+    """Raise OutsideDomain for pressures outside the range of a fit, all [Pa gauge]."""
     refuse("pressure_high", "it must be above pressure_low", high <= low)
     outside = (pressure < low * (1 - 1e-12)) | (pressure > high * (1 + 1e-12))
     refuse("pressure", "the coefficients hold from pressure_low to pressure_high only", outside, pressure)
@@ -345,13 +345,16 @@ def piecewise_coefficients(pressure: Array, pressure_low: Array, pressure_high: 
 
 
 HIGHEST = 6
-"""Highest power."""
+"""Highest power of a polynomial."""
 
 
 def _polynomial(
     name: str, title: str, output: Output, printed: tuple[float, ...], least: float, references: tuple[Reference, ...]
 ) -> Callable[..., Values]:
-    """Enter one polynomial; `printed` are its coefficients, highest power first, values below `least` are refused."""
+    """Register one polynomial model; `printed`: coefficients, highest power first.
+
+    Negative values are refused, and also 0 if `least` is above 0.
+    """
     symbol, lowest_first = output.symbol, tuple(reversed(printed))
 
     @described(

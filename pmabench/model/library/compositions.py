@@ -1,4 +1,4 @@
-"""Muscles put together: side by side, end to end, one after another in time; and the loop that a controller sees."""
+"""Compositions of muscles: in parallel, in series, one after another in time; and the loop seen by a controller."""
 
 from __future__ import annotations
 

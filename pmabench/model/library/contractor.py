@@ -1,6 +1,6 @@
-"""Length, force and arm angle of home-made contractors, as fitted in paper 2, and with your own coefficients.
+"""Length, force and arm angle of home-made contractors, as fitted in paper 2 or with your own coefficients.
 
-The units of the print appear only in this file.
+Only this file uses the units of the paper.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pmabench.model.library.description import Output, Parameter, Reference, Val
 
 CM = 1e-2
 EXPONENTS = {"mended": -0.248, "printed": 0.75}
-"""Power of L0 in the row of e: the print's 0.75 makes nearly a step of the curve."""
+"""Power of L0 in the coefficient e: with the printed 0.75 the curve is nearly a step."""
 RANGE_BAR = "the measurements go from 0 to 5 bar"
 PRESSURE = Parameter("pressure", "p", "pressure", 3 * BAR, "gauge pressure", 0.0, 5 * BAR, RANGE_BAR)
 ANGLE = Output("angle", "alpha", "angle", "bending angle, 0 for the straight arm")
@@ -171,7 +171,7 @@ ARM = np.array(
     ),
 )  # fmt: skip
 def arm_angle(pressure: Array, load: Array) -> Values:
-    """Gives alpha [rad] from p [Pa gauge] and w [kg]."""
+    """Alpha [rad] from p [Pa gauge] and w [kg]."""
     a, b, c, d = (sum(value * load**power for power, value in enumerate(row)) for row in ARM)
     refuse("load", "the coefficient c is not above 0 there", c <= 0)
     return {"angle": (a + b / (1 + (pressure / BAR / c) ** d)) * DEG}
@@ -233,7 +233,7 @@ def sigmoid_length_coefficients(
     fitted=("a", "b", "c", "d"),
 )  # fmt: skip
 def arm_angle_at_load(pressure: Array, a: Array, b: Array, c: Array, d: Array) -> Values:
-    """Gives alpha [rad] from p and c [Pa gauge], a and b [rad], d [1]."""
+    """Alpha [rad] from p and c [Pa gauge], a and b [rad], d [1]."""
     return {"angle": a + b / (1 + (pressure / c) ** d)}
 
 
@@ -264,7 +264,7 @@ def arm_angle_at_load(pressure: Array, a: Array, b: Array, c: Array, d: Array) -
     notes=("Five loads at least are needed for the powers of w; the curve at each is arm-angle-at-load.",),
 )  # fmt: skip
 def arm_angle_coefficients(pressure: Array, load: Array, *terms: Array) -> Values:
-    """Gives alpha [rad] from p [Pa gauge] and w [kg]; five each of a [rad], b [rad], c [Pa] and d [1] per kg^n."""
+    """Alpha [rad] from p [Pa gauge] and w [kg]; five terms each of a [rad], b [rad], c [Pa] and d [1], per kg^n."""
     a, b, c, d = (
         np.asarray(sum(term * load**power for power, term in enumerate(terms[first : first + 5])))
         for first in range(0, 20, 5)

@@ -12,7 +12,7 @@ from pmabench.model.library.description import INF, Output, Parameter, Reference
 
 FAMILY = "modified Daerden"
 ASSUMED = "assumed"
-"""Paper 3 prints none; chosen so that what its text says comes out."""
+"""Origin of values that paper 3 does not print: chosen to reproduce the statements of its text."""
 CM3 = 1e-6
 
 PRESSURE = Parameter("pressure", "P", "pressure", 5 * BAR, "gauge pressure", 0.0, 1e6, "no pressure of a muscle")
@@ -42,7 +42,7 @@ def section_factor(contraction: Array, diameter: Array, braid_angle: Array, alph
 
 
 def rubber_force(contraction: Array, A: Array, B1: Array, B2: Array) -> Array:
-    """F_e [N], pull without pressure, from eps [1], A [N], B1 and B2 [1] (paper 3 eq. 8); it holds the factor eps."""
+    """F_e [N], pull without pressure, from eps [1], A [N], B1 and B2 [1] (paper 3 eq. 8), including the factor eps."""
     return np.asarray(A * contraction * (contraction - B1) / (contraction + B2))
 
 

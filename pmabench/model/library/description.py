@@ -1,7 +1,7 @@
-"""What the library says of each model: inputs, outputs, domain, source, reference values; knows no model and no units.
+"""Description of a model: inputs, outputs, domain, source, reference values; independent of single models.
 
-A model is a pure function of named values, all SI, arrays broadcast against each other, decorated with `described`:
-every call is checked against the domain before anything is computed, and refused with the reason.
+A model is a pure function of named values, all SI, with broadcasting, decorated with `described`: every call is checked
+against the domain before the calculation, and OutsideDomain gives the reason.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FAMILIES = (
     "platform",
     "loop",
 )
-"""The families in the order in which they are listed."""
+"""The families, in the order of listings."""
 Values = dict[str, Array]
 """The outputs of a model by name [SI]."""
 P = ParamSpec("P")
@@ -40,7 +40,7 @@ INF = math.inf
 
 
 ROUNDING = 1e-12
-"""Share of an end of a domain that rounding of units may be worth."""
+"""Relative tolerance at the ends of a domain, for rounding of units."""
 
 
 @dataclass(frozen=True)
@@ -51,27 +51,27 @@ class Parameter:
     symbol: str
     quantity: str
     value: float | str
-    """Reference value [SI], taken where nothing else is given; `origin` says where it is from."""
+    """Default value [SI]; `origin` states its source."""
     meaning: str
     low: float = -INF
     high: float = INF
     reason: str = ""
-    """Why it ends there, as half a sentence."""
+    """Reason for the limits, as half a sentence."""
     origin: str = "example"
     above: bool = False
-    """Whether `low` itself is outside."""
+    """Whether `low` itself is excluded."""
     choices: tuple[str, ...] = ()
-    """The names to choose from; then `quantity` is empty and `value` one of them."""
+    """Names to choose from; `quantity` is then empty and `value` is one of them."""
 
     def holds(self, value: float) -> bool:
-        """Whether a finite value [SI] lies in the domain, with room for rounding of units."""
+        """Whether a finite value [SI] is in the domain, within rounding of units."""
         low, high = self.low - ROUNDING * abs(self.low), self.high + ROUNDING * abs(self.high)
         return (value > self.low if self.above else not value < low) and not value > high
 
 
 @dataclass(frozen=True)
 class Output:
-    """What a model gives: SI values of the quantity."""
+    """An output of a model, in SI units of its quantity."""
 
     name: str
     symbol: str
@@ -81,7 +81,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Reference:
-    """A number that was printed or computed independently, and the inputs that lead to it (others as by default)."""
+    """A printed or independently computed number, and the inputs for it (others at their defaults)."""
 
     output: str
     printed: str
@@ -118,12 +118,12 @@ class Model:
     outputs: tuple[Output, ...]
     references: tuple[Reference, ...]
     notes: tuple[str, ...]
-    """What one should know: where the print is wrong, what is not refused and why."""
+    """Remarks for the user: misprints, and what is not refused and why."""
     function: Callable[..., Values]
     unchecked: Callable[..., Values]
-    """The same without a look at the domains of single inputs, for a fit that keeps to them itself."""
+    """The same without a check of the domains of single inputs, for a fit that respects them itself."""
     fitted: tuple[str, ...] = ()
-    """The inputs that a fit to measurements takes as unknown, where nothing else is said."""
+    """Default unknowns of a fit to measurements."""
 
     def evaluate(self, values: Mapping[str, ArrayLike | str] | None = None) -> Values:
         """The outputs [SI] for `values` [SI] by parameter name, the others at their reference values.
@@ -144,7 +144,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a value is refused: `value`, `low` and `high` are SI, and NaN where they do not say it."""
+    """Reason why an input is refused; `value`, `low` and `high` are SI, NaN where not applicable."""
 
     name: str
     reason: str
@@ -164,7 +164,7 @@ class Refusal:
 
 
 class OutsideDomain(ValueError):
-    """Inputs for which a model does not hold; all refusals at once."""
+    """Inputs outside the domain of a model, with all refusals."""
 
     def __init__(self, *refusals: Refusal) -> None:
         self.refusals = refusals
@@ -172,7 +172,7 @@ class OutsideDomain(ValueError):
 
 
 def refuse(name: str, reason: str, broken: ArrayLike = True, value: ArrayLike | None = None) -> None:
-    """Refuse input `name` where `broken` is true anywhere; with the `value` [SI] at the first such place."""
+    """Raise OutsideDomain for the input `name` if `broken` is true anywhere, with the first such `value` [SI]."""
     if not np.any(broken):
         return
     if value is None:
@@ -198,12 +198,12 @@ def described(
     notes: tuple[str, ...] = (),
     fitted: tuple[str, ...] = (),
 ) -> Callable[[Callable[P, Values]], Callable[P, Values]]:
-    """Put a function into the library: its calls are checked against the domains of `parameters`."""
+    """Decorator that registers a function as a model; its calls are checked against the domains of `parameters`."""
 
     def enter(function: Callable[P, Values]) -> Callable[P, Values]:
         known = [p.name for p in parameters]
         own = inspect.signature(function).parameters.values()
-        named = [p.name for p in own if p.kind is not p.VAR_POSITIONAL]  # `*rest` takes all others in their order
+        named = [p.name for p in own if p.kind is not p.VAR_POSITIONAL]  # `*rest` takes all others, in order
         as_described = named == (known if len(named) == len(own) else known[: len(named)])
         if not as_described or name in MODELS or family not in FAMILIES or set(fitted) - set(known):
             raise TypeError(f"{name}: known already, of no family, or not described as its function is")

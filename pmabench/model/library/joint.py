@@ -1,7 +1,7 @@
-"""Two muscles that pull on a pulley against each other: torque, stiffness, pressures for both, angle of rest.
+"""A pulley between two antagonistic muscles: torque, stiffness, pressures for both, angle of rest.
 
-Muscle 1 shortens with a positive angle. Both are muscles of the modified Daerden model; alpha = 2 and A = 0 make them
-those of Tondu and Lopez. Stiffness is isobaric, at pressures that regulators hold, unless it says shut.
+Muscle 1 shortens with a positive angle. Both follow the modified Daerden model; alpha = 2 and A = 0 give the model of
+Tondu and Lopez. Stiffness is isobaric, with regulated pressures, except for the additional one with shut valves.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pmabench.model.presets import paper0, serres2009
 
 FAMILY = "joint"
 LEAST, MOST = -0.03, 0.20
-"""Contractions between which the muscles are known [1]."""
+"""Range of contraction in which the muscle model is valid [1]."""
 SOURCE = "computed from the equations of paper 3; no paper prints a pair"
 BY_HAND = "computed from the equations, by another program"
 ANGLE = Parameter("angle", "th", "angle", 0.0, "of the pulley; above 0 muscle 1 is shorter", -math.pi, math.pi,
@@ -31,7 +31,7 @@ PULLEY = Parameter(
 PRELOAD = Parameter("preload", "e0", "ratio", 0.10, "contraction of both at angle 0", LEAST, MOST,
                     "paper 3 measured -3 to 20 %")  # fmt: skip
 TONDU = {"alpha": 2.0, "A": 0.0}
-"""What makes both muscles those of Tondu and Lopez."""
+"""Parameters that give the model of Tondu and Lopez."""
 LOWEST, HIGHEST = 0.2 * BAR, 5.5 * BAR
 
 
@@ -41,7 +41,7 @@ def _pressure(number: int) -> Parameter:
 
 
 class _Side(NamedTuple):
-    """One muscle at its contraction: S and F_e, and their slopes over the contraction."""
+    """One muscle at its contraction: S [m2] and F_e [N], and their slopes over the contraction [m2], [N]."""
 
     section: Array
     rubber: Array
@@ -56,7 +56,7 @@ def _side(eps: Array, diameter: Array, braid_angle: Array, alpha: Array, A: Arra
 
 
 def _contractions(angle: Array, radius: Array, preload: Array, length: Array) -> tuple[Array, Array]:
-    """Of muscles 1 and 2; refused where the model of the muscle does not hold."""
+    """Contractions of muscles 1 and 2 [1]; OutsideDomain where the muscle model is not valid."""
     way = radius * angle / length
     both = np.asarray(preload + way), np.asarray(preload - way)
     for eps in both:
@@ -66,7 +66,7 @@ def _contractions(angle: Array, radius: Array, preload: Array, length: Array) ->
 
 
 def _force(side: _Side, P: Array) -> Array:
-    """Pull of one [N]; a slack muscle neither pushes nor holds."""
+    """Pull of one muscle [N]; 0 if it is slack."""
     return np.asarray(np.maximum(0.0, side.section * P + side.rubber))
 
 
@@ -185,7 +185,7 @@ def joint_inverse(
     determinant = -one.section * two.section_slope - two.section * one.section_slope
     P1 = (-pull * two.section_slope + slope * two.section) / determinant
     P2 = (slope * one.section + pull * one.section_slope) / determinant
-    # along a constant torque P1 and P2 rise together, and the stiffness with them: what the limits leave is an interval
+    # at constant torque P1, P2 and the stiffness rise together: the limits of pressure give an interval of stiffness
     low = np.maximum(pressure_min, (pull + two.section * pressure_min) / one.section)
     high = np.minimum(pressure_max, (pull + two.section * pressure_max) / one.section)
     ends = []

@@ -1,4 +1,4 @@
-"""What acts on a muscle: end stops, force, mass, spring, imposed displacement; Coulomb friction and hysteresis."""
+"""Loads of a muscle: end stops, force, mass, spring, imposed displacement; Coulomb friction and hysteresis."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pmabench.model.library.three_element import DAMPING, FORCE_CE, LOAD, STIFFN
 
 FAMILY = "load"
 G = 9.81
-"""As paper 0 has it: 10.79 N / 1.1 kg [m/s2]."""
+"""Gravity as in paper 0: 10.79 N / 1.1 kg [m/s2]."""
 
 ACCELERATION = Parameter("acceleration", "x''", "acceleration", 0.0, "acceleration of contraction")
 CELL = Output("force", "F", "force", "pull on the muscle, what a cell reads")

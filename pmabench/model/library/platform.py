@@ -1,8 +1,8 @@
-"""A platform that three muscles tilt about a joint with two axes: pose, moments and stiffness, pressures, tilt.
+"""A platform tilted by three muscles about a joint with two axes: pose, moments and stiffness, pressures, tilt.
 
 It turns by phi about the x axis, which is fixed to the base, then by psi about its own y axis. The muscles are anchored
-on a circle at 90, 210 and 330 deg and hang vertically while it is level. Paper 3 prints the chain of computations and
-no dimension: all numbers are assumed.
+on a circle at 90, 210 and 330 deg and hang vertically while it is level. Paper 3 prints the chain of computations but
+no dimensions: all numbers are assumed.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ FAMILY = "platform"
 SOURCE = "paper 3 names the chain; geometry and numbers are assumed"
 BY_HAND = "computed from the equations, by another program"
 STEEPEST = 24 * DEG
-"""Tilt at which the stops are [rad]."""
+"""Angle of the mechanical stops [rad]."""
 LEAST, MOST = -0.03, 0.20
 G = 9.81
 AROUND = (90 * DEG, 210 * DEG, 330 * DEG)
-"""Where the muscles are anchored on the circle [rad]."""
+"""Angular positions of the muscles on the circle [rad]."""
 PHI = Parameter("phi", "phi", "angle", 0.0, "about the x axis", -STEEPEST, STEEPEST, "the platform is on its stop",
                 ASSUMED)  # fmt: skip
 PSI = Parameter("psi", "psi", "angle", 0.0, "about its own y axis", -STEEPEST, STEEPEST, "the platform is on its stop",
@@ -40,12 +40,12 @@ MUSCLE = (DIAMETER, BRAID_ANGLE, ALPHA, A, B1, B2)
 
 
 class Pose(NamedTuple):
-    """The three muscles at an attitude: arrays with the muscles first."""
+    """Geometry of the three muscles at an attitude; the muscle is the first axis of all arrays."""
 
     length: Array
-    """[m]."""
+    """Lengths [m]."""
     arms: Array
-    """Change of length by phi and by psi [m/rad], axes (muscle, angle, ...)."""
+    """Derivatives of the length with respect to phi and psi [m/rad], axes (muscle, angle, ...)."""
     bends: Array
     """Second derivatives: phi phi, phi psi, psi psi [m/rad2], axes (muscle, 3, ...)."""
 
@@ -79,15 +79,15 @@ def pose(phi: Array, psi: Array, circle: Array, height: Array) -> Pose:
 
 
 def gravity(phi: Array, psi: Array, mass: Array, height: Array) -> Array:
-    """Moment of the platform's weight about phi and psi [N.m], first axis the angle; angles [rad], m [kg], z [m]."""
+    """Moment of the weight about phi and psi [N.m], axes (angle, ...); angles [rad], `mass` [kg], `height` [m]."""
     moment: Array = mass * G * height * np.array([np.sin(phi) * np.cos(psi), np.cos(phi) * np.sin(psi)])
     return moment
 
 
 def allocation(moment: Array, arms: Array) -> tuple[Array, Array]:
-    """Least forces [N] of three muscles that make a moment, and the forces that make none: F = first + any second.
+    """Smallest forces [N] of three muscles for a moment, and forces without one: F = first + k second.
 
-    `moment` is J^T F [N.m], axis (angle, ...); `arms` is J [m/rad], axes (muscle, angle, ...).
+    `moment`: J^T F [N.m], axes (angle, ...); `arms`: J [m/rad], axes (muscle, angle, ...).
     """
     a, b = arms[:, 0], arms[:, 1]
     free = np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -13,7 +13,7 @@ from pmabench.model.real.muscle import reference
 KPA = 1e3
 MUSCLE = reference()
 LOW, HIGH = (ratio * MUSCLE.length for ratio in MUSCLE.reach)
-"""From where to where it may go [m]."""
+"""Range of contraction [m]."""
 SOURCE = "six constants fitted to 46 points of the maker's catalogue of a DMSP-20, form after Sarosi 2012"
 ASSUMED = "assumed, in the size that others report: 60 N between both ways at 5 bar, 0.8 % of the stroke a decade"
 
@@ -30,18 +30,18 @@ POINTS = {
     500: ("1264.6 959.3 756.7 581.0 412.5 245.8", "41.84 23.24 18.34 17.06 16.72 16.63"),
     600: ("1518.4 1188.1 954.5 746.2 544.6 344.8", "43.67 26.16 21.56 20.35 20.03 19.95"),
 }
-"""F_s [N] and K [N/mm] at 0, 10, ... mm over P [kPa], computed apart."""
+"""P [kPa] -> F_s [N] and K [N/mm] at 0, 10, ... mm, computed independently."""
 LOOPS = {
     (1, 200): ("8.25", "0.013"), (5, 200): ("24.00", "0.178"), (10, 200): ("25.50", "0.442"),
     (20, 200): ("30.00", "1.042"), (1, 500): ("16.50", "0.026"), (5, 500): ("48.00", "0.356"),
     (10, 500): ("51.00", "0.884"), (20, 500): ("60.00", "2.084"),
 }  # fmt: skip
-"""Gap [N] and area [J] over amplitude [mm] and P [kPa]: gaps by hand, areas computed apart."""
+"""(Amplitude [mm], P [kPa]) -> gap [N] by hand, and area [J] computed independently."""
 CREPT = {
     (300, 200): {0: "34.899", 1: "35.124", 3: "35.258", 10: "35.405", 30: "35.534", 100: "35.659"},
     (500, 400): {0: "40.748", 1: "41.010", 3: "41.167", 10: "41.338", 30: "41.489", 100: "41.635"},
 }
-"""Contraction [mm] over P [kPa], load [N] and time [s], computed apart."""
+"""(P [kPa], load [N]) -> time [s] -> contraction [mm], computed independently."""
 
 
 def _points() -> tuple[Reference, ...]:
@@ -182,7 +182,7 @@ def real_creep(pressure: Array, load: Array, time: Array) -> Values:
 
 
 def _balance(P: float, F: float) -> float:
-    """Where the force without history is F [N] at P [Pa]; [m]."""
+    """Contraction [m] at which the force without history is F [N] at P [Pa]; 0 if there is none above 0."""
 
     def over(x: float) -> float:
         return float(MUSCLE.pull(np.array(P), np.array(x))) - F

@@ -1,4 +1,4 @@
-"""The three-element model in the conventions of papers 0, 1 and 4: balance, steps, release; coefficients are given."""
+"""The three-element model with given coefficients, as in papers 0, 1 and 4: balance, steps, release."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ DISPLACEMENT = Output("displacement", "x", "length", "contraction")
 def three_element(
     force_ce: Array, load: Array, stiffness: Array, damping: Array, mass: Array, displacement: Array, speed: Array
 ) -> Values:
-    """Gives x'' [m/s2], F [N], x_inf [m] from F_ce, F_L [N], K [N/m], B [N.s/m], M [kg], x [m], x' [m/s]."""
+    """Outputs x'' [m/s2], F [N], x_inf [m] from F_ce, F_L [N], K [N/m], B [N.s/m], M [kg], x [m], x' [m/s]."""
     force = force_ce - stiffness * displacement - damping * speed
     final = np.maximum(force_ce - load, 0) / stiffness
     return {"acceleration": (force - load) / mass, "force": force + 0 * load, "final": final}
@@ -96,9 +96,9 @@ def three_element_strain(
     contraction: Array,
     contraction_rate: Array,
 ) -> Values:
-    """Gives h'' [1/s2], x'' [m/s2], K [N/m], B [N.s/m].
+    """Outputs h'' [1/s2], x'' [m/s2], K [N/m], B [N.s/m] from the strain.
 
-    Forces and K_h [N], B_h [N.s], M [kg], L0 [m], h [1] and h' [1/s].
+    Inputs: forces and K_h [N], B_h [N.s], M [kg], L0 [m], h [1] and h' [1/s].
     """
     force = force_ce - load - strain_stiffness * contraction - strain_damping * contraction_rate
     return {
@@ -136,7 +136,7 @@ def three_element_strain(
 def step_response(
     time: Array, force_ce: Array, load: Array, stiffness: Array, damping: Array, dead_time: Array
 ) -> Values:
-    """Gives x and x_inf [m], tau [s] from t [s], F_ce and F_L [N], K [N/m], B [N.s/m], t_d [s]."""
+    """Outputs x and x_inf [m], tau [s] from t [s], F_ce and F_L [N], K [N/m], B [N.s/m], t_d [s]."""
     refuse("load", "a load above F_ce is not lifted: the muscle would be stretched", load > force_ce, load)
     refuse("damping", "it must be above 0: without damping there is no time constant", damping <= 0)
     final, tau = (force_ce - load) / stiffness, damping / stiffness
@@ -167,7 +167,7 @@ def step_response(
     notes=("Paper 1 indexes the coefficients of relaxation by the pressure before the release.",),
 )  # fmt: skip
 def release_response(time: Array, displacement_start: Array, stiffness: Array, damping: Array) -> Values:
-    """Gives x [m], tau_r [s] from t [s], x0 [m], K [N/m], B_r [N.s/m]."""
+    """Outputs x [m], tau_r [s] from t [s], x0 [m], K [N/m], B_r [N.s/m]."""
     tau = damping / stiffness
     return {"displacement": displacement_start * np.exp(-time / tau), "tau": tau}
 

@@ -1,1 +1,1 @@
-"""Plants of several muscles: two that pull on a pulley, three under a platform, with what controls that."""
+"""Plants of several muscles: a joint of two with a pulley, and a platform on three, with parts of its control."""

@@ -1,11 +1,11 @@
-"""Two muscles that pull on a pulley against each other, each behind its own regulator: free, or turned by a drive.
+"""A joint of two antagonistic muscles on a pulley, each behind its own regulator: free, or turned by a drive.
 
-`Braided` is one muscle with its air: force with hysteresis, volume, flow through valves. Plain floats, because a plant
-of three muscles calls this six thousand times for a second of motion and an array of three values takes ten times as
-long.
+`Braided` is one muscle with its air: force with hysteresis, volume, flow through valves. It uses plain floats, because
+a plant of three muscles calls it six thousand times per second of motion, and arrays of three values are ten times
+slower.
 
-Muscle 1 shortens with a positive angle. Statics are those of `model.library.joint`; hysteresis and damping of the
-muscles, inertia and gravity of what hangs on the pulley are added. Numbers are assumed: no paper prints a pair.
+Muscle 1 shortens with a positive angle. The statics are those of `model.library.joint`, with hysteresis and damping of
+the muscles, inertia, and gravity of a load on the pulley added. Numbers are assumed: no paper prints a pair.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from pmabench.model.library.daerden import ALPHA, ATMOSPHERE, B1, B2, DIAMETER, 
 from pmabench.model.regulator import Regulated, Regulator, Wave, commanded
 
 R_T = 287.0 * 293.15
-"""Of air at 20 degrees [J/kg]."""
+"""Gas constant times temperature of air at 20 degrees Celsius [J/kg]."""
 DENSITY = 1.185
-"""Of air at the reference of ISO 6358 [kg/m3]."""
+"""Density of air at the reference conditions of ISO 6358 [kg/m3]."""
 
 
 @dataclass(frozen=True)
 class Valve:
-    """A valve that is open or shut, by ISO 6358."""
+    """Flow characteristics of an open valve according to ISO 6358."""
 
     conductance: float = 3e-9
-    """C [m3/(s Pa)]."""
+    """Sonic conductance C [m3/(s Pa)]."""
     critical: float = 0.4
-    """b [1]: ratio of pressures below which the flow does not depend on the one behind it."""
+    """Critical pressure ratio b [1]: below it the flow does not depend on the downstream pressure."""
 
     def flow(self, before: float, behind: float) -> float:
-        """Mass flow [kg/s] from one absolute pressure [Pa] to another; below 0 where it goes back."""
+        """Mass flow [kg/s] from one absolute pressure [Pa] to another; negative for reversed flow."""
         high, low = max(before, behind), min(before, behind)
         ratio = low / high
         passed = self.conductance * DENSITY * high
@@ -50,7 +50,7 @@ class Valve:
 
 @dataclass(frozen=True)
 class Braided:
-    """A muscle of the modified Daerden model (paper 3 eqs. 8-10) with hysteresis over its contraction and air in it."""
+    """A muscle of the modified Daerden model (paper 3 eqs. 8-10) with hysteresis over contraction, and its air."""
 
     diameter: float = float(DIAMETER.value)
     length: float = float(LENGTH.value)
@@ -60,15 +60,15 @@ class Braided:
     B1: float = float(B1.value)
     B2: float = float(B2.value)
     hysteresis: float = 30.0
-    """Force between the mean and a branch after a long way [N]."""
+    """Half width of a large hysteresis loop [N]."""
     way: float = 0.006
-    """Contraction after a reversal in which 63 % of it are passed [1]."""
+    """Contraction over which a reversal fades to 1/e [1]."""
     damping: float = 150.0
-    """[N s/m]."""
+    """Viscous damping [N s/m]."""
     polytropic: float = 1.2
     atmosphere: float = float(ATMOSPHERE.value)
     steep: float = field(init=False)
-    """Of the section: S = steep (1 - eps)^alpha - flat [m2]."""
+    """Terms of the section: S = steep (1 - eps)^alpha - flat [m2]."""
     flat: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -78,18 +78,18 @@ class Braided:
         object.__setattr__(self, "flat", area * sine)
 
     def force(self, P: float, eps: float, speed: float, strain: float) -> float:
-        """Pull [N] at gauge pressure [Pa], contraction [1], its rate [1/s] and share of the hysteresis [-1 to 1]."""
+        """Pull [N] at gauge pressure [Pa], contraction [1], its rate [1/s] and state of the hysteresis [-1 to 1]."""
         section = self.steep * math.pow(1 - eps, self.alpha) - self.flat
         rubber = self.A * eps * (eps - self.B1) / (eps + self.B2)
         whole = section * P + rubber + self.hysteresis * strain - self.damping * self.length * speed
         return max(0.0, whole)
 
     def strain_rate(self, strain: float, speed: float) -> float:
-        """Rate of the share of the hysteresis [1/s] at a rate of contraction [1/s]."""
+        """Rate of the state of the hysteresis [1/s] at a rate of contraction [1/s]."""
         return (-speed - strain * abs(speed)) / self.way
 
     def pressure_rate(self, P: float, eps: float, speed: float, inflow: float) -> float:
-        """[Pa/s] at gauge pressure [Pa], contraction [1], its rate [1/s] and mass flow into the muscle [kg/s]."""
+        """Rate of pressure [Pa/s] for gauge pressure [Pa], contraction [1], its rate [1/s] and inflow [kg/s]."""
         power = math.pow(1 - eps, self.alpha)
         steep, flat = self.steep * power / 3, self.flat
         volume = self.length * (flat - steep) * (1 - eps)
@@ -104,7 +104,7 @@ STEP = 1e-3
 
 @dataclass(frozen=True)
 class Joint:
-    """What the joint is made of [SI]."""
+    """Parameters of the joint [SI]."""
 
     muscle: Braided = field(default_factory=Braided)
     pulley: float = 0.025
@@ -112,34 +112,34 @@ class Joint:
     preload: float = 0.10
     """Contraction of both muscles at angle 0 [1]."""
     inertia: float = 0.02
-    """[kg m2]."""
+    """Moment of inertia [kg m2]."""
     damping: float = 0.02
-    """Of the bearing [N m s]."""
+    """Damping of the bearing [N m s]."""
     hanging: float = 0.0
-    """Weight times its distance from the axis [N m], below the axis at angle 0."""
+    """Weight times its distance from the axis [N m]; it hangs below the axis at angle 0."""
     regulator: Regulator = field(default_factory=lambda: Regulator(dead_time=0.04, lag=0.0955))
 
     def torque(self, angle: float, turn: float, pressures: Sequence[float], strains: Sequence[float]) -> float:
-        """Torque of both muscles [N m] at an angle [rad] and its rate [rad/s], pressures [Pa], shares of hysteresis."""
+        """Torque of both muscles [N m] at an angle [rad] and rate [rad/s], pressures [Pa], states of the hysteresis."""
         m, way, rate = self.muscle, self.pulley * angle / self.muscle.length, self.pulley * turn / self.muscle.length
         first = m.force(pressures[0], self.preload + way, rate, strains[0])
         return self.pulley * (first - m.force(pressures[1], self.preload - way, -rate, strains[1]))
 
 
 def braided(numbers: Mapping[str, float]) -> Braided:
-    """The muscle of these dimensions [SI], by the names of a bench file; what is left out is assumed."""
+    """The muscle with these dimensions [SI], by the names of a bench file; missing ones are assumed."""
     return Braided(**{n: numbers[n] for n in ("diameter", "length", "braid_angle", "atmosphere") if n in numbers})
 
 
 def described(numbers: Mapping[str, float]) -> Joint:
-    """The joint of these dimensions [SI], by the names of a bench file; what is left out is assumed."""
+    """The joint with these dimensions [SI], by the names of a bench file; missing ones are assumed."""
     usual = Joint()
     pulley, preload = numbers.get("pulley", usual.pulley), numbers.get("contraction", usual.preload)
     return Joint(braided(numbers), pulley, preload)
 
 
 class Turns(NamedTuple):
-    """What a joint did, one value a moment: angle [rad], rate [rad/s], torque [N m], gauge pressures [Pa]."""
+    """Motion of a joint, one value per time: angle [rad], rate [rad/s], torque [N m], gauge pressures [Pa]."""
 
     angle: Array
     turn: Array
@@ -149,10 +149,10 @@ class Turns(NamedTuple):
 
 
 class JointPlant:
-    """A joint in time; `time` [s], `angle` [rad], `turn` [rad/s].
+    """Simulation of a joint; `time` [s], `angle` [rad], `turn` [rad/s].
 
-    With a course (`drive`) its angle is what that says and `torque` what the drive has to hold against; without one it
-    moves freely, with `external` [N m] pulling towards positive angles.
+    With a course (`drive`) its angle follows that, and the drive has to hold against `torque`; without one it moves
+    freely, with an external torque `external` [N m] towards positive angles.
     """
 
     def __init__(self, joint: Joint, pressures: tuple[float, float] = (0.0, 0.0), start: float = 0.0) -> None:
@@ -163,28 +163,28 @@ class JointPlant:
         self._course: tuple[Wave, ...] = ()
 
     def command(self, muscle: int, waves: tuple[Wave, ...]) -> None:
-        """Command the pressure of muscle 0 or 1 [Pa] along `waves`, the first of which starts now or later."""
+        """Command pressures of muscle 0 or 1 [Pa] by `waves`, the first of which starts now or later."""
         self.supplies[muscle].command(waves)
 
     def drive(self, waves: tuple[Wave, ...]) -> None:
-        """Turn it along `waves` [rad] from now on; with none it is free."""
+        """Drive the angle along `waves` [rad] from now on; without waves it is free."""
         self._course = waves
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that `restore` needs to come back to this moment."""
+        """The complete state, for `restore`."""
         return {**self.__dict__, "supplies": tuple(map(copy.copy, self.supplies))}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to the moment of a snapshot; it can be used again."""
+        """Return to the state of a snapshot, which can be used again."""
         self.__dict__.update(snapshot)
         self.supplies = tuple(map(copy.copy, self.supplies))
 
     def torque(self) -> float:
-        """Torque of both muscles at this moment [N m]."""
+        """Present torque of both muscles [N m]."""
         return self.joint.torque(self.angle, self.turn, self._pressures(self.time), self.strains)
 
     def advance(self, until: float, times: Sequence[float] = ()) -> Turns:
-        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`."""
+        """Simulate to `until` [s]; returns the motion at increasing `times` [s] between now and `until`."""
         rows = []
         for moment in times:
             self._reach(moment)
@@ -223,7 +223,7 @@ class JointPlant:
     def _strained(
         self, begin: tuple[float, float], turn: float, h: float, at: tuple[float, float]
     ) -> tuple[float, float]:
-        """Shares of the hysteresis after `h` [s] at a rate of the angle [rad/s]; `at` is where the slope is taken."""
+        """States of the hysteresis after `h` [s] at a rate of the angle [rad/s]; their rates are evaluated at `at`."""
         m, speed = self.joint.muscle, self.joint.pulley * turn / self.joint.muscle.length
         return begin[0] + h * m.strain_rate(at[0], speed), begin[1] + h * m.strain_rate(at[1], -speed)
 

@@ -1,13 +1,12 @@
-"""A platform that three muscles with two valves each tilt about two axes: its motion from the valves' openings.
+"""A platform tilted about two axes by three muscles with two valves each: its motion for given valve openings.
 
-Geometry and signs are those of `model.library.platform`. Numbers are assumed; paper 3 prints the arrangement only.
+Geometry and signs are those of `model.library.platform`. Numbers are assumed; paper 3 prints only the arrangement.
 
-`PlatformPlant` adds what a program that controls it can switch and measure: pulses, shut-off, dumps, an accelerometer,
-and parts that fail.
+`PlatformPlant` adds the inputs and outputs of a control program: pulses, shut-off, dumps, an accelerometer, and faults.
 
-What controls a platform: `tilt` and `Lags` give the attitude from accelerations, `Inverse` the pressures that turn it,
-`on_time` how long to open a valve. The chain is paper 3's: angle errors, inverse kinematics, forces, inverse muscle,
-valves; it knows no device, no plan and no time but its own, and a real platform brings its own numbers.
+For the control of a platform, `tilt` and `Lags` give the attitude from accelerations, `Inverse` the pressures for a
+moment, and `on_time` the opening time of a valve. The chain is paper 3's: angle errors, inverse kinematics, forces,
+inverse muscle, valves. A real platform has its own numbers.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ G = 9.81
 STEP = 0.5e-3
 """Longest step of the integration [s]; halving it changes angles of a few degrees by less than 0.0005 deg."""
 State = tuple[float, ...]
-"""phi, psi [rad], their rates [rad/s], three gauge pressures [Pa], three shares of the hysteresis [1]."""
+"""phi, psi [rad], their rates [rad/s], three gauge pressures [Pa], three states of the hysteresis [1]."""
 LEVEL: State = (0.0,) * 4 + (2.5e5,) * 3 + (0.0,) * 3
 """At rest, level, at 2.5 bar."""
 
 
 @dataclass(frozen=True)
 class Opening:
-    """When a valve is open: `kind` is fill or exhaust, `muscle` counts from 0, from `begin` to `end` [s]."""
+    """Opening of a valve from `begin` to `end` [s]; `kind` is fill or exhaust, `muscle` counts from 0."""
 
     kind: str
     muscle: int
@@ -46,29 +45,29 @@ class Opening:
 
 @dataclass(frozen=True)
 class Platform:
-    """What the platform is made of [SI]."""
+    """Parameters of the platform [SI]."""
 
     muscle: Braided = field(default_factory=Braided)
     fill: Valve = field(default_factory=Valve)
     exhaust: Valve = field(default_factory=Valve)
     supply: float = 7e5
-    """Gauge pressure before the fill valves [Pa]."""
+    """Supply pressure of the fill valves [Pa gauge]."""
     circle: float = 0.055
     """Radius of the circle of anchors [m]."""
     preload: float = 0.10
     """Contraction while it is level [1]."""
     mass: float = 2.0
     height: float = 0.050
-    """Of the centre of mass above the joint [m]."""
+    """Height of the centre of mass above the joint [m]."""
     inertia: tuple[float, float, float] = (0.020, 0.020, 0.012)
-    """About its own axes [kg m2]."""
+    """Moments of inertia about its own axes [kg m2]."""
     damping: float = 0.05
-    """Of the joint [N m s]."""
+    """Damping of the joint [N m s]."""
     stop: float = 24 * math.pi / 180
-    """Angle of either axis at which a stop holds it [rad]."""
+    """Angle of the stops of either axis [rad]."""
 
     def rates(self, state: State, filled: Sequence[float], emptied: Sequence[float]) -> State:
-        """Derivative of the state; how wide each muscle is open to the supply and to the air, 1 for its valve."""
+        """Derivative of the state; `filled`, `emptied`: openings of each muscle to supply and atmosphere [valves]."""
         phi, psi, turn, tip = state[:4]
         m = self.muscle
         sin, cos, turned, level = math.sin(phi), math.cos(phi), math.sin(psi), math.cos(psi)
@@ -100,7 +99,7 @@ class Platform:
         return (turn, tip, turning, tipping, *pressures, *strains)
 
     def advance(self, state: State, seconds: float, filled: Sequence[float], emptied: Sequence[float]) -> State:
-        """The state after a time [s] with the openings as they are (midpoint rule, steps of at most `STEP`)."""
+        """The state after a time [s] with constant openings (midpoint rule, steps of at most `STEP`)."""
         steps = max(1, math.ceil(seconds / STEP - 1e-9))
         h = seconds / steps
         for _ in range(steps):
@@ -111,7 +110,7 @@ class Platform:
         return state
 
     def _stopped(self, state: State) -> State:
-        """Held by the stops, against which it comes to rest."""
+        """The state limited by the stops, without rebound."""
         angles, rates = list(state[:2]), list(state[2:4])
         if max(map(abs, angles)) <= self.stop:
             return state
@@ -122,7 +121,7 @@ class Platform:
         return (*angles, *rates, *state[4:])
 
     def simulate(self, openings: Sequence[Opening], at: Sequence[float], state: State = LEVEL) -> list[State]:
-        """States at rising times `at` [s] from `state` at 0 on, with these openings of valves."""
+        """States at increasing times `at` [s], from `state` at 0, with these valve openings."""
         cuts = sorted({0.0, *at, *(t for one in openings for t in (one.begin, one.end))})
         wanted, found = set(at), []
         if 0.0 in wanted:
@@ -143,7 +142,7 @@ class Platform:
 
 
 def described(numbers: Mapping[str, float]) -> Platform:
-    """The platform that a bench file describes [SI], by the names there; what it leaves out is assumed as above."""
+    """The platform with these dimensions [SI], by the names of a bench file; missing ones are assumed as above."""
     own = {"contraction": "preload", "stops": "stop"}
     names = ("supply", "circle", "contraction", "mass", "height", "stops")
     changes: dict[str, Any] = {own.get(name, name): numbers[name] for name in names if name in numbers}
@@ -155,20 +154,20 @@ _SINES = tuple(math.sin(g) for g in (math.pi / 2, 7 * math.pi / 6, 11 * math.pi 
 
 
 DELAY = 2e-3
-"""From the command of a valve to its opening, and to its shutting [s]."""
+"""Delay of a valve on opening and on shutting [s]."""
 DUMP = 4.0
-"""How wide a dump is, an exhaust valve being 1."""
+"""Opening of a dump [exhaust valves]."""
 MUSCLES = (0, 1, 2)
 
 
 class PlatformPlant:
-    """Three muscles, six valves, a shut-off in the supply and a dump at each muscle; all numbers SI.
+    """Simulated platform: three muscles, six valves, a shut-off in the supply and a dump at each muscle; SI.
 
     Parameters
     ----------
-    height : of the accelerometer above the joint [m]
-    noise : standard deviation of each of its axes [m/s2]
-    seed : of the noise
+    height : height of the accelerometer above the joint [m]
+    noise : standard deviation of the noise of each of its axes [m/s2]
+    seed : seed of the noise
     """
 
     def __init__(
@@ -178,22 +177,22 @@ class PlatformPlant:
         self.platform = platform or Platform()
         self.state, self.time = state, 0.0
         self.supply, self.dump = True, False
-        """Whether the shut-off lets air to the fill valves, and whether the dumps are open."""
+        """Whether the shut-off is open to the fill valves, and whether the dumps are open."""
         self.stuck: dict[tuple[str, int], bool] = {}
-        """Valves that do not move any more, as (`fill` or `exhaust`, muscle from 0): whether they are open."""
+        """Stuck valves, (`fill` or `exhaust`, muscle from 0) -> whether they are open."""
         self.holes = [0.0] * 3
-        """How wide each muscle has burst, an exhaust valve being 1."""
+        """Size of a burst of each muscle [exhaust valves]."""
         self.shows_level = False
-        """Whether the accelerometer shows what a level platform would, with its noise."""
+        """Fault: whether the accelerometer shows a level platform, with noise."""
         self.blocked: tuple[int, ...] = ()
-        """Muscles, from 0, whose dump does not open."""
+        """Fault: muscles, from 0, whose dump does not open."""
         self.openings = {(kind, i): 0 for kind in ("fill", "exhaust") for i in MUSCLES}
-        """How often each valve was opened."""
+        """Number of openings of each valve."""
         self._open: dict[tuple[str, int], list[tuple[float, float]]] = {key: [] for key in self.openings}
         self._height, self._noise, self._chance = height, noise, random.Random(seed)
 
     def pulse(self, kind: str, muscle: int, seconds: float) -> None:
-        """Open a valve for so long from now on; one that is open stays open until the later end."""
+        """Open a valve now for `seconds` [s]; an open one stays open until the later end."""
         begin, end = self.time + DELAY, self.time + DELAY + seconds
         mine = self._open[kind, muscle] = [one for one in self._open[kind, muscle] if one[1] > self.time - 1e-9]
         if mine and mine[-1][1] >= begin - 1e-9:
@@ -203,12 +202,12 @@ class PlatformPlant:
         self.openings[kind, muscle] += 1
 
     def shut(self, kind: str, muscle: int) -> None:
-        """End the pulse of a valve; one that is open shuts after its delay."""
+        """End the pulse of a valve; an open one shuts after its delay."""
         mine = self._open[kind, muscle]
         self._open[kind, muscle] = [(a, min(b, self.time + DELAY)) for a, b in mine if a < self.time + DELAY]
 
     def advance(self, until: float) -> None:
-        """Go on to `until` [s]."""
+        """Simulate to `until` [s]."""
         while until - self.time > 1e-12:
             cuts = [t for mine in self._open.values() for one in mine for t in one if self.time + 1e-12 < t < until]
             end = min(cuts, default=until)
@@ -224,12 +223,12 @@ class PlatformPlant:
         return any(a <= t < b for a, b in self._open[kind, muscle]) if stuck is None else stuck
 
     def measure(self) -> dict[str, float]:
-        """Three gauge pressures [Pa] and three specific forces [m/s2] now, by the names of their channels."""
+        """Present gauge pressures [Pa] and specific forces [m/s2] by channel name."""
         found = {f"pressure_{i + 1}": self.state[4 + i] for i in MUSCLES}
         return found | dict(zip(("acceleration_x", "acceleration_y", "acceleration_z"), self._felt(), strict=True))
 
     def _felt(self) -> tuple[float, float, float]:
-        """What the accelerometer shows."""
+        """Readings of the accelerometer [m/s2]."""
         x, y, z = (0.0, 0.0, G) if self.shows_level else self._specific_force()
         if not self._noise:
             return x, y, z
@@ -237,7 +236,7 @@ class PlatformPlant:
         return x + noise(0.0, self._noise), y + noise(0.0, self._noise), z + noise(0.0, self._noise)
 
     def _specific_force(self) -> tuple[float, float, float]:
-        """Without noise, along the platform's own axes, of a sensor on the z axis.
+        """Specific force [m/s2] along the platform's own axes at a sensor on the z axis, without noise.
 
         Its acceleration is h (w' x e_z + w x (w x e_z)), from the angular speed w and its rate w'.
         """
@@ -254,11 +253,11 @@ class PlatformPlant:
         )
 
     def turns(self) -> tuple[float, float]:
-        """Angular speeds about the platform's own x and y axes [rad/s], as a gyroscope shows them."""
+        """Angular speeds about the platform's own x and y axes [rad/s], as measured by a gyroscope."""
         return self.state[2] * math.cos(self.state[1]), self.state[3]
 
     def snapshot(self) -> dict[str, Any]:
-        """Everything that `restore` needs to come back to this moment."""
+        """The complete state, for `restore`."""
         chance = self._chance.getstate() if self._noise else None
         opened = {key: tuple(mine) for key, mine in self._open.items()}
         kept = self.state, self.time, self.supply, self.dump, self.shows_level, self.blocked
@@ -266,7 +265,7 @@ class PlatformPlant:
                 "openings": dict(self.openings), "chance": chance}  # fmt: skip
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Go back to the moment of a snapshot; it can be used again."""
+        """Return to the state of a snapshot, which can be used again."""
         self.state, self.time, self.supply, self.dump, self.shows_level, self.blocked = snapshot["kept"]
         self._open = {key: list(mine) for key, mine in snapshot["open"].items()}
         self.stuck, self.holes = dict(snapshot["stuck"]), list(snapshot["holes"])
@@ -285,12 +284,12 @@ def tilt(x: float, y: float, z: float) -> Pair:
 
 
 class Lags:
-    """Two equal first-order lags in a row, of a pair of values.
+    """Two equal first-order lags in series, for a pair of values.
 
     Parameters
     ----------
-    time_constant : of each [s]
-    start : where both begin
+    time_constant : of each lag [s]
+    start : initial value of both
     """
 
     def __init__(self, time_constant: float, start: Pair) -> None:
@@ -311,7 +310,7 @@ def _towards(at: Pair, goal: Pair, keep: float) -> Pair:
 
 @dataclass(frozen=True)
 class Wanted:
-    """Three gauge pressures [Pa] and contractions [1]; `clipped` where limits forbid what the moment asks for."""
+    """Three gauge pressures [Pa] and contractions [1]; `clipped`: the moment is not possible within the limits."""
 
     pressures: Three
     contractions: Three
@@ -320,19 +319,19 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Inverse:
-    """Statics of a platform, solved for the pressures: forces that make a moment, then each muscle's pressure."""
+    """Inverse statics of a platform: forces for a moment, then the pressure of each muscle."""
 
     platform: Platform = field(default_factory=Platform)
     low: float = 0.2e5
     high: float = 5.5e5
-    """Least and greatest pressure [Pa]."""
+    """Lowest and highest pressure [Pa]."""
     mean: float = 2.5e5
-    """Of the three, where the limits allow it [Pa]."""
+    """Mean of the three pressures, if the limits allow it [Pa]."""
 
     def wanted(self, attitude: Pair, moment: Pair) -> Wanted:
-        """Pressures for a moment [N.m] beyond holding the weight, at an attitude [rad].
+        """Pressures for a moment [N.m] in addition to holding the weight, at an attitude [rad].
 
-        Where no three pressures within the limits make it, each is taken to its limit.
+        If it is not possible within the limits, each pressure is clipped.
         """
         p, m = self.platform, self.platform.muscle
         phi, psi = np.array(attitude[0]), np.array(attitude[1])
@@ -349,9 +348,9 @@ class Inverse:
         return Wanted((one, two, three), (float(eps[0]), float(eps[1]), float(eps[2])), low > high)
 
     def rest(self, pressures: Three, start: Pair) -> Pair | None:
-        """Attitude [rad] at which three gauge pressures [Pa] hold it, hysteresis left out; None where none is found.
+        """Attitude of rest [rad] at three gauge pressures [Pa], without hysteresis; None where none is found.
 
-        Newton's method from `start` with the moments' own slopes; the coupling of both axes is left out of them.
+        Newton's method from `start` with the stiffness of each axis, without the coupling of both axes.
         """
         p, m = self.platform, self.platform.muscle
         body = (p.circle, p.preload, m.length, m.diameter, m.braid_angle, m.alpha, m.A, m.B1, m.B2, p.mass, p.height)
@@ -373,7 +372,7 @@ class Inverse:
 
 
 def contractions(platform: Platform, attitude: Pair) -> Three:
-    """Of the three muscles [1] at an attitude [rad]; plain numbers, for a loop that asks at every sample."""
+    """Contractions of the three muscles [1] at an attitude [rad]; plain floats, for use at every sample."""
     (sin, cos), (turned, level) = ((math.sin(angle), math.cos(angle)) for angle in attitude)
     above, found = (1 - platform.preload) * platform.muscle.length, []
     for around in AROUND:
@@ -384,7 +383,7 @@ def contractions(platform: Platform, attitude: Pair) -> Three:
 
 
 def pressure_rate(platform: Platform, P: float, eps: float, *, fills: bool) -> float:
-    """How fast one open valve changes a gauge pressure [Pa/s] at a contraction [1]; below 0 where it lets air out."""
+    """Rate of gauge pressure [Pa/s] with one open valve at a contraction [1]; negative for the exhaust valve."""
     m = platform.muscle
     absolute = P + m.atmosphere
     if fills:
@@ -393,9 +392,10 @@ def pressure_rate(platform: Platform, P: float, eps: float, *, fills: bool) -> f
 
 
 def on_time(platform: Platform, P: float, wanted: float, eps: float) -> float:
-    """How long to open a valve to bring a muscle from one gauge pressure [Pa] to another at a contraction [1].
+    """Opening time of a valve [s] to change the gauge pressure from `P` to `wanted` [Pa] at a contraction [1].
 
-    Above 0 the fill valve, below 0 the exhaust valve [s]: V dP / (k r T q), the flow at the present pressure.
+    Positive for the fill valve, negative for the exhaust valve: V dP / (k r T q), with the flow q at the present
+    pressure.
     """
     rate = pressure_rate(platform, P, eps, fills=wanted > P)
     return abs((wanted - P) / rate) * (1 if wanted > P else -1) if rate else 0.0

@@ -1,4 +1,4 @@
-"""The muscle as it is: bent stiffness, hysteresis over contraction and pressure, creep; free end and driven end.
+"""A realistic muscle: nonlinear stiffness, hysteresis over contraction and pressure, creep; free and driven end.
 
-`muscle` is its parameters and what they mean, `plants` the muscle along a path, at a driven end and with a load.
+`muscle` has the parameters and the force, `plants` the simulation with a driven end and with a load.
 """

@@ -1,17 +1,17 @@
-"""A muscle with a bent force, hysteresis and creep: its parameters and the force that they give; knows no time.
+"""A muscle with nonlinear force, hysteresis and creep: its parameters and its force.
 
     F = F_s(x - x_c, P) - H(P) sum w S_r[x] / r - H_P sum q S_rho[P] / rho - B(P, sign x') x',  never below 0
 
 * F_s is the force without any history. With eps = x / length it is
-  (A + A_P P) e(eps) + (C eps + D) P + E, e = exp(-s eps) (form after Sarosi 2012), or a straight line where
+  (A + A_P P) e(eps) + (C eps + D) P + E, e = exp(-s eps) (form after Sarosi 2012), or a straight line if
   `bend` is 0.
-* S_r[u] is a stop: a spring that slides at +-r, S <- min(r, max(-r, S + du)). S_r[x] is 0 at first; S_rho[P] is -rho
-  in a vented muscle.
+* S_r[u] is a stop: a spring that slides at +-r, S <- min(r, max(-r, S + du)). S_r[x] starts at 0, S_rho[P] at -rho in a
+  vented muscle.
 * x_c creeps after x: the sum of x_j, T_j x_j' = share x - x_j.
-* B is B_c(P) while it contracts and B_r(P) while it relaxes.
+* B is B_c(P) in contraction and B_r(P) in relaxation.
 
-SI throughout. The numbers of `reference` are those of a DMSP-20 of 250 mm: six constants fitted to 46 points of the
-maker's catalogue; hysteresis, creep and damping are assumed, in the size that others report.
+SI throughout. `reference` describes a DMSP-20 of 250 mm: six constants fitted to 46 points of the maker's catalogue;
+hysteresis, creep and damping are assumed, with magnitudes from the literature.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from pmabench.model.muscle import Friction
 from pmabench.model.overrides import Overrides
 
 N_PER_KPA, N_PER_MM = 1e-3, 1e3
-"""[N/Pa], [N/m]; the latter also for N.s/mm."""
+"""SI values of N/kPa [N/Pa] and of N/mm [N/m]; the latter also for N.s/mm."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Force without history F_s [N] over contraction ratio eps [1] and pressure P [Pa].
+    """Force without history F_s [N] over relative contraction eps [1] and pressure P [Pa].
 
-    `A`, `E` [N], `A_P`, `C`, `D` [N/Pa], `s` [1]. `bend` 1 is the bent form; with 0 the exponential is replaced by the
-    straight line through its values at 0 and at eps = `span`, which makes F_ce(P) and K(P) straight lines over P.
+    `A`, `E` [N], `A_P`, `C`, `D` [N/Pa], `s` [1]. `bend` 1 is the nonlinear form; with 0 the exponential is replaced by
+    the straight line through its values at eps = 0 and `span`, so that F_ce(P) and K(P) are linear in P.
     """
 
     A: float
@@ -62,18 +62,18 @@ class Surface:
         return np.asarray((self.A + self.A_P * P) * shape + (self.C * eps + self.D) * P + self.E)
 
     def slope(self, eps: Array, P: Array) -> Array:
-        """-dF_s / d eps [N]; over the length it is the stiffness."""
+        """-dF_s / d eps [N]; divided by the length it is the stiffness."""
         bent = self.s * np.exp(-self.s * eps) - self.line
         return np.asarray((self.A + self.A_P * P) * (self.line + self.bend * bent) - self.C * P)
 
 
 @dataclass(frozen=True)
 class Stops:
-    """Hysteresis that knows no rate: stops of given widths, whose weights add up to 1.
+    """Rate-independent hysteresis by stops of given widths, whose weights add up to 1.
 
-    `widths` [m] or [Pa], none for no hysteresis; the force at its most is `height` + `per_pressure` P [N], [N/Pa].
-    With `extra` [1] it is higher by this share in a muscle that has rested, and the share falls to 1 / e each time that
-    the muscle has gone `way` [m], the way of one full cycle.
+    `widths` [m] or [Pa], empty for no hysteresis; the largest force is `height` + `per_pressure` P [N], [N/Pa]. In a
+    rested muscle it is larger by the share `extra` [1], which falls to 1 / e over a travel of `way` [m], about one full
+    cycle.
     """
 
     widths: tuple[float, ...]
@@ -92,11 +92,11 @@ class Stops:
             raise ValueError(f"stops need a height of at least 0 and a way above 0, not {self}")
 
     def most(self, P: Array) -> Array:
-        """Height of the force at P [Pa], without what a rest adds [N]."""
+        """Largest force [N] at P [Pa], without `extra`."""
         return np.asarray(self.height + self.per_pressure * P)
 
     def scaled(self, factor: float) -> Stops:
-        """All of the force times `factor` [1]."""
+        """The hysteresis with its force multiplied by `factor` [1]."""
         if not factor >= 0:
             raise ValueError(f"a factor on a hysteresis cannot be negative, as {factor:g} is")
         return replace(self, height=factor * self.height, per_pressure=factor * self.per_pressure)
@@ -104,7 +104,7 @@ class Stops:
 
 @dataclass(frozen=True)
 class Creep:
-    """The length that creeps after a contraction: `share` of it [1] with each of the time constants `times` [s]."""
+    """Creep after a contraction: `share` of it [1] for each of the time constants `times` [s]."""
 
     share: float
     times: tuple[float, ...]
@@ -116,9 +116,9 @@ class Creep:
 
 @dataclass(frozen=True)
 class RealMuscle:
-    """A muscle with bent force, hysteresis and creep, of nominal `length` [m].
+    """A muscle with nonlinear force, hysteresis and creep, of nominal `length` [m].
 
-    `reach` is from where to where it may go, as contraction ratio [1]; a free end goes from 0 to the second.
+    `reach`: range of relative contraction [1]; a free end moves between 0 and its upper end.
     """
 
     name: str
@@ -138,15 +138,15 @@ class RealMuscle:
 
     @property
     def stop(self) -> float:
-        """Contraction at which a free end can go no further [m]."""
+        """End stop of a free end as contraction [m]."""
         return self.reach[1] * self.length
 
     def pull(self, P: Array, x: Array) -> Array:
-        """F_s(x, P), without history, and below 0 where it would push [N]; P [Pa] and x - x_c [m] of one shape."""
+        """F_s, without history, negative where it would push [N]; P [Pa] and x = contraction - x_c [m] of one shape."""
         return self.surface.force(x / self.length, P)
 
     def stiffness(self, P: Array, x: Array) -> Array:
-        """-dF_s/dx [N/m]; P [Pa] and x - x_c [m] of one shape."""
+        """-dF_s/dx [N/m]; P [Pa] and x = contraction - x_c [m] of one shape."""
         return self.surface.slope(x / self.length, P) / self.length
 
     def damping(self, P: Array, v: Array) -> Array:
@@ -154,7 +154,7 @@ class RealMuscle:
         return np.where(v > 0, self.B_c.values(P), self.B_r.values(P))
 
     def changed(self, change: Overrides) -> RealMuscle:
-        """The muscle with its departures from a straight one times the factors of `change`."""
+        """The muscle with its nonlinearity, hysteresis and creep multiplied by the factors of `change`."""
 
         def factor(value: float | None) -> float:
             return 1.0 if value is None else value
@@ -173,7 +173,7 @@ class RealMuscle:
 
 
 def reference() -> RealMuscle:
-    """The DMSP-20 of 250 mm."""
+    """A DMSP-20 of 250 mm."""
     return RealMuscle(
         name="DMSP-20-250 real",
         length=0.25,

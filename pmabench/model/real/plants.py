@@ -1,16 +1,15 @@
-"""A muscle with bent force, hysteresis and creep: with a load on its free end, stepped, and at a driven end.
+"""A muscle with nonlinear force, hysteresis and creep: with a load on its free end, in steps, and with a driven end.
 
 The force F of `pmabench.model.real.muscle` moves a load, M x'' = F - F_L + N, where N >= 0 only on the support at
-x = 0, and likewise at the muscle's own stop; it lands there without rebound. The cell cannot read a push. In the
-motion F is not cut off at 0: a muscle without load and pressure goes back by its rubber.
+x = 0, and likewise at the muscle's own stop; it lands there without rebound. The cell does not read a push, but in the
+equation of motion F may be negative: a muscle without load and pressure is extended by its rubber.
 
 One step
 --------
-With g = F + B x' - F_L, what is left of the force without its damping, M x'' = g - B x' is solved exactly for a g that
-goes on a straight line from one end of the step to the other. At the other end g depends on where x comes to, through
-surface, stops and creep, and decreases with it: one equation for one unknown, solved by Newton's method. Damping thus
-makes no step unstable, however small the mass. Stops have moved from one end of the step to the other without a turn;
-creep is exact for an x on a straight line. The step is short where the speed changes.
+With g = F + B x' - F_L, the unbalanced force without damping, M x'' = g - B x' is solved exactly for a g that is linear
+within the step. Its final value depends on the final x through surface, stops and creep, and decreases with it: one
+equation for one unknown, solved by Newton's method. So damping makes no step unstable, however small the mass. Stops
+move monotonically within a step; creep is exact for a linear x. Steps are short where the speed changes.
 
 At a driven end the force follows in closed form along the paths of x and P.
 """
@@ -32,25 +31,25 @@ from pmabench.model.real.muscle import RealMuscle, Stops
 from pmabench.model.regulator import Regulated, Regulator, Trace
 
 BEND = 1e-6
-"""Change of speed times step, at which a step is as long as it may be [m]."""
+"""Limit of the change of speed times the step, which determines the step length [m]."""
 SHORTEST, LOOK, LONGEST = 2.5e-4, 2e-3, 1.0
-"""Least step, longest while the pressure changes fast, longest of all [s]."""
+"""Shortest step, longest step while the pressure changes fast, longest of all [s]."""
 CHORD = 2.0
-"""Steps longer than `LOOK` miss the pressure, which goes on a straight line within a step, by less than this [Pa]."""
+"""Largest error of the linear pressure within a step longer than `LOOK` [Pa]."""
 SETTLED_PRESSURE = 1e-3
-"""Worth less than 1 nm of contraction [Pa]."""
+"""Remaining change of pressure that counts as none [Pa]: below 1 nm of contraction."""
 NEAR = 2e-8
-"""Newton's method ends with a straight line where it moves less than this [m]."""
+"""Newton's method ends when its correction is below this [m]; the force is then corrected linearly."""
 ON_TIME = 0.01
-"""A load that leaves its support within this fraction of a step does so at its begin [1]."""
+"""If a load lifts off within this first share of a step, it counts as at the begin [1]."""
 AT_ITS_END = 0.999
-"""An end that comes to a stop after this share of a step is there when it ends [1]."""
+"""If a stop is reached after this share of a step, it counts as at the end [1]."""
 
 
 class AtPressure(NamedTuple):
-    """What the pressure makes of the force bent exp(-s u / length) + straight u + constant - height sum w S / r.
+    """Coefficients at one pressure of the force bent exp(-s u / length) + straight u + constant - height sum w S / r.
 
-    [N], [N/m], [N], [N]
+    Units: [N], [N/m], [N], [N].
     """
 
     bent: float
@@ -60,7 +59,7 @@ class AtPressure(NamedTuple):
 
 
 class RealPlant(Loaded, Stepped):
-    """A muscle with hysteresis and creep behind its regulator, with a load F_L = `force` [N] of moving `mass` [kg].
+    """A muscle with hysteresis and creep behind its regulator, with a load F_L = `force` [N] and moving `mass` [kg].
 
     `time` [s], contraction `x` [m], speed `v` [m/s].
 
@@ -104,12 +103,12 @@ class RealPlant(Loaded, Stepped):
         self.load(force, mass)
 
     def load(self, force: float, mass: float) -> None:
-        """From now on the free end carries F_L = `force` [N >= 0] and moves with `mass` [kg > 0]."""
+        """Change the load of the free end: F_L = `force` [N >= 0] and moving `mass` [kg > 0]."""
         super().load(force, mass)
         self._longest, self._trend = SHORTEST, 0.0
 
     def reading(self) -> tuple[float, float, float]:
-        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+        """Present contraction [m], gauge pressure [Pa] and force at the fixed end [N]."""
         trace, _ = self.supply.piece(self.time)
         if trace != self._trace:
             self._begin(trace)
@@ -122,7 +121,7 @@ class RealPlant(Loaded, Stepped):
         return self.x, self._P, max(force, 0.0)
 
     def _steps(self, until: float) -> Iterator[None]:
-        """Go on to `until` [s]: within a step the way differs from a straight line by less than an eighth of `BEND`."""
+        """Simulate to `until` [s]; within a step x deviates from a straight line by less than an eighth of `BEND`."""
         while self.time < until:
             trace, end = self.supply.piece(self.time)
             if trace != self._trace:
@@ -133,7 +132,7 @@ class RealPlant(Loaded, Stepped):
             pressure, start, most = trace.function(), trace.start, LONGEST if settled else LOOK
             lag = 0.0 if settled else trace.lag
             while self.time < end:
-                if lag:  # a chord of an exponential misses it by less than |P - level| (h / lag)^2 / 8
+                if lag:  # error of the chord of an exponential: less than |P - level| (h / lag)^2 / 8
                     most = max(LOOK, lag * math.sqrt(8 * CHORD / max(abs(self._P - trace.level), CHORD)))
                 left = end - self.time
                 parts = math.ceil(left / min(self._longest, most) * (1 - 1e-9))
@@ -141,12 +140,12 @@ class RealPlant(Loaded, Stepped):
                 share = self._step(then - self.time, trace.level if settled else pressure(then - start))
                 self.time = then if share == 1 else self.time + share * (then - self.time)
                 yield
-                if self.v and not 0 < self.x < self.muscle.stop:  # it has arrived, and does not spring back
+                if self.v and not 0 < self.x < self.muscle.stop:  # it has landed, without rebound
                     self.v = 0.0
                     yield
 
     def _begin(self, trace: Trace) -> None:
-        """Follow another piece of the regulator's pressure, to which it may jump where the regulator has no lag."""
+        """Follow another piece of the regulator's pressure; without a lag the pressure jumps."""
         self._trace = trace
         self._longest = SHORTEST
         self._breathe(trace.value(self.time))
@@ -155,7 +154,7 @@ class RealPlant(Loaded, Stepped):
     # -- force -----------------------------------------------------------------------------------------------------
 
     def _breathe(self, P: float) -> None:
-        """Take the muscle to P [Pa] where it is."""
+        """Change the pressure to P [Pa] at the present contraction."""
         muscle, surface = self.muscle, self.muscle.surface
         stops, over_x, way = muscle.over_P, muscle.over_x, P - self._P
         places = zip(self._over_P, stops.widths, strict=True)
@@ -173,9 +172,9 @@ class RealPlant(Loaded, Stepped):
         self._P = P
 
     def _at(self, way: float, u: float, follows: float) -> tuple[float, float]:
-        """Force of the muscle without its damping after a way of `way` [m], and the stiffness there [N], [N/m].
+        """Force of the muscle without damping [N] after a displacement of `way` [m], and its stiffness there [N/m].
 
-        u = x - x_c [m] is how far the surface is contracted, of which `follows` moves with x [1].
+        u = x - x_c [m] is the contraction of the surface, and `follows` its derivative with respect to x [1].
         """
         air, muscle = self._inflated, self.muscle
         fall = muscle.surface.s / muscle.length
@@ -197,9 +196,9 @@ class RealPlant(Loaded, Stepped):
     # -- one step --------------------------------------------------------------------------------------------------
 
     def _step(self, h: float, P: float) -> float:
-        """Go on by h [s], while the pressure goes on a straight line to P [Pa], and return the share that is done.
+        """Advance by h [s], while the pressure changes linearly to P [Pa]; returns the completed share of the step.
 
-        It is below 1 where the end leaves its support or arrives at a stop within it.
+        It is below 1 if the end leaves its support or reaches a stop within the step.
         """
         x, v, g, P_before = self.x, self.v, self._pull - self.force, self._P
         fading = self._fading_of(h)
@@ -211,7 +210,7 @@ class RealPlant(Loaded, Stepped):
         if side:
             pull, _ = self._at(0.0, x - kept - x * self._last, 1.0)
             left = side * (pull - self.force)
-            if left < 0 and side * g > -ON_TIME * left:  # it leaves in the middle of the step
+            if left < 0 and side * g > -ON_TIME * left:  # it lifts off within the step
                 rest = side * g / (side * g - left)
                 self._over_P, self._P = over_P, P_before
                 self._step(h * rest, P_before + (P - P_before) * rest)
@@ -231,7 +230,7 @@ class RealPlant(Loaded, Stepped):
                 self._over_P, self._P = over_P, P_before
                 self._breathe(P_before)
                 share *= self._step(share * h, P_before + (P - P_before) * share)
-                self.x = stop  # or it would come there in ever shorter steps
+                self.x = stop  # else it would approach in ever shorter steps
                 return share
             end = stop
             pull, _ = self._at(end - x, end - kept - end * self._last, 1.0)
@@ -241,7 +240,7 @@ class RealPlant(Loaded, Stepped):
         return 1.0
 
     def _solved(self, h: float, g: float, B: float, kept: float) -> tuple[float, float, float]:
-        """Where x [m], v [m/s] and the pull [N] come to within h [s] from g [N] on, with the damping B [N.s/m]."""
+        """Final x [m], v [m/s] and pull [N] after h [s], from g [N], with the damping B [N.s/m]."""
         begin, v, per_mass = self.x, self.v, h / self.mass
         first, second, third = shares(B * per_mass)
         gain, follows = h * per_mass * third, 1 - self._last
@@ -259,7 +258,7 @@ class RealPlant(Loaded, Stepped):
         return begin + way, v + per_mass * (first * (g - B * v) + second * (after - g)), pull
 
     def _arrive(self, x: float, v: float, crept: list[float], pull: float) -> None:
-        """The step has come to x [m] and v [m/s], where the muscle pulls with `pull` [N] without its damping."""
+        """Complete a step that ends at x [m] and v [m/s], with the pull without damping `pull` [N]."""
         way, over_x = x - self.x, self.muscle.over_x
         if way:
             places = zip(self._over_x, over_x.widths, strict=True)
@@ -271,7 +270,7 @@ class RealPlant(Loaded, Stepped):
         self.x, self.v, self._pull = x, v, pull
 
     def _fading_of(self, h: float) -> tuple[tuple[float, float, float], ...]:
-        """How each creeping length goes on within h [s]: what is left of it, and of x before and after [1]."""
+        """Weights for each creeping length after h [s]: of its old value, and of x at begin and end [1]."""
         if abs(h - self._span) > 1e-9 * h:
             share, found = self.muscle.creep.share, []
             for lag in self.muscle.creep.times:
@@ -283,10 +282,10 @@ class RealPlant(Loaded, Stepped):
 
 
 class StopsAlong(Memory):
-    """The force of stops by its most, sum of w S / r between -1 and 1, along a path.
+    """Relative force of stops along a path: the sum of w S / r, between -1 and 1.
 
-    From `start` [s] on at `x`, with every stop in its middle; or where `low` is given, as after a way from there to
-    `x` that began with every stop at its lower end.
+    At `start` [s] the path is at `x`, with every stop in its middle; or with `low`, as after a travel from there to `x`
+    that began with every stop at its lower end.
     """
 
     def __init__(self, stops: Stops, x: float, start: float, low: float | None = None) -> None:
@@ -298,24 +297,24 @@ class StopsAlong(Memory):
         self._stops = 0.0 * self._widths if low is None else np.clip(x - low - self._widths, None, self._widths)
 
     def at(self, x: Array) -> Array:
-        """The force by its most at places x between the last turn and the next one [1]."""
+        """Relative force [1] at positions x between the last reversal and the next."""
         force = self._shares @ np.clip(self._stops + (x - self._x), -self._widths, self._widths)
         if self._extra:
             force *= 1 + self._extra * np.exp(-(self._gone + np.abs(x - self._x)) / self._way)
         return np.asarray(force, dtype=np.float64)
 
     def turn(self, x: float) -> None:
-        """From place x on the path goes the other way."""
+        """Note that the path reverses at position x."""
         self._stops = np.clip(self._stops + (x - self._x), -self._widths, self._widths)
         self._gone += abs(x - self._x)
         self._x = x
 
 
 class RealDrivenPlant(DrivenPlant):
-    """A muscle with hysteresis and creep behind its regulator, its free end held by an actuator; `time` [s].
+    """A muscle with hysteresis and creep behind its regulator, its end driven by an actuator; `time` [s].
 
-    Stops and creep go along the closed forms of position and pressure from turn to turn: what comes out at a moment
-    depends neither on which other moments are looked at, nor on how time is cut.
+    Stops and creep follow the closed forms of position and pressure between reversals: the result at one time does not
+    depend on the other requested times, nor on how the time is divided into calls.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Analyses as files: `results` is the record of what was found; `folder` writes and reads it, and what made it.
+"""Analyses as files: `results` defines the data, `folder` writes and reads them.
 
-By that it decides whether analyses of the last time can be used again.
+`folder` also stores what an analysis was made from, to decide whether it can be reused.
 """

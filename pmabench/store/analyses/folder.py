@@ -1,8 +1,8 @@
 """An analysis as files: JSON, and the numbers behind its figures as Parquet; computes nothing.
 
-The record `.made-from.json` next to them says what they were made from. Analyses are taken from the last time only
-where runs, notes, options and program are the same (`key_of`), and where their files are those that were written. The
-same analysis gives the same bytes. What is read back is untrusted: names stay inside the folder, types are checked.
+The record `.made-from.json` next to them states what they were made from. Stored analyses are reused only if runs,
+notes, options and program are the same (`key_of`) and their files are unchanged. The same analysis gives the same
+bytes. Files that are read are not trusted: names must stay inside the folder, and types are checked.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from pmabench.store.since import fingerprint, program, stamp
 RECORD = ".made-from.json"
 MADE_FROM_SCHEMA = "pmabench.made-from/1"
 MADE_FROM_LONGEST = 50_000_000
-"""Bytes of a record that is read."""
+"""Largest size of such a record that is read [bytes]."""
 
 
 @dataclass(frozen=True)
 class Kept:
-    """The analyses of the last time that can be used; without `folders` none can."""
+    """Stored analyses that can be reused; without `folders` there are none."""
 
     folders: tuple[Path, ...] = ()
     entry: Mapping[str, Any] = field(default_factory=dict)
-    """What else was remembered with them."""
+    """Additional data stored with them."""
     why: str = ""
-    """Why they are not used, where a user would wonder."""
+    """Why they are not reused, where a user should know; else empty."""
 
 
 def key_of(runs: Iterable[Path], options: Mapping[str, Any]) -> str:
-    """Hash of runs (with those that they continue), of options by kind and of the program; empty for an open run."""
+    """Hash of the runs (with those that they continue), the options by kind and the program; empty for an open run."""
     return fingerprint(runs, f"{program()} {json.dumps(options, sort_keys=True)}")
 
 
@@ -61,7 +61,7 @@ def keep(
     folders: Sequence[Path],
     entry: Mapping[str, Any] | None = None,
 ) -> None:
-    """Record what the analyses in `folders`, all in `place`, were made from; without a key they get no record."""
+    """Record what the analyses in `folders`, all in `place`, were made from; without a key there is no record."""
     with suppress(OSError):
         (place / RECORD).unlink(missing_ok=True)
         if key:
@@ -78,7 +78,7 @@ def keep(
 
 
 def kept(place: Path, key: str, options: Mapping[str, Any]) -> Kept:
-    """The analyses in `place` where they are those of `key`, which is that of `options` and of runs."""
+    """The stored analyses in `place` if they were made with this `key` (of runs and `options`) and are unchanged."""
     try:
         with open_regular(place / RECORD) as file:
             record = json.loads(file.read(MADE_FROM_LONGEST))
@@ -98,7 +98,7 @@ def kept(place: Path, key: str, options: Mapping[str, Any]) -> Kept:
 
 
 def _words(options: Any) -> str:
-    """Options by kind as people give them; `none` for none."""
+    """Names of the options that were given, for a message; `none` without any."""
     mine = [one for one in options.values() if isinstance(one, Mapping)] if isinstance(options, Mapping) else []
     return ", ".join(dict.fromkeys(str(name) for one in mine for name in one)) or "none"
 
@@ -106,13 +106,13 @@ def _words(options: Any) -> str:
 ANALYSIS = "analysis.json"
 TRACES = "traces"
 LONGEST = 50_000_000
-"""Bytes of an `analysis.json` that is read."""
+"""Largest size of an `analysis.json` that is read [bytes]."""
 MOST_ROWS = 10_000_000
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 
 def file_names(names: Iterator[str] | list[str]) -> list[str]:
-    """A file name, legal everywhere and used once whatever the case, for each name of a trace."""
+    """A file name for each trace: legal on every system, and unique even if upper and lower case are the same."""
     taken: set[str] = set()
     result = []
     for name in names:
@@ -124,7 +124,7 @@ def file_names(names: Iterator[str] | list[str]) -> list[str]:
 
 
 def write_analysis(analysis: Analysis, folder: Path) -> Path:
-    """Write `analysis.json` and `traces/<name>.parquet` into `folder`; those of an earlier one go.
+    """Write `analysis.json` and `traces/<name>.parquet` into `folder`; traces of an earlier analysis are deleted.
 
     Raises RecordError where it cannot be written.
     """
@@ -146,7 +146,7 @@ def write_analysis(analysis: Analysis, folder: Path) -> Path:
 
 
 def in_lines(data: Mapping[str, Any]) -> str:
-    """JSON with a line for each entry, and for each item of one that is a list; `indent` would be ten times slower."""
+    """JSON with a line for each entry and for each item of a list entry; `indent` would be ten times slower."""
     text = json.JSONEncoder(sort_keys=True, ensure_ascii=False, allow_nan=False).encode
     lists = {key: ",\n  ".join(map(text, value)) for key, value in data.items() if isinstance(value, list) and value}
     entries = [
@@ -170,7 +170,7 @@ def _write_trace(trace: Trace, path: Path) -> None:
 
 
 def read_analysis(folder: Path) -> Analysis:
-    """The inverse of `write_analysis`; raises InvalidFile with what is wrong."""
+    """The analysis in `folder`, as written by `write_analysis`; raises InvalidFile with the reason."""
     data, path = _data(folder), folder / ANALYSIS
     try:
         curves, traces = (data.pop(name) for name in ("curves", "traces"))
@@ -205,10 +205,10 @@ def analyses_below(path: Path) -> list[Path]:
 
 
 def runs_of(folder: Path) -> list[Path]:
-    """The folders of the runs behind an analysis, as far as they lie where `process` and `demo` leave them.
+    """Folders of the runs behind an analysis that are in the places used by `process` and `demo`.
 
-    Looked for next to the analysis folder and its parents, in a folder `runs` there, and where `analyses/each` has the
-    same folders; what is not found is left out.
+    These are next to the analysis folder and its parents, in a folder `runs` there, and for `analyses/each` at the same
+    relative path. Runs that are not found are left out.
     """
     names = _data(folder).get("runs")
     found = []
@@ -241,9 +241,9 @@ def _made_of(kind: Any) -> tuple[Any, tuple[Any, ...], bool]:
 
 
 def _read(kind: Any, value: Any) -> Any:
-    """A value of JSON as a field of type `kind` has it; TypeError or ValueError where it is none.
+    """Convert a JSON value to the type `kind` of a field; TypeError or ValueError where it does not fit.
 
-    Entries of a record that are not there have its default, those that it does not know are left out.
+    Missing entries of a record get their default, unknown ones are ignored.
     """
     origin, inner, record = _made_of(kind)
     if record and isinstance(value, Mapping):
@@ -271,7 +271,7 @@ def _read(kind: Any, value: Any) -> Any:
 
 
 def _curve(data: Mapping[str, Any]) -> Curve:
-    """A curve; what was no number is null in JSON."""
+    """A curve from JSON, where NaN was written as null."""
     r2, residual = (math.nan if data[name] is None else _read(float, data[name]) for name in ("r2", "residual_rms"))
     curve: Curve = _read(Curve, {**data, "r2": 0.0, "residual_rms": 0.0})
     if not curve.scale > 0:

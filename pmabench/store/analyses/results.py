@@ -1,4 +1,4 @@
-"""What an analysis says: estimates with their intervals in parts, curves, dropped cells, findings, traces to plot.
+"""Data of an analysis: estimates with the parts of their intervals, curves, dropped cells, findings, traces to plot.
 
 Everything is SI and plain data; `to_dict` is the documented JSON. Nothing here computes an estimate.
 """
@@ -50,10 +50,10 @@ POINT_QUANTITIES = {
     "cycles": "count",
     "side": "count",
 }
-"""Name of a coordinate of an operating point -> its quantity; the order is that of columns."""
+"""Name of a coordinate of an operating point -> its quantity, in the order of table columns."""
 
 NEVER_0 = ("stiffness", "gain", "frequency")
-"""Quantities of which a result that is declared positive is never 0; friction, damping and times may be."""
+"""Quantities whose results, if declared positive, are never 0; friction, damping and times may be 0."""
 
 
 @dataclass(frozen=True)
@@ -63,23 +63,23 @@ class Parts:
     repeats: float | None = None
     """Scatter between trials."""
     method: float | None = None
-    """What the estimator itself adds, found by replay of the fitted plant."""
+    """Contribution of the estimator itself, found by replay of the fitted plant."""
     calibration: float | None = None
     """From the calibration files of the channels."""
     skew: float = 0.0
-    """What channels of different streams may be apart in time makes of it; 0 where they share a clock."""
+    """Effect of the possible time offset between streams; 0 if all channels share a clock."""
     drift: float = 0.0
-    """What the specimen and the zeros drifted meanwhile makes of it; 0 where nothing shows a drift."""
+    """Effect of drift of the specimen and of the zeros; 0 where no drift is found."""
 
     @property
     def combined(self) -> float | None:
-        """Root of the sum of squares of the assessed parts; None without `repeats`, for the others are no interval."""
+        """Root sum of squares of the assessed parts; None without `repeats`: the others alone make no interval."""
         if self.repeats is None:
             return None
         return sqrt(sum(p * p for p in vars(self).values() if p is not None))
 
     def times(self, factor: float) -> Parts:
-        """The parts of the value times a factor."""
+        """The parts for a value multiplied by `factor`."""
         halves: dict[str, Any] = {n: None if half is None else abs(factor) * half for n, half in vars(self).items()}
         return Parts(**halves)
 
@@ -88,16 +88,16 @@ class Parts:
 class Source:
     """One line of the uncertainty budget of an estimate, in the sense of the GUM (JCGM 100, 5.1).
 
-    The halves of all lines of a part add as squares to that part of `Parts`, and those of the whole budget to
+    The root sum of squares of the half widths of one part is that part of `Parts`, over the whole budget it is
     `Parts.combined`. A share is half^2 / combined^2.
     """
 
     name: str
-    """What it is, in words: `calibration of pressure, offset`."""
+    """Name of the source, for instance `calibration of pressure, offset`."""
     part: str
     """The field of `Parts` that it belongs to."""
     kind: str
-    """`A`, from the scatter of what was measured, or `B`, from other knowledge."""
+    """`A`, from the scatter of measurements, or `B`, from other knowledge."""
     half: float | None
     """Half width of the 95 % interval, in the unit of the estimate; None: not assessed, `note` says why."""
     note: str = ""
@@ -108,7 +108,7 @@ class Estimate:
     """One coefficient: a value with unit, interval and parents, or the reason why there is none."""
 
     symbol: str
-    """As in the field: F_ce, K, B_c, B_r, F_c, t_d, K_u, T_u ..."""
+    """Symbol as in the literature: F_ce, K, B_c, B_r, F_c, t_d, K_u, T_u ..."""
     value: float | None
     """None: not identifiable; `note` says why."""
     unit: str
@@ -121,24 +121,24 @@ class Estimate:
     n: int = 0
     """Number of trials behind it."""
     bias: float | None = None
-    """Bias of the estimator found by replay; already taken off `value` where `corrected`."""
+    """Bias of the estimator found by replay; already subtracted from `value` if `corrected`."""
     corrected: bool = False
     note: str = ""
     trials: tuple[str, ...] = ()
     """Parents, as `run/index`."""
     coordinate: str = ""
-    """Where the same symbol appears once per coefficient of a curve: its name, for instance `slope`."""
+    """For a coefficient of a curve: its name, for instance `slope`; else empty."""
     budget: tuple[Source, ...] = ()
     """Its uncertainty by source, largest first; empty where only the parts are known."""
     withheld: bool = False
-    """There was a value, but the data contradict the form that it assumes: it is not reported, `note` says why."""
+    """The data contradict the assumptions behind the value: it is not reported, and `note` states why."""
     positive: bool = False
-    """Whether it cannot be below 0; an analysis sets it as declared."""
+    """Whether it cannot be below 0; set by `Analysis` from the declared results."""
     bound: float | None = None
-    """Where there is no value: what its size does not exceed [as the value]; None where that is not known."""
+    """Upper bound of its magnitude where there is no value [unit of the value]; None where not known."""
 
     def __post_init__(self) -> None:
-        """What is not finite is no number: such a value is left out, and such a part leaves no interval."""
+        """Drop a value that is not finite, and the interval where one of its parts is not finite."""
         if self.value is not None and not isfinite(self.value):
             self._lacks("no finite number came out", value=None, bias=None, corrected=False)
         elif not all(part is None or isfinite(part) for part in vars(self.parts).values()):
@@ -157,9 +157,9 @@ class Estimate:
 
     @property
     def ci95(self) -> tuple[float, float] | None:
-        """The 95 % interval from all parts together; None without a repeats part.
+        """The 95 % interval (low, high) from all parts; None without a repeats part.
 
-        It ends at 0 for what cannot be below: what is cut off cannot be true, so it holds the truth as often.
+        For a positive quantity it is cut off at 0; this does not change its coverage.
         """
         half = self.parts.combined
         if self.value is None or half is None:
@@ -183,7 +183,7 @@ class Estimate:
 
 
 def without_value(estimate: Estimate, why: str) -> Estimate:
-    """The estimate without its value and interval, which cannot be determined."""
+    """The estimate without value and interval, because they cannot be determined; `why` becomes its note."""
     return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=why)
 
 
@@ -193,17 +193,17 @@ def withhold(estimate: Estimate, reason: str) -> Estimate:
 
 
 BELOW = 1.5
-"""Half widths below 0 from which on what cannot be there is withheld: chance puts 1 in 600 there of what is 0."""
+"""A positive quantity this many half widths below 0 is withheld; by chance 1 in 600 of true zeros is."""
 
 
 def is_below_0(e: Estimate) -> bool:
-    """Whether a value lies below 0 by clearly more than its interval."""
+    """Whether a value is below 0 by more than `BELOW` half widths."""
     half = e.parts.combined
     return e.value is not None and half is not None and e.value < -BELOW * half
 
 
 def _known(e: Estimate) -> Estimate:
-    """The estimate, or withheld where it cannot be 0 or below and its interval reaches to 0, or lies below."""
+    """The estimate of a positive result; withheld if clearly below 0, or if never 0 and its interval includes 0."""
     found = e.parts.combined
     if is_below_0(e) and e.value is not None:
         size = f"{show(e.value, e.quantity, 3)} +- {show(found or 0.0, e.quantity, 2)}"
@@ -217,9 +217,9 @@ def _known(e: Estimate) -> Estimate:
 
 
 def _as_declared(e: Estimate, positive: Set[str]) -> Estimate:
-    """The estimate of a result of which those that are `positive` cannot be below 0.
+    """The estimate, marked and checked as positive if its symbol is declared so.
 
-    A term of a curve may be below, but one of several times not.
+    A coefficient of a curve may be negative, except for times.
     """
     if e.symbol not in positive or (e.coordinate and e.quantity != "time"):
         return e
@@ -228,11 +228,11 @@ def _as_declared(e: Estimate, positive: Set[str]) -> Estimate:
 
 @dataclass(frozen=True)
 class Curve:
-    """A regression of a coefficient on pressure (or another coordinate), with its domain; refuses outside."""
+    """A regression of a coefficient on pressure (or another coordinate) with its domain; no extrapolation."""
 
     symbol: str
     form: str
-    """`line`, `quadratic` or `order n in z`, powers of z in `terms` from the constant up."""
+    """`line`, `quadratic` or `order n in z`; `terms` are the coefficients in ascending powers of z."""
     terms: tuple[Estimate, ...]
     against: str
     domain: tuple[float, float]
@@ -245,7 +245,7 @@ class Curve:
 
     @property
     def normalised(self) -> bool:
-        """Whether the terms are those of z and not of the coordinate itself."""
+        """Whether the terms refer to z instead of the coordinate itself."""
         return (self.centre, self.scale) != (0.0, 1.0)
 
     def values(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -265,7 +265,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Dropped:
-    """A trial that did not enter the fit, and why."""
+    """A trial that was left out of the fit, and why."""
 
     trial: str
     point: Mapping[str, float]
@@ -274,21 +274,21 @@ class Dropped:
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of plain words; `level` is `note`, `doubt` or `fault`."""
+    """One sentence for the reader; `level` is `note`, `doubt` or `fault`."""
 
     level: str
     text: str
 
 
 AGREEMENT = "agreement"
-"""Kind of the analysis that compares several tests; it belongs to none of them."""
+"""Kind of an analysis that compares several kinds of test."""
 PUBLISHED = "published"
-"""Kind of an analysis that holds published values; no test of ours is behind it."""
+"""Kind of an analysis with published values, without a test of our own."""
 
 
 @dataclass(frozen=True)
 class PublishedPoints:
-    """Points of somebody else on the axes of a trace: `columns` as in the trace, equally long, SI."""
+    """Published points for the figure of a trace; `columns` as in the trace, equally long, SI."""
 
     label: str
     columns: Mapping[str, NDArray[np.float64]]
@@ -296,7 +296,7 @@ class PublishedPoints:
 
 @dataclass(frozen=True)
 class Trace:
-    """Columns of numbers behind one figure: name, caption, and each column's quantity.
+    """Data of one figure: columns of numbers with their quantities.
 
     `columns` are equally long arrays, SI. `marks` are named numbers that the figure shows.
     """
@@ -314,7 +314,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Analysis:
-    """All that was found in one or more runs of one kind."""
+    """All results of one or more runs of one kind."""
 
     kind: str
     runs: tuple[str, ...]
@@ -325,14 +325,14 @@ class Analysis:
     findings: tuple[Finding, ...] = ()
     traces: tuple[Trace, ...] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers of trials and cells used, residual rms, options, in SI."""
+    """Further facts, such as numbers of trials and cells, residual rms, options; SI."""
     refusals: tuple[str, ...] = ()
     """Why these results are not accepted, whatever limits the protocol sets: one sentence each, with numbers."""
     results: tuple[Result, ...] = ()
-    """What its kind of test can give, as declared there; empty where nobody declared it (a foreign or old file)."""
+    """Declared results of its kind of test; empty for a foreign or old file without declaration."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError where a result is not declared; without any declaration symbols are taken as they are."""
+        """Check results against the declaration, if there is one (ValueError), and mark positive estimates."""
         if self.results:
             check_declared(self.kind, self.results, self.estimates, self.curves)
             positive = {result.symbol for result in self.results if result.positive}
@@ -353,7 +353,7 @@ class Analysis:
         facts: Mapping[str, Any] | None = None,
         refusals: Iterable[str] = (),
     ) -> Analysis:
-        """What was found in `runs`, of which one that is simulated makes all simulated; `results` as declared."""
+        """An analysis of `runs`; it counts as simulated if one of them is. `results`: the declared ones."""
         return cls(
             kind,
             tuple(run.id for run in runs),
@@ -369,7 +369,7 @@ class Analysis:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The documented JSON object; traces by name only, their numbers are in files next to it."""
+        """The documented JSON object; traces without their columns, which are in separate files."""
         return {
             "schema": SCHEMA,
             "kind": self.kind,
@@ -394,7 +394,7 @@ def check_declared(
 ) -> None:
     """Raise ValueError where a result of an analysis of `kind` is not declared, or is in another quantity or unit.
 
-    An estimate with a coordinate (a slope, a term) may have another quantity, in the unit of that.
+    An estimate with a coordinate (a slope, a term) may have another quantity, in that quantity's unit.
     """
     known = {result.symbol: result for result in declared}
     if len(known) < len(declared):

@@ -1,5 +1,5 @@
-"""Formats of files that other programs write: a module of each has the record `FORMAT`, found by `record.formats`.
+"""Formats of other programs' files: each module defines a record `FORMAT`, which `record.formats` finds.
 
-A package next to pmabench brings one by an entry point of the group `pmabench.formats` that names its record. `record`
-has what such a module needs. `text` says how text is laid out, `text_reader` reads it.
+Other packages add formats by an entry point of the group `pmabench.formats` that names their record. `record` has what
+such a module needs. `text` describes the layout of text files, `text_reader` reads them.
 """

@@ -24,7 +24,7 @@ KEYS = {
     *("Channels", "Samples", "Date", "Time", "Notes", "Test_Name", "Test_Numbers", "UUT_Name", "UUT_S/N", "UUT_M/N"),
     *("X_Dimension", "X0", "Delta_X", "Y_Dimension", "Y_Unit_Label", "X_Unit_Label"),
 }
-"""Keys of the header of a segment."""
+"""Keys in the header of a segment."""
 SHOWN = 10
 MAX_CHANNELS = 500
 NO_NUMBER = {"nan": np.nan, "inf": np.inf, "+inf": np.inf, "-inf": -np.inf, "": np.nan}
@@ -32,7 +32,7 @@ _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
 
 
 class LvmLayout(Layout):
-    """A LabVIEW measurement: Tab or Comma, decimal point or comma, X_Columns No, One or Multi, several headings."""
+    """LabVIEW measurement file: Tab or Comma, decimal point or comma, X_Columns No, One or Multi, several headings."""
 
     format: Literal["lvm"]
 
@@ -44,7 +44,7 @@ class _Segment:
     keys: dict[str, list[str]]
     names: list[str]
     first: int
-    """Line of its first row."""
+    """Line number of its first row."""
     rows: list[tuple[int, list[str]]] = field(default_factory=list)
 
 
@@ -93,16 +93,16 @@ class _File:
         return value
 
     def width(self, segment: _Segment) -> int:
-        """Columns of a row."""
+        """Number of columns of a row."""
         return len(segment.names) * 2 if self.x == "Multi" else len(segment.names) + 1
 
 
 def read_lvm(
     path: str, content: bytes, layout: LvmLayout | None = None, only: Collection[str] | None = None
 ) -> Recorded:
-    """All channels and their X; raises InvalidFile at file:line. X is s where the file says that it is time.
+    """All channels and their X column; raises InvalidFile at file:line.
 
-    Several segments are put one after the other by the clock times in their headers.
+    The unit of X is s if the file calls it time. Several segments are joined by the clock times in their headers.
     """
     if not content.startswith(MAGIC):
         raise invalid(path, f'is no LVM file: it does not begin with "{MAGIC[0].decode()}"', 1, 1)
@@ -132,7 +132,7 @@ def read_lvm(
 
 
 def _drop_cut_row(file: _File, segment: _Segment, recorded: Recorded) -> None:
-    """Leave out the last row where the file ends within it, and say so."""
+    """Leave out the last row if the file ends within it, and note a doubt."""
     width = file.width(segment)
     if not file.ends and len(segment.rows) > 1 and len(segment.rows[-1][1]) < width:
         number, fields = segment.rows.pop()
@@ -147,7 +147,7 @@ def _whole(text: str) -> int:
 
 
 def _segments(file: _File) -> list[_Segment]:
-    """Headers and rows; a segment begins with any key of its header, in any order."""
+    """Split into segments; one begins with any key of its header, in any order."""
     segments: list[_Segment] = []
     keys: dict[str, list[str]] | None = None
     special = names_next = False
@@ -187,7 +187,7 @@ def _names(file: _File, fields: list[str], keys: dict[str, list[str]], line: int
 
 
 def _numbers(file: _File, segment: _Segment) -> Array:
-    """Shape (rows, 1 + channels x step): X and channels as they are; a comment at the end of a row is left out."""
+    """Numbers of all rows, shape (rows, columns), without a comment at the end of a row."""
     width = file.width(segment)
     table = np.full((len(segment.rows), width), np.nan)
     problems: list[Problem] = []
@@ -225,7 +225,7 @@ def _number(text: str, comma: bool) -> float:
 
 
 def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array], recorded: Recorded) -> list[Column]:
-    """The column X_Value: as it is, or from X0 and Delta_X; segments follow each other by their clock."""
+    """The column X_Value, from the file or from X0 and Delta_X, shifted by the start time of each segment."""
     times = [_started(segment, file.keys) for segment in segments]
     parts: list[Array] = []
     for segment, table, at in zip(segments, tables, times, strict=True):
@@ -250,7 +250,7 @@ def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array
 
 
 def _together(file: _File, segment: _Segment, step: float) -> None:
-    """Raises InvalidFile where channels begin apart, by their Time and X0; `step`: distance of the samples [s]."""
+    """Raise InvalidFile where channels start at different times, by Time and X0; `step`: sampling period [s]."""
     starts = dict(enumerate(_floats(file, segment, "X0")))
     clocks = [_started(segment, file.keys, k) for k in range(len(segment.keys.get("Time", [])))]
     for k, at in enumerate(clocks if segment.keys.get("X_Dimension", ["Time"])[:1] == ["Time"] else ()):
@@ -272,7 +272,7 @@ def _floats(file: _File, segment: _Segment, key: str) -> list[float]:
 
 
 def _started(segment: _Segment, header: dict[str, str], channel: int = 0) -> datetime | None:
-    """Date and time of a channel of a segment, else of the file, in no time zone."""
+    """Start of a channel of a segment, else of the file, without time zone; None if unknown."""
     dates = segment.keys.get("Date") or [header.get("Date", "")]
     times = segment.keys.get("Time") or [header.get("Time", "")]
     date, time = dates[min(channel, len(dates) - 1)], times[min(channel, len(times) - 1)]
@@ -285,7 +285,7 @@ def _started(segment: _Segment, header: dict[str, str], channel: int = 0) -> dat
 
 
 def _as_one(columns: Mapping[str, Array]) -> dict[str, str]:
-    """A file has one table, whatever signs are in the names of its channels."""
+    """All columns share one clock: a file has one table, even if channel names contain `/`."""
     return dict.fromkeys(columns, "")
 
 

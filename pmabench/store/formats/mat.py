@@ -1,8 +1,8 @@
 """MATLAB files, version 5 read by scipy and version 7.3 by h5py: vectors, columns of matrices, structs.
 
-A vector is called as in MATLAB, `P` or `log.P`; columns of a matrix are `X(:,1)`, `X(:,2)`; elements of an array of
-structs `signals(2).values`. Objects, cells and texts hold no columns. Each matrix and each struct may have its own
-clock, so that their columns were sampled together.
+Names are as in MATLAB: vectors `P` or `log.P`, columns of a matrix `X(:,1)`, `X(:,2)`, elements of an array of structs
+`signals(2).values`. Objects, cells and texts are left out. Each matrix and each struct may have its own clock; its
+columns were then sampled together.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from pmabench.store.formats.record import Column, Format, Layout, Recorded, begi
 from pmabench.store.records import Array
 
 EVEN = 5.0
-"""Steps of a clock are no longer than so many usual ones."""
+"""Longest step of a clock column [median steps]."""
 STILL = 0.05
-"""A matrix whose channels move by less than this share of those of the others is a record of their zeros."""
+"""A matrix is a record of zeros if its channels vary by less than this share of the largest range of others."""
 _MATRIX = re.compile(r"(.+)\(:,(\d+)\)")
 
 
@@ -34,7 +34,7 @@ def matrix_of(name: str) -> str:
 
 
 def is_clock(values: Array) -> bool:
-    """Whether a column rises with every row, in steps of about the same size."""
+    """Whether a column increases with every row, in steps of similar size."""
     if len(values) < 10 or not np.isfinite(values).all():
         return False
     steps = np.diff(values)
@@ -42,7 +42,7 @@ def is_clock(values: Array) -> bool:
 
 
 def together(columns: Mapping[str, Array]) -> dict[str, str]:
-    """The matrix or struct that each column shares a clock with; empty where it is the file as a whole."""
+    """Column -> matrix or struct with whose clock it was sampled; empty for the clock of the whole file."""
     clocks = {(place, len(columns[name])) for name in columns if is_clock(columns[name]) for place in _places(name)[:1]}
     return {
         name: next((place for place in _places(name) if (place, len(values)) in clocks), "")
@@ -51,7 +51,7 @@ def together(columns: Mapping[str, Array]) -> dict[str, str]:
 
 
 def _places(name: str) -> list[str]:
-    """The matrix of a column and the structs around it, from the inside: `a.b(:,1)` -> `a.b`, `a`, and the file."""
+    """The matrix of a column and the structs around it, innermost first: `a.b(:,1)` -> `a.b`, `a`, "" (the file)."""
     places = [matrix_of(name)] if matrix_of(name) else []
     inside = matrix_of(name) or name
     while "." in inside:
@@ -61,7 +61,7 @@ def _places(name: str) -> list[str]:
 
 
 def alike(columns: Mapping[str, Array], owners: Mapping[str, str]) -> tuple[list[str], list[str]]:
-    """Matrices of equally many columns that have clocks, as the tests of a file; and those that only hold zeros."""
+    """Matrices with clocks and the usual number of columns, which are the tests of a file; and records of zeros."""
     widths: dict[str, int] = {}
     for name, owner in owners.items():
         if owner and matrix_of(name) == owner:
@@ -91,9 +91,9 @@ def _span(values: Array) -> float:
 
 DEEPEST = 8
 MOST_COLUMNS = 200
-"""Of one matrix; one with more is no table of channels."""
+"""Largest number of columns of a matrix of channels; one with more is left out."""
 MOST_ELEMENTS = 200
-"""Of one array of structs."""
+"""Largest number of elements that are read of an array of structs."""
 HEADER = 128
 COMPRESSED = 15
 
@@ -105,7 +105,7 @@ class MatLayout(Layout):
 
 
 def read_mat(path: str, content: bytes, layout: MatLayout | None, only: Collection[str] | None) -> Recorded:
-    """All columns of numbers in `only` (None: all); raises InvalidFile."""
+    """All numeric columns that are in `only` (None: all); raises InvalidFile."""
     recorded = Recorded([])
     if content.startswith(b"MATLAB 7.3"):
         with damaged(path, "MAT 7.3"):
@@ -119,7 +119,7 @@ def read_mat(path: str, content: bytes, layout: MatLayout | None, only: Collecti
 
 
 def _add(recorded: Recorded, name: str, array: Any, only: Collection[str] | None) -> None:
-    """A matrix of any shape as MATLAB has it: (n, 1) and (1, n) are vectors."""
+    """Add a MATLAB array: (n, 1) and (1, n) as a vector, other matrices by columns."""
     if array.ndim != 2 or array.dtype.kind not in "biuf" or array.size == 0:
         recorded.left_out.append(name)
         return
@@ -153,7 +153,7 @@ def _read_5(recorded: Recorded, path: str, content: bytes, only: Collection[str]
 
 
 def _sums(path: str, content: bytes) -> None:
-    """Unpacks every compressed part to its end, where its checksum is: scipy does not check it."""
+    """Unpack every compressed part to verify its checksum, which scipy does not check."""
     mark = content[126:128]
     if mark not in {b"IM", b"MI"}:
         raise invalid(path, "is damaged: its header does not say the order of bytes")
@@ -210,7 +210,7 @@ def _read_73(recorded: Recorded, path: str, content: bytes, only: Collection[str
 
 
 def _shared(file: Any) -> list[str]:
-    """A doubt where two arrays lie on the same bytes: an address in the file is wrong."""
+    """Doubts about arrays that overlap in the file: an address in it is wrong."""
     import h5py
 
     places: list[tuple[int, int, str]] = []
@@ -229,7 +229,7 @@ def _shared(file: Any) -> list[str]:
 
 
 def _end(content: bytes) -> int | None:
-    """The end of an HDF5 file as its superblock says (versions 0 to 3, addresses of 8 bytes), absolute."""
+    """End of an HDF5 file [bytes] from its superblock (versions 0 to 3, addresses of 8 bytes); None if not found."""
     at = content.find(b"\x89HDF\r\n\x1a\n", 0, 1 << 16)
     if at < 0 or at + 64 > len(content):
         return None

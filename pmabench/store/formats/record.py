@@ -1,4 +1,4 @@
-"""What a module of a format needs: the record `Format`, the layout that a map gives, columns to hand over.
+"""Common parts of the format modules: the record `Format`, the layout from a map, and the columns that were read.
 
 `formats` finds every format: those of this folder and those of other packages.
 """
@@ -26,34 +26,34 @@ from pmabench.store import formats as folder
 from pmabench.store.records import Array
 
 TIME = "@time"
-"""Column of times [s] that are made from the distance of the samples."""
+"""Name of the column of times [s] calculated from the sampling period."""
 TOGETHER = 0.5
-"""Channels that begin within this share of a sample have one clock."""
+"""Difference of starts, over the sampling period, up to which channels share a time column."""
 
 
 class Layout(Strict):
-    """What a map says of a file in `file: {format: ...}`; a format with options has a field for each."""
+    """Entry `file: {format: ...}` of a map; a format with options has a field for each."""
 
     holds_texts: ClassVar[bool] = False
     """Whether columns may hold texts, such as dates."""
     format: str
     period: Annotated[Time, Field(gt=0.0)] | None = None
-    """Distance of the samples where nothing in the file gives the time; it makes the column `TIME`."""
+    """Sampling period where the file gives no time; it makes the column `TIME`."""
 
     @property
     def given(self) -> Sequence[str]:
-        """Names of all columns, where the map gives them."""
+        """Names of all columns if the map gives them, else empty."""
         return ()
 
     @property
     def repeats(self) -> bool:
-        """Whether a file may hold several tests, one below the other."""
+        """Whether a file may contain several tests, one below the other."""
         return False
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a file: shape (n,), NaN where the file says that there is no value."""
+    """One column of a file, shape (n,); NaN where the file has no value."""
 
     name: str
     values: Array
@@ -62,28 +62,28 @@ class Column:
 
 @dataclass
 class Recorded:
-    """All columns of a file that hold numbers; they need not be equally long."""
+    """All numeric columns of a file, not necessarily equally long."""
 
     columns: list[Column]
     started: datetime | None = None
-    """When the recording began, by the clock and the time zone of who recorded it."""
+    """Start of the recording, in local time of the recording computer."""
     first_line: int = 1
-    """Line of the first row; 1 where the file has no lines, so that row 1 is the first."""
+    """Line number of the first row; 1 for a file without lines, so that rows count from 1."""
     cut_end: bool = False
     """The last row may be incomplete."""
     doubts: list[str] = field(default_factory=list)
-    """What contradicts itself within the file."""
+    """Contradictions found in the file, in words."""
     left_out: list[str] = field(default_factory=list)
-    """Names of what holds no columns of numbers."""
+    """Names of parts without numeric columns."""
 
 
 def begins(*marks: bytes) -> Callable[[bytes], bool]:
-    """Recognises files whose first bytes are one of `marks`."""
+    """A function that returns whether a file begins with one of `marks`."""
     return lambda content: content.startswith(marks)
 
 
 def in_groups(columns: Mapping[str, Array]) -> dict[str, str]:
-    """Name of a column -> what is before its last `/`: groups, sheets or devices that have a clock each."""
+    """Name of a column -> its part before the last `/`: a group, sheet or device with its own clock."""
     return {name: name.rpartition("/")[0] for name in columns}
 
 
@@ -91,40 +91,40 @@ def in_groups(columns: Mapping[str, Array]) -> dict[str, str]:
 class Format:
     """One format of files that other programs write; either `read` or `reader` is given.
 
-    Both run in a separate process that has no other file open and little memory, since a damaged file may do anything.
+    Both run in a separate process without other open files and with limited memory, in case a file is damaged.
     """
 
     name: str
     """As in a map, `file: {format: ...}`."""
     title: str
-    """As people call it: `LabVIEW measurement`."""
+    """Common name, for instance `LabVIEW measurement`."""
     layout: type[Layout]
-    """What a map may say of such a file; the type of its field `format` is the name."""
+    """Options of this format in a map; its field `format` has the name as its type."""
     recognise: Callable[[bytes], bool]
     """Whether a file is of this format, from its first bytes."""
     read: Callable[[str, bytes, Any, Collection[str] | None], Recorded] | None = None
-    """Path for messages, all bytes, layout, and the columns that are wanted (None: all) -> what the file holds.
+    """(Path for messages, all bytes, layout, wanted columns or None for all) -> content of the file.
 
-    Raises InvalidFile with what is wrong, at its line where there is one.
+    Raises InvalidFile with the reason, and the line where there is one.
     """
     reader: Callable[..., Any] | None = None
-    """Makes a reader that takes a file in pieces, for a format whose files may not fit into memory; see `apart`."""
+    """Makes a reader that takes a file in pieces, for files that may not fit into memory; see `apart`."""
     modules: Sequence[str] = ()
-    """Modules that `read` imports: imported before the time that a file may take is counted."""
+    """Modules that `read` needs; they are imported before its time limit starts."""
     package: str = ""
-    """The package that has to be installed for it, as people know it; empty where none."""
+    """Package that must be installed for it; empty where none."""
     together: Callable[[Mapping[str, Array]], Mapping[str, str]] = in_groups
-    """Columns by name -> name of the group with which each was sampled; empty: with the file as a whole."""
+    """Columns by name -> name of the group whose clock each shares; empty: the clock of the whole file."""
 
 
 @contextmanager
 def damaged(path: str, what: str) -> Iterator[None]:
-    """Turns whatever a library raises on a damaged file into a sentence; an InvalidFile stays as it is."""
+    """Turn any error of a library on a damaged file into InvalidFile; InvalidFile and MemoryError pass unchanged."""
     try:
         yield
     except (InvalidFile, MemoryError):
         raise
-    except Exception as error:  # libraries raise what they like on damaged files
+    except Exception as error:  # libraries raise all kinds of errors on damaged files
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise invalid(path, f"cannot be read as {what}; it is damaged or of another kind ({reason})") from error
 
@@ -138,7 +138,7 @@ def numbers(values: object) -> Array | None:
 
 
 def distinct(names: Sequence[str]) -> list[str]:
-    """The names in order; one that was there before with its number: `name (2)`."""
+    """The names in order, repeated ones with a number: `name (2)`."""
     seen: Counter[str] = Counter()
     found = []
     for name in names:
@@ -148,14 +148,14 @@ def distinct(names: Sequence[str]) -> list[str]:
 
 
 GROUP = "pmabench.formats"
-"""Group of entry points; each is called as its format and names a `Format`."""
+"""Group of entry points; each has the name of its format and refers to a `Format`."""
 
 
 @lru_cache(maxsize=1)
 def formats() -> dict[str, Format]:
-    """Every format by its name; a package cannot replace one that is here already.
+    """Every format by its name; a package cannot replace an existing one.
 
-    Raises InvalidFile where an entry point names no `Format`, or one with another name.
+    Raises InvalidFile where an entry point cannot be loaded, is not a `Format`, or has another name.
     """
     modules = [each.name for each in iter_modules(folder.__path__, f"{folder.__name__}.") if not each.ispkg]
     records = [getattr(import_module(name), "FORMAT", None) for name in modules]
@@ -163,7 +163,7 @@ def formats() -> dict[str, Format]:
     for point in registered(GROUP):
         try:
             found = point.load()
-        except Exception as error:  # a package of somebody else may raise anything
+        except Exception as error:  # a foreign package may raise anything
             raise invalid(point.value, f'the format "{point.name}" cannot be loaded: {error}') from error
         if not isinstance(found, Format) or found.name != point.name:
             raise invalid(point.value, f'is not the record of the format "{point.name}" that its package announces')
@@ -172,5 +172,5 @@ def formats() -> dict[str, Format]:
 
 
 def format_of(content: bytes) -> Format:
-    """The format of a file by its first bytes; text where no format recognises them."""
+    """The format of a file from its first bytes; text where no format recognises them."""
     return next((each for each in formats().values() if each.recognise(content)), formats()["text"])

@@ -26,8 +26,8 @@ class TdmsLayout(Layout):
 def read_tdms(path: str, content: bytes, layout: TdmsLayout | None, only: Collection[str] | None) -> Recorded:
     """The channels of numbers in `only` (None: all); raises InvalidFile.
 
-    Values are those that the file's own scales give, as every other program shows them. `group/@time` [s] comes from
-    `wf_increment` where all channels of a group have the same and begin together. Time stamps count from the first one.
+    Values are scaled with the file's own scales, as in other programs. `group/@time` [s] comes from `wf_increment` if
+    all channels of a group have the same and start together. Time stamps count from the first one.
     """
     if not content.startswith(MAGIC):
         raise invalid(path, f'is no TDMS file: it does not begin with "{MAGIC.decode()}"')
@@ -50,7 +50,7 @@ def read_tdms(path: str, content: bytes, layout: TdmsLayout | None, only: Collec
 
 @contextmanager
 def _warnings(recorded: Recorded) -> Iterator[None]:
-    """What npTDMS logs of a file that contradicts itself is a doubt."""
+    """Turn warnings that npTDMS logs into doubts."""
 
     class Doubts(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -65,9 +65,9 @@ def _warnings(recorded: Recorded) -> Iterator[None]:
 
 
 def _end(content: bytes) -> int | None:
-    """Where the last segment ends by the lengths in the segments' heads; None where the last length was never written.
+    """End of the last segment [bytes] from the lengths in the segment heads; None if the last length was never written.
 
-    A head is 28 bytes: TDSm, mask, version, length of what follows, length of the description.
+    A head is 28 bytes: TDSm, mask, version, length of the rest of the segment, length of the metadata.
     """
     at = 0
     while at + 28 <= len(content):

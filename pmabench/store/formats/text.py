@@ -1,6 +1,6 @@
-"""Text in rows and columns, CSV and its many relatives: how a map describes it, and its fields as numbers and times.
+"""Text in rows and columns, such as CSV: how a map describes it, and conversion of its fields to numbers and times.
 
-A text is matched by the pattern of its kind; a count of seconds or days begins at the origin of its kind.
+Dates and clocks are matched by the pattern of their kind; counts of seconds or days start at the origin of their kind.
 """
 
 from __future__ import annotations
@@ -23,42 +23,42 @@ Encoding = Literal[
     "utf-8", "latin-1", "cp1252", "utf-16", "utf-16-le", "utf-16-be", "shift_jis", "euc_jp", "gb18030", "big5", "euc_kr"
 ]
 MARKS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
-"""Delimiters of one sign."""
+"""Delimiters of one character."""
 
 
 class TextLayout(Layout):
-    """How the text is laid out; nothing of it is guessed while it is read."""
+    """Layout of a text file; nothing is guessed while the file is read."""
 
     holds_texts: ClassVar[bool] = True
     format: Literal["text"] = "text"
     delimiter: Literal["comma", "semicolon", "tab", "blank", "bar"]
     """`blank`: any run of blanks and tabs."""
     quoted: bool = False
-    """Numbers may be in quotation marks; a delimiter between such marks separates nothing."""
+    """Fields may be in quotation marks; a delimiter between them does not separate."""
     header: Literal["first line", "none"]
     names: Annotated[list[Name], Field(max_length=200)] = []
-    """Names of the columns in order, where the file does not give them."""
+    """Names of the columns in order, for a file without them."""
     decimal: Literal["point", "comma"] = "point"
     thousands: Literal["comma", "point", "blank", "apostrophe"] | None = None
-    """Sign between groups of three digits, as in 1,234.5."""
+    """Thousands separator, as in 1,234.5."""
     encoding: Encoding = "utf-8"
     blank_lines: Literal["refuse", "skip"] = "refuse"
     comment: Annotated[str, Field(min_length=1, max_length=8)] | None = None
-    """Lines that begin so are left out."""
+    """Lines that begin with this are left out."""
     skip_lines: Annotated[int, Field(ge=0, le=10_000)] = 0
-    """Lines before the header, or before the data."""
+    """Number of lines to skip before the header, or before the data."""
     lines_below_header: Annotated[int, Field(ge=0, le=20)] = 0
-    """Lines below the line of names that are no rows: units, or what the numbers are the mean of."""
+    """Number of lines between the line of names and the first row, for instance with units."""
     repeated_header: Literal["refuse", "new test", "page"] = "refuse"
-    """What the line of names means where it is repeated further down: another test begins, which makes a run too; or
-    the same test goes on, as on the next page of a print-out.
+    """Meaning of a repeated line of names: another test begins, which becomes a run of its own, or the same test
+    continues, as on the next page of a print-out.
     """
     missing: Annotated[list[Annotated[str, Field(max_length=20)]], Field(max_length=20)] = []
-    """Texts that mean "no value"; no other text may replace a number."""
+    """Texts that mean "no value"; any other text in place of a number is an error."""
 
     @property
     def given(self) -> Sequence[str]:
-        """`names`: columns have no other ones."""
+        """`names`."""
         return self.names
 
     @property
@@ -89,10 +89,10 @@ class TextLayout(Layout):
 DAY = 86_400.0
 EPOCH = datetime(1970, 1, 1)
 ORIGINS = {"epoch": 0.0, "serial days": -25_569 * DAY, "matlab days": -719_529 * DAY, "labview": -24_107 * DAY}
-"""Seconds from 1970 to the zero of a count: Unix; spreadsheets (from March 1900 on); MATLAB datenum; LabVIEW, 1904."""
+"""Zero of each kind of count [s since 1970]: Unix; spreadsheets (from March 1900 on); MATLAB datenum; LabVIEW, 1904."""
 IN_DAYS = ("serial days", "matlab days")
 TEXTS = ("clock", "date and time")
-"""Forms that are no numbers."""
+"""Forms of time that are texts, not numbers."""
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{1,2})(?:[.,:](\d{1,9}))?\s*(?:([AaPp])\.?[Mm]\.?)?")
 _COMPACT = re.compile(r"(\d{2})(\d{2})(\d{2})(?:[.,](\d{1,9}))?")
 _ZONE = re.compile(r"(Z|[+-]\d{2}:?\d{2})$")
@@ -104,31 +104,31 @@ _MONTHS = {name: k for k, name in enumerate("jan feb mar apr may jun jul aug sep
 
 @dataclass(frozen=True)
 class Stamps:
-    """How a file writes its time, as the map says."""
+    """How a file writes its time, from the map."""
 
     column: str
     written: str = "number"
     """`number`, `index`, `header step`, a key of `ORIGINS`, or one of `TEXTS`."""
     unit: float = 1.0
-    """Seconds in one unit of the number: of `epoch` and `labview`."""
+    """Unit of the number [s], for `epoch` and `labview`."""
     date: str = ""
-    """Column of the date, where the date is apart from the clock."""
+    """Column of the date, where the date is in a separate column."""
     order: str = "year first"
     """Order of a date whose year comes last: `day first` or `month first`."""
     period: float = 0.0
-    """Distance of the samples of `index` [s]."""
+    """Sampling period for `index` [s]."""
 
     @property
     def texts(self) -> dict[str, str]:
-        """Columns that hold texts, with their kind."""
+        """Columns with texts -> their kind."""
         data = {self.column: self.written} if self.written in TEXTS else {}
         return {**data, self.date: "date"} if self.date else data
 
 
 def seconds_of(texts: Sequence[str], kind: str, order: str) -> Array:
-    """Seconds of `clock` (since midnight), of `date` and `date and time` (since 1970, of the clock that wrote them).
+    """Seconds, shape (n,): of `clock` since midnight, of `date` and `date and time` since 1970, local time of the file.
 
-    Raises ValueError with what is wrong with the first text that is none.
+    Raises ValueError with the reason for the first invalid text.
     """
     days: dict[str, float] = {}
     return np.array([_seconds(text.strip().strip('"'), kind, order, days) for text in texts], dtype=np.float64)
@@ -177,7 +177,7 @@ def clock_seconds(text: str) -> float:
 
 
 def date_seconds(text: str, order: str) -> float:
-    """Seconds from 1970 to the midnight that begins a day; a month by its name, or in the `order` that is given."""
+    """Seconds since 1970 at the beginning of a day; the month by name, or in the given `order`."""
     if (match := _YEAR_FIRST.fullmatch(text)) is not None:
         year, month, day = int(match[1]), int(match[3]), int(match[4])
     elif (match := _NAMED.fullmatch(text)) is not None and match[2].lower() in _MONTHS:
@@ -197,19 +197,19 @@ def date_seconds(text: str, order: str) -> float:
 
 
 class Clock:
-    """Turns what the columns of time hold into seconds, piece by piece in the order of the file."""
+    """Converts the columns of time into seconds, piece by piece in the order of the file."""
 
     def __init__(self, stamps: Stamps, step: tuple[float, float] | None = None) -> None:
-        """`step`: start and increment [s] that the header of the file gives."""
+        """`step`: start and increment [s] from the header of the file."""
         self.stamps, self.step = stamps, step
         self.started: datetime | None = None
-        """When the first row was taken, by the clock that wrote it; None where the file gives no date."""
+        """Time of the first row in local time of the file; None where the file gives no date."""
         self._first = np.nan
         self._last = np.nan
         self._ahead = 0.0
 
     def seconds(self, values: Array, date: Array | None = None) -> Array:
-        """Shape (n,): seconds from the first row; of plain numbers the numbers themselves."""
+        """Seconds since the first row, shape (n,); plain numbers are returned unchanged."""
         written = self.stamps.written
         if written == "number" or not len(values):
             return values
@@ -240,7 +240,7 @@ class Clock:
             return None
 
     def _past_midnight(self, values: Array) -> Array:
-        """A clock that falls by more than half a day has passed midnight."""
+        """Add a day whenever the clock falls by more than half a day, which means midnight."""
         before = np.concatenate([[values[0] if np.isnan(self._last) else self._last], values[:-1]])
         days = self._ahead + DAY * np.cumsum(values - before < -DAY / 2)
         self._last, self._ahead = float(values[-1]), float(days[-1])
@@ -251,7 +251,7 @@ _START, _INCREMENT = re.compile(r"start", re.IGNORECASE), re.compile(r"incr(?:em
 
 
 def step_in(lines: Sequence[str]) -> tuple[float, float] | None:
-    """Start and increment [s] of an oscilloscope's header, `X,CH1,Start,Increment` above their numbers; None: none."""
+    """Start and increment [s] from an oscilloscope's header (`X,CH1,Start,Increment` above numbers), or None."""
     cells = [[cell.strip().strip('"') for cell in re.split(r"[,;\t]", line)] for line in lines]
     for names, numbers in pairwise(cells):
         start = next((k for k, name in enumerate(names) if _START.fullmatch(name)), None)
@@ -268,24 +268,24 @@ def step_in(lines: Sequence[str]) -> tuple[float, float] | None:
 
 
 THOUSANDS = {"comma": ",", "point": ".", "blank": " \u00a0\u2009\u202f", "apostrophe": "'\u2019"}
-"""Signs between groups of three digits."""
+"""Name of a thousands separator -> its characters."""
 NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 MINUS = "\u2212"
-"""The minus sign of typesetting, which some programs write."""
+"""The typographic minus sign, which some programs write."""
 
 
 class Fields:
-    """Reads fields by a layout; `order` is that of day and month in dates."""
+    """Converts fields according to a layout; `order` is that of day and month in dates."""
 
     def __init__(self, layout: TextLayout, order: str) -> None:
-        """Compile what the layout says of numbers."""
+        """Compile the pattern of grouped numbers."""
         self._layout, self._order = layout, order
         self._signs = "" if layout.thousands is None else THOUSANDS[layout.thousands]
         point = "," if layout.decimal == "comma" else "."
         self._grouped = re.compile(rf"\s*[+-]?\d{{1,3}}(?:[{self._signs or '_'}]\d{{3}})+(?:[{point}]\d*)?\s*")
 
     def value(self, text: str, kind: str) -> float:
-        """A field as a number, or as seconds where it is a time of a `kind`; raises ValueError with the reason."""
+        """A field as a number, or in seconds if it is a time of a `kind`; NaN for "no value". Raises ValueError."""
         if text.strip() in self._layout.missing:
             return np.nan
         if kind:

@@ -1,7 +1,7 @@
-"""Reads columns of numbers from text with a given layout, piece by piece: nothing is guessed; knows no channels.
+"""Reads columns of numbers from text with a given layout, piece by piece, without guessing.
 
-Arrow turns a piece into numbers where it is plain. Whatever it refuses, or reads as no finite number, is read once more
-line by line: the fault is then named at its line, or the field is one that the map allows.
+Arrow converts simple pieces. A piece that it refuses, or in which it finds numbers that are not finite, is read again
+line by line, to accept what the map allows and to report faults with their lines.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from pmabench.store.formats.text import MARKS, MINUS, Fields, TextLayout, second
 from pmabench.store.records import Array
 
 PIECE = 4_000_000
-"""Bytes of a file that are read at a time."""
+"""Size of the pieces in which a file is read [bytes]."""
 LONGEST_LINE = 8_000_000
 SHOWN = 10
-"""Faulty rows that are named of one file."""
+"""Largest number of faulty rows that are reported for one file."""
 MOST_HEAD = 60
-"""Lines above the first row that are handed on, for what the file says in them; no more are left out below the last."""
+"""Largest number of header lines passed on to the caller, and of lines below the last row that are left out."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Some rows of a file in order."""
+    """Consecutive rows of a file."""
 
     columns: dict[str, Array]
-    """Name -> numbers, shape (n,); NaN where the file says that there is none; seconds where it holds times."""
+    """Name -> numbers, shape (n,); NaN for "no value"; seconds for times."""
     lines: NDArray[np.int64]
-    """Line in the file of each row, from 1."""
+    """Line number in the file of each row, from 1; shape (n,)."""
     starts: tuple[int, ...] = ()
-    """Rows, from 0, before which the header was repeated: another test begins."""
+    """Rows, from 0, at which another test begins, after a repeated header."""
 
 
 @dataclass
 class TextReader:
-    """Reads one file: `feed` takes its bytes in pieces of any size, `end` the last rows."""
+    """Reads one file: `feed` takes its bytes in pieces of any size, `end` returns the last rows."""
 
     path: str
     layout: TextLayout
@@ -64,28 +64,28 @@ class TextReader:
         self._decoder = codecs.getincrementaldecoder("utf-8-sig" if encoding == "utf-8" else encoding)()
         self._plain = encoding not in ("utf-16", "utf-16-le", "utf-16-be")
         self._begun = False
-        """Whether anything but a byte order mark came."""
+        """Whether anything but blanks was read."""
         self._rest = ""
-        """What was decoded and is no whole line yet, with the last whole line."""
+        """Decoded text that was not processed yet: the last complete line and an incomplete one."""
         self._zeros = 0
-        """Bytes of zero at the end, as an interrupted write leaves them."""
+        """Number of zero bytes at the end, as left by an interrupted write."""
         self._line = 0
-        """Lines that are done."""
+        """Number of processed lines."""
         self._names: list[str] = []
         self._header = ""
         self._below = 0
-        """Lines below the header that are still to be left out."""
+        """Number of lines below the header that are still to be skipped."""
         self._rows = 0
         self._seen = False
-        """A line was kept."""
+        """Whether any line was kept."""
         self._titles: list[tuple[int, str]] = []
-        """Lines that are no rows, which may be above a repeated header or below the last row only."""
+        """Lines (number, text) that are not rows; allowed only above a repeated header or below the last row."""
         self._fields_of = Fields(self.layout, self.order)
 
     # -- pieces ------------------------------------------------------------------------------------------------
 
     def answer(self, piece: bytes, *, last: bool) -> tuple[dict[str, Any], list[Any]]:
-        """The rows that a piece completes, the end of the file being one too: what is said of them, and the numbers."""
+        """The answer for a piece (see `apart`): head and arrays of the rows that it completes; all rows with `last`."""
         rows = self.feed(piece)
         if last:
             rows = self.joined([rows, self.end()])
@@ -95,7 +95,7 @@ class TextReader:
         return head, [*rows.columns.values(), rows.lines]
 
     def _above(self) -> list[list[str]]:
-        """What each line that is no row, and is as wide as one, has at the columns that are read: a line of units."""
+        """Texts in the wanted columns of each line that is as wide as a row but none, such as a line of units."""
         plain = (line.lstrip().removeprefix(self.layout.comment or "").lstrip() for line in self.head)
         cut = (next(csv.reader([line], delimiter=MARKS[self.layout.delimiter]), []) if self.layout.quoted
                else self._split(line) for line in plain)  # fmt: skip
@@ -104,7 +104,7 @@ class TextReader:
         return [[row[k] for k in at] for row in rows if len(row) == len(self._names) and row != self._names]
 
     def feed(self, piece: bytes) -> Rows:
-        """The rows that are whole by now, but for the last line, which may turn out to be cut."""
+        """The rows completed by this piece, except the last line, which may turn out to be cut off."""
         self._rest += self._decoded(piece, last=False)
         if not self._begun:
             return self._none()
@@ -121,7 +121,7 @@ class TextReader:
         return self._block(block)
 
     def end(self) -> Rows:
-        """The last rows; raises InvalidFile where the whole file held none."""
+        """The last rows; raises InvalidFile where the file has no rows."""
         self._rest += self._decoded(b"", last=True)
         block = self._rest.replace("\r\n", "\n").replace("\r", "\n")
         self._rest = ""
@@ -151,7 +151,7 @@ class TextReader:
         return self.joined(parts)
 
     def joined(self, parts: Sequence[Rows]) -> Rows:
-        """Rows of several pieces in order."""
+        """Rows of several pieces, joined in order."""
         ends = np.cumsum([0, *(len(part.lines) for part in parts)])
         return Rows(
             {n: np.concatenate([p.columns[n] for p in parts if p.columns] or [np.empty(0)]) for n in self.taken},
@@ -160,7 +160,7 @@ class TextReader:
         )
 
     def _last(self, last: str) -> Rows:
-        """The last line, with blank ones after it; where it is cut off in its row, it is left out and said so."""
+        """The last line, with blank ones after it; if it is cut off it is left out, and `cut_row` states this."""
         number = self._line + 1
         begun = bool(self._names)
         try:
@@ -205,7 +205,7 @@ class TextReader:
     # -- blocks of whole lines ---------------------------------------------------------------------------------
 
     def _block(self, block: str) -> Rows:
-        """The rows in whole lines of text."""
+        """The rows in a block of complete lines."""
         if not self._names or self._below:
             block = self._past_header(block)
             if not block:
@@ -221,7 +221,7 @@ class TextReader:
         return self._by_lines(block)
 
     def _past_header(self, block: str) -> str:
-        """Takes the lines above the first row; the rest of the block."""
+        """Process the lines above the first row; returns the rest of the block."""
         layout = self.layout
         while block:
             line, _, after = block.partition("\n")
@@ -259,15 +259,15 @@ class TextReader:
         return False
 
     def _blank(self, line: str) -> bool:
-        """Whether a line holds nothing, or nothing but delimiters, as below a table of a spreadsheet."""
+        """Whether a line is empty or has only delimiters, as below a table of a spreadsheet."""
         return not line.strip().strip(MARKS.get(self.layout.delimiter)).strip()
 
     def _name(self, line: str, number: int) -> None:
-        """Names of the columns by the first line that counts, and which of them are read."""
+        """Take the names of the columns from the header line (or the layout), and choose those to read."""
         fields = self._fields(line, number)
         if self.layout.header == "first line":
             names = [text.strip().strip('"').strip() for text in fields]
-            if names and not names[-1] and len(names) > 1:  # the delimiter at the end of each line
+            if names and not names[-1] and len(names) > 1:  # each line ends with a delimiter
                 names[-1] = "@end"
             if len(set(names)) < len(names):
                 raise invalid(self.path, "two columns have the same name", number, 1)
@@ -288,7 +288,7 @@ class TextReader:
         self._names, self.taken = names, wanted
 
     def _by_arrow(self, block: str, count: int, delimiter: str) -> dict[str, Array] | None:
-        """The columns of a block of plain rows; None where one of them is anything else."""
+        """The columns of a block of plain rows; None where Arrow cannot convert them all."""
         from pmabench.store.livestream import arrow_csv, numbers, pa  # not with the list of formats: it takes long
 
         layout, texts = self.layout, self.texts
@@ -323,7 +323,7 @@ class TextReader:
                     return None
                 continue
             values = np.concatenate([numbers(c.fill_null(np.nan) if c.null_count else c) for c in column.chunks])
-            # words that Arrow takes for numbers ("nan", "inf") are no finite number, and no missing one either
+            # words that Arrow takes for numbers ("nan", "inf") are neither finite nor missing
             if int(np.isfinite(values).sum()) + column.null_count != count:
                 return None
             columns[name] = values
@@ -332,7 +332,7 @@ class TextReader:
     # -- line by line ------------------------------------------------------------------------------------------
 
     def _by_lines(self, block: str) -> Rows:
-        """The rows of a block that holds more than plain ones, or the faults in it, each at its line."""
+        """The rows of a block that Arrow alone cannot read; raises InvalidFile with its faults and their lines."""
         kept: list[str] = []
         numbers: list[int] = []
         starts: list[int] = []
@@ -370,9 +370,9 @@ class TextReader:
         return Rows(found, np.array(numbers, dtype=np.int64), tuple(starts))
 
     def _is_title(self, line: str) -> bool:
-        """Whether a line may belong to the header of another test, or be below all rows: it has not a row's fields.
+        """Whether a line is not a row: it may belong to the header of another test, or be below all rows.
 
-        Below such a line it is enough that no time begins it, as in a table of means.
+        After such a line it is enough that the first column has no value, as in a table of means.
         """
         layout = self.layout
         fields = next(csv.reader([line], delimiter=MARKS[layout.delimiter])) if layout.quoted else self._split(line)
@@ -383,7 +383,7 @@ class TextReader:
         return not next(reads) and (other or bool(self._titles) or not any(reads))
 
     def _reads(self, name: str, fields: Sequence[str]) -> bool:
-        """Whether a line has a value of a column."""
+        """Whether a line has a finite value in a column."""
         try:
             value = self._fields_of.value(fields[self._names.index(name)], self.texts.get(name, ""))
         except (ValueError, IndexError):
@@ -391,7 +391,7 @@ class TextReader:
         return bool(np.isfinite(value))
 
     def _no_rows(self) -> None:
-        """Raises InvalidFile for the lines that are no rows, since others follow them, or since they are too many."""
+        """Raise InvalidFile for lines that are not rows, because rows follow them or they are too many."""
         numbers, lines = zip(*self._titles, strict=True)
         for number, line in self._titles:
             self._counts(line, number)
@@ -400,7 +400,7 @@ class TextReader:
         self._each(rows, numbers)
 
     def _again(self, starts: list[int], row: int) -> None:
-        """The header line once more: another test begins, where the map says so."""
+        """Handle a repeated header line: another test begins, if the map allows that."""
         if self.layout.repeated_header == "refuse":
             text = 'the header is repeated: say "repeated_header: new test" or, where the test goes on below it, "page"'
             raise invalid(self.path, text, self._line, 1)
@@ -415,7 +415,7 @@ class TextReader:
         return line.split(MARKS[self.layout.delimiter])
 
     def _fields(self, line: str, number: int) -> list[str]:
-        """Fields of one line, without the quotation marks around them where the map allows these."""
+        """Fields of one line, without quotation marks where the map allows them."""
         if not self.layout.quoted:
             return self._split(line)
         try:
@@ -428,7 +428,7 @@ class TextReader:
         return fields
 
     def _rectangular(self, rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> None:
-        """Every row has as many fields as there are names."""
+        """Raise InvalidFile where a row has another number of fields than there are names."""
         expected = len(self._names)
         wrong = [index for index, row in enumerate(rows) if len(row) != expected]
         if not wrong:
@@ -443,7 +443,7 @@ class TextReader:
         )
 
     def _each(self, rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> dict[str, Array]:
-        """Every wanted field by itself; raises InvalidFile with the first faults, each at its place."""
+        """Convert every wanted field separately; raises InvalidFile with the first faults and their places."""
         problems: list[Problem] = []
         columns: dict[str, Array] = {}
         for name in self.taken:
@@ -469,7 +469,7 @@ FORMAT = Format(
     name="text",
     title="text",
     layout=TextLayout,
-    recognise=lambda content: False,  # it is what no other format recognises
+    recognise=lambda content: False,  # the default where no format recognises a file
     reader=TextReader,
     modules=("pmabench.store.livestream",),
 )

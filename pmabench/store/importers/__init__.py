@@ -1,10 +1,10 @@
-"""Other programs' files to runs: a map says what a file means, nothing is guessed, nothing is mended.
+"""Converts other programs' files to runs: a map defines their meaning; nothing is guessed, nothing is repaired.
 
-- `map_file`: a map as people write it, its units and open questions; `map_rules`: the same in SI
-- `table`: the columns of one file, read in processes of their own (`apart`)
-- `prepare`: one file read, scaled and checked, in parts where it is long (`long`); `importing`: the runs
+- `map_file`: a map as the user writes it, its units and open questions; `map_rules`: the same in SI
+- `table`: the columns of one file, read in separate processes (`apart`)
+- `prepare`: reads, scales and checks one file, a long one in parts (`long`); `importing`: makes the runs
 - checks: `quality` of one channel; `plausible` of several against each other, with `magnitude` and `midfile`;
-  `importing` compares files; `found`: a finding, and what its samples change
-- `segments` cuts into trials, by the steps, ramps and sines that `motion` finds; `commands` names them
-- `guess`: a proposed map for files that were never seen
+  `importing` compares files; `found`: a finding, and the effect of its samples
+- `segments` cuts a file into trials, by the steps, ramps and sines that `motion` finds; `commands` names them
+- `guess`: proposes a map for unknown files
 """

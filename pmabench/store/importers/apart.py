@@ -1,10 +1,12 @@
-"""Reads other programs' files in separate processes: bytes in, numbers or sentences out.
+"""Reads other programs' files in separate processes: bytes in, numbers or messages out.
 
-A file can crash a parser, make it hang or take all memory; then the child ends, and nothing else does. A child has no
-path and no network. One stays warm for each format (`python -m pmabench.store.importers.apart FORMAT`), and is replaced
-when it dies or overruns. A question is one line of JSON and the bytes of the file (a piece of it, where the format is
-read in pieces; the first question has the layout and what is wanted); the answer is one line of JSON and the columns as
-float64, little endian. An answer is checked like a file: its sizes, before anything is built from it.
+A file can crash a parser, make it hang or use up memory; then only the child process ends. A child receives the bytes
+and opens no file itself. One process per format is kept running (`python -m pmabench.store.importers.apart FORMAT`),
+and is replaced when it dies or exceeds its time.
+
+A question is one line of JSON and the bytes of the file, or of a piece of it for formats that are read in pieces; the
+first question has the layout and the wanted columns. The answer is one line of JSON and the columns as float64, little
+endian. Its sizes are checked before anything is built from it.
 """
 
 from __future__ import annotations
@@ -32,18 +34,18 @@ from pmabench.store.formats.record import Column, Format, Layout, Recorded, form
 from pmabench.store.records import Array
 
 MEMORY = 2_000_000_000
-"""Bytes of addresses."""
+"""Limit of a child's address space [bytes]."""
 CPU = 2.0
-"""Seconds of CPU for a file, or a piece of text ..."""
+"""CPU time for a file or a piece of text [s] ..."""
 CPU_PER_MB = 0.3
-"""... and for each MB of it more, so that large ones can be read and small ones cannot hang."""
+"""... plus this for each MB [s]: enough for large files, and small ones cannot hang."""
 
 
 def serve(kind: str, ask: BinaryIO, answer: BinaryIO) -> None:
     """Answer questions until the other side closes its end."""
     form, absent = formats()[kind], ""
     try:
-        for module in form.modules:  # before any clock runs
+        for module in form.modules:  # before the time limit starts
             import_module(module)
     except ImportError as error:
         absent = str(error)
@@ -75,8 +77,8 @@ def _send_answer(answer: BinaryIO, head: Mapping[str, Any], arrays: Sequence[Any
 
 
 def _reader(form: Format, question: Mapping[str, Any]) -> Any:
-    """The reader of the file that begins with this question; its pieces follow."""
-    layout = form.layout.model_construct(**question["layout"])  # it was checked by who asks
+    """A reader for the file whose first question this is."""
+    layout = form.layout.model_construct(**question["layout"])  # the asking process has validated it
     asked = {key: question[key] for key in ("path", "wanted", "optional", "ignored")}
     if form.reader is None:
         return _Whole(form, layout, **asked)
@@ -91,7 +93,7 @@ class _Whole:
     layout: Layout
     path: str
     wanted: Sequence[str] | None
-    """None: all columns, which may differ in length."""
+    """Columns to read; None for all, which may then differ in length."""
     optional: Sequence[str]
     ignored: Sequence[str]
 
@@ -114,7 +116,7 @@ class _Whole:
         }, [*(column.values for column in columns), lines]
 
     def _chosen(self, recorded: Recorded) -> list[Column]:
-        """The wanted columns and those of `optional` that there are, all equally long; raises InvalidFile otherwise."""
+        """The wanted columns and the existing ones of `optional`, all equally long; raises InvalidFile otherwise."""
         has = {column.name: column for column in recorded.columns}
         names = [*(self.wanted or ()), *(name for name in self.optional if name in has)]
         if missing := [name for name in names if name not in has]:
@@ -142,9 +144,9 @@ def _some(names: list[str]) -> str:
 
 
 def main() -> None:
-    """Main function of the child process: answers on its standard output; what libraries print is dropped."""
+    """Main function of the child process: answers on standard output; output of libraries is discarded."""
     warnings.simplefilter("ignore")
-    os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # no filter is loaded from a folder of this machine
+    os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # load no filter plug-ins of this machine
     ask, answer = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in (1, 2):
@@ -158,12 +160,12 @@ if __name__ == "__main__":
 
 
 WALL = 20.0
-"""A child that is silent for so many times its seconds of CPU hangs; the machine may be busy."""
+"""Wall-clock time after which a silent child counts as hung, as a multiple of its CPU time: the machine may be busy."""
 START = 60.0
-"""Seconds in which a child must be ready and take a question."""
+"""Time for a child to start and to take a question [s]."""
 LONGEST_HEAD = 4_000_000
 MOST_NUMBERS = 250_000_000
-"""As many as fit into the memory of a child."""
+"""Largest number of values in an answer: as many as fit into a child's memory."""
 
 
 class ReaderMissing(PmaError):
@@ -174,7 +176,7 @@ class ReaderMissing(PmaError):
 
 @dataclass(frozen=True)
 class Answer:
-    """What a child found: arrays by name, and what else it reported."""
+    """Answer of a child: columns by name, line numbers, and the rest of its head."""
 
     columns: dict[str, Array]
     lines: Array
@@ -199,20 +201,20 @@ class _Child:
         self._answers: Any = self.process.stdout
 
     def send(self, content: bytes, question: Mapping[str, Any]) -> None:
-        """Put a question; its answer is fetched by `answer` before the next one. EOFError where the process ended."""
+        """Send a question; call `answer` before the next one. EOFError if the process has ended."""
         self.asked += 1
         with self._within(START + WALL * CPU):
             self._ask.write(json.dumps({**question, "bytes": len(content)}).encode() + b"\n" + content)
             self._ask.flush()
 
     def answer(self, size: int) -> Answer:
-        """The answer to a question with `size` bytes. EOFError where there is none, or one that cannot be."""
+        """The answer to a question with `size` bytes. EOFError if there is none, or it is invalid."""
         with self._within(START + WALL * (CPU + CPU_PER_MB * size / 1e6)):
             return _read_answer(self._answers)
 
     @contextmanager
     def _within(self, seconds: float) -> Iterator[None]:
-        """Kill the process after `seconds` of wall clock; EOFError where it ends, or says what cannot be."""
+        """Kill the process after `seconds` of wall-clock time; EOFError if it ends or its answer is invalid."""
         clock = threading.Timer(seconds, self.process.kill)
         clock.daemon = True
         clock.start()
@@ -231,7 +233,7 @@ class _Child:
         self.process.wait()
 
     def ended(self) -> int:
-        """The exit code of a process that gave no answer."""
+        """Exit code of a process that gave no answer; ends it if it still runs."""
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(1.0)
         code = self.process.poll() or 0
@@ -240,7 +242,7 @@ class _Child:
 
 
 def _read_answer(stream: IO[bytes]) -> Answer:
-    """The next answer, its sizes checked before anything is built from it; ValueError and others where it is none."""
+    """Read the next answer; its sizes are checked first. ValueError, TypeError or KeyError if it is invalid."""
     head = dict(json.loads(stream.readline(LONGEST_HEAD)))
     if "columns" not in head:
         return Answer({}, np.empty(0), head)
@@ -258,11 +260,11 @@ _lock = threading.Lock()
 
 
 def read_apart(kind: str, path: str, pieces: Iterable[bytes], question: Mapping[str, Any]) -> Iterator[Answer]:
-    """What each piece of a file of format `kind` completes, read in its child; the last answer says how the file ends.
+    """Read a file of format `kind` in its child; gives one answer per piece, the last with the end of the file.
 
     `question`: `layout`, `wanted` (None: all), `optional`, `ignored`; for text `texts` and `order`, as `TextReader` has
-    them. The child reads a piece while the caller works on what the one before held. Raises InvalidFile with what is
-    wrong with the file, also where reading it ended the child; ReaderMissing where a package is not installed.
+    them. The child reads a piece while the caller works on the previous answer. Raises InvalidFile with the reason,
+    also if reading the file ended the child; ReaderMissing if a package is not installed.
     """
     asked: dict[str, Any] = {"optional": [], "ignored": [], "texts": {}, "order": "", **question, "path": path}
     pending: Answer | None = None
@@ -272,12 +274,12 @@ def read_apart(kind: str, path: str, pieces: Iterable[bytes], question: Mapping[
                 with _asking(kind, path, len(piece)) as child:
                     child.send(piece, {**asked, "last": last})
                     if pending is not None:
-                        yield pending  # a caller that stops here ends the child, for its answer is still to come
+                        yield pending  # if the caller stops here the child is ended: its answer is pending
                     answer = child.answer(len(piece))
                 if "lack" in answer.head:
                     _children.pop(kind).end()
                 if "lack" not in answer.head or not asked or child.asked == 1:
-                    break  # else what files before it left in the memory of the child may be in the way
+                    break  # else memory used by earlier files may be the reason: try a new child
             asked = {}
             _check(kind, path, answer.head)
             pending = answer
@@ -296,7 +298,7 @@ def _with_last(pieces: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
 
 
 def _check(kind: str, path: str, head: Mapping[str, Any]) -> None:
-    """Raises what an answer without numbers says."""
+    """Raise the error that an answer without numbers reports."""
     if "absent" in head:
         package, why = formats()[kind].package, str(head["absent"])[:100]
         text = f"files of this kind are read with {package}, which is not installed ({why})"
@@ -315,7 +317,7 @@ def _check(kind: str, path: str, head: Mapping[str, Any]) -> None:
 
 @contextmanager
 def _asking(kind: str, path: str, size: int) -> Iterator[_Child]:
-    """The child of a format; where it ends in between, that is a fault of the file."""
+    """The child of a format; if it ends meanwhile, this is reported as a fault of the file."""
     child = _children.get(kind)
     if child is None or child.owner != os.getpid() or child.process.poll() is not None:
         if child is not None and child.owner == os.getpid():
@@ -334,7 +336,7 @@ def _asking(kind: str, path: str, size: int) -> Iterator[_Child]:
 
 
 def _why(code: int, size: int) -> str:
-    """How a child ended, in words."""
+    """How a child ended, for a message."""
     if code == -getattr(signal, "SIGPROF", 0):
         return f"takes more than {CPU + CPU_PER_MB * size / 1e6:.1f} s of CPU to read"
     if code < 0:

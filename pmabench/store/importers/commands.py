@@ -1,8 +1,8 @@
-"""The commands of a test, read off the columns of a file, and what else of its operating point they show.
+"""Commands of a test and coordinates of its operating point, derived from the columns of a file.
 
-Steps, ramps and sines of the commanded channel (of the measured one where no command was recorded) get the names of
-phases that the kind of test gives them, as plain data. What was not commanded in a column, such as what a search found,
-is not made up. Channels have shape (n,), times `t` [s] rise.
+Steps, ramps and sines of the commanded channel (of the measured one if no command was recorded) become commands with
+the phase names of the kind of test. Results that no column shows, such as those of a search, are not invented. Channels
+have shape (n,), times `t` [s] increase.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ SMALLEST = {"pressure": 1e3, "displacement": 0.2e-3}
 DIGITS = 4
 """Significant digits of a commanded value: a converter gives 299.99 for 300 kPa."""
 MOVING = 0.05
-"""A ramp is seen over so many seconds, and at least so many samples on either side: `MOVING_SAMPLES`."""
+"""Window over which motion is detected [s], with at least `MOVING_SAMPLES` samples on either side."""
 MOVING_SAMPLES = 2
 STILL = 1e-3
-"""Share of the span of a channel that it may move over that time and be held (a measured one: `NOISY`)."""
+"""Largest motion of a held command within the window, as a share of its span; `NOISY` for a measured channel."""
 NOISY = 0.01
 ABOVE, ABOVE_SPAN = 12.0, 0.02
-"""A measured change is larger than so many standard deviations of its noise, and than that share of the span."""
+"""Smallest size of a measured change: in standard deviations of the noise, and as a share of the span."""
 MOST, LONGEST = 0.8, 0.1
-"""Share of the travel that changes must make up, and the longest time of `changes` as a share of the record."""
+"""Share of the travel that the changes must make up, and longest window of `changes` as a share of the record."""
 CLEARLY = 3.0
-"""So many times further than what is held a measured ramp moves over that time."""
+"""Least motion of a clearly detected measured ramp within the window, as a multiple of that of a held value."""
 OVERLAP = 0.2
-"""A change of which that share lies in a larger one is an end of it."""
+"""A change that overlaps a larger one by more than this share is only an end of that."""
 AT_ONCE = 0.06
-"""A change that is over in this time [s] is a step."""
+"""Longest duration of a step [s]; longer changes are ramps."""
 LIFTED = 0.02e-3
-"""A load is off its support where the displacement exceeds its rest by this [m]: the median of `TOGETHER` samples."""
+"""Displacement above rest at which a load has left its support [m], in the median of `TOGETHER` samples."""
 TOGETHER = 5
 AROUND = 0.05
-"""Samples so far from that moment [s] are averaged, and two on either side at least."""
+"""Half width of the window of samples used at that moment [s]; at least two samples on either side."""
 FEWEST = 20
 LIKE = {"pressure": (2.5e3, 0.01, -2), "load": (1.0, 0.02, 2), "contraction": (0.2e-3, 0.01, 5)}
-"""Measured coordinate -> by which amount [SI], or share where that is more, values differ that are one level: what a
-regulator (0.5 % of 500 kPa), a cell or a stop does not repeat; and decimals of a level."""
+"""Measured coordinate -> largest difference [SI], or share if that is more, of values at one level, and decimals of a
+level. Regulators (0.5 % of 500 kPa), load cells and stops do not repeat better."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """A change of a command: when it begins and ends [s], from and to which value [SI]."""
+    """A change of a command: times of begin and end [s], values before and after [SI]."""
 
     t: float
     end: float
@@ -68,16 +68,16 @@ class Change:
 
     @property
     def speed(self) -> float:
-        """How fast it goes [SI/s]; one that is over at once as if it took a millisecond."""
+        """Rate of change [SI/s]; a step counts as taking 1 ms."""
         return abs(self.value - self.before) / max(self.end - self.t, 1e-3)
 
 
 Named = tuple[list[dict[str, Any]], dict[str, float]]
-"""Commands of a trial, and what of its operating point they show."""
+"""Commands of a trial, and the coordinates of its operating point that they show."""
 
 
 def driven_waves(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None = None) -> list[Wave]:
-    """Sines of the commanded channel, of the measured one where no command was recorded; see `commands_of`."""
+    """Sines of the commanded channel, or of the measured one if no command was recorded; see `commands_of`."""
     channel = f"{how.output}_command" if f"{how.output}_command" in channels else how.output
     if not how.sine or channel not in channels or len(t) < 2 * MOVING_SAMPLES + 2:
         return []
@@ -85,9 +85,9 @@ def driven_waves(how: Commanded, t: Array, channels: Mapping[str, Array], smalle
 
 
 def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None) -> Named:
-    """The commands of one trial, and its operating point as far as they show it.
+    """The commands of one trial, and the coordinates of its operating point that the channels show.
 
-    `t` [s] rises; `channels` [SI] by name, shape (n,) each. `smallest` [Pa]: smallest step of pressure.
+    `t` [s] increases; `channels` [SI] by name, shape (n,) each. `smallest` [Pa]: smallest step of pressure.
     """
     channel = f"{how.output}_command" if f"{how.output}_command" in channels else how.output
     if channel not in channels or len(t) < 2 * MOVING_SAMPLES + 2:
@@ -99,10 +99,10 @@ def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smalles
     if not found and not sines and not how.still:
         return [], {}
     seen = Seen(tuple(found), t, channels, max(sines, key=lambda wave: wave.end - wave.begin, default=None))
-    if measured and found:  # ends that were measured lie within noise of each other from cycle to cycle
+    if measured and found:  # measured end values scatter from cycle to cycle
         grid = 10.0 ** np.floor(np.log10(float(np.ptp(channels[channel])))) / 40.0
         found = [Change(c.t, c.end, grid * round(c.before / grid), grid * round(c.value / grid)) for c in found]
-    # levels of pressure become one over all trials by `alike`, ends of strokes here
+    # levels of pressure are merged over all trials by `alike`, ends of strokes here
     exact, seen = seen, replace(seen, changes=tuple(found))
     of = exact if how.output == "pressure" else seen
     point = {name: value for name, way in how.point if (value := COORDINATES[way](of)) is not None}
@@ -119,10 +119,10 @@ def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smalles
 
 
 def changes(t: Array, values: Array, smallest: float, *, measured: bool = False) -> list[Change]:
-    """Changes from one held or turning value to the next, by at least `smallest`.
+    """Changes by at least `smallest` [SI] from one held value or turning point to the next.
 
-    Their beginnings and ends are extrapolated from where a tenth and nine tenths of them are reached. A measured ramp
-    may be so slow that it hardly moves over `MOVING`: times are doubled until the changes make up most of its travel.
+    Their begin and end are extrapolated from the 10 % and 90 % points. A measured ramp may be so slow that it hardly
+    moves within `MOVING`: the window is doubled until the changes make up most of the travel.
     """
     period = float(np.median(np.diff(t)))
     if not period > 0 or not np.isfinite(values).all():
@@ -134,7 +134,7 @@ def changes(t: Array, values: Array, smallest: float, *, measured: bool = False)
     while first is None or 2 * reach < len(values) * LONGEST:
         even = _even(values, reach)
         least = max(smallest, ABOVE * _noise(even, reach), ABOVE_SPAN * float(np.ptp(even)))
-        exact = values if ABOVE * _noise(values, reach) <= least else even  # means are short of a sharp turn
+        exact = values if ABOVE * _noise(values, reach) <= least else even  # averages cut off sharp turns
         travel = float(np.abs(np.diff(exact[turns(exact, least)])).sum())
         pieces = _changes(t, even, exact, least, reach, NOISY)
         found = [one for one in pieces if not _in_another(one, pieces)]
@@ -147,33 +147,33 @@ def changes(t: Array, values: Array, smallest: float, *, measured: bool = False)
 
 
 def _even(values: Array, reach: int) -> Array:
-    """Moving average over `reach` samples: noise alone must not look like a change."""
+    """Moving average over about `reach` samples, so that noise alone does not look like a change."""
     width = 2 * (reach // 2) + 1
     return np.convolve(np.pad(values, width // 2, mode="edge"), np.full(width, 1 / width), "valid")
 
 
 def _noise(values: Array, reach: int) -> float:
-    """Standard deviation of the noise, from second differences over `reach` samples: a ramp has none."""
+    """Standard deviation of the noise, from second differences over about `reach` samples, which are 0 for a ramp."""
     width = 2 * (reach // 2) + 1
     bent = values[2 * width :] - 2 * values[width:-width] + values[: -2 * width]
     return 1.48 * float(np.median(np.abs(bent))) / sqrt(6) if len(bent) else 0.0
 
 
 def _moves(values: Array, reach: int) -> Array:
-    """How far values move from `reach` samples before each to `reach` after it; 0 at both ends."""
+    """Change from `reach` samples before to `reach` samples after each value, shape (n,); 0 at both ends."""
     moved = np.zeros(len(values))
     moved[reach:-reach] = values[2 * reach :] - values[: -2 * reach]
     return moved
 
 
 def _clear(values: Array, reach: int) -> bool:
-    """Whether what moves does so clearly: near the limit a slow ramp falls to pieces."""
+    """Whether motion is clearly above the limit; near it, a slow ramp would be split into pieces."""
     moved, still = np.abs(_moves(values, reach)), NOISY * float(np.ptp(values))
     return bool((moved > still).any() and np.median(moved[moved > still]) > CLEARLY * still)
 
 
 def _in_another(one: Change, found: list[Change]) -> bool:
-    """Whether a change lies in a larger one: an end of it that was seen twice."""
+    """Whether a change overlaps a larger one: it is then an end of that, detected twice."""
     length, size = one.end - one.t, abs(one.value - one.before)
     return any(
         min(one.end, other.end) - max(one.t, other.t) > OVERLAP * length
@@ -183,13 +183,13 @@ def _in_another(one: Change, found: list[Change]) -> bool:
 
 
 def _changes(t: Array, values: Array, exact: Array, smallest: float, reach: int, share: float) -> list[Change]:
-    """Changes of values that move by more than a `share` of their span between `reach` samples before and after.
+    """Changes where `values` move by more than a `share` of their span within `reach` samples before and after.
 
-    Their ends are those of the `exact` values.
+    Their begin and end values are taken from `exact`.
     """
     moved, still = _moves(values, reach), share * float(np.ptp(values))
     if share == STILL:
-        # a slow ramp goes on by less than `still` from sample to sample: what never rests is a ramp, too
+        # a slow ramp moves by less than `still` from sample to sample: motion without rest is a ramp, too
         jumps = np.abs(np.diff(values))
         still = min(still, 0.5 * float(jumps[jumps > 0].min(initial=np.inf)))
     way = np.sign(moved) * (np.abs(moved) > still)
@@ -213,7 +213,7 @@ def _change(t: Array, values: Array, begin: int, end: int, smallest: float) -> C
     times = t[begin + first : begin + last + 1]
     rising = np.maximum.accumulate(share)
     step = int(np.argmax(np.diff(share)))
-    if float(np.diff(share)[step]) > 0.8:  # at once: somewhere between two samples
+    if float(np.diff(share)[step]) > 0.8:  # a step, somewhere between two samples
         middle = 0.5 * float(times[step] + times[step + 1])
         return Change(middle, middle, _rounded(before), _rounded(value))
     at = [float(np.interp(level, rising, times)) for level in (0.1, 0.9)]
@@ -227,7 +227,7 @@ def _rounded(value: float, digits: int = DIGITS) -> float:
 
 @dataclass(frozen=True)
 class Seen:
-    """What was commanded in a trial, and its samples: `t` [s] and `channels` [SI] of shape (n,)."""
+    """Detected commands of a trial, and its samples: `t` [s] and `channels` [SI] of shape (n,)."""
 
     changes: tuple[Change, ...]
     t: Array
@@ -241,37 +241,37 @@ class Seen:
 
     @property
     def left(self) -> bool:
-        """Whether the last change leaves the value at which the trial was held: it rests there longer than after it."""
+        """Whether the last change only leaves the held value: the rest before it is not shorter than after it."""
         if len(self.changes) < 2:
             return False
         before, last = self.changes[-2:]
         return float(self.t[-1]) - last.end <= last.t - before.end
 
     def held(self) -> float | None:
-        """The pressure at which a test was made [Pa]: as commanded, else as measured, to three digits."""
+        """Pressure of the test [Pa]: the commanded one, else the measured one to three digits; None without either."""
         for name, digits in (("pressure_command", DIGITS), ("pressure", 3)):
             if name in self.channels:
                 return _rounded(float(np.median(self.channels[name])), digits)
         return None
 
     def reached(self) -> float | None:
-        """The value at which the trial was held last, before it was left [SI]."""
+        """Last value at which the trial was held [SI]."""
         if not self.changes:
             return self.held()
         return self.changes[-1].before if self.left else self.changes[-1].value
 
     def usual(self, what: Callable[[Change], float], digits: int) -> float | None:
-        """Median over the changes."""
+        """Median of a property over the changes; None without changes."""
         return _rounded(float(np.median([what(c) for c in self.changes])), digits) if self.changes else None
 
     def length(self) -> float | None:
-        """The displacement at which a test was made [m]."""
+        """Displacement of the test [m]; None without that channel."""
         here = self.channels.get("displacement")
         return None if here is None else round(float(np.median(here)), 4)
 
 
 def _lowest(seen: Seen) -> float:
-    """What counts as the lowest value: within 2 % of the way to the highest one."""
+    """Upper bound of values that count as lowest: 2 % of the way to the highest one."""
     low = min(seen.changes[0].before, *(c.value for c in seen.changes))
     return low + 0.02 * (max(c.value for c in seen.changes) - low)
 
@@ -281,13 +281,13 @@ def _highest(seen: Seen) -> float:
 
 
 def _climbs(seen: Seen, k: int) -> bool:
-    """Whether a change leads up to the highest value, at once or by others that rise, too."""
+    """Whether a change leads up to the highest value, directly or through further rises."""
     rising = takewhile(lambda change: change.value > change.before, seen.changes[k:])
     return any(change.value >= _highest(seen) for change in rising)
 
 
 def _descends(seen: Seen, k: int) -> bool:
-    """Whether a change leads down from the highest value, at once or after others that fall, too."""
+    """Whether a change leads down from the highest value, directly or after other falls."""
     falling = takewhile(lambda change: change.value < change.before, seen.changes[k::-1])
     return any(change.before >= _highest(seen) for change in falling)
 
@@ -304,7 +304,7 @@ CHANGES: Mapping[str, Callable[[Seen, int], bool]] = {
     "leaves": lambda seen, k: seen.left and k == len(seen.changes) - 1,
     "any": lambda seen, k: True,
 }
-"""Way of a change -> whether the change of a number goes that way."""
+"""Rule for the phase of a change -> whether change number k of a trial fulfils it."""
 COORDINATES: Mapping[str, Callable[[Seen], float | None]] = {
     "highest": lambda seen: max((c.value for c in seen.changes), default=None),
     "lowest end": lambda seen: min(seen.ends, default=None),
@@ -316,13 +316,13 @@ COORDINATES: Mapping[str, Callable[[Seen], float | None]] = {
     "held": Seen.held,
     "length": Seen.length,
     "reached": Seen.reached,
-    # from below where one change brought it there, from above where it came down again
+    # from below after a single change, from above after it came down again
     "side": lambda seen: 1.0 if len(seen.changes) - seen.left > 1 else -1.0,
     "frequency": lambda seen: _rounded(seen.wave.frequency) if seen.wave else None,
     "mean": lambda seen: round(seen.wave.mean, 5) if seen.wave else None,
     "amplitude": lambda seen: round(seen.wave.amplitude, 5) if seen.wave else None,
 }
-"""How a coordinate of the operating point is measured [SI]; None where it cannot be."""
+"""Rule for a coordinate of the operating point -> its value [SI]; None where it cannot be determined."""
 
 
 def sine_command(wave: Wave, output: str) -> dict[str, Any]:
@@ -334,18 +334,18 @@ def sine_command(wave: Wave, output: str) -> dict[str, Any]:
 
 
 def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str, Any]]:
-    """Where a load leaves its support for the last time, and where it comes back: data of `found` events, with `t`.
+    """Last lift-off of a load from its support, and its set-down: data of `found` events, with `t`.
 
-    The displacement passes `LIFTED` (five times its noise where that is more); pressure, displacement and force are
-    those of a straight line through the samples `AROUND` it, so that their noise averages out. Of several approaches
-    the last counts. `t` [s] rises, `channels` [SI] have shape (n,).
+    They are where the displacement passes `LIFTED`, or five times its noise if that is more. Pressure, displacement and
+    force come from straight lines through the samples `AROUND` that moment, to average out noise. Of several approaches
+    the last counts. `t` [s] increases, `channels` [SI] have shape (n,).
     """
     if "displacement" not in channels or len(t) < FEWEST:
         return []
     x = channels["displacement"]
     rest = x[: max(FEWEST, len(x) // 100)]
     level = float(np.median(rest)) + max(LIFTED, 5.0 * float(np.std(rest)))
-    up = medians(x, TOGETHER) > level  # one stray sample lifts no load
+    up = medians(x, TOGETHER) > level  # a single stray sample does not count
     rises, falls = np.flatnonzero(~up[:-1] & up[1:]), np.flatnonzero(up[:-1] & ~up[1:])
     if not len(rises):
         return []
@@ -367,9 +367,9 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
 
 
 def cell_load(t: Array, channels: Mapping[str, Array], commands: list[dict[str, Any]]) -> float | None:
-    """The weight that hangs, from the cell [N]: median over the last fifth of the longest hold; None without a hold.
+    """Hanging weight from the load cell [N]: median over the last fifth of the longest hold; None without a hold.
 
-    What the cell reads while a support bears the load is no weight: the muscle is contracted by more than half there.
+    Only samples with more than half of the contraction count: before, a support carries the load.
     """
     x = channels.get("displacement")
     hangs = np.ones(len(t), dtype=bool) if x is None else x > 0.5 * float(x.min() + x.max())
@@ -382,9 +382,9 @@ def cell_load(t: Array, channels: Mapping[str, Array], commands: list[dict[str, 
 
 
 def alike(name: str, values: Iterable[float]) -> dict[float, float]:
-    """Measured values of a coordinate -> their levels: the mean of those that differ by less than `LIKE`.
+    """Measured value of a coordinate -> its level, the mean of values that differ by less than `LIKE`.
 
-    Where neighbours do and the ends are more than twice as far apart, it is a staircase: it is parted more finely.
+    A group of close neighbours whose ends are more than twice as far apart is a staircase, and is split more finely.
     """
     least, share, decimals = LIKE[name]
     levels: dict[float, float] = {}

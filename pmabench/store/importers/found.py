@@ -1,6 +1,6 @@
-"""What is found wrong in a file: one record for each finding, the report that gathers them, and what they change.
+"""Findings in an imported file: a record for each, the report that collects them, and their effect on results.
 
-A finding that flags samples is completed by the slope over pressure with and without these samples.
+A finding that flags samples also states the slope over pressure with and without these samples.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Found:
-    """One finding: how many samples, the first of them, and a sentence."""
+    """One finding: a sentence, the number of samples, and the first of them."""
 
     level: str
     """`note`, `doubt` or `fault`."""
@@ -32,27 +32,27 @@ class Found:
     index: int | None = None
     """Row of the first sample, from 0."""
     t: float | None = None
-    """Its time stamp [s]."""
+    """Time of the first sample [s]."""
     effect: float | None = None
-    """Change of the slope over pressure by these samples [1]; None where it was not measured."""
+    """Relative change of the slope over pressure by these samples [1]; None where not determined."""
     withholds: bool = False
-    """No rule can set it right: what rests on the file is withheld until the map answers it."""
+    """No rule can correct it: results of the file are withheld until the map resolves it."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What is compared between files at the same point: the peak of each channel [SI]."""
+    """Data of a file for comparison with files at the same operating point: the peak of each channel [SI]."""
 
     point: tuple[tuple[str, float], ...]
     peaks: Mapping[str, float]
     numbers: Mapping[str, float]
-    """The same peaks as the numbers in the file."""
+    """The same peaks in the units of the file."""
     trusted: bool
-    """False where the file was found wrong already."""
+    """False if the file was already found to be wrong."""
     slope: float | None = None
-    """Force over pressure where there is force [N/Pa], of a muscle that is held."""
+    """Slope of force over pressure [N/Pa] of a muscle held at constant length; None without force."""
     measured: tuple[tuple[str, float], ...] = ()
-    """Coordinates of the points of its trials that were measured [SI]."""
+    """Coordinates of its trials' operating points that were measured instead of given [SI]."""
 
 
 @dataclass(frozen=True)
@@ -66,16 +66,16 @@ class Checked:
 
 @dataclass
 class Report:
-    """Flags and findings while they are gathered; `t` [s] and `flags` have shape (n,)."""
+    """Collects flags and findings; `t` [s] and `flags` have shape (n,)."""
 
     t: Array
     flags: Flags
     found: list[Found] = field(default_factory=list)
     rows: dict[int, Rows] = field(default_factory=dict)
-    """Place in `found` -> rows that it flags."""
+    """Index in `found` -> rows flagged by that finding."""
 
     def mark(self, where: Bools | Rows, flag: Flag, level: str, kind: str, text: str, channel: str = "") -> None:
-        """Flag samples, given by rows or as True among all, and report them; nothing happens where there are none."""
+        """Flag samples, given by rows or by a mask, and report them; no finding if there are none."""
         rows: Rows = np.arange(len(self.t))[where]
         if len(rows) == 0:
             return
@@ -88,7 +88,7 @@ class Report:
         self.found.append(Found(level, kind, sentence, channel, len(rows), first, float(self.t[first])))
 
     def add(self, level: str, kind: str, text: str, channel: str = "", index: int | None = None) -> None:
-        """Report what flags no sample; `index` is the row where it begins."""
+        """Report a finding without flags; `index` is the row where it begins."""
         named = f"{channel}: {text}" if channel else text
         if index is None:
             self.found.append(Found(level, kind, named, channel))
@@ -97,24 +97,24 @@ class Report:
             self.found.append(Found(level, kind, f"{named}; from {at:.3f} s (row {index + 1})", channel, 1, index, at))
 
     def withhold(self, kind: str, text: str, channel: str = "", index: int | None = None) -> None:
-        """Report a fault that no rule can set right."""
+        """Report a fault that no rule can correct."""
         self.add("fault", kind, text, channel, index)
         self.found[-1] = replace(self.found[-1], withholds=True)
 
     def with_effect(self, place: int, effect: float, text: str) -> None:
-        """Add what the samples of a finding change to it."""
+        """Add the effect of its samples to a finding."""
         self.found[place] = replace(self.found[place], effect=effect, text=f"{self.found[place].text}; {text}")
 
 
 FEWEST = 20
-"""Samples that a slope needs."""
+"""Least number of samples for a slope."""
 SMALL = 0.001
-"""Smaller changes [1] are not spelled out."""
+"""Relative changes below this [1] are only reported as small."""
 BAR = 1e5
 
 
 def slope(pressure: Array, other: Array) -> float | None:
-    """Least-squares slope of `other` over `pressure`, both of shape (n,) [SI]; None where pressure does not move."""
+    """Least-squares slope of `other` over `pressure`, both shape (n,) [SI]; None if constant or too few samples."""
     if len(pressure) < FEWEST:
         return None
     apart = pressure - pressure.mean()
@@ -123,7 +123,7 @@ def slope(pressure: Array, other: Array) -> float | None:
 
 
 def correlation(a: Array, b: Array) -> float:
-    """Correlation of two channels, shape (n,) each, where both have a value; 0 where one does not move."""
+    """Correlation of two channels, shape (n,) each, over samples finite in both; 0 where one is constant."""
     good = np.isfinite(a) & np.isfinite(b)
     if good.sum() < 3 or np.ptp(a[good]) == 0 or np.ptp(b[good]) == 0:
         return 0.0
@@ -131,7 +131,7 @@ def correlation(a: Array, b: Array) -> float:
 
 
 def in_words(value: float, follower: str) -> str:
-    """A slope in units that people read."""
+    """A slope in practical units, for a message."""
     if follower == "force":
         return show(value, "force per pressure", 4)
     return f"{show(value * BAR, 'length', 4)}/bar"

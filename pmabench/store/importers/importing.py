@@ -1,7 +1,7 @@
-"""Old files to runs: one run per file, the file itself kept inside it, what is wrong reported and flagged.
+"""Converts old files to runs: one run per test, with the file inside it; faults are reported and flagged.
 
-All files are read and checked before anything is written; what is written before a failure is taken away again. Files
-of one call at the same point are compared with each other, which may show what a file alone does not.
+All files are read and checked before anything is written, and after a failure everything written is removed. Files of
+one call at the same operating point are compared, which may show faults that a single file does not show.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from pmabench.store.records import Flag
 from pmabench.store.writer import RunWriter
 
 ALIKE = 1.3
-"""Slopes of repeats differ by a factor below this."""
+"""Largest ratio of slopes of repeats."""
 UNIT_FACTORS: Mapping[str, Mapping[str, float]] = {
     "force": {"kilograms for newtons": 9.80665, "pounds for newtons": 4.4482, "a factor of 1000": 1000.0},
     "pressure": {"psi for kPa": 6.8948, "bar for kPa": 100.0, "a factor of 10": 10.0, "a factor of 1000": 1000.0},
@@ -43,9 +43,10 @@ UNIT_FACTORS: Mapping[str, Mapping[str, float]] = {
 
 
 def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list[Found]]:
-    """Findings per file: peaks that lie further than `allowed` [1] from those of its siblings.
+    """Findings per file about differences from its siblings, the files at the same operating point.
 
-    With three or more the median shows which is wrong (`fault`); of two that nobody doubts either may be (`doubt`).
+    `allowed`: channel -> largest relative difference of peaks [1]. With three or more files the median shows which is
+    wrong (`fault`); of two trusted files either may be (`doubt`).
     """
     found: list[list[Found]] = [[] for _ in files]
     for index, file in enumerate(files):
@@ -74,9 +75,9 @@ def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list
 
 
 def _steeper(file: Summary, others: Sequence[Summary]) -> list[Found]:
-    """A slope that is not that of the other files at the same point: they are no repeats of each other.
+    """Finding for a slope that differs from the other files at the same point, so that they are not repeats.
 
-    Where two thirds of the files agree the others are wrong; else nobody knows which are, and all are withheld.
+    If two thirds of the files agree the others are wrong; otherwise it is unknown which are, and all are withheld.
     """
     slopes = [other.slope for other in others if other.slope]
     if not file.slope or not file.trusted or not slopes:
@@ -98,7 +99,7 @@ def _steeper(file: Summary, others: Sequence[Summary]) -> list[Found]:
 
 
 def _swapped(file: Summary, others: Sequence[Summary], allowed: Mapping[str, float]) -> list[Found]:
-    """Pairs of columns whose numbers look like each other's in the siblings, and not like their own."""
+    """Findings for pairs of columns whose peaks match each other's in the siblings, but not their own."""
     if not others:
         return []
     usual = {
@@ -129,12 +130,12 @@ def _hint(ratio: float, quantity: str) -> str:
 
 MOST_FILES = 10_000
 UNKNOWN = ("unknown", "not told")
-"""The type of a specimen that no file names, as proposed maps have it; the second one as earlier versions wrote it."""
+"""Specimen type in proposed maps where no file gives it; the second one is from earlier versions."""
 
 
 @dataclass(frozen=True)
 class ImportedRun:
-    """One old file that became a run."""
+    """A run made from an old file."""
 
     path: Path
     """Folder of the run."""
@@ -147,7 +148,7 @@ class ImportedRun:
     flagged: Mapping[str, int]
     """Name of the flag in lower case -> number of samples."""
     unresolved: tuple[Question, ...] = ()
-    """Questions of the map that nobody answered."""
+    """Open questions of the map."""
 
 
 def import_files(
@@ -159,13 +160,11 @@ def import_files(
     *,
     unresolved: bool = False,
 ) -> list[ImportedRun]:
-    """Make one run below `out` of each test in the files, as the map at `map_path` says; files are never touched.
+    """Make one run below `out` of each test in the files, according to the map; the files are not changed.
 
-    `kinds`: what each kind of test needs of a file. `answers` and `unresolved`: to the questions of the map, as for
-    `read_map`.
-
-    Raises InvalidFile with the problems of the map, or else of all files, and leaves nothing behind then. Files of one
-    call are compared with each other where the map names `siblings`.
+    `kinds`: what each kind of test needs from a file. `answers` and `unresolved`: for the questions of the map, as in
+    `read_map`. Raises InvalidFile with the problems of the map, or else of all files, and then leaves nothing behind.
+    Peaks of the files are compared where the map has `siblings`.
     """
     rules = read_map(map_path, kinds, answers, unresolved=unresolved)
     if not files or len(files) > MOST_FILES:
@@ -197,7 +196,7 @@ def import_files(
 
 
 def _read_all(files: Sequence[Path], rules: ImportMap) -> tuple[list[Prepared], list[Summary], list[str]]:
-    """The tests of the last file, a summary of every test, and the sha256 of each file; all problems at once."""
+    """The tests of the last file, a summary of every test, and each file's sha256; InvalidFile with all problems."""
     problems, summaries, hashes, prepared = list[Problem](), list[Summary](), list[str](), list[Prepared]()
     first: dict[str, Path] = {}
     for path in files:
@@ -218,7 +217,7 @@ def _read_all(files: Sequence[Path], rules: ImportMap) -> tuple[list[Prepared], 
 
 
 def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
-    """One run from one prepared file; removes what it began where it fails."""
+    """Write one run from one prepared test; removes it again if that fails."""
     flags = prepared.flags
     if any(found.level == "fault" and not found.withholds for found in apart):
         flags = flags | np.uint16(Flag.SUSPECT)
@@ -262,7 +261,7 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
 
 
 def _specimen(prepared: Prepared, rules: ImportMap) -> Mapping[str, Any]:
-    """As the record of an exported run says, unless the map names another one."""
+    """The specimen from the record of an exported run, unless the map names another one."""
     found = prepared.record.about.get("specimen") if prepared.record is not None else None
     if not isinstance(found, Mapping):
         return rules.specimen
@@ -287,7 +286,7 @@ def _events(writer: RunWriter, prepared: Prepared) -> None:
 
 
 def _snapshots(prepared: Prepared, rules: ImportMap) -> dict[str, bytes | Copy]:
-    """The source as it is, its notes, and the map with all that it includes."""
+    """Files to keep in the run: the source, its notes, the map with its included files, and the plan."""
     table = prepared.table
     kept: dict[str, bytes | Copy] = {f"source/{_legal(table.path.name)}": Copy(table.path, table.sha256)}
     if prepared.notes is not None:

@@ -1,8 +1,8 @@
-"""Files of more rows than fit into memory: inspected in parts, what was found put together, and thinned for cutting.
+"""Files with more rows than fit into memory: inspected in parts, findings merged, and thinned for cutting into trials.
 
-Every part is inspected as a file would be, with some rows before it, so that what begins there is seen; what these rows
-alone show is taken off again. Trials are cut on rows that keep the course of the signal: of each stretch the lowest
-and the highest value, and all rows around steps, changes of phase and gaps.
+Every part is inspected together with some rows before it, so that faults which begin there are seen; findings in those
+rows alone are removed again. Trials are cut on a subset of rows: the lowest and the highest value of each stretch, and
+all rows around steps, changes of phase and gaps.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from pmabench.store.importers.table import Table
 from pmabench.store.records import Array, Flags
 
 PART = 300_000
-"""Rows that are inspected together; a file that is not longer is inspected whole."""
+"""Largest number of rows inspected at once."""
 BEFORE = 10_000
-"""Rows before a part that are looked at with it."""
+"""Number of rows before a part that are inspected with it."""
 STRETCHES = 100_000
-"""Of each of so many stretches of a long file the extremes are kept for cutting it into trials."""
+"""Number of stretches of a long file whose extremes are kept for cutting it into trials."""
 OF_WHOLE = frozenset({"left-out", "contradiction", "cut-end", "cut-row"})
-"""Kinds of findings that are about the file as such: the parts do not repeat them."""
+"""Kinds of findings about the file as a whole, which are kept only once."""
 _ROW = re.compile(r"\b(rows?) (\d+)(?: to (\d+))?")
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What the inspection of some rows gave."""
+    """Result of the inspection of some rows."""
 
     t: Array
     """Time stamps [s], shape (n,)."""
@@ -45,23 +45,23 @@ class Seen:
 
 @dataclass(frozen=True)
 class Inspected:
-    """What all rows of a file gave."""
+    """Result of the inspection of a whole file."""
 
     seen: Seen
-    """The rows on which trials are cut, with their flags, and all findings."""
+    """The rows for cutting into trials, with their flags, and all findings."""
     flags: Flags
-    """Of all rows."""
+    """Flags of all rows, shape (n,)."""
     whole: frozenset[str]
-    """Roles of channels that hold whole counts throughout."""
+    """Roles of channels with whole counts throughout."""
     peaks: Mapping[str, tuple[float, float]]
-    """Role -> highest value [SI] of the samples in which nothing is wrong, and highest number in the file."""
+    """Role -> highest value [SI] and highest number in the file, over the samples without serious flags."""
     period: float
-    """Median distance of the samples [s]."""
+    """Median sampling period [s]."""
     rows: np.ndarray | None = None
-    """Row in the file of each row on which trials are cut; None where these are all."""
+    """Row in the file of each row for cutting; None where all rows are used."""
 
     def placed(self, found: list[Found]) -> list[Found]:
-        """Findings in the rows on which trials are cut, with rows of the file in their place."""
+        """Findings in the rows for cutting, with their row numbers changed to those of the file."""
         rows = self.rows
         if rows is None:
             return found
@@ -81,7 +81,10 @@ def inspected(
     inspect: Callable[[Table], Seen],
     summarise: Callable[[Seen, Table], tuple[frozenset[str], Mapping[str, tuple[float, float]]]],
 ) -> Inspected:
-    """Inspect all rows, part by part where they are many."""
+    """Inspect all rows, in parts if there are more than `PART`.
+
+    `summarise` gives the roles with whole counts, and the peaks, of inspected rows.
+    """
     rows = len(table)
     if rows <= PART:
         here = table.part(0, rows)
@@ -142,7 +145,7 @@ def _joined(kept: list[Seen]) -> Seen:
 
 
 def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
-    """Rows that keep the course of what trials are cut by."""
+    """Rows that keep the features by which trials are cut."""
     rows = len(seen.t)
     keep = np.zeros(rows, dtype=bool)
     keep[[0, -1]] = True
@@ -169,14 +172,14 @@ def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
 
 
 class _Findings:
-    """Findings of parts put together: one of each kind and channel, counted over the whole file."""
+    """Merges findings of parts: one of each kind and channel, counted over the whole file."""
 
     def __init__(self) -> None:
         self._all: dict[tuple[str, str], list[Found]] = {}
         self._parts = 0
 
     def add(self, found: list[Found], begin: int, before: list[Found]) -> None:
-        """Those of a part whose first row is `begin` of the file, without those of the rows `before` it."""
+        """Add the findings of a part whose first row is `begin` of the file, without those of the rows before it."""
         self._parts += 1
         counted = {(each.kind, each.channel): each.count for each in before}
         for each in found:
@@ -187,7 +190,7 @@ class _Findings:
             self._all.setdefault(key, []).append(replace(_moved(each, lambda row: row + begin), count=left))
 
     def all(self) -> list[Found]:
-        """One finding of each kind and channel, the first, and how often it was found."""
+        """The first finding of each kind and channel, with the highest level and the total count."""
         order = {"note": 0, "doubt": 1, "fault": 2}
         merged = []
         for same in self._all.values():
@@ -202,7 +205,7 @@ class _Findings:
 
 
 def _moved(found: Found, row_of: Callable[[int], int]) -> Found:
-    """A finding with rows of the file, from 0, in place of those that were looked at; its text counts them from 1."""
+    """A finding with its row numbers converted by `row_of` (from 0); in its text rows count from 1."""
 
     def named(match: re.Match[str]) -> str:
         first, *last = (str(row_of(int(row) - 1) + 1) for row in match.group(2, 3) if row)

@@ -1,4 +1,4 @@
-"""Whether pressures and forces can be those of a muscle: its size bounds the force, whatever the units are called.
+"""Checks whether pressures and forces are possible for a muscle: its size bounds the force, whatever the units.
 
 Braided muscles obey F = P (pi D0^2/4) (3 cos^2 a - 1)/sin^2 a at most (Chou and Hannaford 1996, eq. 8 at no
 contraction; D0 inner diameter, a braid angle from the axis). Measured slopes of muscles of 10, 20 and 40 mm are 8 to
@@ -20,37 +20,37 @@ from pmabench.store.importers.map_file import Question, spelled
 from pmabench.store.records import UNUSABLE, Array, Flags
 
 STEEPEST = 17.0
-"""Smallest braid angle that is made [deg]: the most force that a diameter gives."""
+"""Smallest braid angle made [deg]; it gives the largest force for a diameter."""
 USUAL = 12.0
-"""Force per pressure and area of bore [1] that real muscles hardly exceed."""
+"""Force per pressure and bore area [1] that real muscles hardly exceed."""
 FLATTEST = 42.0
-"""Largest braid angle of a muscle that still pulls well [deg]: the least force, for long muscles at no contraction."""
+"""Largest braid angle of a useful muscle [deg]; it gives the least force of long muscles at zero contraction."""
 DIAMETERS = (0.004, 0.1)
-"""Inner diameters of muscles [m]."""
+"""Smallest and largest inner diameter of muscles [m]."""
 LONG = 5.0
-"""Length over diameter from which on the ends do not weaken a muscle."""
+"""Ratio of length to diameter above which end effects do not weaken a muscle [1]."""
 HELD = 0.05
-"""Contraction of the length up to which the least force holds."""
+"""Largest relative contraction at which the least force applies [1]."""
 PEAKS = (15e3, 2.5e6)
-"""Highest gauge pressures of a test [Pa]: less opens no bladder, more bursts it."""
+"""Possible range of the highest gauge pressure of a test [Pa]: less opens no bladder, more bursts it."""
 PSI = 6894.757
 UNITS_OF_PRESSURE = {"kPa": 1e3, "bar": 1e5, "psi": PSI, "MPa": 1e6}
 LOW, USUAL_PEAKS = (15e3, 180e3), (100e3, 1.25e6)
-"""Peaks [Pa] that are low for muscles, and what they would be in another unit for it to be asked."""
+"""Range of peaks that are low for muscles [Pa], and range in which they must be in another unit to ask for it."""
 FILLED, RESOLVED = 0.015, 10
-"""No valve fills a muscle in less time [s]; a rise is seen in so many samples at least."""
+"""Shortest time in which a valve fills a muscle [s], and least number of samples of a rise."""
 PULLS = 0.1
-"""Share of its span above its least from which on a force is one."""
+"""Share of its span above its lowest value from which on a force counts as pulling."""
 EXCHANGED = 0.1
-"""Share of its span by which no force of a held muscle moves while the pressure is at its lowest."""
+"""A force of a held muscle moves less than this share of its span while the pressure is at its lowest."""
 ATMOSPHERE = (97.5e3, 104e3)
-"""Absolute pressure of the air [Pa], up to 300 m above the sea."""
+"""Range of atmospheric pressure [Pa absolute], up to 300 m above sea level."""
 VACUUM = -30e3
-"""Lower gauge pressures [Pa] no supply of a muscle makes."""
+"""Lowest possible gauge pressure in a muscle [Pa]."""
 MANY = 100
-"""Samples from which on it shows in which steps a channel reads."""
+"""Least number of samples to determine the steps of a channel's readings."""
 LEVELS = 25
-"""Fewer steps of a converter over the whole span are coarse."""
+"""Least number of converter steps over the whole span; fewer are too coarse."""
 
 CONFUSED = {
     "is the pressure in bar, not kPa?": 1e-2,
@@ -62,22 +62,22 @@ CONFUSED = {
     "is the force in kN, not N?": 1e3,
     "is the force in grams, not N?": 9.80665e-3,
 }
-"""Question -> factor on the slope where the answer is yes."""
+"""Question -> factor on the slope if the answer is yes."""
 
 
 @dataclass(frozen=True)
 class Muscle:
-    """What is known of the specimen and of the point [SI]; None where it is not."""
+    """Known facts about specimen and operating point [SI]; None where unknown."""
 
     diameter: float | None
     length: float | None
     contraction: float | None
     held: bool
-    """Its length is set: force follows pressure."""
+    """Whether its length is held constant, so that force follows pressure."""
 
 
 def slope_of_held(values: Mapping[str, Array], flags: Flags) -> float | None:
-    """Slope of force over pressure where there is force [N/Pa], of channels and flags of shape (n,)."""
+    """Slope of force over pressure where the muscle pulls [N/Pa], from usable samples, shape (n,); None without."""
     good = (flags & np.uint16(UNUSABLE)) == 0
     if not {"pressure", "force"} <= set(values) or not good.any():
         return None
@@ -85,13 +85,13 @@ def slope_of_held(values: Mapping[str, Array], flags: Flags) -> float | None:
 
 
 def area_factor(angle: float) -> float:
-    """Force per pressure and area of bore [1] at no contraction for a braid angle [deg]."""
+    """Force per pressure and bore area [1] at zero contraction for a braid angle [deg]."""
     a = radians(angle)
     return (3.0 * cos(a) ** 2 - 1.0) / sin(a) ** 2
 
 
 def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: Muscle) -> list[Question]:
-    """Report pressures and forces that no muscle gives; returns questions that the numbers cannot decide."""
+    """Report pressures and forces that are impossible for a muscle; returns questions that numbers cannot decide."""
     pressure, force = channels.get("pressure"), channels.get("force")
     if pressure is None or good.sum() < 20:
         return []
@@ -122,7 +122,7 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
 
 
 def slope_of(P: Array, F: Array) -> float | None:
-    """Slope of force over pressure where there is force, or over all where that is at one pressure only."""
+    """Slope of force over pressure where the muscle pulls; over all samples if that is at one pressure only."""
     low = float(np.quantile(F, 0.02))
     pulls = low + PULLS * float(np.quantile(F, 0.998) - low) < F
     if not pulls.any() or np.ptp(np.quantile(P[pulls], [0.05, 0.95])) < 0.2 * np.ptp(P):
@@ -131,13 +131,13 @@ def slope_of(P: Array, F: Array) -> float | None:
 
 
 def _steepest(P: Array, F: Array) -> float | None:
-    """Force over pressure where the pressure is at least half of its peak; it bounds the area from below."""
+    """Median force per pressure [N/Pa] above half of the peak pressure; None without samples there."""
     high = 0.5 * float(np.quantile(P, 0.999)) < P
     return float(np.median(F[high] / P[high])) if high.any() else None
 
 
 def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Checked) -> list[Question]:
-    """Compare the force per pressure [N/Pa] with the range that the inner diameter allows."""
+    """Compare the force per pressure `m` [N/Pa] with the range possible for the inner diameter, and report."""
     most = area_factor(STEEPEST)
     word = "slope of force over pressure" if muscle.held else "force over pressure"
     thinnest = 0.1 * area_factor(FLATTEST) * pi * DIAMETERS[0] ** 2 / 4.0
@@ -181,7 +181,7 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
 
 
 def _shows_least(muscle: Muscle) -> bool:
-    """Whether the least force of a diameter can be expected: long, held, and hardly contracted."""
+    """Whether the least force for a diameter can be expected: a long, held and hardly contracted muscle."""
     long = muscle.length is not None and muscle.diameter is not None and muscle.length >= LONG * muscle.diameter
     return muscle.held and long and _stretched(muscle)
 
@@ -192,13 +192,13 @@ def _stretched(muscle: Muscle) -> bool:
 
 
 def _units(m: float, fits: Callable[[float], bool]) -> str:
-    """The units which would make a slope plausible, as questions."""
+    """Questions about units that would make a slope plausible, for a message."""
     asked = [text for text, factor in CONFUSED.items() if fits(abs(m) * factor)]
     return f" ({' '.join(asked)})" if asked else ""
 
 
 def _other_unit(peak: float) -> str:
-    """Units in which a peak of the pressure [Pa] would be a usual one."""
+    """Questions about units in which a peak of the pressure [Pa] would be usual, for a message."""
     shown = peak / 1e3
     names = {"bar": 1e5, "psi": PSI, "MPa": 1e6, "Pa": 1.0}
     asked = [f"is it {name}?" for name, factor in names.items() if 80e3 <= shown * factor <= 1.2e6]
@@ -206,7 +206,7 @@ def _other_unit(peak: float) -> str:
 
 
 def _low(pressure: Checked, peak: float) -> list[Question]:
-    """The question whether a low pressure has another unit, where nothing decides it."""
+    """Question whether a low pressure has another unit; empty where the pressure is not low."""
     unit = pressure.rule.raw_unit
     if unit not in UNITS_OF_PRESSURE or not LOW[0] <= peak <= LOW[1]:
         return []
@@ -227,7 +227,7 @@ def _low(pressure: Checked, peak: float) -> list[Question]:
 
 
 def _fastest(t: Array, P: Array) -> float:
-    """The shortest time [s] in which pressure goes through four fifths of a rise, of rises that the samples resolve."""
+    """Shortest 10 % to 90 % rise time of the pressure [s], of rises that the samples resolve; else infinite."""
     stride = 1 + len(t) // 50_000
     forward = motion.later(t)
     times, values = t[forward][::stride], P[forward][::stride]
@@ -242,7 +242,7 @@ def _fastest(t: Array, P: Array) -> float:
 
 
 def _pace(seconds: float) -> Question:
-    """The question whether the time has another unit."""
+    """Question whether the time has another unit."""
     question = (
         f"what is the unit of time? As the map says it the pressure rises within {1e3 * seconds:.3g} ms, and no valve "
         f"fills a muscle in less than {1e3 * FILLED:g} ms; correct the unit, or say confirmed: [time-unit]"
@@ -251,9 +251,9 @@ def _pace(seconds: float) -> Question:
 
 
 def _exchanged(report: Report, P: Array, F: Array) -> None:
-    """Report a force of a held muscle that moves while the pressure rests at its lowest, and not the other way round.
+    """Report force and pressure of a held muscle that look exchanged: force moves while pressure is at its lowest.
 
-    A contracted muscle pulls from some pressure on: its force rests where the pressure moves.
+    A contracted muscle pulls only above some pressure: its force rests while the pressure moves.
     """
     moves, rests = (_at_lowest(*pair) for pair in ((P, F), (F, P)))
     if moves > EXCHANGED and rests < EXCHANGED / 4:
@@ -262,13 +262,13 @@ def _exchanged(report: Report, P: Array, F: Array) -> None:
 
 
 def _at_lowest(rests: Array, moves: Array) -> float:
-    """How far one channel moves where the other is within 3 % of its lowest, as a share of its span."""
+    """Motion of one channel while the other is within 3 % of its lowest value, as a share of its span."""
     near = moves[rests <= np.quantile(rests, 0.02) + 0.03 * np.ptp(rests)]
     return float(np.ptp(np.quantile(near, [0.1, 0.9])) / np.ptp(np.quantile(moves, [0.002, 0.998])))
 
 
 def _absolute(report: Report, P: Array, F: Array) -> None:
-    """Report a pressure that rests at that of the air where the muscle does not pull: it may be absolute."""
+    """Report a pressure that rests near atmospheric pressure while the muscle does not pull: it may be absolute."""
     low = float(np.quantile(P, 0.02))
     rest = float(np.quantile(F, 0.02)) + 0.05 * float(np.quantile(F, 0.998) - np.quantile(F, 0.02)) >= F
     near = P < low + 0.03 * float(np.ptp(P))
@@ -279,9 +279,9 @@ def _absolute(report: Report, P: Array, F: Array) -> None:
 
 
 def _converter(report: Report, channel: Checked, good: Bools) -> list[Question]:
-    """Readings of a converter: whole numbers that are called newtons, or steps that are coarse.
+    """Report force readings that are whole numbers, probably counts, and steps that are too coarse.
 
-    Where the name of the column gives the unit this is a question, otherwise nothing speaks for newtons.
+    For whole numbers a question is returned if the column's name gives the unit; otherwise the result is withheld.
     """
     rule = channel.rule
     numbers = (channel.raw * rule.back[0] + rule.back[1])[good]

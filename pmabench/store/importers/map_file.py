@@ -1,7 +1,7 @@
-"""Import maps as strict models: what people write about an old file, with its units and its open questions.
+"""Import maps as strict models: the user's description of old files, with units and open questions.
 
-A value that begins with `??` is a question; what follows the marks is what may be taken until somebody answers. The
-comment above it that begins with `??` is the question in words.
+A value that begins with `??` is an open question; the text after the marks is a provisional value. A comment above it
+that begins with `??` is the question in words.
 """
 
 from __future__ import annotations
@@ -68,44 +68,44 @@ _UNITS = {
     "Hz": ("", "hertz hz"),
     "%": ("", "percent"),
 }
-"""Unit -> what it measures (empty: nothing that is asked for), and how else it is spelled."""
+"""Unit -> its quantity (empty: not used here), and other spellings."""
 _KNOWN = {name: name for name in _UNITS} | {
     spelling: name for name, (_, spellings) in _UNITS.items() for spelling in spellings.split()
 }
 QUANTITY = {name: quantity for name, (quantity, _) in _UNITS.items() if quantity}
-"""What a unit measures; `reading`: a sensor's own output, which needs a calibration."""
+"""Unit -> its quantity; `reading`: the output of a sensor, which needs a calibration."""
 
 
 def spelled(text: str) -> str:
-    """The unit that a text means, as pmabench spells it, or an empty text; case counts first, then not."""
+    """A unit in pmabench's spelling, or empty if not known; an exact match comes before one that ignores case."""
     text = text.strip().strip("[](){}").strip()
     return _KNOWN.get(text) or _KNOWN.get(text.lower(), "")
 
 
 OPEN = "??"
-"""What a proposed map begins a value with that no file gives."""
+"""Mark of an open question at the beginning of a value."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """One question that an import left open."""
+    """An open question of a map or an import."""
 
     what: str
-    """The key in the map: `columns.F.unit`."""
+    """Key in the map, for instance `columns.F.unit`."""
     where: str
     """`path:line:column`."""
     question: str
     used: str
-    """What may be taken until it is answered; empty where nothing may."""
+    """Provisional value until it is answered; empty for none."""
 
 
 def settle(
     document: Document, answers: Sequence[tuple[str, str]] = (), *, unresolved: bool = False
 ) -> tuple[Question, ...]:
-    """Put the answers (key, value) into a map's data, and say which questions are left with what is taken for them.
+    """Put the answers (key, value) into a map's data; returns the questions for which provisional values were used.
 
-    An answer may also change a key that is no question. Raises InvalidFile with every question that is not answered;
-    with `unresolved` only with those for which the map proposes nothing.
+    An answer may also change a key that is no question. Raises InvalidFile with every unanswered question; with
+    `unresolved` only with those without a provisional value.
     """
     asked = {question.what: (location, question) for location, question in _asked(document)}
     for key, text in answers:
@@ -127,7 +127,7 @@ def settle(
 
 
 def _located(data: Any, key: str) -> Location:
-    """The place of a dotted key; names of columns may hold dots."""
+    """Location of a dotted key; names of columns may contain dots."""
     if isinstance(data, Mapping):
         for name in sorted(map(str, data), key=len, reverse=True):
             if key == name:
@@ -141,7 +141,7 @@ def _located(data: Any, key: str) -> Location:
 
 
 def questions_of(document: Document) -> list[Question]:
-    """Every question of a map, in the order of its lines."""
+    """Every open question of a map, in order."""
     return [question for _, question in _asked(document)]
 
 
@@ -152,7 +152,7 @@ def _asked(document: Document) -> Iterator[tuple[Location, Question]]:
 
 
 def left_open(value: Any, location: Location) -> Iterator[Location]:
-    """Places of texts that begin with `??`."""
+    """Locations of values that begin with `??`."""
     if isinstance(value, str) and value.startswith(OPEN):
         yield location
     elif isinstance(value, Mapping | list):
@@ -161,12 +161,12 @@ def left_open(value: Any, location: Location) -> Iterator[Location]:
 
 
 def dotted(location: Location) -> str:
-    """A place as people type it: `columns.F.unit`."""
+    """A location in the form that users type: `columns.F.unit`."""
     return ".".join(str(part) for part in location)
 
 
 def _question(document: Document, location: Location) -> str:
-    """The comments with `??` right above a place."""
+    """The question in the `??` comments right above a location; a default text without one."""
     path, line, _ = document.place(location)
     lines = document.texts.get(path, "").split("\n")[: line - 1]
     found: list[str] = []
@@ -183,9 +183,9 @@ def _at(data: Any, location: Location) -> Any:
 
 
 Reading = Annotated[tuple[float, str], AsText(raw_quantity, "a number with its unit", "4 mA", "0.683 N/count")]
-"""A number with its unit, kept apart."""
+"""A number and its unit, not converted."""
 PLACE = "{test}"
-"""In the name of a column: the name of the test."""
+"""Placeholder for the name of the test in the name of a column."""
 Text = Annotated[str, Field(max_length=600)]
 Role = Literal[
     "time", "date", "pressure", "displacement", "force", "pressure_command", "displacement_command", "supply", "flow",
@@ -195,10 +195,10 @@ Written = Literal[
     "number", "index", "header step", "clock", "date and time", "epoch", "serial days", "matlab days", "labview"
 ]
 SCALES = {"points", "line", "recorded_with", "contraction", "range", "dropout", "blip", "spike"}
-"""What only a column that is measured or commanded has."""
+"""Entries that only a measured or commanded column can have."""
 Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap", "time-unit"]
 NUMBERS = frozenset(("phase", "trial", "flags", "simulated", "ignore"))
-"""Roles of columns that measure nothing: they have no unit and no scale."""
+"""Roles of columns that are not measured, and have neither unit nor scale."""
 PointName = Literal[
     "contraction", "load", "mass", "pressure", "frequency", "speed", "lower", "upper", "start", "step", "mean",
     "amplitude", "cycles", "side", "setpoint", "bias", "tip_mass",
@@ -206,7 +206,7 @@ PointName = Literal[
 
 
 def made(column: str) -> str:
-    """The coordinate of the operating point that a column is made of which no file has, as `@pressure`; else empty."""
+    """The coordinate for a constant column that no file has (`@pressure` -> `pressure`); else empty."""
     return column[1:] if column.startswith("@") and column[1:] in get_args(PointName) else ""
 
 
@@ -221,7 +221,7 @@ else:
         Union[tuple(Annotated[each.layout, Tag(name)] for name, each in formats().items())],  # noqa: UP007
         Discriminator(_format),
     ]
-    """How a file is laid out: what its format takes."""
+    """Layout of a file, with the options of its format."""
 
 
 class Line(Strict):
@@ -236,13 +236,13 @@ class Contraction(Strict):
     """How a displacement sensor shows contraction, which is positive when the muscle shortens."""
 
     reading: Literal["falls", "rises"]
-    """What the reading does while the muscle shortens."""
+    """Direction of the reading while the muscle shortens."""
     zero: Reading
-    """The reading at no contraction."""
+    """Reading at zero contraction."""
 
 
 class ColumnFile(Strict):
-    """What one column is, and how its numbers become SI."""
+    """Role of one column, and conversion of its numbers to SI."""
 
     is_: Annotated[Role, Field(alias="is")]
     of: PointName | None = None
@@ -252,40 +252,42 @@ class ColumnFile(Strict):
     points: Annotated[list[tuple[Reading, Reading]], Field(min_length=2, max_length=200)] | None = None
     line: Line | None = None
     recorded_with: Line | None = None
-    """The file holds values that somebody computed from readings with this line; the readings are recovered first."""
+    """Line with which the values in the file were computed from readings; the readings are recovered first."""
     whole: bool = False
-    """The reading is a whole number of counts."""
+    """Whether the reading is a whole number of counts."""
     contraction: Contraction | None = None
     range: tuple[Reading, Reading] | None = None
     dropout: Reading | None = None
-    """What a cut wire reads."""
+    """Reading of a broken wire."""
     blip: Reading | None = None
-    """Nonsense where a single sample between two others reads so."""
+    """Reading that is invalid in a single sample between two others."""
     stale_after: Time | None = None
     spike: Reading | None = None
-    """How far a lone sample may lie from its neighbours; otherwise that follows from the scatter of the channel."""
+    """Largest distance of a single sample from its neighbours; by default from the scatter of the channel."""
     late_by: tuple[Time, Time] = (0.0, 0.0)
-    """How much older a value may be than its time stamp, least and most."""
+    """Least and largest delay of a value relative to its time stamp."""
     expanded_uncertainty: Reading | None = None
     gain_uncertainty: Ratio = 0.0
     sensor_lag: Annotated[Time, Field(ge=0.0)] = 0.0
     """Time constant of the sensor."""
     reference: Text = ""
-    """Where the scale comes from."""
+    """Source of the scale."""
     written: Written = "number"
-    """How a column of time is written: `number` counts units from any zero; `index` counts samples, `period` apart;
-    `header step` counts samples, whose Start and Increment the header gives; `clock` is HH:MM:SS, of one day or with a
-    column `is: date`; `date and time` both in one text; `epoch` counts units from 1970, `labview` seconds from 1904;
-    `serial days` and `matlab days` count days, as spreadsheets and datenum do.
+    """Form of a column of time.
+
+    `number` counts units from any zero; `index` counts samples, `period` apart; `header step` counts samples with Start
+    and Increment from the header; `clock` is HH:MM:SS, within one day or with a column
+    `is: date`; `date and time` has both in one text; `epoch` counts units since 1970, `labview` seconds since 1904;
+    `serial days` and `matlab days` count days, as in spreadsheets and datenum.
     """
     order: Literal["year first", "day first", "month first"] = "year first"
     """Order of a date whose year comes last, as in 01/03/2024."""
     period: Annotated[Time, Field(gt=0.0)] | None = None
-    """Distance of the samples that `written: index` counts."""
+    """Sampling period for `written: index`."""
     marks: Annotated[dict[Short, Annotated[int, Field(ge=-1000, le=1000)]], Field(max_length=20)] = {}
-    """Of a phase column: name of the phase -> its number."""
+    """For a phase column: name of the phase -> its number."""
     optional: bool = False
-    """Absent in some files."""
+    """Whether the column may be missing in some files."""
 
     @model_validator(mode="after")
     def _fits(self) -> ColumnFile:
@@ -319,46 +321,46 @@ def _column(value: Any) -> Any:
 
 
 Column = Annotated[ColumnFile, BeforeValidator(_column, json_schema_input_type=ColumnFile | Literal["ignore"])]
-"""A column may be just `ignore`."""
+"""A column; the word `ignore` may replace its entries."""
 
 
 class NameFile(Strict):
-    """What the name of the file or folder contains, as forms with {placeholders} for numbers; `*` is any text."""
+    """Data in the name of the file or folder: forms with {placeholders} for numbers; `*` is any text."""
 
     of: Literal["file", "folder"] = "file"
     forms: Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]], Field(min_length=1, max_length=20)]
     decimal: Literal["point", "comma"] = "point"
     units: dict[PointName, Short] = {}
     otherwise: dict[PointName, Reading] = {}
-    """Values where the form that fits does not hold the placeholder."""
+    """Values for placeholders that the matching form does not have."""
 
 
 class Sampling(Strict):
-    """What the time stamps should look like."""
+    """Expected properties of the time stamps."""
 
     rate: tuple[Frequency, Frequency]
     gap: Time
-    """Samples further apart have others missing between them."""
+    """Longest interval without missing samples."""
     leap: Time = 60.0
-    """Further apart than this the clock itself leapt."""
+    """A longer interval is a jump of the clock."""
 
 
 class Trials(Strict):
     """How a file is cut into trials."""
 
     by: Literal["file", "step", "level", "ramp", "sine", "gap", "column", "command", "record"]
-    """The whole file; every step, or sine, of the command (of the measured pressure where none was recorded); `level`:
-    every stretch between such steps, at one pressure; every
-    rise of the measured pressure with the fall after it; or between gaps in time. `column`: where the column of trials
-    has the same number, not 0. `command`: from each rise of the pressure command out of its lowest level to the next.
-    `record`: as run.json next to the file says, which `pmabench export` writes.
+    """`file`: the whole file. `step`, `sine`: every step or sine of the command (of the measured pressure if none was
+    recorded). `level`: every stretch between such steps, at one pressure. `ramp`: every rise of the measured pressure
+    with the fall after it. `gap`: between gaps in time. `column`: while the column of trials has one number, not 0.
+    `command`: from each rise of the pressure command out of its lowest level to the next. `record`: from run.json next
+    to the file, which `pmabench export` writes.
     """
     smallest: Pressure | None = None
-    """Smallest change of pressure that is a step or a ramp; smallest sine, from peak to peak."""
+    """Smallest change of pressure that counts as a step or ramp; smallest sine, peak to peak."""
     lead: Time = 0.0
-    """A trial begins so long before its step."""
+    """Time before its step at which a trial begins."""
     longer_than: Time | None = None
-    """Shortest gap that parts two trials."""
+    """Shortest gap that separates two trials."""
     point: dict[PointName, Reading] = {}
     phases: Annotated[dict[Short, Time], Field(max_length=20)] = {}
     """Name of each phase -> when it begins, where no column marks it."""
@@ -373,21 +375,21 @@ class Trials(Strict):
 
 
 class Meter(Strict):
-    """What makes a volume of the mass that a flow meter let in; SI, halves with 95 %, bounds as of a protocol."""
+    """Data to calculate a volume from the mass measured by a flow meter; SI, half widths of 95 %."""
 
     dead: Annotated[float, Field(ge=0.0, le=0.1)]
     """Volume between meter and muscle."""
     dead_half: Annotated[float, Field(ge=0.0, le=0.1)]
     temperature: Annotated[float, Field(ge=250.0, le=350.0)] = 293.15
-    """[K]: degrees Celsius would be another volume, and are out of range."""
+    """Temperature [K]; values in degrees Celsius are out of range."""
     temperature_half: Annotated[float, Field(ge=0.0, lt=50.0)] = 3.0
     gain: Annotated[float, Field(gt=0.0)] = 1.0
-    """By which a known vessel in place of the muscle was found too small."""
+    """Correction factor from a known vessel in place of the muscle: true volume by measured volume."""
     gain_half: Annotated[float, Field(ge=0.0)] = 0.0
 
 
 def _form(value: object) -> str:
-    """Which form a setting has, so that a mistake in it is one problem and not one for each form."""
+    """Form of a setting, so that a mistake in it is reported once and not once for each form."""
     return "meter" if isinstance(value, dict | Meter) else "text" if isinstance(value, str) else "number"
 
 
@@ -401,12 +403,12 @@ class TestFile(Strict):
     """One of several tests in a file; each becomes a run with its own clock."""
 
     name: Short
-    """What takes the place of {test} in the names of the columns; where the header is repeated any name."""
+    """Text for {test} in the names of columns; any name where the header is repeated."""
     point: dict[PointName, Reading] = {}
 
 
 class SpecimenText(Strict):
-    """What is known of the muscle."""
+    """Data of the muscle."""
 
     make: Text = ""
     type: Text
@@ -416,13 +418,13 @@ class SpecimenText(Strict):
 
 
 class AnalysisRule(Strict):
-    """Which samples enter the fit, written down before anyone looks at the result."""
+    """Samples that enter the fit, decided before the result is known."""
 
     force_above: Force = 0.0
     also_at: Annotated[list[Force], Field(max_length=20)] = []
-    """Other thresholds, shown next to it."""
+    """Other thresholds, whose results are shown for comparison."""
     phases: Annotated[list[Short], Field(max_length=20)] = []
-    """Empty: all."""
+    """Phases that enter the fit; empty for all."""
     why: Text = ""
 
 
@@ -432,33 +434,32 @@ class MapFile(Strict):
     schema_: Annotated[Literal["pmabench.map/1"], Field(alias="schema")]
     name: Text
     source: Text
-    """Who recorded such files, and where they are to be found."""
+    """Who recorded these files, and where they are available."""
     kind: Annotated[str, Field(max_length=80)]
-    """Kind of test: then the file is reduced as a run of this program is; or a kind of recording."""
+    """Kind of test, with the same reduction as runs of this program; or a kind of recording."""
     simulated: bool = False
-    """The file holds no measurement but what a simulation made."""
+    """Whether the file contains simulated data."""
     settings: Annotated[dict[Short, Setting], Field(max_length=40)] = {}
-    """Settings of the reduction in SI, as the protocol of the kind has them: `discard`, `turn`, `nominal_length` ..."""
+    """Settings of the reduction in SI, as in the protocol of this kind: `discard`, `turn`, `nominal_length` ..."""
     bench: Text = ""
     recorded: datetime.date | None = None
-    """Day of the recording, where the name of the file does not contain it."""
+    """Day of the recording, if the name of the file does not contain it."""
     file: AnyLayout
     columns: Annotated[dict[Short, Column], Field(max_length=200)]
     tests: Annotated[list[TestFile], Field(max_length=200)] = []
-    """Several tests in each file: names of columns that hold {test} are those of each test in turn; else in the order
-    in which the header is repeated.
+    """Several tests in each file: by names of columns with {test}, or in the order of the repeated headers.
     """
     from_name: Annotated[NameFile | None, Field(alias="name_tells")] = None
     notes: Annotated[str, Field(pattern=r"^[^/\\]{1,80}$")] | None = None
-    """File next to it that holds notes, `*` is any text."""
+    """File with notes next to the data file; `*` is any text."""
     sampling: Sampling
     trials: Trials
     siblings: dict[Literal["pressure", "displacement", "force", "supply"], Ratio] = {}
-    """How far the peak of a file may lie from those of other files at the same point."""
+    """Largest relative difference of a file's peak from other files at the same operating point."""
     specimen: SpecimenText
     analysis: AnalysisRule = AnalysisRule()
     confirmed: Annotated[list[Confirmable], Field(max_length=20)] = []
-    """Kinds of findings that somebody has looked at and found right: they withhold nothing any more."""
+    """Kinds of findings that were checked and confirmed as correct: they no longer withhold results."""
 
     @model_validator(mode="after")
     def _roles(self) -> MapFile:

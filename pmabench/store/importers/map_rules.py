@@ -1,6 +1,6 @@
-"""An import map as plain SI rules: scales, ranges, limits and names resolved, every mistake with its place.
+"""An import map as plain SI rules, with scales, ranges, limits and names resolved; mistakes have their place.
 
-Reads the map and nothing else; knows no data.
+Reads only the map, no data.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ POINT_QUANTITY = {name: POINT_QUANTITIES[name] for name in get_args(map_file.Poi
 G = 9.80665
 """Standard gravity [m/s2], for a load that is given as a mass."""
 NUMBER = r"(?<![\d.,])(?<!\dp)(?:(?<![^_ =(])-)?\d+(?:[.,p]\d+)?"
-"""A number in a name: `8`, `0.5`, `0,5`, `0p5`; `-8` behind a sign that separates, else the minus does."""
+"""A number in a name: `8`, `0.5`, `0,5`, `0p5`; also `-8` after a separator, else the minus is a separator."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
 _SPECIAL = {"test": r"\d{1,6}", "date": r"\d{4}-\d{2}-\d{2}", "clock": r"\d{6}"}
 
@@ -49,11 +49,11 @@ class ColumnRule:
     low: float = -inf
     high: float = inf
     dropout: float | None = None
-    """Raw reading of a cut wire."""
+    """Raw reading of a broken wire."""
     blip: float | None = None
     stale_after: float | None = None
     spike: float | None = None
-    """Distance of a lone sample from its neighbours [SI]; None: from the scatter of the channel."""
+    """Largest distance of a single sample from its neighbours [SI]; None: from the scatter of the channel."""
     late_by: tuple[float, float] = (0.0, 0.0)
     optional: bool = False
     marks: Mapping[float, str] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class ColumnRule:
         return self.role in CHANNEL_QUANTITY
 
     def record(self, whole: bool) -> dict[str, Any]:
-        """The column as `RunWriter.open_stream` wants it; `whole`: stored as int32 counts."""
+        """The column for `RunWriter.open_stream`; `whole`: stored as int32 counts."""
         return {
             "name": self.role,
             "quantity": self.quantity,
@@ -88,7 +88,7 @@ class ColumnRule:
 
 @dataclass(frozen=True)
 class NameRule:
-    """What a name gives: forms as patterns that cannot hang, and the factors of their numbers to SI."""
+    """Rules for the name of a file or folder: forms as patterns of bounded time, and factors to SI."""
 
     of: str
     forms: tuple[re.Pattern[str], ...]
@@ -98,24 +98,24 @@ class NameRule:
 
 @dataclass(frozen=True)
 class ImportMap:
-    """A map, ready to use: `file` as it was written, and in SI what has units in it."""
+    """A map ready to use: `file` as written, and all values with units in SI."""
 
     path: str
     texts: Mapping[str, str]
     file: MapFile
     test: Imported
-    """What the kind needs of a file."""
+    """What the kind of test needs from a file."""
     columns: tuple[ColumnRule, ...]
-    """Without those that are ignored."""
+    """Columns that are not ignored."""
     ignored: tuple[str, ...]
     name_rule: NameRule | None
     point: Mapping[str, float]
     specimen: Mapping[str, Any]
     stamps: Stamps
     tests: Mapping[str, Mapping[str, float]]
-    """Name of each of several tests in a file -> its point [SI]."""
+    """Name of each of several tests in a file -> its operating point [SI]."""
     unresolved: tuple[Question, ...]
-    """Questions that nobody answered, with what is taken for them."""
+    """Open questions, with the provisional values used."""
 
     @property
     def trials(self) -> Trials:
@@ -123,18 +123,18 @@ class ImportMap:
         return self.file.trials
 
     def each_test(self) -> list[ImportMap]:
-        """A map for each test whose columns have names of their own; else the map itself."""
+        """A map for each test, if column names contain {test}; else the map itself."""
         if not any(PLACE in column.column for column in self.columns):
             return [self]
         return [self._named(test) for test in self.tests]
 
     def of_test(self, number: int, rules: ImportMap) -> ImportMap:
-        """`rules` with the point of a test."""
+        """`rules` with the operating point of a test added."""
         points = list(self.tests.values())
         return replace(rules, point={**rules.point, **points[number]}) if points else rules
 
     def _named(self, test: str) -> ImportMap:
-        """The columns of one test; those of the others are ignored."""
+        """The map for the columns of one test; those of the others are ignored."""
 
         def named(column: str) -> str:
             return column.replace(PLACE, test)
@@ -151,7 +151,7 @@ class ImportMap:
         return replace(self, columns=columns, ignored=ignored, stamps=stamps)
 
     def column(self, role: str) -> ColumnRule | None:
-        """The column with a role, where there is one."""
+        """The column with a role; None without one."""
         return next((column for column in self.columns if column.role == role), None)
 
 
@@ -160,8 +160,8 @@ def read_map(
 ) -> ImportMap:
     """Read a map file; raises InvalidFile with every mistake, or every open question, at file:line:column.
 
-    `kinds`: what each kind of test needs of a file, by its name. `answers` are (key, value) of questions that the map
-    leaves open. With `unresolved` what the map proposes is taken for the others, which `unresolved` of the rules lists.
+    `kinds`: kind of test -> what it needs from a file. `answers`: (key, value) for open questions. With `unresolved`
+    the map's provisional values are used for the other questions, which `ImportMap.unresolved` lists.
     """
     document = read_document(path)
     left = settle(document, answers, unresolved=unresolved)
@@ -176,7 +176,7 @@ def read_map(
 
 
 class _Rules:
-    """Turns one validated map into rules and gathers what is wrong with it."""
+    """Converts one validated map into rules and collects its problems."""
 
     def __init__(self, document: Document, file: MapFile, problems: list[Problem]) -> None:
         self.document, self.file, self.problems = document, file, problems
@@ -215,7 +215,7 @@ class _Rules:
         return built
 
     def check_names(self) -> None:
-        """Report names that only the layout or only the columns have."""
+        """Report names that appear only in the layout or only in the columns."""
         layout, columns = self.file.file, self.file.columns
         for name in columns if layout.given else ():
             if not (layout.period and name == TIME) and not made(name) and name not in layout.given:
@@ -225,7 +225,7 @@ class _Rules:
                 self.fault(("file", "names", index), f'"columns" does not say what "{name}" is; it may be "ignore"')
 
     def check_columns(self, columns: Sequence[ColumnRule]) -> None:
-        """Report phases and channels that another part of the map names and no column has."""
+        """Report phases and channels that other parts of the map name but no column has, and a wrong rate."""
         file = self.file
         phases = {*file.trials.phases, *(mark for c in columns for mark in c.marks.values())}
         phases |= {"fill", "exhaust"} if file.trials.by == "ramp" else set()
@@ -257,7 +257,7 @@ class _Rules:
         return self.channel(name, file, CHANNEL_QUANTITY[file.is_], at)
 
     def channel(self, name: str, file: ColumnFile, quantity: str, at: Location) -> ColumnRule:
-        """A column that is measured or commanded."""
+        """The rule of a measured or commanded column."""
         slope, offset, bend = self.scale(file, quantity, at)
         if slope == 0:
             self.fault(at, "has a scale of slope 0: every reading would be the same")
@@ -299,7 +299,7 @@ class _Rules:
         )
 
     def stamps(self) -> Stamps:
-        """How the column of time is written, and which one holds its dates."""
+        """Form of the time column, and the column of its dates."""
         names = {c.is_: name for name, c in self.file.columns.items() if c.is_ in ("time", "date")}
         time = self.file.columns[names["time"]]
         dated = self.file.columns.get(names.get("date", ""), time)
@@ -308,7 +308,7 @@ class _Rules:
         return Stamps(names["time"], time.written, unit, names.get("date", ""), dated.order, time.period or 0.0)
 
     def of_point(self, name: str, unit: str, location: Location) -> float:
-        """SI units in one `unit` of a coordinate of the operating point; a load in kg or g is a weight."""
+        """Factor from `unit` to SI for a coordinate of the operating point; a load in kg or g counts as its weight."""
         if name == "load" and unit in ("kg", "g"):
             return G * self.si((1.0, unit), "mass", location)
         if POINT_QUANTITY[name] == "count" and unit in ("", "1"):
@@ -316,7 +316,7 @@ class _Rules:
         return self.si((1.0, unit), POINT_QUANTITY[name], location)
 
     def scale(self, file: ColumnFile, quantity: str, at: Location) -> tuple[float, float, float]:
-        """Slope [SI per raw unit], offset [SI] and the largest distance of a point from that line [SI]."""
+        """Slope [SI per raw unit], offset [SI], and largest distance of a calibration point from that line [SI]."""
         if file.line is not None:
             slope = self.per(file.line.slope, file.unit, (*at, "line", "slope"))
             si = (self.si((slope[0], slope[1]), quantity, (*at, "line", "slope"))) if slope[1] else 0.0
@@ -335,13 +335,13 @@ class _Rules:
         return float(slope_si), offset, 0.0 if bend < 1e-9 * max(map(abs, value)) else bend
 
     def raw(self, reading: tuple[float, str] | None, unit: str, at: Location) -> float | None:
-        """A reading in the raw unit of its column; None where none is given."""
+        """A reading, which must be in the raw unit of its column; None where none is given."""
         if reading is not None and reading[1] != unit:
             self.fault(at, f'is a reading in {unit}, not in {reading[1]}; write for instance "{reading[0]:g} {unit}"')
         return None if reading is None else reading[0]
 
     def per(self, slope: tuple[float, str], unit: str, at: Location) -> tuple[float, str]:
-        """Number and upper unit of `0.683 N/count`."""
+        """Number and numerator unit of a slope such as `0.683 N/count`."""
         upper = slope[1].removesuffix(unit).rstrip()
         if upper == slope[1] or not upper.removesuffix("/") or not upper.endswith("/"):
             self.fault(at, f'is so much per {unit}, for instance "0.683 N/{unit}"')
@@ -361,7 +361,7 @@ class _Rules:
         return (slope, line.offset[0])
 
     def limit(self, reading: tuple[float, str], scale: tuple[str, str, float, float], at: Location) -> float:
-        """A value [SI], given in the raw unit or in a unit of the quantity; `scale`: these, slope and offset."""
+        """A value [SI] from the raw unit or a unit of the quantity; `scale`: raw unit, quantity, slope and offset."""
         unit, quantity, slope, offset = scale
         return slope * reading[0] + offset if reading[1] == unit else self.si(reading, quantity, at)
 
@@ -383,21 +383,21 @@ class _Rules:
 
 
 def factor_of(unit: str, quantity: str) -> float:
-    """SI units in one `unit`; raises ValueError where it is none, or may mean several."""
+    """Factor from `unit` to SI; raises ValueError where the unit is unknown or ambiguous."""
     if quantity == "frequency" and unit.replace(" ", "") == "1/s":
         raise ValueError('"1/s" may mean Hz or rad/s; write which')
     return unit_factor(unit, quantity)
 
 
 def number_in(text: str) -> float:
-    """The number that a part of a name is: `8p5` is 8.5, as people write it where a point is no part of a name."""
+    """Value of a number in a name, where `p` or a comma may stand for the point: `8p5` is 8.5."""
     return float(re.sub("[,p]", ".", text))
 
 
 def form_pattern(form: str, comma: bool, used: set[str]) -> re.Pattern[str]:
-    """`Kinked{contraction}mm_Test{test}` as a pattern; adds its placeholders to `used`. At most two `*`.
+    """A form such as `Kinked{contraction}mm_Test{test}` as a pattern; adds its placeholders to `used`.
 
-    Two placeholders are separated by some other text, so that matching takes a time that is bounded.
+    At most two `*`, and text between placeholders, so that the time for matching is bounded; else ValueError.
     """
     number = r"[+-]?\d{1,9}(?:[,.p]\d{1,9})?" if comma else r"[+-]?\d{1,9}(?:[.p]\d{1,9})?"
     parts: list[str] = []

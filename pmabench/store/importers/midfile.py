@@ -1,6 +1,6 @@
-"""What changes in the middle of a file: columns that exchange their numbers, a gain or an offset; arrays only.
+"""Finds changes in the middle of a file: columns that are exchanged, and changes of gain or offset; arrays only.
 
-These say that one part of a file is wrong, not which: nothing is flagged, and what rests on the file is withheld.
+They show that one part of a file is wrong, but not which: nothing is flagged, and results of the file are withheld.
 """
 
 from __future__ import annotations
@@ -17,49 +17,50 @@ from pmabench.store.records import Array
 
 
 def edge(side: int) -> Array:
-    """Weights, shape (2 side,), with which a convolution gives by how much samples leap in the middle of a window.
+    """Weights, shape (2 side,), for a convolution that gives the jump of samples in the middle of a window.
 
-    It is the line through the second half less that through the first, both taken half a sample from the middle.
+    The jump is the difference of straight lines through the second and the first half, both evaluated at the middle.
     """
     k = np.arange(side) + 0.5
     at = 1.0 / side - (k - k.mean()) * k.mean() / float(((k - k.mean()) ** 2).sum())
-    return np.asarray(np.concatenate([at[::-1], -at]))  # convolution turns it round
+    return np.asarray(np.concatenate([at[::-1], -at]))  # convolution reverses the weights
 
 
 SIDE = 20
-"""Samples on either side of a change that are compared."""
+"""Number of samples on either side of a change that are compared."""
 EDGE = edge(SIDE)
-"""Weights of what lines through both sides differ by at the change."""
+"""Weights for the jump between lines through both sides."""
 ALONE = 3.0
-"""A change is so many times larger than the fourth largest of the file."""
+"""A change must be this many times larger than the fourth largest of the file."""
 JUMP = 0.03
-"""Share of the span of a channel below which nothing is a change."""
+"""Smallest change, as a share of the channel's span."""
 CANDIDATES = 3
 MOMENT = 0.5
-"""Seconds before and after a leap that show whether the pressure was moving."""
+"""Time before and after a jump that shows whether the pressure was moving [s]."""
 FRICTION = 0.15
-"""Share of the span by which a force may leap where the pressure turns, which is friction."""
+"""Largest jump of a force at a reversal of the pressure that friction may cause, as a share of its span."""
 SHARP = 0.5
-"""Share of a change that happens from one sample to the next."""
+"""Least share of a change that must happen from one sample to the next."""
 SAME = 0.25
-"""Two columns exchange their numbers where each goes on with the other's, within this share of the leap."""
+"""Two columns are exchanged if each continues with the other's numbers, within this share of the jump."""
 FAR, STRAIGHT = 60, 0.97
-"""Where two columns cross, so many samples on either side show their slope, if they lie on lines so well."""
+"""Number of samples on either side of a crossing that give the slope, and least correlation for that."""
 CROSSINGS = 200
-"""Places where two columns cross that are looked at."""
+"""Largest number of crossings of two columns that are examined."""
 LEVER = 0.4
-"""Change of the logarithm of the slope from which on it is one."""
+"""Least change of the logarithm of the slope at an exchange."""
 CYCLES = 4
-"""Cycles from which on gains of early and late ones are compared."""
+"""Least number of cycles for a comparison of gains."""
 GAIN = 0.06
-"""Change of gain between cycles [1] that is reported, and how many times it exceeds the scatter between cycles."""
+"""Least relative change of gain between cycles that is reported [1]; it must also exceed `SCATTER` / 2 times the range
+of the gains within either part."""
 SCATTER = 5.0
 SETTLES = 0.25
-"""The first cycle alone may differ by this, as in a muscle that was at rest."""
+"""Largest change [1] that is allowed for the first or the last cycle alone, as of a muscle that had rested."""
 
 
 def swapped(report: Report, channels: Sequence[Checked], good: Bools) -> bool:
-    """Report where two columns begin to exchange their numbers, shape (n,); whether any do."""
+    """Report where two columns are exchanged from some row on; returns whether any are. `good`: mask, shape (n,)."""
     rows = np.flatnonzero(good)
     if len(rows) < 4 * SIDE:
         return False
@@ -82,7 +83,7 @@ def swapped(report: Report, channels: Sequence[Checked], good: Bools) -> bool:
 
 
 def _exchanges(a: Array, b: Array) -> list[int]:
-    """Rows from which on `a` and `b`, both of shape (n,), go on with each other's numbers."""
+    """Rows at which `a` and `b`, both of shape (n,), continue with each other's numbers."""
     step = np.abs(np.diff(a)) + np.abs(np.diff(b))
     crossed = np.abs(a[1:] - b[:-1]) + np.abs(b[1:] - a[:-1])
     size = float(np.quantile(np.abs(a - b), 0.9))
@@ -101,7 +102,7 @@ def _exchanges(a: Array, b: Array) -> list[int]:
 
 
 def _crossings(a: Array, b: Array) -> list[int]:
-    """Rows at which `a` and `b` cross, so that nothing leaps, and the slope of one over the other is turned over."""
+    """Rows at which `a` and `b` cross without a jump and the slope of one over the other is inverted."""
     below = a < b
     near = np.flatnonzero(below[1:] != below[:-1]) + 1
     near = near[np.diff(near, prepend=-SIDE) >= SIDE][:CROSSINGS]
@@ -119,10 +120,10 @@ def _crossings(a: Array, b: Array) -> list[int]:
 
 
 def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, follows: bool) -> bool:
-    """Report where a channel leaps against pressure, from one sample to the next and to stay; whether it does.
+    """Report lasting jumps of a channel relative to pressure between two samples; returns whether there are any.
 
-    `follows`: the channel follows pressure at once, as the force of a muscle that is held; otherwise only leaps count
-    at which the pressure does not move.
+    `follows`: the channel follows pressure without delay, as the force of a held muscle; otherwise only jumps at
+    constant pressure count.
     """
     rows = np.flatnonzero(good)
     if len(rows) < 6 * SIDE:
@@ -132,10 +133,10 @@ def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, fol
     if span <= 0 or range_p <= 0:
         return False
     gain = abs(slope(p, y) or 0.0) if follows else 0.0
-    leaps = [np.convolve(v, EDGE, mode="valid") for v in (y, p)]  # at the sample after the first SIDE of each window
+    leaps = [np.convolve(v, EDGE, mode="valid") for v in (y, p)]  # jump at the middle of each window
     step = np.maximum(np.abs(leaps[0]) - gain * np.abs(leaps[1]), gain * np.abs(leaps[1]) - np.abs(leaps[0]))
     steps, usual = np.diff(report.t[rows], prepend=report.t[rows[0]]), float(np.median(np.diff(report.t[rows])))
-    step[np.convolve(steps > SIDE * usual, np.ones(2 * SIDE), mode="valid") > 0.5] = 0.0  # it may have moved meanwhile
+    step[np.convolve(steps > SIDE * usual, np.ones(2 * SIDE), mode="valid") > 0.5] = 0.0  # it may have moved in a gap
     wide = max(SIDE, int(MOMENT / max(usual, 1e-9)))
     peaks = _peaks(step, 2 * SIDE)
     if len(peaks) <= CANDIDATES:
@@ -166,9 +167,9 @@ def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, fol
 
 
 def _friction(y: Array, pressure: Array, place: tuple[int, int], leaps: tuple[float, float]) -> bool:
-    """Whether friction may be what leaps at a row, seen so many samples wide; `leaps` are shares of their spans.
+    """Whether friction may cause a jump at `place` (row, width in samples); `leaps`: jumps of `y` and pressure [spans].
 
-    It may where the pressure turns or begins to move, where it is set in steps, or where there is no force yet.
+    It may where the pressure reverses or begins to move, where it is set in steps, or where there is no force yet.
     """
     row, wide = place
     before, after = (slice(max(0, row - wide), row), slice(row, row + wide))
@@ -182,7 +183,7 @@ def _friction(y: Array, pressure: Array, place: tuple[int, int], leaps: tuple[fl
 
 
 def _peaks(values: Array, apart: int) -> list[int]:
-    """Places of the largest values, none nearer than `apart` to a larger one; up to one more than the candidates."""
+    """Indices of the largest values, at least `apart` from larger ones; up to one more than `CANDIDATES`."""
     left = values.copy()
     found: list[int] = []
     while len(found) <= CANDIDATES:
@@ -197,7 +198,10 @@ def _peaks(values: Array, apart: int) -> list[int]:
 def _report_jump(
     report: Report, channel: Checked, jump: tuple[float, str], sides: Sequence[float | None] | None, row: int
 ) -> None:
-    """`sides`: slopes over pressure before and after; None where only leaps at rest are looked for."""
+    """Report a jump (size [SI], role of the channel that jumped) at a row.
+
+    `sides`: slopes over pressure before and after; None where only jumps at rest are searched.
+    """
     role = channel.rule.role
     text = f"leaps by {show(jump[0], channel.rule.quantity, 3)} from one sample to the next"
     if sides is None:
@@ -215,7 +219,7 @@ def _report_jump(
 
 
 def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -> bool:
-    """Report where the slope over pressure changes for good between two cycles; returns whether it does."""
+    """Report where the slope over pressure changes permanently between two cycles; returns whether it does."""
     rows = np.flatnonzero(good & motion.later(report.t))
     if len(rows) < CYCLES * SIDE:
         return False
@@ -257,6 +261,6 @@ def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -
 
 
 def _contrast(logs: Array, k: int) -> float:
-    """How far the means of two parts lie apart, with their numbers as weights."""
+    """Difference of the means of the first `k` values and the others, weighted with the numbers of values."""
     n = len(logs)
     return float(abs(logs[:k].mean() - logs[k:].mean()) * np.sqrt(k * (n - k) / n))

@@ -1,6 +1,6 @@
-"""Steps, ramps and sines in signals that nobody marked.
+"""Finds steps, ramps and sines in signals.
 
-All look at channels of shape (n,) at times `t` [s] that rise; what is smaller than `smallest` is no event.
+Channels have shape (n,), times `t` [s] increase; changes smaller than `smallest` are ignored.
 """
 
 from __future__ import annotations
@@ -15,30 +15,31 @@ from numpy.typing import NDArray
 from pmabench.store.records import Array
 
 FLAT = 0.1
-"""A level is held where the signal stays within half the smallest step for so long [s] ..."""
+"""A level is held where the signal stays within half the smallest step for this time [s] ..."""
 FLAT_SAMPLES = 5
-"""... and for at least so many samples."""
+"""... and for at least this many samples."""
 HELD = 5
-"""A level is the median of its last so many times that many samples."""
+"""A level is the median of its last samples, this many times as many as above."""
 SETTLED = 3.0
-"""A change that takes longer [s] from level to level is a ramp, no step."""
+"""Longest duration of a step from level to level [s]; longer changes are ramps."""
 LEAVING = 0.05
-"""A change begins where the signal has left its level by this share of it."""
+"""A change begins where the signal has left its level by this share of the change."""
 SAME_PERIOD, SAME_SIZE = 0.15, 0.25
-"""Half cycles of one sine differ by no more than these shares."""
+"""Largest relative differences of the half cycles of one sine in period and size."""
 ANOTHER, APART = 0.05, 2.0
-"""Sines are two where frequency or amplitude differ by that share, or with a rest of so many cycles between them."""
+"""Two sines are separate if frequency or amplitude differ by this share, or the rest between them lasts this many
+cycles."""
 HALF_CYCLES = 4
-"""Fewer are no sine."""
+"""Least number of half cycles of a sine."""
 SAMPLES = 8
-"""A sine has at least so many in a cycle."""
+"""Least number of samples per cycle of a sine."""
 IMPURE = 0.3
-"""Rms beyond the fitted sine, as a share of the signal's, above which it is none (a square: 0.43, a triangle: 0.12)."""
+"""Largest rms residual of a fitted sine, as a share of the signal's rms (square wave: 0.43, triangle: 0.12)."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """A change from one level to another: when it begins [s], within which time before, the levels, and its end."""
+    """A change from one level to another: begin [s], uncertainty `within` before that [s], levels, and end [s]."""
 
     t: float
     within: float
@@ -50,7 +51,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Cycle:
-    """A rise and the fall after it: begin, turn and end [s]; `turn` is `end` where it only rises."""
+    """A rise and the fall after it: begin, begin of the fall and end [s]; for a rise alone `turn` is `end`."""
 
     begin: float
     turn: float
@@ -67,10 +68,10 @@ class Wave:
     mean: float
     amplitude: float
     left: float = 0.0
-    """What the sine leaves of the signal over the signal, both rms; a triangle leaves 0.12."""
+    """Rms residual of the fitted sine, relative to the signal's rms; 0.12 for a triangle."""
 
     def parted(self, after: Wave) -> bool:
-        """Whether the one that follows is another sine, or the same again after a rest."""
+        """Whether the following sine is another one, or comes after a rest."""
         return (
             abs(after.frequency - self.frequency) > ANOTHER * self.frequency
             or abs(after.amplitude - self.amplitude) > ANOTHER * self.amplitude
@@ -79,23 +80,23 @@ class Wave:
 
 
 def later(t: Array) -> NDArray[np.bool_]:
-    """Which times lie later than all before them, shape (n,)."""
+    """Mask of times later than all before them, shape (n,)."""
     return np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
 
 
 def runs(where: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and one past the last index of each run of True."""
+    """(First, one past the last) index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _parted(begin: int, end: int, at: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """The stretch from `begin` to `end` in parts that begin at the indices `at` that lie in it."""
+    """The range from `begin` to `end`, split at the indices `at` inside it."""
     return list(pairwise([begin, *at[(at > begin) & (at < end)].tolist(), end]))
 
 
 def levels(t: Array, values: Array, smallest: float) -> list[Level]:
-    """Changes between levels that are held; what drifts or is reached only slowly is none."""
+    """Steps between held levels; drift and slow changes are left out."""
     n = len(t)
     if n < 3 * FLAT_SAMPLES:
         return []
@@ -127,7 +128,7 @@ def levels(t: Array, values: Array, smallest: float) -> list[Level]:
 
 
 def turns(values: Array, smallest: float) -> list[int]:
-    """Indices of lowest and highest values in turn, each at least `smallest` from the last; the first extreme first."""
+    """Indices of alternating minima and maxima, each at least `smallest` from the one before."""
     found: list[int] = []
     low = high = 0
     rising: bool | None = None
@@ -152,7 +153,7 @@ def turns(values: Array, smallest: float) -> list[int]:
 
 
 def cycles(t: Array, values: Array, smallest: float) -> list[Cycle]:
-    """Each rise with the fall that follows it; rests at the ends belong to no cycle, one at the top to the rise."""
+    """Each rise with the fall after it; rest at the ends belongs to no cycle, rest at the top to the rise."""
     marks = turns(values, smallest)
     found = []
     for place, low in enumerate(marks[:-1]):
@@ -172,10 +173,10 @@ def cycles(t: Array, values: Array, smallest: float) -> list[Cycle]:
 
 
 def waves(t: Array, values: Array, smallest: float) -> list[Wave]:
-    """Stretches in which the signal is one sine of at least two cycles, `smallest` being its least peak to peak."""
+    """Stretches in which the signal is one sine of at least two cycles; `smallest`: least peak-to-peak size."""
     marks = turns(values, smallest)
     found: list[Wave] = []
-    start = 1  # the way from the first sample to the first turn may be anything
+    start = 1  # the part before the first turning point may be anything
     while start + HALF_CYCLES < len(marks):
         stop = start + 1
         while stop < len(marks) and _alike(t, values, marks, start, stop):
@@ -190,7 +191,7 @@ def waves(t: Array, values: Array, smallest: float) -> list[Wave]:
 
 
 def _alike(t: Array, values: Array, marks: list[int], start: int, stop: int) -> bool:
-    """Whether the half cycle that ends at `stop` has the period and size of those since `start`."""
+    """Whether the half cycle that ends at `stop` matches those since `start` in period and size."""
     at = np.array(marks[start : stop + 1])
     periods, sizes = np.diff(t[at]), np.abs(np.diff(values[at]))
     if len(periods) < 2:
@@ -203,7 +204,7 @@ def _alike(t: Array, values: Array, marks: list[int], start: int, stop: int) -> 
 
 
 def _fitted(t: Array, values: Array, begin: int, end: int, halves: int) -> list[Wave]:
-    """The sine of a stretch: its frequency from its turns, then from the drift of its phase; empty where none fits."""
+    """The sine of a stretch: frequency from turning points, refined by the phase drift; empty if none fits."""
     times, part = t[begin : end + 1], values[begin : end + 1]
     frequency = halves / 2 / float(times[-1] - times[0])
     for _ in range(2):
@@ -230,6 +231,6 @@ def _amplitude(t: Array, values: Array, frequency: float) -> tuple[float, comple
 
 
 def medians(x: Array, together: int) -> Array:
-    """The median of each sample and its neighbours, so many `together` (an odd number), shape (n,)."""
+    """Running median over `together` samples (an odd number), shape (n,)."""
     padded = np.pad(x, together // 2, mode="edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, together), axis=1))

@@ -1,11 +1,11 @@
-"""Whether the channels of a file agree with each other, so that it can be what its map says; functions of arrays.
+"""Checks whether the channels of a file agree with each other and with its map; functions of arrays.
 
-A channel that always scatters and then repeats one value exactly is frozen. One that rests on whole counts is frozen
-only where it should have moved, by what it does elsewhere at the same pressures.
+A channel with constant scatter that suddenly repeats one value exactly is frozen. A channel that rests on whole counts
+is frozen only where it should have moved, judged by its values elsewhere at the same pressures.
 
-The force of a muscle that is held follows its pressure within some hundredths of a second. Friction looks like a lag
-on ramps, but not where the pressure stops or turns: there a late force goes on for as long as it is late. A muscle that
-moves before its pressure does shows that the stamps of the pressure are late.
+The force of a held muscle follows its pressure within some hundredths of a second. Friction looks like a lag on ramps,
+but not where the pressure stops or reverses: there a delayed force continues to change for the time of the delay. A
+muscle that moves before its pressure shows that the time stamps of the pressure are late.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from pmabench.store.importers.map_file import Question
 from pmabench.store.records import UNUSABLE, Array, Flag, Flags
 
 SCATTERS = 0.3
-"""A channel of which less than this share of samples repeats the one before scatters always."""
+"""A channel counts as always scattering if less than this share of samples repeats the one before."""
 SAMPLES, LONGER = 25, 10.0
-"""It is frozen where it repeats one value for so many samples, and so many times longer than it does otherwise."""
+"""Such a channel is frozen if it repeats one value for this many samples, and this many times longer than usual."""
 SECONDS = 0.1
-"""Shorter than this [s] nothing is called frozen."""
+"""Shortest time of a frozen channel [s]."""
 SLOW = 0.5
-"""The same [s] for a channel that rests on counts: friction holds what follows slowly."""
+"""The same for a channel that rests on counts [s]: friction may hold it still."""
 SHOULD = 0.25
-"""Share of its span by which a channel that rests on counts should have moved meanwhile."""
+"""Least motion expected of a channel that rests on counts before it counts as frozen, as a share of its span."""
 LEAP = 0.05
-"""The same where it then leaps to where it should be."""
+"""The same if it then jumps to its expected value."""
 BINS = 40
-"""Classes of pressure by which the usual reading is known."""
+"""Number of pressure classes for the usual reading."""
 LOOKED_AT = 200
-"""Longest stretches that are looked at."""
+"""Number of longest stretches that are examined."""
 CLIPPED = 10
-"""Samples at the very end of what a channel reads, from which on it may be clipped."""
+"""Least number of samples at a channel's highest reading for it to be clipped."""
 PILED = 0.04
-"""Share of its span by which a channel should have gone on beyond the end."""
+"""Least expected motion beyond the end, as a share of the channel's span."""
 
 
 def usual(pressure: Array, other: Array) -> tuple[Array, Array]:
-    """What a channel usually reads at a pressure: middles of classes and medians, both shape (k,), k <= 40."""
+    """Usual reading over pressure: medians of pressure and of the channel in each class, shape (k,), k <= 40."""
     low, high = float(pressure.min()), float(pressure.max())
     place = np.minimum((BINS * (pressure - low) / ((high - low) or 1.0)).astype(np.intp), BINS - 1)
     order = np.argsort(place, kind="stable")
@@ -61,9 +61,9 @@ def usual(pressure: Array, other: Array) -> tuple[Array, Array]:
 
 
 def frozen(report: Report, channel: Checked, other: Checked, rows: Rows, follows: bool) -> None:
-    """Flag the samples, of those in `rows`, shape (m,), in which a channel repeats itself while `other` moves.
+    """Flag samples, of those in `rows`, shape (m,), in which a channel repeats its reading while `other` moves.
 
-    `follows`: one of the two follows the other at once, so that it is known what a channel should read.
+    `follows`: one of the two follows the other without delay, so that the expected reading is known.
     """
     t, raw, si, ref = report.t[rows], channel.raw[rows], channel.si[rows], other.si[rows]
     changes = np.flatnonzero(np.diff(raw) != 0) + 1
@@ -94,7 +94,7 @@ def frozen(report: Report, channel: Checked, other: Checked, rows: Rows, follows
 
 
 def _should_move(si: Array, ref: Array, begin: int, end: int) -> bool:
-    """Whether, outside `begin` to `end`, a channel moves while `ref` is in the same range of values as inside."""
+    """Whether a channel should have moved from `begin` to `end`, judged by its readings elsewhere at equal `ref`."""
     rest = np.ones(len(si), dtype=bool)
     rest[begin:end] = False
     if rest.sum() < 2 * BINS or np.ptp(ref[begin:end]) <= 0.02 * np.ptp(ref):
@@ -115,7 +115,7 @@ def _should_move(si: Array, ref: Array, begin: int, end: int) -> bool:
 
 
 def clipped(report: Report, channel: Checked, other: Checked, rows: Rows) -> None:
-    """Flag samples, of those in `rows`, that stay at the very top of what a channel reads while `other` goes on."""
+    """Flag samples, of those in `rows`, that stay at a channel's highest reading while `other` continues to move."""
     raw, si, ref = channel.raw[rows], channel.si[rows], other.si[rows]
     top = float(si.max())
     at_top = si == top
@@ -140,29 +140,29 @@ def clipped(report: Report, channel: Checked, other: Checked, rows: Rows) -> Non
 
 
 LEAST = 0.15
-"""Less than this [s] is no doubt: tubes, filters and slow cells make it."""
+"""Smallest lag that is reported [s]; tubes, filters and slow load cells cause smaller ones."""
 MOST = 5.0
-"""More is not looked for [s], nor more than an eighth of the file."""
+"""Largest lag that is searched [s], and at most an eighth of the file."""
 PERIOD = 0.02
-"""Samples nearer to each other are averaged [s] ..."""
+"""Samples closer than this are averaged [s] ..."""
 POINTS = 20_000
-"""... and so many at most are compared."""
+"""... and at most this many points are compared."""
 SMOOTH = (5, 15, 50)
-"""Points over which the rates of change are taken: the least for which force and pressure are alike."""
+"""Numbers of points for rates of change; the smallest for which force and pressure correlate is used."""
 BETTER = 0.02
-"""The correlation at the lag exceeds that at none by this."""
+"""Least gain in correlation at the lag, compared with zero lag."""
 ALIKE = 0.5
 """Least correlation of the rates at the lag."""
 GOES_ON = 0.4
-"""Share of what force changed in one lag before a stop of the pressure that it changes in one lag after it."""
+"""Least change of the delayed channel after a stop of the other, relative to its change over an equal time before."""
 STOPS = 0.3
-"""A stop or turn: the rate of the pressure falls below this share of what it was one lag before."""
+"""At a stop or reversal the rate of the leading channel falls below this share of its former value."""
 MATTERS = 0.01
-"""Change of the slope [1] from which on the values are withheld."""
+"""Relative change of the slope [1] above which results are withheld."""
 
 
 def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool:
-    """Report where force lies later or earlier than pressure by more than 0.15 s, of what is `good`, shape (n,)."""
+    """Report a lag or lead of force against pressure above `LEAST`; returns whether there is. `good`: shape (n,)."""
     rows = np.flatnonzero(good & motion.later(report.t))
     if len(rows) < 200:
         return False
@@ -177,7 +177,7 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
     seconds = _lag(F, P, most) * period
     if abs(seconds) < max(LEAST, 3.0 * period):
         return False
-    shift = max(2, round(0.5 * abs(seconds) / period))  # half of it: another turn may follow
+    shift = max(2, round(0.5 * abs(seconds) / period))  # half of the lag: another reversal may follow
     first, second = (P, F) if seconds > 0 else (F, P)
     share = _goes_on(first, second, shift)
     if share is None or share < GOES_ON:
@@ -198,11 +198,11 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
 
 
 LED = 0.03
-"""By so much [s], and three samples, the pressure is surely before its command: a command is polled, too."""
+"""Least lead [s] of pressure over its command that is reported, if also three samples: commands are polled, too."""
 
 
 def led(report: Report, pressure: Checked, command: Checked, good: Bools) -> None:
-    """Report where the measured pressure moves before its command does, of what is `good`, shape (n,)."""
+    """Report a measured pressure that moves before its command; only `good` samples count, shape (n,)."""
     rows = np.flatnonzero(good & motion.later(report.t))
     if len(rows) < 200:
         return
@@ -222,16 +222,16 @@ def led(report: Report, pressure: Checked, command: Checked, good: Bools) -> Non
 
 
 def _averaged(values: Array, over: float) -> Array:
-    """Mean of so many neighbours, shape (n,)."""
+    """Moving average over `over` samples, shape (n,)."""
     width = max(1, round(over))
     padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
     return np.asarray(np.convolve(padded, np.ones(width) / width, mode="valid"))
 
 
 def _lag(F: Array, P: Array, most: int, *, alone: bool = False) -> float:
-    """By how many points `F` lies after `P`, both of shape (n,); 0 where that explains it no better.
+    """Lag of `F` behind `P`, both of shape (n,), in points; 0 where a lag does not fit better.
 
-    `alone`: nor where `F` may as well lie before `P`, as in a sine.
+    `alone`: also 0 where a lead fits as well, as for a sine.
     """
     shifts = np.arange(-most, most + 1)
     for smooth in SMOOTH:
@@ -248,7 +248,7 @@ def _lag(F: Array, P: Array, most: int, *, alone: bool = False) -> float:
 
 
 def _goes_on(first: Array, second: Array, shift: int) -> float | None:
-    """How much `second` changes in `shift` points after a stop or turn of `first`, by its change in those before."""
+    """Change of `second` in `shift` points after stops or reversals of `first`, relative to that before; else None."""
     before = np.concatenate([np.zeros(shift), first[shift:] - first[:-shift]])
     after = np.concatenate([first[shift:] - first[:-shift], np.zeros(shift)])
     large = np.abs(before) > 0.3 * float(np.max(np.abs(before)))
@@ -268,23 +268,23 @@ def _goes_on(first: Array, second: Array, shift: int) -> float | None:
 
 
 SHARE = 0.1
-"""A step is at least so large a share of the pressure's span."""
+"""Smallest step of the pressure, as a share of its span."""
 FAST = 0.5
-"""A step is over in this time [s]; at the turns of a slow wave nothing is reported."""
+"""Longest duration of a step [s]; at the turning points of slow waves nothing is reported."""
 BEFORE, AFTER = 0.5, 0.5
-"""Looked at around a step [s]."""
+"""Time before and after a step that is examined [s]."""
 REST = 0.15
-"""The last so many seconds before the step are no rest: the motion may have begun."""
+"""Time before the step that does not count as rest, because the motion may have begun [s]."""
 GONE, NOISE = 0.05, 5.0
-"""A channel moves once it has left its rest by this share of its way and so many standard deviations."""
+"""A channel moves once it left its rest by this share of its travel and this many standard deviations."""
 FEWEST = 5
 
 
 def pressure_late(t: Array, values: Mapping[str, Array], flags: Flags) -> Found | None:
-    """A doubt where displacement moves at least a sample before the measured pressure, at any step.
+    """A doubt if at any step displacement moves at least one sample before the measured pressure; else None.
 
-    `t` [s], `values` [SI] by channel and `flags` have shape (n,). Polled channels are older than their stamps by
-    different times; then a delay comes out too short, or negative.
+    `t` [s], `values` [SI] by channel and `flags` have shape (n,). Polled channels lag their time stamps by different
+    times; a delay between them then is too short, or negative.
     """
     good = (flags & np.uint16(Flag.DROPOUT | Flag.TIME_JUMP | Flag.SUSPECT | Flag.OVERRANGE)) == 0
     good &= motion.later(t)
@@ -312,7 +312,7 @@ def pressure_late(t: Array, values: Mapping[str, Array], flags: Flags) -> Found 
 
 
 def _moves(t: Array, values: Array, step: float) -> int | None:
-    """The first sample at which a channel has left its rest before a step; None where it does not."""
+    """First sample at which a channel has left its rest at a step (time [s]); None where it does not move."""
     rest = (t > step - BEFORE) & (t < step - REST)
     then = (t > step + AFTER) & (t < step + 2 * AFTER)
     if rest.sum() < FEWEST or then.sum() < FEWEST:
@@ -327,13 +327,13 @@ def _moves(t: Array, values: Array, step: float) -> int | None:
 
 
 CONDEMNED = 0.5
-"""Share of flagged samples above which a file is not looked at any further: its faults are known."""
+"""Share of unusable samples above which a file is not examined further: its faults are known."""
 
 
 def stopped(t: Array, channels: Sequence[Checked], flags: Flags, held: bool) -> tuple[Flags, list[Found]]:
-    """Flags of shape (n,) with those of frozen and clipped samples, and what was found; `t` [s] of a part of a file.
+    """Flags, shape (n,), with frozen and clipped samples added, and findings; for all or a part of a file, `t` [s].
 
-    `held`: the length of the muscle is set, so that force follows pressure.
+    `held`: the length of the muscle is constant, so that force follows pressure.
     """
     report = Report(t, flags.copy())
     pair = _pair(channels, held)
@@ -352,9 +352,9 @@ def stopped(t: Array, channels: Sequence[Checked], flags: Flags, held: bool) -> 
 def judge(
     t: Array, channels: Sequence[Checked], flags: Flags, muscle: Muscle, confirmed: Collection[str] = ()
 ) -> tuple[list[Found], list[Question]]:
-    """Findings and open questions of samples at `t` [s], shape (n,), of a whole file; none of them flags a sample.
+    """Findings and open questions for a whole file, samples at `t` [s], shape (n,); no samples are flagged.
 
-    `confirmed`: kinds of findings that somebody has looked at and found right: they are notes, and withhold nothing.
+    `confirmed`: kinds of findings that were checked and confirmed: they become notes, and withhold nothing.
     """
     with np.errstate(all="ignore"):  # damaged files hold numbers of any size
         found, questions = _judged(Report(t, flags), channels, muscle)
@@ -377,14 +377,14 @@ def _judged(report: Report, channels: Sequence[Checked], muscle: Muscle) -> tupl
 
 
 def _pair(channels: Sequence[Checked], held: bool) -> tuple[Checked, Checked] | None:
-    """What follows pressure, the force of a muscle that is held or the displacement, and pressure."""
+    """The channel that follows pressure (force of a held muscle, else displacement), and pressure; None if missing."""
     roles = {channel.rule.role: channel for channel in channels}
     follower = roles.get("force" if held else "displacement")
     return (follower, roles["pressure"]) if follower is not None and "pressure" in roles else None
 
 
 def _good(flags: Flags, channels: Sequence[Checked]) -> Bools:
-    """Samples of which no flag forbids the use and every channel has a value."""
+    """Mask of usable samples with finite values in every channel."""
     good = (flags & np.uint16(UNUSABLE)) == 0
     for channel in channels:
         good &= np.isfinite(channel.si)
@@ -392,7 +392,7 @@ def _good(flags: Flags, channels: Sequence[Checked]) -> Bools:
 
 
 def answered(found: Sequence[Found], confirmed: Collection[str]) -> list[Found]:
-    """The findings, those of confirmed kinds as notes."""
+    """The findings, with those of confirmed kinds changed to notes."""
     text = "{} (confirmed in the map)".format
     return [
         replace(each, level="note", withholds=False, text=text(each.text)) if each.kind in confirmed else each

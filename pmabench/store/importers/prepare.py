@@ -1,4 +1,4 @@
-"""Reads one foreign file, scales and checks it, and cuts it into trials; writes nothing."""
+"""Reads, scales and checks one foreign file, and cuts it into trials; writes nothing."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from pmabench.store.records import Array, Flag, Flags, trial_spans
 
 NOTES_BYTES = 100_000
 PAUSED = ("record", "column")
-"""Ways to cut a file whose trials are marked: between them nothing need be recorded."""
+"""Values of `trials: by` for files with marked trials: there may be pauses between trials."""
 SAME = 0.5
-"""Share of rows with the time stamp of the row before, above which the time is too coarse for the rows."""
+"""Largest share of rows with the time stamp of the row before; above it the time is too coarse."""
 
 
 @dataclass(frozen=True)
 class Named:
-    """What the name of a file says."""
+    """Data from the name of a file and from the map."""
 
     point: Mapping[str, float]
     test: int
@@ -49,31 +49,31 @@ class Prepared:
     table: Table
     named: Named
     t: Array
-    """Time stamps [s]; of a long file those of the rows on which trials were cut."""
+    """Time stamps [s]; for a long file only of the rows for cutting into trials."""
     checked: tuple[Checked, ...]
     """Channels of the same rows as `t`."""
     flags: Flags
-    """Of all rows."""
+    """Flags of all rows."""
     findings: tuple[Found, ...]
     parts: tuple[Segment, ...]
     notes: tuple[str, bytes] | None
     rules: ImportMap
-    """Of this test."""
+    """The map of this test."""
     name: str
-    """Of this test among those of the file; empty where it is the only one."""
+    """Name of this test in the file; empty if it is the only one."""
     whole: frozenset[str]
-    """Roles of channels that are stored as int32: whole counts throughout."""
+    """Roles of channels with whole counts throughout, which are stored as int32."""
     period: float
-    """Median distance of the samples [s]."""
+    """Median sampling period [s]."""
     summary: Summary
     questions: tuple[Question, ...]
-    """Of the map, and what its numbers cannot decide."""
+    """Open questions of the map, and those that the numbers cannot decide."""
     record: Exported | None
-    """What the run that the file was exported from said beyond its columns."""
+    """Record of the run that the file was exported from; None for other files."""
     simulated: bool
 
     def blocks(self) -> Iterator[tuple[Array, tuple[Checked, ...]]]:
-        """Time stamps [s] and channels of all rows in order, so many at a time as fit into memory."""
+        """Time stamps [s] and channels of all rows in order, in blocks that fit into memory."""
         if len(self.t) == len(self.table):
             yield self.t, self.checked
             return
@@ -83,7 +83,7 @@ class Prepared:
 
 
 def prepare(path: Path, rules: ImportMap) -> Prepared:
-    """Read, scale and check one file, of several tests in it the first."""
+    """Read, scale and check the first test of a file."""
     return prepare_all(path, rules)[0]
 
 
@@ -160,7 +160,7 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
 
 
 def _units_agree(path: Path, columns: Sequence[ColumnRule], units: Mapping[str, str]) -> None:
-    """Raises InvalidFile where the file gives a column another unit than the map does."""
+    """Raise InvalidFile where file and map give different units for a column."""
     problems = []
     for column in columns:
         said, mapped = spelled(units.get(column.column, "")), spelled(column.raw_unit)
@@ -178,7 +178,7 @@ def _units_agree(path: Path, columns: Sequence[ColumnRule], units: Mapping[str, 
 def _with_constants(
     path: Path, rules: ImportMap, table: Table, point: Mapping[str, float]
 ) -> tuple[Table, list[Found]]:
-    """The table with the columns that no file has: a coordinate of its operating point [SI], the same in each row."""
+    """The table with added constant columns, each a coordinate of the operating point, and findings about them."""
     found = []
     for rule in rules.columns:
         if not (coordinate := made(rule.column)):
@@ -202,7 +202,7 @@ def _held(rules: ImportMap) -> bool:
 
 
 def _record_of(path: Path, rules: ImportMap) -> Exported | None:
-    """The record next to an exported file, where the map asks for it."""
+    """The record next to an exported file, if the map uses it; else None."""
     if rules.trials.by != "record":
         return None
     place = path.resolve().parent / RECORD
@@ -215,7 +215,7 @@ def _record_of(path: Path, rules: ImportMap) -> Exported | None:
 
 
 def _own_flags(path: Path, values: Array) -> Flags:
-    """Flags that the file itself gives its samples, as `pmabench export` writes them."""
+    """Flags from a column of the file, as written by `pmabench export`."""
     most = sum(Flag)
     if not np.all((values >= 0) & (values <= most) & (values == np.round(values))):
         raise invalid(path, f"a value of its flags is no whole number from 0 to {most}")
@@ -223,7 +223,7 @@ def _own_flags(path: Path, values: Array) -> Flags:
 
 
 def _gaps_within(t: Array, flags: Flags, values: Mapping[str, Array], record: Exported | None, gap: float) -> None:
-    """Flag gaps within trials; a pause between trials is no gap."""
+    """Flag gaps within trials, but not pauses between trials."""
     if record is not None:
         begins = np.array(sorted(begin for begin, _ in trial_spans(record.events)))
         trial = np.searchsorted(begins, t - 1e-6).astype(np.float64)
@@ -244,7 +244,7 @@ def times(table: Table, rules: ImportMap) -> Array:
 
 
 def _coarse(table: Table, t: Array) -> None:
-    """Raises InvalidFile where most rows have the time of the row before: when they were taken nobody knows."""
+    """Raise InvalidFile where most rows have the time of the row before, so that their times are unknown."""
     steps = np.diff(t)
     same, forward = int(np.count_nonzero(steps == 0)), steps[steps > 0]
     if same <= SAME * len(t) or not len(forward):
@@ -258,7 +258,7 @@ def _coarse(table: Table, t: Array) -> None:
 
 
 def channels_of(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
-    """The channels of a table in memory, raw and in SI."""
+    """The channels of a table in memory, raw and in SI units."""
     return tuple(
         _checked(table, column) for column in rules.columns if column.is_channel and column.column in table.columns
     )
@@ -305,7 +305,7 @@ def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | No
 
 
 def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tuple[float, float]]]:
-    """Channels of whole counts, and peaks of the samples that are neither dropouts nor out of range."""
+    """Roles with whole counts, and peaks (see `Inspected.peaks`) without dropouts, overrange and time jumps."""
     good = (seen.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
     peaks = {
         channel.rule.role: (float(channel.si[good].max()), float(table.columns[channel.rule.column][good].max()))
@@ -316,7 +316,7 @@ def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tupl
 
 
 def placed(found: Found, t: Array, rows: int) -> Found:
-    """The finding with its row: one about the whole file gets the first."""
+    """The finding with a row: one about the whole file gets the first."""
     return found if found.index is not None else replace(found, index=0, t=float(t[0]), count=rows)
 
 
@@ -331,7 +331,7 @@ def _checked(table: Table, rule: ColumnRule) -> Checked:
 
 
 def _named(path: Path, rules: ImportMap, started: datetime | None) -> Named:
-    """`started`: what the file says itself; the map and names come before it."""
+    """Operating point, test number and start of a file; map and name take precedence over `started` of the file."""
     point, test = dict(rules.point), 0
     started = started.replace(tzinfo=UTC) if started is not None else None
     if rules.file.recorded is not None:
@@ -369,6 +369,6 @@ def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
 
 
 def _is_int(channel: Checked) -> bool:
-    """Whether a channel can be stored as int32: whole counts throughout."""
+    """Whether a channel has whole counts throughout, and can be stored as int32."""
     raw = channel.raw
     return channel.rule.whole and bool(np.array_equal(raw, np.round(raw))) and float(np.abs(raw).max()) < 2**31 - 1

@@ -1,7 +1,7 @@
-"""What is wrong with the samples of one channel or of the clock: flags and reports it; functions of arrays.
+"""Flags and reports faulty samples of single channels and of the clock; functions of arrays.
 
-Dropouts, gaps, time jumps, stale and impossible values, codes for "no value", bursts, values held for a moment, spikes.
-Every rule uses numbers alone and says which samples it takes.
+Dropouts, gaps, time jumps, stale and impossible values, codes for "no value", bursts, briefly held values, spikes.
+Every rule uses numbers alone and reports the samples that it flags.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ CODES = (
     *(32767.0, 32768.0, 65535.0, 8388607.0, 8388608.0, 16777215.0, 2147483647.0, 2147483648.0, 4294967295.0),
     *(1e9, 1e10, 1e20, 9.9e37, 9.91e37, 6999.0, 7999.0, 8888.0, 88888.0),
 )
-"""What loggers, meters and converters write for "no value" or "beyond the range", with either sign."""
+"""Numbers that loggers, meters and converters write for "no value" or "out of range", with either sign."""
 BEYOND = 0.05
-"""A code lies outside of what else the channel reads by this share of its span, or is entered and left by a leap."""
+"""A code is outside the channel's other readings by this share of their span, or is entered and left by a jump."""
 LEAP = 4.0
-"""A leap is so many times larger than other changes nearby ..."""
+"""A jump is this many times larger than other changes nearby ..."""
 NEARBY = 30
-"""... within so many samples on either side."""
+"""... within this many samples on either side."""
 BURST = 5
-"""Samples in a row that may be a burst where they differ from each other ..."""
+"""Longest burst [samples] of different values ..."""
 HELD = 50
-"""... and where they are equal."""
+"""... and of equal values."""
 BRIEF = 1.0
-"""Seconds; what is held for longer may be a level of the test."""
+"""Longest held value that counts as a fault [s]; longer ones may be a level of the test."""
 MOVES = 20.0
-"""A channel moves where it spans so many times the change from sample to sample."""
+"""A channel counts as moving if its span is this many times the change from sample to sample."""
 AS_LARGE = 0.25
-"""Beyond the largest burst the signal comes back to within this share of the leap."""
+"""After a burst the signal must come back to its former level within this share of the jump."""
 NOT_WHOLE = 0.05
-"""Counts further than this from a whole number were never counts."""
+"""Readings further than this from a whole number are not counts."""
 WHOLE_SHARE = 0.01
-"""Share of such readings above which the file was not recorded with the scale that the map says."""
+"""Largest share of such readings; above it the file was not recorded with the scale of the map."""
 SLOW = 4.0
-"""A channel that changes only every so many samples is reported."""
+"""A channel that changes less often than every this many samples is reported."""
 OFTEN = 0.1
-"""Share of samples out of range above which the scale or the column itself is doubtful."""
+"""Share of samples out of range above which the scale or the column is doubtful."""
 LARGEST = 1e30
-"""No device gives a reading beyond this, or one that is smaller than its inverse and not 0."""
+"""Largest possible reading of a device; its inverse is the smallest one other than 0."""
 OPPOSITE = -0.5
 """Correlation below which a channel seems to have the wrong sign."""
 
@@ -63,7 +63,7 @@ def codes(report: Report, channel: Checked, looked_at: Bools) -> Bools:
 
 
 def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
-    """Flag short stretches far from the signal, which only a command may have; returns what remains of `looked_at`."""
+    """Flag short stretches far from the signal, except in commands; returns the samples of `looked_at` that remain."""
     role, quantity = channel.rule.role, channel.rule.quantity
     if role.endswith("command"):
         return looked_at
@@ -80,7 +80,7 @@ def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
 
 
 def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[float, Bools]]:
-    """Each code that the file holds, and where it lies apart from what else the channel reads."""
+    """Each code that occurs, and a mask of its samples that are distinct from the channel's other readings."""
     back = channel.rule.back
     numbers = channel.raw if back == (1.0, 0.0) else channel.raw * back[0] + back[1]
     hits = _hits(numbers, looked_at)
@@ -105,7 +105,7 @@ def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[
 
 
 def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
-    """Places of each code among the samples, compared to seven digits, because other programs may have rounded it."""
+    """Mask of the samples equal to each code, to seven digits, because other programs may have rounded it."""
     every = np.array(sorted({sign * code for code in CODES for sign in (1.0, -1.0)} - {1.0}))
     place = np.minimum(np.searchsorted(every, numbers - 1e-7 * np.abs(numbers)), len(every) - 1)
     rows = np.flatnonzero(looked_at & (np.abs(numbers - every[place]) <= 1e-7 * np.abs(every[place])))
@@ -117,7 +117,7 @@ def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
 
 
 def _longer(where: Bools, most: int) -> Bools:
-    """The runs of True that are longer than so many samples."""
+    """Mask of the runs of True that are longer than `most` samples."""
     begins, ends = np.array(runs(where), dtype=int).reshape(-1, 2).T
     longer = ends - begins > most
     steps = np.zeros(len(where) + 1, dtype=np.int8)
@@ -126,7 +126,7 @@ def _longer(where: Bools, most: int) -> Bools:
 
 
 def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools:
-    """Those runs of `here` that are entered and left by a leap of at least `least`, and from the same level."""
+    """Mask of runs of `here` that are entered and left by a jump above `least` and return to the same level."""
     out = np.zeros(len(here), dtype=bool)
     rows = np.flatnonzero(looked_at & ~here)
     for begin, end in runs(here):
@@ -144,7 +144,7 @@ def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools
 
 
 def _far(si: Array, looked_at: Bools) -> Bools:
-    """Short runs of readings whose distance from all others is larger than the span of these, where the others move."""
+    """Mask of short runs of readings farther from all others than the span of these, if the others move."""
     out = np.zeros(len(si), dtype=bool)
     rows = np.flatnonzero(looked_at)
     if len(rows) < FEW:
@@ -154,7 +154,7 @@ def _far(si: Array, looked_at: Bools) -> Bools:
     low, high = (float(end) for end in np.quantile(some_of(values), [MANY, 1.0 - MANY]))
     for sign, beyond in ((1.0, low - values.min()), (-1.0, values.max() - high)):
         if beyond <= high - low:
-            continue  # what is not far beyond the inner readings is not far beyond all others
+            continue  # not far beyond the inner readings, so not beyond all others
         tail = np.sort(np.partition(sign * values, most)[: most + 1])
         gaps = np.diff(tail)
         widest = int(np.argmax(gaps))
@@ -173,7 +173,7 @@ def _far(si: Array, looked_at: Bools) -> Bools:
 
 
 def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
-    """Two or more equal readings in a row that the channel leaps to and from, from about the same level."""
+    """Mask of two or more equal readings in a row that are entered and left by a jump, from about the same level."""
     out = np.zeros(len(si), dtype=bool)
     rows = np.flatnonzero(looked_at)
     if len(rows) < FEW:
@@ -201,7 +201,7 @@ def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
 
 
 def spikes(report: Report, channel: Checked, looked_at: Bools) -> None:
-    """Flag up to three samples in a row that stand out from their neighbours as nothing else in the channel does."""
+    """Flag up to three samples in a row that differ from their neighbours much more than any others."""
     rule = channel.rule
     si = channel.si[looked_at]
     if len(si) < FEW:
@@ -215,10 +215,10 @@ def spikes(report: Report, channel: Checked, looked_at: Bools) -> None:
 def inspect(
     t: Array, channels: Sequence[Checked], rate: tuple[float, float], gap: float, leap: float
 ) -> tuple[Flags, list[Found]]:
-    """Flags of shape (n,) and findings for samples at `t` [s] as the file has them, not sorted.
+    """Flags, shape (n,), and findings for samples at `t` [s] in the order of the file, not sorted.
 
-    `rate` [Hz] is what is expected, `gap` and `leap` [s] are distances of neighbours that are a gap, or an error of
-    the clock. One flag is for the whole row, for rows are what fits use.
+    `rate` [Hz]: expected least and largest rate. `gap`, `leap` [s]: longer intervals are a gap, or an error of the
+    clock. A flag applies to the whole row, because fits use rows.
     """
     report = Report(t, np.zeros(len(t), dtype=np.uint16))
     with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold infinite numbers
@@ -262,7 +262,7 @@ def _time(report: Report, rate: tuple[float, float], gap: float, leap: float) ->
 
 
 def _twice(report: Report, channels: Sequence[Checked]) -> None:
-    """Rows that repeat the one before, time and all."""
+    """Flag rows that repeat the one before, including the time."""
     same = np.concatenate([[False], np.diff(report.t) == 0])
     for channel in channels:
         same &= np.concatenate([[False], np.diff(channel.raw) == 0])
@@ -313,13 +313,13 @@ def _equals(raw: Array, value: float) -> Bools:
 
 
 def whole_counts(raw: Array) -> Bools:
-    """Which readings are whole numbers."""
+    """Mask of readings that are whole numbers, within `NOT_WHOLE`."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(raw - np.round(raw)) <= NOT_WHOLE)
 
 
 def _whole(report: Report, channel: Checked, looked_at: Bools) -> None:
-    """Readings that cannot be counts: the file was not made with the scale that the map says."""
+    """Flag readings that cannot be counts; many of them show that the scale of the map is wrong."""
     odd = looked_at & ~whole_counts(channel.raw)
     share = float(odd.sum()) / max(1, int(looked_at.sum()))
     name = channel.rule.role
@@ -348,7 +348,7 @@ def _stale(report: Report, channel: Checked, longest: float) -> None:
 
 
 def against_sign(flags: Flags, values: Mapping[str, Array], channel: str) -> Found | None:
-    """A doubt where `channel` falls while pressure rises; both of shape (n,), SI."""
+    """A doubt if `channel` falls while pressure rises, both of shape (n,), SI; else None."""
     good = (flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP | Flag.SUSPECT)) == 0
     together = correlation(values["pressure"][good], values[channel][good])
     if good.sum() < 10 or together > OPPOSITE:

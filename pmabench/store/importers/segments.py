@@ -32,21 +32,24 @@ POINT = "point of "
 
 @dataclass(frozen=True)
 class Segment:
-    """One trial: from `begin` to `end` [s], its point [SI], its commands and the phases that begin in it."""
+    """One trial from `begin` to `end` [s]: operating point [SI], commands, and (begin [s], name) of its phases."""
 
     begin: float
     end: float
     point: Mapping[str, float]
     commands: tuple[Mapping[str, Any], ...] = ()
-    """As data of `command` events, with `t`."""
+    """Data of `command` events, with `t`."""
     phases: tuple[tuple[float, str], ...] = ()
     found: tuple[Mapping[str, Any], ...] = ()
-    """As data of `found` events, with `t`."""
+    """Data of `found` events, with `t`."""
     measured: tuple[str, ...] = ()
-    """Coordinates of its point that were measured, and that other trials have nearly the same."""
+    """Coordinates of its point that were measured, and may be merged with nearly equal ones of other trials."""
 
     def at_levels(self, levels: Mapping[str, Mapping[float, float]]) -> Segment:
-        """With the levels of what was measured, by name and value [SI]; the mass of a measured load is its own."""
+        """The trial with its measured coordinates replaced by levels: name -> measured value -> level [SI].
+
+        The mass of a measured load is calculated if missing.
+        """
         at = {name: levels[name].get(self.point[name], self.point[name]) for name in self.measured}
         point = {**self.point, **at}
         return replace(self, point={"mass": point["load"] / G, **point} if "load" in self.measured else point)
@@ -54,7 +57,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class _Rows:
-    """The samples of a file, all of shape (n,), and what the map says of them."""
+    """The samples of a file, all of shape (n,), with its map and operating point."""
 
     t: Array
     values: Mapping[str, Array]
@@ -64,27 +67,27 @@ class _Rows:
 
     @cached_property
     def good(self) -> Bools:
-        """Samples that show what happened; a file of which most is suspect is taken as it is."""
+        """Mask of usable samples; where at least half of a file is suspect, that flag is ignored."""
         suspect = (self.flags & np.uint16(Flag.SUSPECT)) != 0
         wrong = Flag.DROPOUT | Flag.TIME_JUMP | (Flag.SUSPECT if suspect.mean() < 0.5 else Flag.OK)
         return np.asarray((self.flags & np.uint16(wrong)) == 0)
 
     @cached_property
     def rising(self) -> Bools:
-        """Those of them that lie later than all samples before them."""
+        """Mask of good samples that are later than all samples before them."""
         return self.good & later(self.t)
 
     @property
     def whole(self) -> tuple[float, float]:
-        """From the first to the last sample [s]."""
+        """Times of the first and the last sample [s]."""
         return float(self.t.min()), float(self.t.max())
 
     def between(self, part: Segment) -> Bools:
-        """Those of a trial that lie later than all samples before them."""
+        """Mask of the `rising` samples of a trial."""
         return np.asarray(self.rising & (self.t >= part.begin - 1e-9) & (self.t <= part.end + 1e-9))
 
     def of(self, part: Segment) -> tuple[Array, dict[str, Array]]:
-        """The times of these samples, and their channels by name."""
+        """Times of these samples [s], and their channels [SI] by name."""
         rows = self.between(part)
         return self.t[rows], {name: column[rows] for name, column in self.values.items() if name in CHANNEL_QUANTITY}
 
@@ -95,11 +98,11 @@ class _Rows:
 
     @property
     def driven(self) -> str:
-        """The command of the pressure, or the measured one where none was recorded."""
+        """Name of the pressure command, or of the measured pressure if none was recorded."""
         return "pressure_command" if "pressure_command" in self.values else "pressure"
 
     def steps(self) -> list[Level]:
-        """Steps of the command; where none was recorded those of the measured pressure, to a fourth of `smallest`."""
+        """Steps of the command; if none was recorded, of the measured pressure, rounded to a fourth of `smallest`."""
         if not self.smallest:
             return []
         if self.driven == "pressure":
@@ -116,7 +119,7 @@ class _Rows:
         ]
 
     def command(self, step: Level) -> dict[str, Any]:
-        """Data of a `command` event, with `t`; `found` where it was found in the measured pressure."""
+        """Data of a `command` event, with `t`; with `found` if it was detected in the measured pressure."""
         command = {
             "t": step.t, "output": "pressure", "type": "set", "value": step.value, "before": step.before,
             "phase": "step", "within": step.within,
@@ -124,11 +127,11 @@ class _Rows:
         return {**command, "found": 1.0} if self.driven == "pressure" else command
 
     def commanded_steps(self) -> list[dict[str, Any]]:
-        """Commands of steps that were recorded."""
+        """Commands of the recorded steps; empty without a recorded command."""
         return [self.command(step) for step in self.steps()] if self.driven == "pressure_command" else []
 
     def sine(self, frequency: float) -> list[dict[str, Any]]:
-        """A recorded command that is a sine of known frequency: its mean and amplitude from its ends."""
+        """Data of a recorded sine of known frequency, with mean and amplitude from its extremes; else empty."""
         if self.driven == "pressure" or frequency <= 0 or not self.good.any():
             return []
         t, command = self.t[self.good], self.values[self.driven][self.good]
@@ -140,10 +143,10 @@ class _Rows:
 def segments(
     t: Array, values: Mapping[str, Array], flags: Flags, rules: ImportMap, point: Mapping[str, float]
 ) -> tuple[list[Segment], list[str]]:
-    """The trials of one file, and sentences about what is doubtful in them.
+    """The trials of one file, and sentences about doubts.
 
     `t` [s], `values` [SI] by channel (and `phase`, `trial`, `point of NAME`) and `flags` have shape (n,). Steps, ramps,
-    sines and phases are looked for among samples that are neither dropouts nor spikes nor out of time.
+    sines and phases are searched in samples without dropouts, spikes and time jumps.
     """
     rows = _Rows(t, values, flags, rules, point)
     phases = _phases(rows)
@@ -155,9 +158,9 @@ def segments(
 
 
 def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], list[str]]:
-    """The trials with commands and operating points in the form that runs of this program have.
+    """The trials with commands and operating points as in runs of this program, and doubts.
 
-    The operating point is what the map says, else what its columns say, else what the commands say.
+    Coordinates come from the map, else from columns, else from the commands.
     """
     rules = all_rows.rules
     parts, doubts = list[Segment](), list[str]()
@@ -205,16 +208,16 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
 
 
 def _sine_by_sine(part: Segment, how: Commanded, all_rows: _Rows) -> list[Segment]:
-    """A trial of sines: one for each where several follow each other, cut in the middle between them."""
+    """A trial of several successive sines, split halfway between them."""
     waves = driven_waves(how, *all_rows.of(part))
     cuts = [0.5 * (one.end + after.begin) for one, after in pairwise(waves) if one.parted(after)]
     return [replace(part, begin=begin, end=end) for begin, end in pairwise([part.begin, *cuts, part.end])]
 
 
 def _at_one_point(part: Segment, commands: Sequence[Mapping[str, Any]], all_rows: _Rows) -> Segment:
-    """A trial without what lies before its first command, or after its last one, where its point was another one.
+    """A trial shortened before its first and after its last command to the time with an unchanged operating point.
 
-    Somebody exchanges a weight, and types it in, between two trials: such a change is no part of either.
+    Between two trials a weight is exchanged and entered: that change belongs to neither trial.
     """
     if not commands:
         return part
@@ -246,7 +249,7 @@ def _by_step(rows: _Rows) -> list[Segment]:
 
 
 def _by_level(rows: _Rows) -> list[Segment]:
-    """Stretches of one pressure, from where it has arrived to where it leaves."""
+    """Stretches of constant pressure, from the end of one step to the begin of the next."""
     seen, (begin, end) = rows.rising, rows.whole
     changes = motion.levels(rows.t[seen], rows.values[rows.driven][seen], rows.smallest)
     begins = [begin, *(change.settled for change in changes)]
@@ -257,7 +260,7 @@ def _by_level(rows: _Rows) -> list[Segment]:
 def _by_ramp(rows: _Rows) -> list[Segment]:
     """Rises of the measured pressure, `fill`, each with the fall after it, `exhaust`.
 
-    Tests that find their phases in the commands also get half of the rest before the rise and after the fall.
+    For tests whose phases come from commands, trials include half of the rest before the rise and after the fall.
     """
     seen = rows.rising & ((rows.flags & np.uint16(Flag.OVERRANGE)) == 0)
     cycles = motion.cycles(rows.t[seen], rows.values["pressure"][seen], rows.smallest)
@@ -274,7 +277,7 @@ def _by_ramp(rows: _Rows) -> list[Segment]:
 
 
 def _by_sine(rows: _Rows) -> list[Segment]:
-    """Stretches of one frequency, which is the point; of the command, else of the measured pressure."""
+    """Stretches of one sine of the command, else of the measured pressure; the point is its frequency."""
     parts = []
     for wave in motion.waves(rows.t[rows.rising], rows.values[rows.driven][rows.rising], rows.smallest):
         point = {**rows.point, "frequency": float(f"{wave.frequency:.4g}")}
@@ -306,7 +309,7 @@ def _by_file(rows: _Rows) -> list[Segment]:
 
 
 def _by_column(rows: _Rows) -> list[Segment]:
-    """Where the column of trials holds the same number for a while; 0 and no number are no trial."""
+    """Stretches with one number in the column of trials; 0 and NaN are no trial."""
     number = np.where(np.isfinite(rows.values["trial"]), rows.values["trial"], 0.0)
     edges = np.flatnonzero(np.diff(number, prepend=0.0, append=0.0))
     return [
@@ -335,11 +338,11 @@ CUTS: Mapping[str, Callable[[_Rows], list[Segment]]] = {
     "column": _by_column,
     "command": _by_command,
 }
-"""`by` of the map -> how a file is cut into trials."""
+"""`by` of the map -> function that cuts a file into trials."""
 
 
 def _only_sine(rows: _Rows) -> float:
-    """The frequency of a file that is one sine [Hz]; else 0."""
+    """Frequency [Hz] if at least 80 % of a file is one sine; else 0."""
     t, seen = rows.t[rows.rising], rows.values[rows.driven][rows.rising]
     waves = motion.waves(t, seen, 0.25 * float(np.ptp(seen))) if len(seen) else []
     begin, end = rows.whole
@@ -348,7 +351,7 @@ def _only_sine(rows: _Rows) -> float:
 
 
 def _length(rows: _Rows, part: NDArray[np.intp]) -> dict[str, float]:
-    """The contraction at which a part was held, where the file has a displacement."""
+    """Contraction at which a part was held [m]; empty without a displacement."""
     usable = part[(rows.flags[part] & np.uint16(UNUSABLE)) == 0]
     if "displacement" not in rows.values or not len(usable):
         return {}
@@ -356,7 +359,7 @@ def _length(rows: _Rows, part: NDArray[np.intp]) -> dict[str, float]:
 
 
 def _phases(rows: _Rows) -> list[tuple[float, str]]:
-    """When each phase begins [s]: from the column that marks it, else from the map's times."""
+    """Begin [s] and name of each phase, from the phase column, else from the times in the map."""
     column = rows.rules.column("phase")
     if column is not None and "phase" in rows.values and rows.good.any():
         marks, times = rows.values["phase"][rows.good], rows.t[rows.good]

@@ -1,6 +1,6 @@
-"""The columns that a map wants of one file, whatever its format: numbers, lines, what the file says of itself.
+"""The columns of one file that a map uses, for any format: numbers, line numbers, and data about the file.
 
-Columns stay in memory while they are small, and are kept in temporary files above that.
+Small columns stay in memory, large ones are kept in temporary files.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pmabench.store.importers.map_file import spelled
 from pmabench.store.records import Array
 
 KEPT = 16_000_000
-"""Bytes of all columns up to which nothing is written to disk."""
+"""Total size of columns that are kept in memory [bytes]."""
 LINE = "line"
 
 
@@ -40,7 +40,7 @@ class Columns(Mapping[str, Array]):
     """Equally long columns by name; `columns[name]` is a whole one, `part` some rows of all."""
 
     def __init__(self) -> None:
-        """Without columns; the first piece gives their names."""
+        """Begin without columns; the first piece gives their names."""
         self.rows = 0
         self._pieces: dict[str, list[Array]] = {}
         self._files: dict[str, IO[bytes]] = {}
@@ -66,7 +66,7 @@ class Columns(Mapping[str, Array]):
                 file.write(np.ascontiguousarray(pieces.pop(0), dtype=np.float64).data)
 
     def part(self, begin: int, end: int) -> dict[str, Array]:
-        """Rows `begin` to `end` (without it) of all columns."""
+        """Rows `begin` to `end` (exclusive) of all columns."""
         return {name: self._read(name, begin, end) for name in self}
 
     def _read(self, name: str, begin: int, end: int) -> Array:
@@ -91,11 +91,11 @@ class Columns(Mapping[str, Array]):
 
 
 MAX_BYTES = 2_000_000_000
-"""Of a file that is read in pieces."""
+"""Largest size of a file that is read in pieces [bytes]."""
 MAX_WHOLE = 200_000_000
-"""Of a file that is read at once."""
+"""Largest size of a file that is read at once [bytes]."""
 PIECE = 4_000_000
-"""Bytes of a file that are read at a time."""
+"""Size of the pieces in which a file is read [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -104,28 +104,28 @@ class Table:
 
     path: Path
     sha256: str
-    """Of the whole file."""
+    """Hash of the whole file."""
     size: int
-    """Bytes of the whole file."""
+    """Size of the whole file [bytes]."""
     columns: Mapping[str, Array]
-    """Name -> numbers, shape (n,); NaN where the file says that there is none. Read from disk where they are many."""
+    """Name -> numbers, shape (n,); NaN for "no value". Large columns are read from disk on access."""
     lines: Columns
-    """Its column `LINE`: line in the file of each row, from 1; number of the row where the file has no lines."""
+    """Column `LINE`: line number of each row of the file, from 1; row number where the file has no lines."""
     cut_end: bool
-    """The last row may be cut."""
+    """Whether the last row may be incomplete."""
     started: datetime | None
-    """When the recording began, as the file says, in the time zone of who recorded it."""
+    """Start of the recording from the file, in local time of the recording computer."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Name -> unit, as the file says."""
+    """Name -> unit that the file gives."""
     doubts: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
-    """Columns of the file that were not asked for."""
+    """Columns of the file that were not requested."""
     cut_row: str = ""
-    """What was left out at the end of the file, since it is no whole row."""
+    """Sentence about text at the end of the file that was left out because it is not a complete row; or empty."""
     starts: tuple[int, ...] = ()
-    """Rows before which the header was repeated: another test begins."""
+    """Rows at which another test begins, after a repeated header."""
     begin: int = 0
-    """First row in the file."""
+    """Row of the file at which this table begins."""
 
     def __len__(self) -> int:
         if isinstance(self.columns, Columns):
@@ -133,11 +133,11 @@ class Table:
         return max(map(len, self.columns.values()), default=0)
 
     def line(self, row: int) -> int:
-        """Line in the file of a row."""
+        """Line number in the file of a row."""
         return int(self.lines.part(self.begin + row, self.begin + row + 1)[LINE][0])
 
     def part(self, begin: int, end: int) -> Table:
-        """Rows `begin` to `end` (without it), in memory."""
+        """Rows `begin` to `end` (exclusive), in memory."""
         if isinstance(self.columns, Columns):
             columns = self.columns.part(begin, end)
         else:
@@ -154,7 +154,7 @@ class Table:
         )
 
     def tests(self) -> list[Table]:
-        """The tests of the file, each with its rows and its own clock; the table itself where it holds one."""
+        """The tests of the file, each with its own rows; the table itself if it has one test."""
         if not self.starts:
             return [self]
         return [replace(self.part(a, b), starts=()) for a, b in pairwise((0, *self.starts, len(self))) if b > a]
@@ -169,10 +169,10 @@ def read_table(
     stamps: Stamps | None = None,
     most: int | None = None,
 ) -> Table:
-    """The `wanted` columns of a file, and those of `optional` that it has, read in a process apart.
+    """The `wanted` columns of a file, and existing `optional` ones, read in a separate process.
 
-    `stamps`: how its time is written; the column of time holds seconds then, unless it holds plain numbers. `most`:
-    bytes of text from its beginning that are read. Raises InvalidFile with every fault, at its line where there is one.
+    `stamps`: form of its time; the time column is then converted to seconds, unless it has plain numbers. `most`:
+    number of bytes of text to read. Raises InvalidFile with every fault, with line numbers where possible.
     """
     asked = [name for name in wanted if layout.period is None or name != TIME]
     question = {"layout": layout.model_dump(mode="json"), "wanted": asked, "optional": optional, "ignored": ignored}
@@ -187,7 +187,7 @@ def read_table(
 
 
 def with_made(table: Table, name: str, make: Callable[[NDArray[np.intp]], Array]) -> Table:
-    """The table with another column, which `make` gives for numbers of rows, shape (n,)."""
+    """The table with a further column, which `make` calculates from row numbers, shape (n,)."""
     columns = Columns()
     for begin in range(0, len(table), PIECE // 8):
         end = min(begin + PIECE // 8, len(table))
@@ -196,7 +196,7 @@ def with_made(table: Table, name: str, make: Callable[[NDArray[np.intp]], Array]
 
 
 def read_all(path: Path, layout: Layout) -> tuple[dict[str, Array], dict[str, str], list[str]]:
-    """All columns of a file that names them itself, which may differ in length; units by name; names that are left out.
+    """All columns of a file whose format names them, not all equally long; units by name; names of other parts.
 
     Raises InvalidFile where it cannot be read.
     """
@@ -207,7 +207,7 @@ def read_all(path: Path, layout: Layout) -> tuple[dict[str, Array], dict[str, st
 
 
 def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
-    """A doubt where channels belong to another matrix than the clock."""
+    """Doubts about channels that belong to another matrix than the time."""
     of = {name: name.partition("(:,")[0] for name in columns if "(:," in name}
     others = [name for name, matrix in of.items() if time in of and matrix != of[time]]
     if not others:
@@ -249,9 +249,9 @@ def _read(path: Path, question: Mapping[str, Any], stamps: Stamps | None, most: 
 
 
 def _line_of_units(head: Mapping[str, Any]) -> Sequence[str]:
-    """The last line above the rows of a text that has units in more than half of its columns.
+    """The last line above the rows that has units in more than half of its columns; else empty.
 
-    An oscilloscope writes "Volt" whatever it was fed.
+    Oscilloscopes write "Volt" for any quantity.
     """
     if step_in(head.get("head", ())):
         return ()
@@ -260,7 +260,7 @@ def _line_of_units(head: Mapping[str, Any]) -> Sequence[str]:
 
 
 def _pieces(file: IO[bytes], digest: Any, most: int | None, size: int) -> Iterator[bytes]:
-    """The file from its beginning, piece by piece, while its hash is taken; of `most` bytes only whole lines."""
+    """The file piece by piece, while `digest` is updated; with `most` it ends at the last complete line within that."""
     left = most if most is not None else MAX_BYTES
     while left > 0 and (piece := file.read(min(size, left))):
         digest.update(piece)
@@ -271,7 +271,7 @@ def _pieces(file: IO[bytes], digest: Any, most: int | None, size: int) -> Iterat
 
 
 class _Rows:
-    """Gathers the child's answers test by test, with times in seconds."""
+    """Collects the child's answers, and converts times to seconds, test by test."""
 
     def __init__(self, path: Path, stamps: Stamps | None) -> None:
         self.path, self.stamps = path, stamps
@@ -279,7 +279,7 @@ class _Rows:
         self.starts: list[int] = []
         self.started: datetime | None = None
         self.head: Mapping[str, Any] = {}
-        """Of the last answer: what is said of the file and its end."""
+        """Head of the last answer, with data about the file and its end."""
         self._clock: Clock | None = None
 
     def take(self, answer: Answer) -> None:
@@ -304,7 +304,7 @@ class _Rows:
         self.head = answer.head
 
     def _first_clock(self, stamps: Stamps, t: Array, head: Sequence[str]) -> Clock:
-        """The clock of the file; raises InvalidFile where the file itself contradicts the map."""
+        """The clock of the file; raises InvalidFile where the header of the file contradicts the map."""
         step = step_in(head)
         if stamps.written == "header step" and step is None:
             text = 'has no header that gives Start and Increment, which "written: header step" needs'
@@ -320,7 +320,7 @@ class _Rows:
 
 
 def _check_size(path: Path, most: int) -> None:
-    """Raises InvalidFile where a file is none or larger than `most` [bytes]."""
+    """Raise InvalidFile where a path is not a file, or the file is empty or larger than `most` [bytes]."""
     if path.is_dir():
         raise invalid(path, "is a folder; give the files in it, for instance with /*.csv")
     if not path.is_file():
@@ -334,7 +334,7 @@ def _check_size(path: Path, most: int) -> None:
 
 
 def content_of(path: Path, most: int | None = None) -> bytes:
-    """The bytes of a file, `most` from its beginning; raises InvalidFile where it is none, empty or too large."""
+    """The first `most` bytes of a file (None: all); raises InvalidFile where it is missing, empty or too large."""
     _check_size(path, MAX_WHOLE if most is None else MAX_BYTES)
     with reading(path), path.open("rb") as file:
         content = file.read(MAX_WHOLE if most is None else most)

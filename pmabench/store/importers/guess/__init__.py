@@ -1,6 +1,6 @@
-"""Proposes a map for files that were never seen: every choice with its reason, and nothing is written to a run.
+"""Proposes a map for unknown files, with a reason for every choice; writes no run.
 
-- `guess`: the whole; `layout` of text; `signs`: which kind of test it shows; `proposal`: what was found
-- `columns`: what they are, by names and units, and by their `shapes`; which is the time
+- `guess`: the whole; `layout` of text; `signs`: the kind of test; `proposal`: the data of a guess
+- `columns`: roles of columns, by names and units, and by `shapes` of their numbers; choice of the time
 - `asked`: questions; `write`: the map as YAML
 """

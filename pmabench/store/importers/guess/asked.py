@@ -1,6 +1,6 @@
-"""Questions about what no file states and what changes results: each with its possible answers and their effect.
+"""Questions about facts that no file states and that change results, with possible answers and their effect.
 
-Pure functions of a guess; writes nothing. Where something may be taken until somebody answers, it is proposed.
+Pure functions of a guess; writes nothing. Where a provisional answer is possible, it is proposed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pmabench.store.importers.map_rules import NUMBER, number_in
 from pmabench.store.records import Array
 
 WEIGHT = {"g": 0.00980665, "kg": 9.80665}
-"""Newtons in one unit of a weight."""
+"""Weight of one unit [N]."""
 OF_ROLE = {
     "pressure_command": "pressure",
     "displacement_command": "length",
@@ -31,38 +31,38 @@ OF_ROLE = {
     "displacement": "length",
 }
 HIGHEST = {"pressure": (2e4, 1.6e6), "force": (1.0, 3e4), "length": (3e-4, 3.0)}
-"""Between what the highest value lies in a test of a muscle of 5 to 80 mm [SI]: less moves nothing, more bursts it."""
+"""Plausible range of a test's highest value [SI], for muscles of 5 to 80 mm: less moves nothing, more bursts it."""
 UNITS = {
     "pressure": ("kPa", "bar", "psi", "MPa", "Pa"),
     "force": ("N", "kgf", "lbf"),
     "length": ("mm", "cm", "m", "in"),
 }
-"""Units that are asked for, the likelier ones first."""
+"""Units to choose from, the likelier ones first."""
 USUAL, STEEP = (1.5e5, 1.2e6), 3.0
-"""Highest pressure of most tests [Pa], and a slope [N/kPa] that a muscle of 20 mm does not reach: an ideal braid of 25
+"""Usual range of a test's highest pressure [Pa], and a slope [N/kPa] above that of a 20 mm muscle: an ideal braid of 25
 degrees has 2.6 N/kPa at full length (Chou and Hannaford 1996)."""
 PRELOAD = 0.1
-"""Whole newtons that are so much of their span above 0 at the lowest pressure are more likely counts."""
+"""Whole numbers of newtons offset from 0 at lowest pressure by this share of their span are probably counts."""
 AIR = (9e4, 1.06e5)
-"""A pressure that never falls below such a value [Pa] is likely absolute."""
+"""A pressure whose lowest value is in this range [Pa] is probably absolute."""
 SHARES = (0.0, 0.02, 0.05, 0.1)
-"""Thresholds of force that are tried, as shares of the highest one."""
+"""Thresholds of force to try, as shares of the range from lowest to highest."""
 CHANGES = 0.02
-"""A threshold that moves the slope by more than this share is asked for."""
+"""Relative change of the slope by the thresholds above which the user is asked for the threshold."""
 SAME_MOMENT = 1e-3
-"""Two clocks that differ by less than this [s] in each row count the same moments."""
+"""Two time columns that differ by less than this [s] in each row give the same times."""
 LENGTH = re.compile(rf"{NUMBER}(?=[ _]?mm)")
 """A length in the name of a file or of a test [mm]."""
 CONTRACTIONS = words("contraction disp displacement stroke shortening hub verkurzung kontraktion")
-"""Words of a column that is a contraction by its name."""
+"""Words in the name of a column that is a contraction."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """A value of the map that is a question."""
+    """A value of the map with an open question."""
 
     value: str
-    """What may be taken until it is answered; empty where nothing may."""
+    """Provisional value until it is answered; empty for none."""
     text: str
     """The question, in one line."""
 
@@ -73,12 +73,12 @@ class Asked:
 
 
 def quantity_of(column: Proposal) -> str:
-    """What a column measures: `pressure`, `force` or `length`."""
+    """Quantity of a column: `pressure`, `force` or `length`."""
     return OF_ROLE.get(column.role, column.role.removesuffix("_command"))
 
 
 def factor_of(column: Proposal) -> Asked | None:
-    """How much one number of a column is whose heading has a factor: labs write it for what was and is to be done."""
+    """Question for a heading with a factor such as `x10`: labs write it for a scaling to do, or already done."""
     quantity, unit = quantity_of(column), column.unit
     weight = WEIGHT.get(unit, 0.0) if quantity == "force" else 0.0
     if not column.factor or not (weight or QUANTITY.get(unit) == quantity):
@@ -90,13 +90,13 @@ def factor_of(column: Proposal) -> Asked | None:
 
 
 def unit_of(column: Proposal, guess: Guess) -> Asked | None:
-    """Which unit a column has, where the file does not say it or says one in which its numbers cannot be."""
+    """Question for the unit of a column, if the file gives none or one that its numbers contradict; else None."""
     quantity, top = quantity_of(column), max(_top(column.good), column.elsewhere)
     if quantity not in HIGHEST or top == 0:
         return None
     said = QUANTITY.get(column.unit) == quantity
     if column.unit and not said:
-        return None  # grams, milliamperes, counts: the line or its ends are asked for
+        return None  # grams, milliamperes, counts: the calibration is asked for instead
     fits = [unit for unit in UNITS[quantity] if _possible(top, unit, quantity)]
     if said and not column.bare:
         if column.role == "supply":
@@ -108,7 +108,7 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
         )
         return Asked(column.unit, f"{head}: which unit is it? {_candidates(top, fits, quantity)}")
     if not fits or (is_whole(column.good) and quantity != "pressure" and not column.bare):
-        return None  # a line from counts is asked for
+        return None  # the calibration of counts is asked for instead
     head = f'in which unit is "{column.name}"? The file does not say it.'
     if column.bare:
         role = column.role.replace("_", " ")
@@ -120,7 +120,7 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
 
 
 def _steep(column: Proposal, guess: Guess) -> Asked | None:
-    """A pressure that stays low while the force rises as if it did not is likely in another unit."""
+    """Question for the unit of a pressure that stays low while the force rises too steeply with it."""
     force, top = guess.role("force"), _top(column.good) * unit_factor(column.unit, "pressure")
     if force is None or force.factor or QUANTITY.get(force.unit) != "force" or top >= USUAL[0]:
         return None
@@ -141,7 +141,7 @@ def _steep(column: Proposal, guess: Guess) -> Asked | None:
 
 
 def _counted(column: Proposal, guess: Guess) -> Asked | None:
-    """Newtons by their name that are whole numbers, in one file only or far from 0 without pressure, may be counts."""
+    """Question whether a force is in counts: it has whole numbers only, in one of several files or far from 0."""
     if column.role != "force":
         return None
     pressure, head = guess.role("pressure"), f'"{column.name}" is in {column.unit} by its name'
@@ -158,9 +158,9 @@ def _counted(column: Proposal, guess: Guess) -> Asked | None:
 
 
 def pull_of(column: Proposal, guess: Guess) -> Asked | None:
-    """Whether a cell reads pulling as negative: the force of a held muscle rises with its pressure.
+    """Question whether a load cell reads tension as negative; None where nothing suggests it.
 
-    A muscle whose length is driven pulls throughout.
+    The force of a held muscle should rise with pressure, and a muscle with a driven length always pulls.
     """
     pressure = guess.role("pressure")
     if column.role != "force" or pressure is None:
@@ -179,18 +179,18 @@ def pull_of(column: Proposal, guess: Guess) -> Asked | None:
 
 
 def negative(column: Proposal) -> bool:
-    """Whether nearly all values of a column are below 0."""
+    """Whether at least 90 % of a column's values are below 0."""
     return len(column.good) > 0 and float(np.quantile(column.good, 0.9)) < 0
 
 
 def _both(one: Array, other: Array) -> tuple[Array, Array]:
-    """Samples in which both are numbers."""
+    """The samples that are finite in both arrays."""
     good = np.isfinite(one) & np.isfinite(other)
     return one[good], other[good]
 
 
 def _ends(P: Array, F: Array) -> tuple[float, float]:
-    """Medians of the force where the pressure is lowest and highest: single wrong samples do not move them."""
+    """Medians of the force at the lowest and the highest tenth of pressure, robust against single wrong samples."""
     if not len(P):
         return 0.0, 0.0
     low, high = (float(value) for value in np.quantile(P, [0.1, 0.9]))
@@ -198,7 +198,7 @@ def _ends(P: Array, F: Array) -> tuple[float, float]:
 
 
 def gauge_of(column: Proposal) -> Asked | None:
-    """Whether a pressure is absolute: by its numbers where its name does not say it, or against its name."""
+    """Question whether a pressure is absolute, where its numbers suggest it or contradict its name; else None."""
     named = absolute(column)
     if column.role != "pressure" or QUANTITY.get(column.unit) != "pressure" or re.search("gauge", column.name, re.I):
         return None
@@ -214,17 +214,17 @@ def gauge_of(column: Proposal) -> Asked | None:
 
 
 def absolute(column: Proposal) -> bool:
-    """Whether a pressure is absolute by its name: `P abs`, `Pabs`, `p_abs`."""
+    """Whether the name of a pressure marks it as absolute: `P abs`, `Pabs`, `p_abs`."""
     return bool(re.search(r"(?:\b|_|p|druck|pressure)abs", column.name, re.IGNORECASE))
 
 
 def air(unit: str) -> str:
-    """What turns an absolute pressure into one above the normal pressure of air."""
+    """Offset from absolute to gauge pressure, with unit: minus the standard atmosphere."""
     return f"{-101325.0 / unit_factor(unit, 'pressure'):.6g} {unit}"
 
 
 def contraction_of(guess: Guess) -> Asked | str:
-    """At which contraction a file was held, where no name gives it; a text where the file does, empty: not needed."""
+    """Question for the contraction of a held test; a text if the file gives the value, empty if it is not needed."""
     if guess.lacks or guess.tests or not guess.open_point("contraction"):
         return ""
     column = guess.role("displacement")
@@ -237,7 +237,7 @@ def contraction_of(guess: Guess) -> Asked | str:
     if column is None or QUANTITY.get(column.unit) != "length":
         return Asked("", f"{head}; each slope is that of one contraction. For instance 8 mm")
     if column.apart:
-        return ""  # each file is at its own
+        return ""  # each file has its own
     middle = f"{float(np.median(column.good)):.4g} {column.unit}"
     if is_contraction(column):
         return middle
@@ -247,14 +247,14 @@ def contraction_of(guess: Guess) -> Asked | str:
 
 
 def is_contraction(column: Proposal) -> bool:
-    """Whether a displacement is a contraction by its name."""
+    """Whether the name of a displacement marks it as a contraction."""
     return bool(words(column.name) & CONTRACTIONS) and not column.bare
 
 
 def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
-    """From which force on samples enter the slope, where it changes it; and the other thresholds to show.
+    """Question for the force above which samples enter the slope, and other thresholds to show.
 
-    None where no threshold changes anything.
+    None where the threshold has no effect, or it cannot be tested.
     """
     pressure, force = guess.role("pressure"), guess.role("force")
     if not guess.test.held or pressure is None or force is None:
@@ -263,9 +263,9 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     if len(P) < 50:
         return None
     low, top = _ends(P, F)
-    if top < low:  # pulling is read as negative, which is asked for
+    if top < low:  # tension reads negative, which is asked for
         F, low, top = -F, -low, -top
-    near = np.abs(F - (low + top) / 2) < abs(top - low)  # what no muscle pulls is left to the checks of the import
+    near = np.abs(F - (low + top) / 2) < abs(top - low)  # forces out of range are left to the checks of the import
     near &= ~lone(P) & ~lone(F)
     slopes = [slope for share in SHARES if (slope := _slope(P[near], F[near], low + share * (top - low)))]
     if len(slopes) < len(SHARES):
@@ -274,7 +274,7 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     if spread <= CHANGES:
         return None
     known = force.unit if QUANTITY.get(force.unit) == "force" and not force.factor else ""
-    if force.unit in WEIGHT and not force.factor:  # the map makes newtons of it
+    if force.unit in WEIGHT and not force.factor:  # the map converts to newtons
         known, low, top = "N", low * WEIGHT[force.unit], top * WEIGHT[force.unit]
     at = [f"{low + share * (top - low):.2g} {known}".strip() for share in SHARES]
     sentence = "; ".join(
@@ -288,14 +288,14 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
 
 
 def _slope(P: Array, F: Array, above: float = -np.inf) -> float:
-    """Slope of the straight line through what lies above a force; 0 where there is none."""
+    """Slope of the straight line through the samples above a force; 0 where there is none."""
     with np.errstate(all="ignore"):  # damaged files hold numbers of any size
         found = slope(P[above < F], F[above < F]) or 0.0
     return found if np.isfinite(found) else 0.0
 
 
 def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
-    """Which of two times counts, where they do not agree: in how long they last, or in when they were at each row."""
+    """Question which of two time columns is right, if their duration or their times in each row disagree."""
     time = next((column for column in columns if column.role == "time"), None)
     for other in columns if time is not None else ():
         if time is None or not any(reason.startswith("a second time") for reason in other.reasons):
@@ -314,7 +314,7 @@ def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
             text = f'"{other.name}" is {by} {way} than "{time.name}" in each row: were some channels read at each? '
             text += f"Then the later one is the time, the other: ignore, and its channels have late_by: [{by}, {by}]"
             yield Asked("time", f"{text}. If one only began at another moment, write time")
-        # clocks without a moment in common only begin at other zeros
+        # clocks that never overlap merely have different zeros
 
 
 def _in_seconds(column: Proposal) -> Array:
@@ -322,13 +322,13 @@ def _in_seconds(column: Proposal) -> Array:
 
 
 def _coarseness(clock: Array) -> float:
-    """The smallest step of a clock that repeats its readings [s], shape (n,): it is late by up to that; else 0."""
+    """Smallest step [s] of a clock, shape (n,), that repeats readings, and so may be late by that; else 0."""
     steps = np.diff(clock)
     return float(np.min(steps[steps > 0])) if (steps == 0).any() and (steps > 0).any() else 0.0
 
 
 def _top(values: Array, share: float = 0.995) -> float:
-    """The highest value, but for a share of samples that may be wrong."""
+    """Quantile `share` of the absolute values: the highest value without outliers."""
     return float(np.quantile(np.abs(values), share)) if len(values) else 0.0
 
 
@@ -338,7 +338,7 @@ def _possible(top: float, unit: str, quantity: str) -> bool:
 
 
 def _reach(top: float, unit: str, quantity: str) -> str:
-    """The highest value in three digits, and never as a power of ten."""
+    """The highest value as text with three digits, never as a power of ten."""
     return f"at most {show(float(f'{top * unit_factor(unit, quantity):.3g}'), quantity, 9)}"
 
 

@@ -1,6 +1,6 @@
-"""Which column is time, pressure, force, displacement, command: by its name, its unit and the shape of its numbers.
+"""Assigns roles (time, pressure, force, displacement, command) to columns by name, unit and shape of the numbers.
 
-Pure functions of names and arrays; must not know files. Every choice carries its reasons, and doubts where it is weak.
+Pure functions of names and arrays; must not know files. Every choice has reasons, and doubts where it is weak.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ WORDS = {
         "other": "volt volts temp temperature temperatura volume humidity sys index count",
     }.items()
 }
-"""Role of a column -> words in its name that speak for it, in lower case."""
+"""Role of a column -> words in its name that indicate it, in lower case."""
 MEASURED = WORDS["time"] | WORDS["pressure"] | WORDS["force"] | WORDS["displacement"]
 PART = "|".join(word for words in WORDS.values() for word in sorted(words) if len(word) > 2)
 PART += "|ist|istwert|wert|sensor|aufnehmer|geber|messdose|nr|nummer"
 JOINED = re.compile(rf"({PART})s?({PART})(?:s?({PART}))?|\w{{3,}}(druck|kraft|weg|zeit|pressure|force)")
-"""A word of two or three known ones (`Sollweg`, `Drucksollwert`, `targetpos`), or of any and a known one at its end."""
+"""A compound of two or three known words (`Sollweg`, `Drucksollwert`, `targetpos`), or one that ends with such."""
 _SHORT = re.compile(r"([pxfs])(set|setpoint|sp|cmd|command|ref|des|desired|soll|demand|target|ist)")
-"""A quantity and what makes a command of it in one word: `Pset`; s is a length (German: Strecke)."""
+"""A quantity and a word for command joined in one word: `Pset`; s is a length (German: Strecke)."""
 BRACKETS = re.compile(r"[\[({][^\])}]*[\])}]")
 SUPERSCRIPTS = str.maketrans("⁻⁺⁰¹²³⁴⁵⁶⁷⁸⁹", "-+0123456789")
 _POWER = r"10\s*(?:\^|\*\*)\s*[-+]?\d+|1[eE][-+]?\d+"
 _TEN = rf"(?:{_POWER}|10+|0[.,]0*1)"
-"""A power of ten, but not 1: other numbers may be those of a sensor or an axis."""
+"""A power of ten other than 1: other numbers may belong to a sensor or an axis."""
 _NUMBER = rf"(?:{_POWER}|\d+(?:[.,]\d+)?)"
 _FACTORS = (
     rf"[*×·]\s*{_NUMBER}|(?<![\w.,])(?:{_NUMBER}\s*[*×·]|{_TEN}\s?[xX](?!\w))",  # *0.1, 10*, 10 x
@@ -64,9 +64,9 @@ _BEFORE = re.compile(rf"[\[(]\s*({_TEN})\s*([^\W\d][^\])]*)[\])]|[\s_]({_TEN})\s
 
 
 def split_factor(name: str) -> tuple[str, str]:
-    """A name without what it multiplies its unit by, and that as it is written: `x10`, `/10`, `10` of `[10 N]`.
+    """A name without the factor of its unit, and that factor as written: `x10`, `/10`, `10` of `[10 N]`.
 
-    `Cell (500 N) [N]` multiplies by nothing: its unit is in brackets by itself.
+    `Cell (500 N) [N]` has no factor: its unit is in brackets by itself.
     """
     name = re.sub("[⁻⁺]?[⁰¹²³⁴-⁹]+", lambda power: "^" + power[0].translate(SUPERSCRIPTS), name)
     span = found.span() if (found := _FACTOR.search(name)) else (0, 0)
@@ -78,7 +78,7 @@ def split_factor(name: str) -> tuple[str, str]:
 
 
 def value_of(factor: str) -> float:
-    """The number that a factor is as it is written; 0 where it is none."""
+    """The value of a written factor; 0 where it is not finite."""
     base, _, power = re.findall(r"([\d.,]+(?:[eE][-+]?\d+)?)(\s*(?:\^|\*\*)\s*([-+]?\d{1,2}))?", factor)[-1]
     value = float(base.replace(",", ".")) ** int(power or 1)
     value = 1.0 / value if value and "/" in factor else value
@@ -86,7 +86,7 @@ def value_of(factor: str) -> float:
 
 
 def unit_in(name: str) -> str:
-    """The unit that a name carries: in brackets, else behind `_`, `/`, `,`, a blank or `in`; empty where none."""
+    """The unit in a name: in brackets, else after `_`, `/`, `,`, `.`, a blank or joined (`pressureBar`); or empty."""
     name, _ = split_factor(name)
     if found := [unit for text in re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name) if (unit := spelled(text))]:
         return found[-1]
@@ -102,7 +102,7 @@ def unit_in(name: str) -> str:
 
 
 def words(name: str) -> set[str]:
-    """The words of a name in lower case, without brackets, digits, the group before `/` and the unit behind it."""
+    """The words of a name in lower case, without brackets, digits, the group before `/` and the unit after it."""
     parts = BRACKETS.sub(" ", split_factor(name)[0]).split("/")
     plain = parts[-2] if len(parts) > 1 and spelled(parts[-1]) else parts[-1]
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain)
@@ -121,11 +121,11 @@ def words(name: str) -> set[str]:
 
 OF_MUSCLE = {"pressure", "force", "length"}
 FEW = 0.1
-"""A column that numbers trials changes in less than this share of its rows."""
+"""Largest share of rows in which a column of trial numbers changes."""
 
 
 def proposal(name: str, values: Array, said: str = "", *, bare: bool = False) -> Proposal:
-    """A column by its heading; `said`: its unit as the file gives it apart from the name, where it does."""
+    """A column with the unit and factor from its heading; `said`: unit that the file gives separately, if any."""
     own, heading = f"[{said}]", f"{name} [{said}]" if said else name
     column = Proposal(name, values, unit=spelled(said) or unit_in(own) or unit_in(name), bare=bare)
     column.factor = split_factor(own)[1] or split_factor(heading)[1]
@@ -135,7 +135,7 @@ def proposal(name: str, values: Array, said: str = "", *, bare: bool = False) ->
 
 
 def choose(proposals: Sequence[Proposal]) -> None:
-    """Give every column its role; at most one of each."""
+    """Assign a role to every column, each role to at most one column."""
     proposals = [proposal for proposal in proposals if not _exported(proposal)]
     for proposal in proposals:
         if not proposal.bare:
@@ -150,7 +150,7 @@ def choose(proposals: Sequence[Proposal]) -> None:
 
 
 def _exported(proposal: Proposal) -> bool:
-    """Whether it is a column that `pmabench export` adds to the channels: it gets its role."""
+    """Whether it is one of the columns that `pmabench export` adds to the channels; if so, assign its role."""
     name, of = proposal.name, re.fullmatch(r"trial (\w+)(?: \[.*\])?", proposal.name)
     if name in ("trial", "flags", "simulated"):
         proposal.role = name
@@ -160,7 +160,7 @@ def _exported(proposal: Proposal) -> bool:
 
 
 def _unknown(proposals: Sequence[Proposal]) -> None:
-    """Doubt and question for columns that vary with the pressure and were not recognised."""
+    """Add doubts and questions for unrecognised columns that vary with the pressure."""
     pressure = next((p for p in proposals if p.role == "pressure"), None)
     for proposal in proposals:
         if (
@@ -217,13 +217,13 @@ def _by_name(proposal: Proposal) -> None:
 
 
 def _numbers_trials(values: Array) -> bool:
-    """Whether a column holds whole numbers that rarely change."""
+    """Whether a column has whole numbers that rarely change, as numbers of trials do."""
     changes = int(np.count_nonzero(np.diff(values)))
     return len(values) > 1 and bool(np.all(values == np.round(values))) and changes < FEW * len(values)
 
 
 def _one_each(proposals: Sequence[Proposal]) -> None:
-    """Where several columns have one role, the one that moves most keeps it, with a doubt."""
+    """Of several columns with one role, that with the best name, a unit and most motion keeps it, with a doubt."""
     for role in dict.fromkeys(p.role for p in proposals if p.role not in {"ignore", "time"}):
         same = [p for p in proposals if p.role == role]
         if len(same) < 2:
@@ -247,7 +247,7 @@ def _one_each(proposals: Sequence[Proposal]) -> None:
 
 
 def _moves(values: Array) -> float:
-    """How far a channel moves, against the scatter from sample to sample."""
+    """Range of a channel divided by its scatter from sample to sample."""
     if len(values) < 3:
         return 0.0
     scatter = float(np.median(np.abs(np.diff(values)))) or 1e-12
@@ -255,7 +255,7 @@ def _moves(values: Array) -> float:
 
 
 SAMPLES = {"sample", "samples", "index", "idx", "n", "no", "nr", "number", "scan", "row", "record", "count", "x"}
-"""Words of a column that counts the samples."""
+"""Words in the name of a column that counts the samples."""
 COUNTS = (
     ("serial days", "d", 36_526.0, 54_789.0),
     ("matlab days", "d", 730_486.0, 748_749.0),
@@ -265,38 +265,38 @@ COUNTS = (
     ("epoch", "us", 0.94e15, 2.53e15),
     ("epoch", "ns", 0.94e18, 2.53e18),
 )
-"""How written, unit, and the numbers of the years 2000 to 2050."""
+"""Kind of count, unit, and range of the numbers for the years 2000 to 2050."""
 LONGEST_STEP = {"d": 5e-5, "s": 10.0, "ms": 1e4, "us": 1e7, "ns": 1e10}
-"""Median step of a recording that counts so, in that unit; days in longer steps may be seconds."""
+"""Unit -> longest plausible median step in that unit; days with longer steps may be seconds."""
 UNLIKE_TIME = "is named or measured like a time"
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
-"""In one unit of a time."""
+"""Seconds in each unit of time."""
 USUAL = ("s", "ms", "us")
-"""Units in which recorded times usually are."""
+"""Usual units of recorded times."""
 FASTEST, SLOWEST = 2e4, 2.0
-"""Usual samples a second."""
+"""Usual range of sampling rates [Hz]."""
 SHORTEST = 2.0
-"""A test of a muscle lasts at least so long [s]."""
+"""Shortest usual duration of a test [s]."""
 ROUND = (1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 10.0)
-"""Rates that people set, but for powers of ten."""
+"""Usual sampling rates, up to powers of ten."""
 EXACT = 0.005
-"""A rate is that to so large a share."""
+"""Relative tolerance for a usual rate."""
 FULL = 120.0
-"""A file without a unit of time that lasts longer than this [s] is not taken for minutes."""
+"""Duration in seconds above which times without a unit are not taken for minutes [s]."""
 BRIEF, RARE = 0.5, 0.5
-"""A file that lasts less than this [s], or has fewer samples a second, is doubted: a muscle takes 0.1 s to fill."""
+"""A shorter duration [s] or a lower rate [Hz] than these is doubtful: a muscle takes 0.1 s to fill."""
 
 
 def usual_step(values: Array) -> float:
-    """Median of the steps upward; 0 where there is none."""
+    """Median of the positive steps; 0 where there are none."""
     steps = np.diff(values)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
 def counted(values: Array) -> tuple[str, str] | None:
-    """How a column of numbers counts from a day, and in which unit; None where it is a plain number.
+    """Kind of count (see `COUNTS`) and unit of a column of absolute times; None for plain numbers.
 
-    An empty first text: it may be days or a plain number.
+    The kind is empty where the numbers may be days or plain numbers.
     """
     if len(values) < 2 or not np.isfinite(values).all():
         return None
@@ -317,7 +317,7 @@ def _rises(values: Array) -> bool:
 
 
 def _choose_time(proposals: Sequence[Proposal]) -> None:
-    """The column that rises: a named one where it does, else any."""
+    """Choose the time: a column that increases, preferably one with such a name."""
     named = [p for p in proposals if p.role == "time"]
     good = [p for p in named if _rises(p.values)]
     for proposal in named:
@@ -330,7 +330,7 @@ def _choose_time(proposals: Sequence[Proposal]) -> None:
         for proposal in good:
             proposal.role = "time"
             proposal.reasons.append("the only column that rises from the first row to the last")
-    good.sort(key=lambda p: float(np.mean(np.diff(p.values) == 0)) > 0.5)  # one that is too coarse comes last
+    good.sort(key=lambda p: float(np.mean(np.diff(p.values) == 0)) > 0.5)  # a clock that is too coarse comes last
     for proposal in good[1:]:
         proposal.role = "ignore"
         proposal.reasons.append(f'a second time; "{good[0].name[:40]}" is taken')
@@ -339,7 +339,7 @@ def _choose_time(proposals: Sequence[Proposal]) -> None:
 
 
 def _how_written(time: Proposal) -> None:
-    """How a time is written, and in which unit, or what is asked about it."""
+    """Determine how a time is written and its unit, or add a question about it."""
     plain = time.written == "number"
     if plain and (count := counted(time.values)) is not None:
         time.written, time.unit = count
@@ -356,14 +356,14 @@ def _how_written(time: Proposal) -> None:
 
 
 def _in_each_unit(time: Proposal) -> dict[str, tuple[float, float, str]]:
-    """Unit that a time may have -> samples a second, how long the file lasts [s], and both in words."""
+    """Possible unit of a time -> sampling rate [Hz], duration of the file [s], and both in words."""
     step, many = usual_step(time.values), len(time.values)
     found = {unit: (1.0 / (step * SECONDS[unit]), step * many * SECONDS[unit]) for unit in (*USUAL, "min")}
     return {unit: (rate, lasts, f"{rate:.4g} samples a second, {lasts:.4g} s") for unit, (rate, lasts) in found.items()}
 
 
 def _usual_units(time: Proposal, slowest: float) -> list[str]:
-    """The units in which a time is that of a usual test, of so many samples a second at least, in words."""
+    """Units in which a time has a usual duration and rate, at least `slowest` [Hz], as text."""
     each = _in_each_unit(time)
     if not _may_be_minutes(time):
         del each["min"]
@@ -375,7 +375,7 @@ def _usual_units(time: Proposal, slowest: float) -> list[str]:
 
 
 def _may_be_minutes(time: Proposal) -> bool:
-    """Whether a time that would be short in seconds has a rate that people set in minutes only: 50 for 3000."""
+    """Whether a time that would be short in seconds has a usual rate only in minutes: 50 Hz, not 3000 Hz."""
     step, lasts = usual_step(time.values), float(np.ptp(time.values))
     rates = np.array([1.0 / step, (len(time.values) - 1) / lasts])
     usual = lasts <= FULL and bool(np.all(rates / 60.0 > 4.0 * SLOWEST))
@@ -383,7 +383,7 @@ def _may_be_minutes(time: Proposal) -> bool:
 
 
 def _is_round(rates: Array) -> bool:
-    """Whether one of these rates, shape (n,), is one that people set."""
+    """Whether one of these rates, shape (n,), is a usual one."""
     lead = rates / 10.0 ** np.floor(np.log10(rates))
     return bool(np.any(np.abs(lead[:, None] / np.array(ROUND) - 1.0) < EXACT))
 
@@ -402,7 +402,7 @@ def _time_unit(time: Proposal) -> None:
 
 
 def _said_time(time: Proposal) -> None:
-    """Ask for the unit of a time where the given one makes the file an impossible test, another one a usual one."""
+    """Ask for the unit of a time if the given one is implausible and another one plausible."""
     rate, lasts, text = _in_each_unit(time)[time.unit]
     usual = _usual_units(time, 10 * SLOWEST)
     if usual and (lasts < BRIEF or rate < RARE):
@@ -411,7 +411,7 @@ def _said_time(time: Proposal) -> None:
 
 
 def _which_time(time: Proposal) -> None:
-    """Ask for the unit of a time without one, where several are possible or its heading may mean another one."""
+    """Ask for the unit of a time without one, if several are possible or its heading is unclear."""
     possible = _usual_units(time, SLOWEST)
     if possible and possible[-1].startswith("min") and len(possible) == 1:
         possible.insert(0, f"{time.unit}: {_in_each_unit(time)[time.unit][2]}")

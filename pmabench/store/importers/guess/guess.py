@@ -1,7 +1,7 @@
-"""Looks at files that were never seen: their format, their columns, their sampling, and how they part into trials.
+"""Examines unknown files: their format, columns and sampling, and how they are divided into trials.
 
-Names of files and folders may contain dates, numbers of tests and operating points. The record next to a file that
-`pmabench export` wrote answers all that a guess would ask.
+Names of files and folders may contain dates, numbers of tests and operating points. For files from `pmabench export`
+the record next to them answers all questions.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from pmabench.store.importers.table import content_of, read_all, read_table
 from pmabench.store.records import Array
 
 LOOKED_AT = 20_000_000
-"""Bytes of a text file that are looked at."""
+"""Number of bytes of a text file that are examined."""
 
 
 def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
-    """One file by itself: its format, and what each of its columns seems to be."""
+    """Guess for a single file: its format, and the probable role of each column."""
     content = content_of(path, LOOKED_AT)
     form = format_of(content)
     if form.layout is TextLayout:
@@ -77,7 +77,7 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
 
 
 def _proposal(name: str, values: Array, said: str, names: Sequence[str]) -> Proposal:
-    """A column of a file with units; the columns of a matrix have no names."""
+    """A column of a file that gives units; columns of a matrix have no names."""
     matrix = matrix_of(name)
     bare = bool(matrix) and sum(other.startswith(f"{matrix}(:,") for other in names) > 1
     column = proposal(name, values, said, bare=bare)
@@ -86,7 +86,7 @@ def _proposal(name: str, values: Array, said: str, names: Sequence[str]) -> Prop
 
 
 def _several(guess: Guess, tests: list[str], shown: str, columns: Mapping[str, Array]) -> None:
-    """Matrices that are a test each, of which one is shown."""
+    """Note that each of several matrices is a test, of which one is shown."""
     guess.tests = tests
     for column in guess.columns:
         column.name = column.name.replace(shown, PLACE, 1)
@@ -96,7 +96,7 @@ def _several(guess: Guess, tests: list[str], shown: str, columns: Mapping[str, A
 
 
 def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
-    """The median step of the clock of a matrix."""
+    """Median step of the clock of a matrix; 0 without a clock."""
     clock = (v for name, v in columns.items() if matrix_of(name) == matrix and is_clock(v))
     return usual_step(next(clock, np.empty(0)))
 
@@ -145,7 +145,7 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
 
 
 def _goes_on(path: Path, guessed: TextGuess, numbers: Sequence[str]) -> bool:
-    """Whether the clock of the file goes on over each repeated line of names: then these are pages of one test."""
+    """Whether the clock continues across each repeated line of names: then these are pages of one test."""
     layout = guessed.layout.model_copy(update={"repeated_header": "page"})
     starts = read_table(path, guessed.layout, numbers, (), guessed.texts, guessed.stamps, LOOKED_AT).starts
     table = read_table(path, layout, numbers, (), guessed.texts, guessed.stamps, LOOKED_AT)
@@ -157,7 +157,7 @@ def _goes_on(path: Path, guessed: TextGuess, numbers: Sequence[str]) -> bool:
 
 
 def _call_by_role(guess: Guess) -> None:
-    """Columns without names are called by what they are."""
+    """Name unnamed columns by their roles."""
     for column in guess.columns:
         if column.role != "ignore":
             column.name = column.role
@@ -166,7 +166,7 @@ def _call_by_role(guess: Guess) -> None:
 
 
 def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
-    """Whether the files are samples that `pmabench export` wrote with their record, which then leaves no question."""
+    """Whether the files were written by `pmabench export`; if so, complete the guess from the record next to them."""
     place = files[0].resolve().parent / RECORD
     if not place.is_file():
         return False
@@ -189,7 +189,7 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
             column.role, column.reasons = column.name, []
         elif known is not None:
             column.role, column.reasons = known.channel, []
-            column.unit = column.unit or column.name.rpartition("[")[2].rstrip("]")  # an export names it
+            column.unit = column.unit or column.name.rpartition("[")[2].rstrip("]")  # export puts it into the name
             column.extra = _as_known(known, column.unit)
     specimen = record.about.get("specimen")
     if isinstance(specimen, dict):
@@ -198,7 +198,7 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
 
 
 def _as_known(known: Known, unit: str) -> dict[str, str]:
-    """Entries of a map for what a record knows of the calibration of a channel."""
+    """Entries of a map for the uncertainties and lag of a channel in a record."""
     entries = {
         "expanded_uncertainty": (known.offset_uncertainty, f"{known.offset_uncertainty:.9g} {unit}"),
         "gain_uncertainty": (known.gain_uncertainty, f"{100 * known.gain_uncertainty:.9g} %"),
@@ -222,37 +222,37 @@ _PARTS = (
     (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
 )
 WHERE_APART = {"g", "N", "mm"}
-"""Units of what is read only where it differs among the names: it may as well be a size, or the range of a sensor."""
+"""Units of numbers that are used only if they differ among names, because they may be a size or a sensor's range."""
 CONTRACTED = re.compile(
     r"(kink(ed)?|contract(ion|ed)?|contr|held|hold|at|shortened|short|x|dx|eps)[-_ ]?$", re.IGNORECASE
 )
-"""What comes before a length that is a contraction, and no diameter."""
+"""Text before a length in a name that marks it as a contraction, not a diameter."""
 OTHER_LENGTH = re.compile(
     r"([a-z]|(?<![a-z])(l|len(gth)?|lange|stretch(ed)?|elong(ation|ated)?|ext(ension|ended)?|d|dia(m|meter)?|gap)"
     r"[-_ ])$",
     re.IGNORECASE,
 )
-"""What comes before a length that need be no contraction: any word that is one with it, or one of these."""
+"""Text before a length that may be no contraction: a letter joined to it, or one of these words."""
 
 
 @dataclass(frozen=True)
 class Names:
-    """What the names of files or folders give."""
+    """Information in the names of files or folders."""
 
     keys: set[str]
     of: str
     forms: list[str]
     units: dict[str, str]
     comma: bool
-    """Numbers have a decimal comma."""
+    """Whether numbers have a decimal comma."""
     asked: dict[str, str]
-    """Key -> why it is asked whether the number is that."""
+    """Key -> reason to ask whether the number has this meaning."""
 
 
 def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset()) -> Names:
-    """Keys in the names, from files or folders, with their forms; none for numbers with a unit of `without`.
+    """Information in the names of files or folders (`of`); numbers with a unit in `without` are ignored.
 
-    A length that nothing calls a contraction, and that is the same in all names, may as well be a diameter: none then.
+    A length that is not marked as a contraction and is the same in all names may be a diameter, and is ignored.
     """
     sizes: dict[str, set[str]] = {}
     units: dict[str, str] = {}
@@ -288,12 +288,12 @@ def found_in(files: Sequence[Path], of: str, without: frozenset[str] = frozenset
 
 
 def _doubtful(before: str) -> int:
-    """How doubtful it is by what comes before a length that it is a contraction: 0 called so, 1 as usual, 2 a word."""
+    """Doubt whether a length is a contraction, from the text before it: 0 marked as one, 1 unmarked, 2 other words."""
     return 0 if CONTRACTED.search(before) else 2 if OTHER_LENGTH.search(before) else 1
 
 
 def _asked(number: str, unit: str, doubtful: int) -> str:
-    """What else a number in a name may be; empty where it is sure."""
+    """Question about the meaning of a number in a name; empty where it is certain."""
     if number.startswith("-"):
         return "is the minus its sign, as of a muscle that is stretched? If it only separates, write it into the form"
     if "p" in number:
@@ -304,7 +304,7 @@ def _asked(number: str, unit: str, doubtful: int) -> str:
 
 
 def frequency_of(path: Path, of: str, units: Mapping[str, str]) -> float | None:
-    """The frequency in the name of a file or of its folder [Hz]; `units`: those of the forms."""
+    """Frequency in the name of a file or of its folder [Hz], None without one; `units`: those of the forms."""
     name = path.resolve().parent.name if of == "folder" else path.stem
     for pattern, key, unit in _PARTS:
         match = pattern.search(name) if key == "frequency" and units.get(key) == unit else None
@@ -314,11 +314,11 @@ def frequency_of(path: Path, of: str, units: Mapping[str, str]) -> float | None:
 
 
 FILES = 20
-"""Files of one guess that are looked at; the columns are those of the first."""
+"""Largest number of files that are examined; the columns are those of the first."""
 
 
 def guess_files(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
-    """Look at up to 20 files of one layout, for tests of one of the `kinds`.
+    """A guess from up to `FILES` files of one layout, for tests of one of the `kinds`.
 
     Raises InvalidFile where they cannot be read or are not alike.
     """
@@ -359,7 +359,7 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
 
 
 def _alike(guess: Guess, path: Path) -> None:
-    """Another file of the same layout: a column at the end that not all files have is optional."""
+    """Compare another file, which must have the same layout; further columns at the end become optional."""
     other = look(path, guess.kinds)
     _mixed(guess, other)
     same = type(other.layout) is type(guess.layout)
@@ -388,7 +388,7 @@ def _alike(guess: Guess, path: Path) -> None:
 
 
 def _mixed(guess: Guess, other: Guess) -> None:
-    """Columns that hold whole numbers in one of two files only; how far the others reach in the second one."""
+    """Note columns with whole numbers in only one of two files, and the range and median of columns in the other."""
     there = {column.name: column for column in other.columns}
     for column in guess.columns:
         if column.name in there and len(values := there[column.name].good):
@@ -425,7 +425,7 @@ def _sampling(guess: Guess) -> None:
 
 
 def _names(guess: Guess) -> None:
-    """Use the dates, test numbers and points in the names of the files or of their folders, whichever contain more."""
+    """Use the dates, test numbers and points in the names of files or of their folders, whichever contain more."""
     found = (found_in(guess.files, of) for of in ("file", "folder"))
     best = max(found, key=lambda names: (len(names.keys), names.of == "file"))
     guess.form_of, guess.form_units, guess.form_comma, guess.form_asked = best.of, best.units, best.comma, best.asked
@@ -435,7 +435,7 @@ def _names(guess: Guess) -> None:
 
 
 def _frequency(guess: Guess) -> None:
-    """A sine whose frequency no name gives, or gives wrong, is fitted in each file, where that can be done."""
+    """Let the frequency of a sine be fitted in each file, if no name gives it or the name is wrong."""
     if not guess.frequency:
         return
     found = frequency_of(guess.files[0], guess.form_of, guess.form_units)
@@ -452,7 +452,7 @@ def _frequency(guess: Guess) -> None:
 
 
 def _lacking(guess: Guess) -> None:
-    """Where the pressure, or the force of an isometric test, was not found: ask which of the other columns it is."""
+    """Ask which column is the pressure, or the force of an isometric test, if none was found."""
     needed = ("pressure", "force") if guess.test.held else ("pressure",)
     lacking = [role for role in needed if guess.role(role) is None]
     guess.lacks = next(iter(lacking), "")
@@ -479,7 +479,7 @@ def _lacking(guess: Guess) -> None:
 
 
 def _known(path: Path, kinds: Mapping[str, Imported]) -> str:
-    """The shipped map that takes a file as it is, without a fault and at the rate that it expects."""
+    """Name of a shipped map that fits a file without a fault and at the expected rate; empty for none."""
     from pmabench.store.importers.prepare import prepare
 
     if path.stat().st_size > LOOKED_AT:

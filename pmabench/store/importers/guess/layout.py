@@ -1,6 +1,6 @@
-"""How a text file seems to be laid out: encoding, delimiter, decimal sign, header, how its time is written.
+"""Guesses the layout of a text file: encoding, delimiter, decimal sign, header, form of its time.
 
-Looks at its first lines; times are known by their texts, or by what the header says of the sampling.
+Examines the first lines; times are recognised by their texts, or from sampling data in the header.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pmabench.store.formats.text import MARKS, MINUS, Stamps, TextLayout, second
 from pmabench.store.importers.map_file import spelled
 
 ENOUGH = 0.99
-"""Share of the texts of a column that must be times."""
+"""Least share of texts in a column of times that look like times."""
 _SLASHED = re.compile(r"\s*(\d{1,2})[-/.](\d{1,2})[-/.](?:\d{4}|\d{2})\b")
 _LOOKS = re.compile(
     r"\d{1,3}:\d{2}|\d{4}[-/.]\d{1,2}[-/.]\d|\d{1,2}[-/. ](?:\d{1,2}|[A-Za-z]{3,9})[-/. ]\d{2,4}|\d{8}[T_ ]\d{4}"
@@ -34,12 +34,12 @@ _INTERVAL = re.compile(
 
 @dataclass(frozen=True)
 class Written:
-    """How one column of texts writes its time."""
+    """Form of the times in a column of texts."""
 
     kind: str
     """`clock`, `date` or `date and time`."""
     order: str
-    """Order of a date whose year comes last; empty where the file leaves it open."""
+    """Order of day and month (see `Stamps.order`); empty where the file does not show it."""
 
 
 def looks_like_time(text: str) -> bool:
@@ -48,7 +48,7 @@ def looks_like_time(text: str) -> bool:
 
 
 def written(texts: Sequence[str]) -> Written | None:
-    """The form in which a column of texts gives its times; None if they are no times."""
+    """The form of the times in a column of texts; None if they are not times."""
     some = [text.strip() for text in texts if text.strip()]
     if not some or sum(map(looks_like_time, some)) < ENOUGH * len(some):
         return None
@@ -63,7 +63,7 @@ def written(texts: Sequence[str]) -> Written | None:
 
 
 def _order(texts: Sequence[str]) -> str:
-    """The order of day and month, if a number above 12 or a point shows it; else empty."""
+    """Order of day and month if a number above 12 or a point shows it; `year first` without such dates; else empty."""
     pairs = [(int(m[1]), int(m[2])) for text in texts if (m := _SLASHED.match(text))]
     if not pairs:
         return "year first"
@@ -73,7 +73,7 @@ def _order(texts: Sequence[str]) -> str:
 
 
 def interval_in(lines: Sequence[str]) -> float:
-    """Distance of the samples [s] that a header gives as a rate or an interval; 0 where it gives none, or several."""
+    """Sampling period [s] from a rate or an interval in the header; 0 where it gives none, or several."""
     found: set[float] = set()
     for line in lines:
         if match := _RATE.search(line):
@@ -85,13 +85,13 @@ def interval_in(lines: Sequence[str]) -> float:
 
 
 TABLE = 0.5
-"""Least share of the lines below the first row of numbers that are such rows, too."""
+"""Least share of lines below the first row of numbers that must be rows of numbers too."""
 LOOKED_AT = 400
-"""Lines from the beginning."""
+"""Number of lines that are examined at the beginning."""
 EMPTY, TAIL = " \t,;|", 4000
-"""A line of these signs is blank, of the first lines or within so many signs of the end."""
+"""Characters of a blank line, and number of characters at the end of the file that are searched for blank lines."""
 FURTHER = 4000
-"""Lines further down, evenly spread, that are looked at for signs of thousands and for texts that mean no value."""
+"""Number of further lines, evenly spread, searched for thousands separators and texts that mean no value."""
 COMMENTS = ("#", "%", "//", ";", "!")
 NO_VALUE = {
     *("nan", "na", "n/a", "null", "none", "-", "--", "", "inf", "-inf", "*", "#n/a", "err", "error", "overflow"),
@@ -101,11 +101,11 @@ NO_VALUE = {
 }
 MOST_MISSING = 12
 MOST_BELOW = 20
-"""Lines between the names and the first row that a map can give."""
+"""Largest number of lines between names and first row that a map can state."""
 FAULTS = 0.05
-"""Share of texts that are neither numbers nor known for "no value", up to which a column holds numbers, and faults."""
+"""Largest share of faults in a column of numbers: texts that are neither numbers nor known for "no value"."""
 FEWEST = 3
-"""Numbers among the first rows that make a column one of numbers: others may be blank, where rates are mixed."""
+"""Fewest numbers among the first rows of a column of numbers; others may be blank where rates are mixed."""
 _QUOTED = re.compile(r'"\s*[+-]?[\d.,]+(?:[eE][+-]?\d{1,3})?\s*"')
 _POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 _COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
@@ -124,57 +124,57 @@ ENCODINGS = {
     "big5": ("時間", "壓力", "位移", "拉力"),
     "euc_kr": ("시간", "압력", "변위", "하중"),
 }
-"""Encodings that cannot be recognised by their bytes, each with words of its language that a header of a test holds."""
+"""Encodings that bytes alone do not identify -> typical words of a header in that language."""
 STATISTICS = {"mean", "average", "avg", "max", "min", "rms", "std", "value", "raw", "float", "double", "mittelwert"}
-"""What is below the names where a program says how it made its numbers."""
+"""Words in a line below the names that states how the numbers were obtained."""
 
 
 @dataclass
 class TextGuess:
-    """A layout with the names of its columns, and why."""
+    """A guessed layout with the names of its columns, and reasons."""
 
     layout: TextLayout
     names: list[str]
     """In order; as the file gives them, or `column 1` and so on."""
     named: bool
-    """The file gives the names."""
+    """Whether the file gives the names."""
     texts: list[str]
-    """Names of columns that hold words."""
+    """Names of columns of words."""
     units: dict[str, str] = field(default_factory=dict)
-    """From a line of units below the names, as it writes them."""
+    """Name -> unit, as written in a line of units below the names."""
     reasons: list[str] = field(default_factory=list)
     stamps: Stamps | None = None
-    """The column whose texts are times, or that counts the steps of the header."""
+    """The time: a column of texts, or one that counts steps given in the header; None if not found."""
     open_order: bool = False
-    """Day and month of its dates may be the other way round."""
+    """Whether the order of day and month in its dates is unknown."""
     tests: int = 0
-    """How often the line of names was found; 0 where it is not repeated."""
+    """Number of times that the line of names occurs; 0 where it is not repeated."""
     interval: float = 0.0
-    """Distance of the samples that the header gives [s]; 0 where it gives none."""
+    """Sampling period from the header [s]; 0 where it gives none."""
     either: str = ""
-    """A number whose comma may be the decimal sign or group digits, as all others; empty where one shows which."""
+    """Example of a number if all commas may be decimal or thousands signs; empty where the file shows which."""
 
 
 @dataclass(frozen=True)
 class _Body:
-    """The first lines of a text, and how its rows of numbers are written."""
+    """The first lines of a text, and the form of its rows of numbers."""
 
     path: str
     lines: list[str]
     further: list[str]
     """Some lines further down."""
     above: int
-    """Lines above the first row, where the header of an oscilloscope shows how many; else 0."""
+    """Number of lines above the first row if an oscilloscope's header shows it; else 0."""
     quoted: bool
     delimiter: str
     decimal: str
     thousands: str
     rows: list[tuple[int, int]]
-    """Line from 0, and fields, of each row."""
+    """Line from 0, and number of fields, of each row."""
 
     @property
     def width(self) -> int:
-        """Fields of a row."""
+        """Number of fields of a row."""
         return self.rows[-1][1]
 
     @property
@@ -187,12 +187,12 @@ class _Body:
         return split(line, self.delimiter, quoted=self.quoted)
 
     def below(self) -> list[list[str]]:
-        """Fields of the lines from the first row on that are as wide as that."""
+        """Fields of all lines from the first row on that have `width` fields."""
         return [row for row in map(self.cut, self.lines[self.first :]) if len(row) == self.width]
 
 
 def guess_layout(path: str, content: bytes) -> TextGuess:
-    """The layout that makes most cells of the first lines numbers; raises InvalidFile where none does."""
+    """The layout with which most cells of the first lines are numbers; raises InvalidFile where there is none."""
     text, encoding, why = _decoded(path, content.rstrip(b"\0") or content)
     text = text.replace(MINUS, "-").replace("\r\n", "\n").replace("\r", "\n")
     body = _body(path, text)
@@ -241,7 +241,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
 
 
 def _body(path: str, text: str) -> _Body:
-    """The rows of a text; raises InvalidFile where it has none, or a comma for columns and decimals at once."""
+    """The rows of a text; InvalidFile where it has none, or uses the comma both as delimiter and decimal sign."""
     lines = text.split("\n")[:LOOKED_AT]
     if len(lines) == LOOKED_AT or not text.endswith("\n"):
         lines = lines[: LOOKED_AT - 1]
@@ -259,14 +259,14 @@ def _body(path: str, text: str) -> _Body:
 
 
 def _step_header(body: _Body, reasons: list[str]) -> tuple[list[str], dict[str, str], None]:
-    """Names above the Start and the Increment of an oscilloscope."""
+    """Names of the columns from an oscilloscope's header with Start and Increment."""
     names = [*map(str.strip, body.cut(body.lines[body.above - 2])), *[""] * body.width][: body.width]
     reasons.append("the header gives Start and Increment: the first column counts samples")
     return [name or f"column {k + 1}" for k, name in enumerate(names)], {}, None
 
 
 def _stamps(guess: TextGuess, rows: Sequence[Sequence[str]]) -> None:
-    """Which of the columns of words are times, and how they are written."""
+    """Find columns of texts that are times, and their form."""
     kinds = {name: found for name in guess.texts if (found := written([row[guess.names.index(name)] for row in rows]))}
     first = {each.kind: name for name, each in reversed(kinds.items())}
     time = first.get("date and time") or first.get("clock", "")
@@ -282,7 +282,7 @@ def _stamps(guess: TextGuess, rows: Sequence[Sequence[str]]) -> None:
 
 
 def _again(text: str, lines: Sequence[str], first: int, names: Sequence[str]) -> int:
-    """The line of names, from 1, where it is repeated below the first row; else 0."""
+    """Line number, from 1, of the line of names if it is repeated below the first row; else 0."""
     found = next((k for k in range(first - 1, -1, -1) if all(name in lines[k] for name in names)), -1)
     if found < 0 or not lines[found].strip():
         return 0
@@ -291,7 +291,7 @@ def _again(text: str, lines: Sequence[str], first: int, names: Sequence[str]) ->
 
 
 def _two_commas(path: str, rows: Sequence[Sequence[str]], above: Sequence[str], width: int) -> None:
-    """Raises InvalidFile where the comma seems to separate columns and decimals at once."""
+    """Raise InvalidFile where the comma seems to be both delimiter and decimal sign."""
     if any("." in text for row in rows for text in row):
         return
     heads = [len(line.split(",")) for line in above if re.search(r"[^\W\d_]", line)]
@@ -311,7 +311,7 @@ def _two_commas(path: str, rows: Sequence[Sequence[str]], above: Sequence[str], 
 
 
 def _decoded(path: str, content: bytes) -> tuple[str, str, str]:
-    """Text, its encoding, and why that one; raises InvalidFile where its bytes leave it open."""
+    """The text, its encoding, and the reason; raises InvalidFile where the encoding cannot be determined."""
     part = content[:2_000_000]
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         try:
@@ -333,7 +333,7 @@ def _decoded(path: str, content: bytes) -> tuple[str, str, str]:
 
 
 def _by_words(path: str, content: bytes, part: bytes) -> tuple[str, str, str]:
-    """An encoding that is not utf-8: by words of a language, else one of the West."""
+    """As `_decoded`, for other encodings than utf-8: by words of a language, else latin-1 or cp1252."""
     for encoding, words in ENCODINGS.items():
         with suppress(UnicodeDecodeError):
             text = part.decode(encoding, "strict" if part == content else "ignore")
@@ -353,7 +353,7 @@ def _by_words(path: str, content: bytes, part: bytes) -> tuple[str, str, str]:
 
 
 def split(line: str, delimiter: str, *, quoted: bool = False) -> list[str]:
-    """Fields of a line as the importer takes them."""
+    """Fields of a line as the importer splits it."""
     if quoted:
         with suppress(csv.Error):
             return next(csv.reader([line], delimiter=MARKS[delimiter]), [])
@@ -362,10 +362,10 @@ def split(line: str, delimiter: str, *, quoted: bool = False) -> list[str]:
 
 
 def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tuple[str, str, list[tuple[int, int]], str]:
-    """Delimiter, decimal sign, (line from 0, fields) of all rows of numbers, and the sign of thousands.
+    """Delimiter, decimal sign, (line from 0, number of fields) of all rows of numbers, and thousands separator.
 
-    The pair with most numbers wins. A field that is a date or a clock may be in a row. `above`: lines before the
-    first row that are none.
+    The pair of delimiter and decimal sign with most numbers wins. Rows may contain dates and clocks. `above`: number of
+    header lines that are known not to be rows.
     """
     best: tuple[tuple[int, bool, bool], str, str, list[tuple[int, int]], str] | None = None
     even = [mark for mark in ("tab", "semicolon", "bar") if _in_each(lines[above:], MARKS[mark])]
@@ -406,7 +406,7 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
 
 
 def _in_each(lines: Sequence[str], mark: str) -> bool:
-    """Whether a sign is equally often in nearly all lines: then it separates columns, not digits."""
+    """Whether a character occurs equally often in nearly all lines, as a delimiter does."""
     counts = Counter(line.count(mark) for line in lines if line.strip())
     usual, many = counts.most_common(1)[0] if counts else (0, 0)
     return usual > 0 and many > 0.9 * sum(counts.values())
@@ -417,7 +417,7 @@ def _is_number(text: str, plain: re.Pattern[str], decimal: str, thousands: str) 
 
 
 def _thousands(rows: Sequence[Sequence[str]], decimal: str) -> str:
-    """The sign between groups of three digits, where a field shows it beyond doubt; else an empty text."""
+    """The thousands separator if a field shows it beyond doubt; else empty."""
     point = "." if decimal == "point" else ","
     for row in rows:
         for text in row:
@@ -428,7 +428,7 @@ def _thousands(rows: Sequence[Sequence[str]], decimal: str) -> str:
 
 
 def _may_be_thousands(rows: Sequence[Sequence[str]]) -> str:
-    """A number of a file in which every comma comes before three digits and none after a zero; else an empty text."""
+    """Example of a number if every comma could be a thousands separator; else empty."""
     with_comma = [text.strip() for row in rows for text in row if "," in text]
     either = with_comma and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", text) for text in with_comma)
     return with_comma[0] if either else ""
@@ -439,7 +439,10 @@ def _comment(lines: Sequence[str], first: int) -> str | None:
 
 
 def _header(body: _Body, comment: str | None, reasons: list[str]) -> tuple[list[str], dict[str, str], int | None]:
-    """Names, units by name from a second line, and lines before the header (None: it is a comment)."""
+    """Names, units by name from a second line, and number of lines to skip before the header.
+
+    The last is None if the header line cannot be used as it is, for instance as a comment.
+    """
     lines, width = body.lines, body.width
     above = [(k, lines[k]) for k in range(body.first) if lines[k].strip()]
     candidates: list[tuple[int, list[str], bool]] = []
@@ -464,20 +467,23 @@ def _header(body: _Body, comment: str | None, reasons: list[str]) -> tuple[list[
         reasons.append(f"names in line {k + 1}, which is a comment")
         return fields, {}, None
     reasons.append(f"names in line {k + 1}")
-    if k < candidates[-1][0]:  # what is below the names is no row
+    if k < candidates[-1][0]:  # a further line is below the names
         return fields, {}, None
     before = k if comment is None else sum(1 for j in range(k) if not lines[j].lstrip().startswith(comment))
     return fields, {}, (k if before else 0)
 
 
 def _before(lines: Sequence[str], first: int, comment: str | None) -> int:
-    """Lines to skip where the map gives the names: all before the first row, without comments and blank ones."""
+    """Number of lines to skip if the map gives the names: up to the last one that is neither comment nor blank."""
     strange = [k for k in range(first) if lines[k].strip() and not (comment and lines[k].lstrip().startswith(comment))]
     return strange[-1] + 1 if strange else 0
 
 
 def _words(body: _Body, names: Sequence[str], reasons: list[str]) -> tuple[list[int], list[str]]:
-    """Columns of words, and texts that mean no value in the others; InvalidFile where words are numbers otherwise."""
+    """Columns of words, and texts that mean no value in the others.
+
+    Raises InvalidFile where the words are numbers with the other decimal sign.
+    """
     number, otherwise = (_COMMA, _POINT) if body.decimal == "comma" else (_POINT, _COMMA)
     cells, texts, missing, other = body.below(), list[int](), set[str](), dict[int, str]()
     for column in range(body.width):
@@ -514,5 +520,5 @@ def _twice(names: Sequence[str]) -> bool:
 
 
 def _apart(names: Sequence[str]) -> list[str]:
-    """Names that differ, none of them empty."""
+    """Names made unique and not empty."""
     return distinct([name[:100] or f"column {k + 1}" for k, name in enumerate(names)])

@@ -1,4 +1,4 @@
-"""What was found out about files: `Guess` of the whole, `Proposal` of one column."""
+"""Data of a guess: `Guess` for the files, `Proposal` for one column."""
 
 from __future__ import annotations
 
@@ -13,59 +13,59 @@ from pmabench.store.formats.record import Layout
 from pmabench.store.records import Array
 
 STILL = 3e-4
-"""A length is held that moves by less than this [m]."""
+"""Largest range of a length that counts as held [m]."""
 METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6, "in": 0.0254}
 
 
 @dataclass
 class Proposal:
-    """What one column seems to be."""
+    """Probable meaning of one column."""
 
     name: str
     values: Array
     role: str = "ignore"
     unit: str = ""
-    """As pmabench spells it; empty where it is not known."""
+    """Unit in pmabench's spelling; empty where unknown."""
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
     mixed: str = ""
-    """Name of a file in which it holds whole numbers while it does not in others; empty where all are alike."""
+    """A file in which it has whole numbers although not in others; empty where all files are alike."""
     elsewhere: float = 0.0
-    """The highest value in other files of the same layout."""
+    """Highest absolute value in other files of the same layout."""
     middles: list[float] = field(default_factory=list)
-    """The median in each of these."""
+    """Its median in each of the other files."""
     question: str = ""
-    """What is asked about its role, where the choice is open."""
+    """Question about its role or unit, where the choice is open; else empty."""
     written: str = "number"
-    """How a time is written, as the map says it; empty where it may be days or a plain number."""
+    """How a time is written, as in a map; empty where it may be days or a plain number."""
     order: str = ""
-    """Order of day and month in its dates, where the year comes last; `??` where the file leaves it open."""
+    """Order of day and month in dates whose year comes last; `??` where the file does not show it."""
     period: float = 0.0
-    """Distance of the samples [s] that a time counts; 0 where the file does not give it."""
+    """Sampling period [s] of a column that counts samples; 0 where the file does not give it."""
     bare: bool = False
-    """Nothing but its numbers shows what it is: the file gives no name, or one for all columns of a matrix."""
+    """Whether only its numbers show what it is: the file gives no name, or one for all columns of a matrix."""
     factor: str = ""
-    """What its heading multiplies the unit by, as it is written: `x10`, `/10`."""
+    """Factor of the unit in its heading, as written: `x10`, `/10`; empty for none."""
     strange: str = ""
-    """What is written in place of a unit that is not known."""
+    """Text in place of a unit that is not recognised."""
     extra: dict[str, str] = field(default_factory=dict)
-    """Further entries of the map that are known of it."""
+    """Further known entries for the map."""
 
     @property
     def good(self) -> Array:
-        """Values without those that are none."""
+        """The finite values."""
         return self.values[np.isfinite(self.values)]
 
     @property
     def apart(self) -> bool:
-        """Whether it is a length that is another one in another file of the layout."""
+        """Whether it is a length with different medians in different files."""
         middles = [*self.middles, *([float(np.median(self.good))] if len(self.good) else [])]
         return len(middles) > 1 and float(np.ptp(middles)) > STILL / METRES.get(self.unit, 1e-3)
 
 
 @dataclass
 class Guess:
-    """What was found; `columns` in the order of the file."""
+    """All that was found; `columns` in the order of the file."""
 
     files: list[Path]
     layout: Layout
@@ -74,56 +74,56 @@ class Guess:
     """Names of columns that some of the files lack."""
     left_out: list[str]
     kinds: Mapping[str, Imported]
-    """What each kind of test needs of a file, by its name."""
+    """Kind of test -> what it needs from a file."""
     kind: str = ""
     trials: dict[str, str] = field(default_factory=dict)
-    """Lines of `trials`, as text."""
+    """Entries of the map's `trials`, as text."""
     smallest_of: str = "pressure_command"
-    """Role whose unit `smallest` of `trials` has."""
+    """Role of the channel in whose unit `smallest` of `trials` is given."""
     forms: list[str] = field(default_factory=list)
     form_of: str = "file"
     form_units: dict[str, str] = field(default_factory=dict)
     form_comma: bool = False
     form_asked: dict[str, str] = field(default_factory=dict)
-    """Key of a form -> why it is asked whether a number in the names is that."""
+    """Key of a form -> reason to ask whether a number in the names has this meaning."""
     rate: tuple[float, float] = (1.0, 1000.0)
     gap: float = 1.0
     reasons: dict[str, list[str]] = field(default_factory=dict)
-    """`file`, `sampling`, `trials`, `name_tells` -> why."""
+    """Part of the map (`file`, `sampling`, `trials`, `name_tells`) -> reasons."""
     doubts: list[str] = field(default_factory=list)
     known: str = ""
-    """Name of a shipped map that takes these files as they are."""
+    """Name of a shipped map that fits these files; empty for none."""
     frequency: float = 0.0
-    """Of a command that is one sine [Hz], to the resolution of its spectrum."""
+    """Frequency of a command that is a single sine [Hz], with the resolution of its spectrum; else 0."""
     either: str = ""
-    """A number whose comma may be the decimal sign or group digits."""
+    """Example of a number whose comma may be decimal or thousands sign; else empty."""
     lacks: str = ""
-    """A channel without which nothing can be fitted, and that was not found."""
+    """A channel that is needed for a fit and was not found; empty for none."""
     constant: bool = False
-    """The pressure was not recorded: it is that of the operating point."""
+    """Whether the pressure was not recorded and is taken from the operating point."""
     tests: list[str] = field(default_factory=list)
-    """Names of several tests in each file, in their order."""
+    """Names of the tests in each file, in order, if there are several."""
     slower: tuple[float, float] = (1.0, 1.0)
-    """Least and largest step of the clocks of the tests, against that of the test that is shown."""
+    """Smallest and largest sampling period of the tests, relative to that of the test that is shown."""
     period: float = 0.0
-    """Distance of the samples that a header gives [s]; 0 where none does."""
+    """Sampling period from a header [s]; 0 where none gives it."""
     seconds: Array | None = None
-    """Time of each row [s], where a time was found."""
+    """Time of each row [s], shape (n,); None where no time was found."""
     exported: bool = False
-    """The record of an exported run answers what else would be asked."""
+    """Whether the record of an exported run answers all questions."""
     simulated: bool = False
     specimen: dict[str, str] = field(default_factory=dict)
-    """Where a file gives it."""
+    """Entries of the specimen that the record gives."""
 
     @property
     def test(self) -> Imported:
-        """What the kind that is proposed needs of a file."""
+        """What the proposed kind of test needs from a file."""
         return self.kinds.get(self.kind, Imported())
 
     def open_point(self, name: str) -> bool:
-        """Whether a coordinate is needed of each file, and no name of a file or folder gives it."""
+        """Whether the test needs a coordinate that no name of a file or folder gives."""
         return name in self.test.point and not any(f"{{{name}}}" in form for form in self.forms)
 
     def role(self, role: str) -> Proposal | None:
-        """The column with a role, where there is one."""
+        """The column with a role; None without one."""
         return next((column for column in self.columns if column.role == role), None)

@@ -1,4 +1,4 @@
-"""What columns are by their numbers alone: phases, commands, what goes with the pressure, counts.
+"""Recognises columns by their numbers alone: phases, commands, channels correlated with pressure, counts.
 
 Pure functions of arrays.
 """
@@ -16,13 +16,13 @@ from pmabench.store.importers.guess.proposal import METRES, STILL, Proposal
 from pmabench.store.records import Array
 
 HELD = 0.02
-"""A length is held that moves by less than this share of itself."""
+"""Largest range of a length that counts as held, as a share of the length."""
 
 
 def by_shape(proposals: Sequence[Proposal]) -> list[Proposal]:
-    """Columns without names: phases are whole numbers in order, a command rests, the others go with the pressure.
+    """Assign roles to unnamed columns: ordered whole numbers are phases, a command rests, others follow the pressure.
 
-    Returns those that are measured, but for lengths.
+    Returns the measured ones except lengths.
     """
     bare = [p for p in proposals if p.role == "ignore" and p.bare and not p.unit and len(p.good) and not _phases(p)]
     taken = {p.role for p in proposals}
@@ -49,7 +49,7 @@ def by_shape(proposals: Sequence[Proposal]) -> list[Proposal]:
 
 
 def _phases(proposal: Proposal) -> bool:
-    """Whether a column without a name holds few whole numbers in order; where they differ they mark phases."""
+    """Whether an unnamed column has few whole numbers in ascending order; more than one of them mark phases."""
     marks = np.unique(proposal.good)
     if len(marks) > 6 or not np.array_equal(marks, np.round(marks)) or not bool(np.all(np.diff(proposal.good) >= 0)):
         return False
@@ -60,7 +60,7 @@ def _phases(proposal: Proposal) -> bool:
 
 
 def _force(others: Sequence[Proposal], pressure: Proposal) -> None:
-    """The column without a name that goes with the pressure best, where one does."""
+    """Assign the force to the unnamed column that correlates best with the pressure, if one does."""
     force = max(others, key=lambda p: abs(correlation(p.values, pressure.values)), default=None)
     together = 0.0 if force is None else correlation(force.values, pressure.values)
     if force is None or abs(together) <= 0.5:
@@ -72,7 +72,7 @@ def _force(others: Sequence[Proposal], pressure: Proposal) -> None:
 
 
 def _command(bare: Sequence[Proposal]) -> Proposal | None:
-    """A column of the size of a pressure that rests at levels while another one goes with it."""
+    """A column in the range of a pressure that rests at levels while another one follows it; None for none."""
     for proposal in bare:
         values = proposal.good
         if len(values) < 10 or np.ptp(values) == 0 or _pressure_unit(values) is None:
@@ -89,7 +89,7 @@ def _command(bare: Sequence[Proposal]) -> Proposal | None:
 
 
 def _displacement(follow: Sequence[Proposal], pressure: Proposal) -> None:
-    """Of several columns that go with the pressure the one with the smallest numbers, where they could be a length."""
+    """Assign the displacement to the column with the smallest numbers, if they could be a length."""
     smallest = min(follow, key=lambda p: float(np.quantile(np.abs(p.good), 0.99)))
     top = float(np.quantile(np.abs(smallest.good), 0.99))
     unit = "m" if top < 0.5 else "mm" if top < 200.0 else ""
@@ -106,7 +106,7 @@ def _displacement(follow: Sequence[Proposal], pressure: Proposal) -> None:
 
 
 def held(column: Proposal, pressure: Proposal | None) -> bool:
-    """Whether a length is held: it moves by little of itself, and not with the pressure."""
+    """Whether a length is held: small range, and not correlated with the pressure."""
     x = column.good
     if len(x) < 3:
         return False
@@ -125,7 +125,7 @@ def _pressure_unit(values: Array) -> str | None:
 
 
 def _like_pressure(values: Array) -> float:
-    """The higher the more like a gauge pressure: of its size, never below zero, rarely at rest at its lower end."""
+    """Score for a gauge pressure: its range of values, never below zero, rarely at rest at its lower end."""
     low, top = (float(v) for v in np.quantile(values, [0.002, 0.998]))
     span = (top - low) or 1.0
     size = 1.0 if _pressure_unit(values) else 0.0
@@ -135,7 +135,7 @@ def _like_pressure(values: Array) -> float:
 
 
 def lone(values: Array) -> NDArray[np.bool_]:
-    """Which samples leap away from those around them, as sentinels and spikes do: shape (n,), finite values only."""
+    """Mask of samples far from their neighbours, such as sentinels and spikes, shape (n,); for finite values."""
     if len(values) < 9:
         return np.zeros(len(values), dtype=bool)
     around = motion.medians(values, 9)
@@ -143,7 +143,7 @@ def lone(values: Array) -> NDArray[np.bool_]:
 
 
 def lattice(values: Array) -> float:
-    """The step between values, where they are those of a converter; 0 where they are not."""
+    """Step between values that come from an A/D converter; 0 where they do not."""
     marks = np.unique(np.round(values, 9))
     if not 20 < len(marks) < len(values) / 4:
         return 0.0
@@ -154,5 +154,5 @@ def lattice(values: Array) -> float:
 
 
 def is_whole(values: Array) -> bool:
-    """Whole numbers throughout, and more than a few of them."""
+    """Whether all values are whole numbers, and more than 12 different ones."""
     return len(values) > 0 and bool(np.all(values == np.round(values))) and len(np.unique(values)) > 12

@@ -1,6 +1,6 @@
-"""Which kind of test a file shows, and how it parts into trials: by its pauses, steps, sines, or numbers of trials.
+"""Recognises the kind of test, and how a file is divided into trials: by pauses, steps, sines or trial numbers.
 
-Knows no kind of test: each says by the name of a sign for what it is proposed.
+Knows no kind of test: each kind names the sign for which it is proposed.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from pmabench.store.importers.guess.shapes import held, lone
 from pmabench.store.records import Array
 
 LONG_PAUSE = 2.0
-"""Seconds; a log that pauses so long several times was switched off between its parts."""
+"""Pause of a log that separates parts [s]: logging was switched off."""
 STEADY = 0.15
-"""Span of a steady pressure, as a share of it: a regulator lets it move a little while the muscle is drawn out."""
+"""Largest range of a steady pressure, as a share of it: a regulator lets it vary while the muscle is stretched."""
 TOGETHER = 0.5
-"""Correlation of force and length at a steady pressure, where hysteresis or damping opens the loop."""
+"""Least correlation of force and length at a steady pressure; hysteresis or damping lowers it."""
 PURE = 0.06
-"""A sine leaves less of itself than this (`motion.Wave.left`)."""
+"""Largest residual of a pure sine (`motion.Wave.left`)."""
 MOVES = 0.1
-"""A length that is held moves by less than this share of the way between the lengths."""
+"""Largest motion of a held length, as a share of the distance between the lengths."""
 FEWEST = 50
-"""Samples in which cycles are looked for."""
+"""Least number of samples in which cycles are searched."""
 
 
 @dataclass(frozen=True)
 class Sign:
-    """What a file shows, and the trials that follow from it."""
+    """A recognised pattern of a test, and the division into trials that follows from it."""
 
     name: str
     trials: dict[str, str]
-    """Lines of `trials` of the map, as text."""
+    """Entries of the map's `trials`, as text."""
     reason: str
     smallest_of: str = "pressure_command"
-    """Role whose unit `smallest` of the trials has."""
+    """Role of the channel in whose unit `smallest` of the trials is given."""
     frequency: float = 0.0
-    """Of a command that is one sine throughout [Hz]."""
+    """Frequency of a command that is one sine throughout [Hz]; else 0."""
 
 
 def choose_kind(guess: Guess) -> None:
-    """Take the first sign for which there is a kind of test, and how it cuts the file."""
+    """Choose the kind of test of the first sign that belongs to one, and its division into trials."""
     for sign in signs(guess):
         kind = next((name for name, test in guess.kinds.items() if test.shown == sign.name), "")
         if kind:
@@ -59,7 +59,7 @@ def choose_kind(guess: Guess) -> None:
 
 
 def signs(guess: Guess) -> Iterator[Sign]:
-    """What a file shows, the surest first: numbered trials, pauses, a held length, a sine, steps."""
+    """Signs that a file shows, the surest first: numbered trials, pauses, a held length, a sine, steps."""
     command, displacement, t = guess.role("pressure_command"), guess.role("displacement"), guess.seconds
     if guess.role("trial") is not None and command is not None and edge(command.values) > 0:
         reason = "the command goes in steps, and a column numbers the trials"
@@ -100,7 +100,7 @@ def signs(guess: Guess) -> Iterator[Sign]:
 
 
 def _held_lengths(guess: Guess) -> Sign | None:
-    """A length that is held while the pressure rises and falls, and another one the next time; None where it is not."""
+    """The sign of pressure cycles at several held lengths; None where the file does not show it."""
     x, pressure, t = guess.role("displacement"), guess.role("pressure"), guess.seconds
     if x is None or pressure is None or t is None or guess.role("force") is None or guess.role("pressure_command"):
         return None
@@ -118,7 +118,7 @@ def _held_lengths(guess: Guess) -> Sign | None:
 
 
 def _at_lengths(parts: Sequence[Array]) -> bool:
-    """Whether the length is held in each of two parts and more, against the way between them."""
+    """Whether there are at least two parts, each with a held length, compared with the distance between the lengths."""
     if len(parts) < 2 or min(map(len, parts)) < 3:
         return False
     apart = float(np.ptp([np.median(part) for part in parts]))
@@ -126,7 +126,7 @@ def _at_lengths(parts: Sequence[Array]) -> bool:
 
 
 def _between_pauses(guess: Guess, column: Proposal | None) -> tuple[list[Array], dict[str, str], str]:
-    """The values of a column between long pauses of the log, the trials that these make, and why."""
+    """Finite values of a column between long pauses of the log, the trials that these make, and the reason."""
     if column is None or guess.seconds is None:
         return [], {}, ""
     steps = np.diff(guess.seconds)
@@ -138,7 +138,7 @@ def _between_pauses(guess: Guess, column: Proposal | None) -> tuple[list[Array],
 
 
 def _driven(guess: Guess) -> Sign | None:
-    """A length that is driven up and down at one pressure or several, each held; None where that is not seen.
+    """The sign of a length driven up and down at one or several constant pressures; None where it is not shown.
 
     The force then changes with the length at equal pressure, and the length more often than the pressure.
     """
@@ -178,12 +178,12 @@ def _steady(P: Array) -> bool:
 
 
 def _lead(guess: Guess) -> str:
-    """So long before its step a trial begins: 1 s, more where that is less than 50 samples."""
+    """Time before its step at which a trial begins: 1 s, or 50 samples if that is longer."""
     return f"{max(1.0, 50.0 / (guess.rate[0] / 0.7)):.2g} s"
 
 
 def share(guess: Guess, role: str) -> float:
-    """A tenth of the span of a channel, in its own unit."""
+    """A tenth of the range of a channel, in its own unit; 0 without the channel."""
     column = guess.role(role)
     if column is None or not len(column.good):
         return 0.0
@@ -191,7 +191,7 @@ def share(guess: Guess, role: str) -> float:
 
 
 def count(guess: Guess, what: str) -> int:
-    """How many steps, ramps or sines the pressure makes (sines: its command, where there is one)."""
+    """Number of steps, ramps or sines of the pressure (for sines, of its command if there is one)."""
     command = guess.role("pressure_command") if what == "sine" else None
     column, t = command or guess.role("pressure"), guess.seconds
     if column is None or t is None or len(t) < 50:
@@ -209,7 +209,7 @@ def count(guess: Guess, what: str) -> int:
 
 
 def sine_of(t: Array, values: Array) -> float:
-    """The frequency [Hz] of a channel that is one sine, shape (n,), `t` [s]; 0 where it is not."""
+    """Frequency [Hz] of a channel that is a single sine, shape (n,), over `t` [s]; 0 where it is not."""
     good = np.isfinite(values) & np.concatenate([[True], np.diff(t) > 0])
     t, values = t[good], values[good]
     if len(t) < 50 or np.ptp(values) == 0:
@@ -225,7 +225,7 @@ def sine_of(t: Array, values: Array) -> float:
 
 
 def edge(values: Array) -> float:
-    """Half of the smallest usual step of a command that rests at levels; 0 where it does not."""
+    """Half of the smallest usual step of a command that rests at levels; 0 where it is not such a command."""
     good = values[np.isfinite(values)]
     span = float(np.ptp(good)) if len(good) else 0.0
     if span == 0:

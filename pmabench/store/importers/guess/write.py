@@ -1,4 +1,4 @@
-"""Writes a guess as a map, its reasons as comments; what no file can give is left as `??`, which `import` refuses."""
+"""Writes a guess as a map with reasons as comments; open questions are marked `??`, which `import` refuses."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pmabench.store.importers.map_file import NUMBERS, OPEN, QUANTITY
 from pmabench.store.importers.map_rules import number_in
 
 TRUTH = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
-"""Texts that YAML may take for something else."""
+"""Texts that YAML may take for a truth value or null."""
 
 
 Value: TypeAlias = str | Asked | Mapping[str, "Value"] | Sequence["Value"]
-"""A value of the map, with the questions in it; a text is YAML as it is."""
+"""A value of the map, possibly with questions in it; a text is written as YAML without change."""
 Entries: TypeAlias = dict[str, Value]
 
 
@@ -34,12 +34,12 @@ def comment(text: str) -> str:
 
 
 def question(asked: Asked) -> str:
-    """The comment above a value that is asked for."""
+    """The comment with a question, above its value."""
     return comment(f"{OPEN} {asked.text}")
 
 
 def entry(head: str, value: Value, indent: str = "  ") -> list[str]:
-    """A value of the map behind its `head`, below the questions in it."""
+    """Lines of a map entry: comments with its questions, then `head` and value."""
     asking = [f"{indent}{question(each)}" for each in _asked(value) if each.text]
     return [*asking, f"{indent}{head}{_yaml(value)}"]
 
@@ -61,14 +61,14 @@ def _yaml(value: Value) -> str:
 
 
 def scalar(text: str) -> str:
-    """A YAML scalar that is that text and nothing else."""
+    """A text as a YAML scalar, quoted where needed."""
     if re.fullmatch(r"[A-Za-z][A-Za-z0-9@ _./()-]*", text) and text.lower() not in TRUTH:
         return text.strip() if text == text.strip() else json.dumps(text)
     return json.dumps(text, ensure_ascii=not text.isprintable())
 
 
 def _time(column: Proposal, guess: Guess) -> list[str]:
-    """A column of time with how it is written, and what is asked about it."""
+    """Lines of the map for a time column: its form, and questions about it."""
     clocks = list(asked.two_clocks(guess.columns))
     keys: Entries = {"is": clocks[-1] if clocks else "time"}
     unit = column.unit or "s"
@@ -88,7 +88,7 @@ def _time(column: Proposal, guess: Guess) -> list[str]:
 
 
 def _period(column: Proposal) -> Value:
-    """The distance of the samples that a column counts."""
+    """Sampling period for a column that counts samples, or a question about it."""
     period = f"{column.period:.9g} s"
     if column.factor:
         text = f'"{column.name}" has "{column.factor}" with its unit: how long is 1 of its numbers?'
@@ -107,7 +107,7 @@ def _order(column: Proposal) -> Value:
 
 
 def _no_time(guess: Guess) -> list[str]:
-    """The distance of the samples where no column is a time, or what is asked about it."""
+    """The sampling period if no column is a time, or a question about it."""
     if guess.role("time") is not None:
         return []
     if guess.period:
@@ -119,7 +119,7 @@ def _no_time(guess: Guess) -> list[str]:
 
 
 def _tests(guess: Guess) -> list[str]:
-    """Several tests in each file, and at which contraction each was held."""
+    """Lines for several tests in each file, with questions for their contractions."""
     lines = ["tests:"] if guess.tests else []
     for test in guess.tests:
         value: Entries = {"name": scalar(test)}
@@ -132,20 +132,20 @@ def _tests(guess: Guess) -> list[str]:
 
 
 EDGE = {"pressure": ("bar", "10 bar"), "length": ("mm", "100 mm"), "force": ("N", "1000 N")}
-"""Quantity -> unit of its scale, and what a sensor may span."""
+"""Quantity -> unit of its scale, and an example of a sensor's range."""
 LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5.0, 5.1), ("V", 0.0, 10.0, 10.6))
-"""Usual ranges of sensors: unit, ends, and beyond which it is another."""
+"""Usual output ranges of sensors: unit, ends, and the largest reading that still fits the range."""
 LEAST_STEP = "10 kPa"
 UNASKED = {
     "supply": "the supply enters no result; --span supply=LOW..HIGH keeps it",
     "flow": "a flow enters the volume of isometric-pressurisation alone, as a mass; docs/maps.md makes one of litres",
 }
-"""Role of a column that most tests do not need -> what to do about one whose scale the file does not say."""
+"""Role of a column that most tests do not need -> advice if the file does not give its scale."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """What a sensor measures over its usual range, given by who knows: low and high with one unit."""
+    """Measuring range of a sensor, given by the user: low and high, in one unit."""
 
     low: float
     high: float
@@ -153,11 +153,11 @@ class Span:
 
 
 SHARE = r"%|percent|per cent|strain"
-"""What makes the name of a length that of a share of one."""
+"""Words in the name of a length that is a relative length."""
 
 
 def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
-    """The map as YAML. `spans`: role -> what its sensor measures over its usual range."""
+    """The map as YAML. `spans`: role -> measuring range of its sensor."""
     lines = [
         "# Proposed by pmabench import --guess, each choice with its reason. Look at all: a guess is no knowledge.",
         "# ?? is a question that no file answers: write the answer in its place. What follows it is taken with",
@@ -193,7 +193,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
 
 
 def still_open(text: str) -> list[int]:
-    """Lines of a map in which something is to be filled in, from 1."""
+    """Numbers, from 1, of the lines of a map with open questions."""
     lines = enumerate(text.split("\n"), 1)
     return [number for number, line in lines if OPEN in line.split("  # ")[0] and not line.lstrip().startswith("#")]
 
@@ -246,7 +246,7 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
 
 
 def _marks(column: Proposal, guess: Guess) -> Entries:
-    """Entries of a column that measures nothing: the marks of phases, the coordinate of a point and its unit."""
+    """Entries of a column that is not measured: marks of phases, or the coordinate of a point and its unit."""
     if column.role == "point":
         unit = re.fullmatch(r".* \[([^\[\]]*)\]", column.name)
         return {**column.extra, **({"unit": unit[1]} if unit and unit[1] else {})}
@@ -263,11 +263,11 @@ def _optional(column: Proposal, guess: Guess) -> Entries:
 
 
 def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tuple[Entries, list[str]]:
-    """Entries of a column that is measured or commanded, and why."""
+    """Entries of a measured or commanded column, and reasons."""
     body, why = _scale(column, guess, spans.get(column.role))
     if column.role == "displacement":
         contraction, reasons = _contraction(column, guess)
-        if isinstance(body["unit"], Asked) and contraction:  # the answer is the unit of its zero, too
+        if isinstance(body["unit"], Asked) and contraction:  # its zero has the same open unit
             zero = contraction["zero"]
             contraction["zero"] = Asked(zero, "") if isinstance(zero, str) else zero
         body |= {"contraction": contraction} if contraction else {}
@@ -288,7 +288,7 @@ def _line(slope: Value, offset: Value) -> Entries:
 
 
 def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[Entries, list[str]]:
-    """Unit, calibration and range of a column, and why."""
+    """Entries for unit, calibration and range of a column, and reasons."""
     quantity, unit = quantity_of(column), column.unit
     if quantity == "length" and unit in (None, "", "%") and re.search(SHARE, column.name, re.IGNORECASE):
         text = f'"{column.name}" is a share: of which length? The slope is what one unit of it is, as "2.5 mm/count"'
@@ -315,7 +315,7 @@ def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[Entries, 
 
 
 def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[Entries, list[str]]:
-    """The line from a current, a voltage or counts to the quantity, as far as the usual ranges of sensors give it."""
+    """Entries for the calibration of a current, a voltage or counts, as far as usual sensor ranges give it."""
     unit, (edge, example) = column.unit or "count", EDGE[quantity]
     low, high = (f"{span.low:g} {span.unit}", f"{span.high:g} {span.unit}") if span else (f"0 {edge}", "")
     top = float(np.quantile(column.good, 0.999)) if len(column.good) else 0.0
@@ -336,7 +336,10 @@ def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[E
 
 
 def _contraction(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
-    """How the reading shows contraction, and why: a free muscle shortens with pressure; a held one pulls less then."""
+    """Entry `contraction` of a displacement (sign and zero), and reasons.
+
+    A free muscle shortens with pressure; a driven one pulls less when shortened.
+    """
     which = asked.unit_of(column, guess)
     unit = (which.value if which else column.unit) or "count"
     pressure, force = guess.role("pressure"), guess.role("force")
@@ -355,7 +358,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
     driven = guess.test.follows == "force" and force is not None
     if pressure is None or len(x) < 20 or np.ptp(x) == 0 or (np.ptp(P) == 0 and not driven):
         return open_sign, []
-    if driven and force is not None:  # the length is set from outside
+    if driven and force is not None:  # the length is driven
         table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
         try:
             less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
@@ -379,9 +382,9 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[Entries, list[str]]:
 
 
 def _zero(column: Proposal, unit: str, x: np.ndarray, rises: bool) -> Entries:
-    """The entry `contraction` of a length that is driven; where it begins is asked for, unless the file says it.
+    """Entry `contraction` of a driven length, with a question for the zero unless the data show it.
 
-    F_ce and x of every result count from there. Contractions that begin at 0 begin at full length.
+    F_ce and x of every result refer to this zero. Contractions that begin at 0 begin at full length.
     """
     reading = "rises" if rises else "falls"
     if rises and abs(float(np.quantile(x, 0.01))) < 0.05 * np.ptp(x):
@@ -392,7 +395,7 @@ def _zero(column: Proposal, unit: str, x: np.ndarray, rises: bool) -> Entries:
 
 
 def _blip(values: np.ndarray) -> float | None:
-    """A value at the lower end that is read in single samples only; None where there is none."""
+    """A value far below all others that occurs in single samples only; None where there is none."""
     if len(values) < 20:
         return None
     low = float(values.min())
@@ -445,7 +448,7 @@ def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
 
 
 def _siblings(guess: Guess) -> list[str]:
-    """Repeats of an isometric test have the same peaks; a file in another scale has not."""
+    """Entry `siblings` for repeats of an isometric test: different peaks show a different scale."""
     repeats = any("{test}" in form for form in guess.forms) and len(guess.files) > 1
     if not guess.test.held or guess.role("force") is None or not repeats:
         return []
@@ -463,7 +466,7 @@ def _analysis(guess: Guess) -> list[str]:
 
 
 def _smallest(reading: float, command: Proposal, span: Span | None) -> str:
-    """A step of the command in a unit of pressure; where its scale is open, what no test goes below."""
+    """Smallest step of the command with a unit of pressure; `LEAST_STEP` where its scale is unknown."""
     if QUANTITY.get(command.unit) == "pressure" and not command.factor:
         return f"{reading:.3g} {command.unit}"
     top = float(np.quantile(command.good, 0.999))
