@@ -376,7 +376,7 @@ class _Run:
         """Newest values for the safe state [SI]; further signals shorten its waits."""
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
-        self.own.keep_measuring()
+        self.own.keep_measuring(self.acquisition.rate)
         values: Mapping[str, float] = {}
         try:  # meanwhile the guard still uses the former values
             values = self.acquisition.measure()

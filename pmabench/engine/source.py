@@ -49,13 +49,12 @@ class OwnStream:
 
     def __init__(self, links: Links, name: str, clock: Clock, hasten: Callable[[str], None]) -> None:
         self._links, self._name, self._clock, self._hasten = links, name, clock, hasten
-        self._heard = self._soon = self._came = self._rate = 0.0
+        self._heard = self._soon = self._came = 0.0
         self._again: Call | None = None
 
     def start(self, rate: float) -> float:
         """As `Stream.start`."""
         used = self._links.stream(self._name, rate)
-        self._rate = rate
         self._heard = self._came = self._clock.now()
         self._soon = max(SOON, 3.0 / used)
         return used
@@ -75,12 +74,12 @@ class OwnStream:
             self._hasten(self._name)
         return block
 
-    def keep_measuring(self) -> None:
-        """Restart the stream where nothing has arrived for too long, without waiting for the restart."""
+    def keep_measuring(self, rate: float) -> None:
+        """Restart the stream at `rate` [Hz] where nothing has arrived for too long, without waiting for the restart."""
         now = self._clock.now()
         if now - self._came > max(SILENT, self._soon) and (self._again is None or self._again.done.is_set()):
             device = self._links.need(self._name, Stream, "takes no samples")
-            self._came, self._again = now, self._links.submit(self._name, partial(device.start, self._rate))
+            self._came, self._again = now, self._links.submit(self._name, partial(device.start, rate))
 
 
 class OwnDevices:
@@ -102,10 +101,10 @@ class OwnDevices:
             if isinstance(device, Stream):
                 self.streams[name] = OwnStream(self._links, name, self._clock, self.supervision.hasten)
 
-    def keep_measuring(self) -> None:
-        """Restart each failed stream, because it may measure what confirms a vent."""
+    def keep_measuring(self, rate: float) -> None:
+        """Restart each failed stream at `rate` [Hz], because it may measure what confirms a vent."""
         for stream in self.streams.values():
-            stream.keep_measuring()
+            stream.keep_measuring(rate)
 
     def close(self) -> None:
         """Close all devices; may be called again."""
