@@ -192,8 +192,7 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
     if why:
         return why
     names = [n for n in ("pressure", "displacement", "pressure_command") if n in trial.channels]
-    good = min(new.values(), key=np.count_nonzero)
-    t = trial.t[good]
+    t = trial.t[good := min(new.values(), key=np.count_nonzero)]
     number = np.floor((trial.t - begin) * frequency + 1e-9)
     read = [_read_at(trial, name, new.get(name, good), good, (number, frequency)) for name in names]
     rows = [number[good] == k for k in range(whole)]
