@@ -244,7 +244,12 @@ def test_a_map_that_cannot_be_read_is_one_problem(tmp_path, name):
 
 @pytest.mark.parametrize(
     ("address", "slowest", "reported"),
-    [("/dev/ttyUSB0", "1 s", True), ("/dev/ttyUSB0", "200 ms", False), ("127.0.0.1:502", "1 s", False)],
+    [
+        ("/dev/ttyUSB0", "1 s", True),
+        ("/dev/ttyUSB0", "200 ms", True),  # and before that its timeout of 100 ms
+        ("/dev/ttyUSB0", "140 ms", False),
+        ("127.0.0.1:502", "1 s", False),
+    ],
 )
 def test_a_serial_line_on_which_one_lost_answer_ends_a_run_is_reported(address, slowest, reported):
     lines = list(ModbusDevice.lacks(regulator(address, slowest=slowest)))

@@ -172,12 +172,3 @@ def test_what_a_slow_device_cannot_do_is_said_before_it_is_armed(what):
         refuse_slow(slow, identities, wanted, {device.name: min(11.0, wanted)})
     quick = {device.name: Identity("Acme", "R", "1", "1", answers=0.005)}
     refuse_slow(slow, quick, wanted, {device.name: wanted})
-
-
-@pytest.mark.parametrize(("timeout", "slowest", "enough"), [(60, 200, False), (60, 150, True), (100, 100, True)])
-def test_a_serial_line_has_time_for_a_second_answer_or_check_says_so(timeout, slowest, enough):
-    """One lost answer takes its timeout, then the time in which it may still come, before the next one is asked."""
-    times = {"timeout": f"{timeout} ms", "slowest": f"{slowest} ms"}
-    lines = list(ModbusDevice.lacks(regulator("/dev/ttyUSB0", **times)))
-    assert bool(lines) is not enough
-    assert not lines or "no second chance on the serial line of regulator" in lines[0]
