@@ -156,7 +156,7 @@ def _air(mounted: Mounted) -> Iterator[str]:
         yield f"Supply below {show(trip.low or 0.0, 'pressure')} for {seconds(trip.delay)}: {trip.action}."
     yield from (f"{noticed(trip)}: {trip.action}." for trip in following[: 0 if supply else 1])
     if not supply and not following:
-        yield "NOBODY IS TOLD: look at the gauge."
+        yield "NOTHING REPORTS IT: look at the gauge."
     yield "Air that comes back brings the pressure back: vent first."
 
 
@@ -164,7 +164,7 @@ def _link(mounted: Mounted) -> Iterator[str]:
     yield "A device that does not answer for 0.2 s ends the run; every other one is vented."
     for device in mounted.bench.devices:
         if device.guarded and device.watchdog:
-            moves = not device.valves and all(output.quantity == "length" for output in device.outputs)
+            moves = not device.valves and all(output.quantity in {"length", "angle"} for output in device.outputs)
             does = "stops its motion" if device.outputs and moves else "vents"
             yield f"{device.name} itself {does} after {seconds(device.watchdog)}."
         elif device.outputs:

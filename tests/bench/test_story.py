@@ -65,7 +65,7 @@ def test_air_that_fails_unseen_is_said(tmp_path):
         in dict(failure_story(mount(path, SPECIMEN)))["Compressed air"]
     )
     path.write_text(path.read_text().replace(following, ""))
-    assert "NOBODY IS TOLD" in dict(failure_story(mount(path, SPECIMEN)))["Compressed air"]
+    assert "NOTHING REPORTS IT" in dict(failure_story(mount(path, SPECIMEN)))["Compressed air"]
 
 
 def test_a_drive_without_a_watchdog_goes_on(tmp_path):
