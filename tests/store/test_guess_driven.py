@@ -128,7 +128,7 @@ def test_a_length_is_asked_for_its_zero_and_its_sign_follows_from_the_force(tmp_
     F = 275 - 6 * x - 6 * way + rng.normal(0, 0.3, len(t))
     write(tmp_path / "log.csv", "t [s],P [bar],Length [mm],F [lbf]", t, 3 + rng.normal(0, 0.002, len(t)),
           250 - x + rng.normal(0, 0.003, len(t)), F / 4.4482216)  # fmt: skip
-    text = called("import", tmp_path / "log.csv", "--guess")
+    text = called("import", tmp_path / "log.csv", "--guess", "-v")
     assert "reading: falls" in text
     assert "where the muscle has its full length?" in text
     kind, found = processed(tmp_path, "columns.Length [mm].contraction.zero=249 mm")
