@@ -143,14 +143,14 @@ def test_a_page_can_be_typed_from_top_to_bottom(page, tmp_path, monkeypatch, req
 
 
 def assert_table_is_what_came_out(page, analysis, columns):
-    """Each cell `VALUE +- HALF UNIT` of the rows that are named as a method: to half of the last digit."""
+    """Each cell `VALUE ± HALF UNIT` of the rows that are named as a method: to half of the last digit."""
     found = {(e["method"], e["symbol"]): e for e in json.loads(analysis.read_text())["estimates"]}
     seen = 0
     for row in page.read_text("utf-8").splitlines():
         method, *cells = row.strip("| ").split(" | ")
         for symbol, cell in zip(columns, cells if (method, "e_rms") in found else (), strict=False):
             e, unit = found[method, symbol], columns[symbol]
-            value, half = re.match(r"([\d.]+) \+- ([\d.]+) ", cell).groups()
+            value, half = re.match(r"([\d.]+) ± ([\d.]+) ", cell).groups()
             digit = 0.51 * 10.0 ** -len(value.partition(".")[2])
             assert e["value"] / unit == pytest.approx(float(value), abs=digit), f"{method}: {cell}"
             assert (e["ci95"][1] - e["value"]) / unit == pytest.approx(float(half), abs=digit), f"{method}: {cell}"
