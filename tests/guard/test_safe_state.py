@@ -634,7 +634,7 @@ def test_a_device_that_carries_out_nothing_is_left_to_its_watchdog_and_asked_aga
 
 @pytest.mark.parametrize(("second", "refuses"), [(NotSent("dac", "exception 4"), True), ("no answer", False)])
 def test_a_command_that_is_refused_in_an_answer_closes_the_line_and_one_without_an_answer_does_not(second, refuses):
-    """A regulator put to LOCAL was told 92 times, and each answer fed its watchdog: 300 kPa until all were gone."""
+    """A regulator put to LOCAL was commanded 92 times, and each answer fed its watchdog: 300 kPa until all were gone."""
     guard, rig = armed(bench(safe_state=(*SAFE[:3], SafeAction("confirm", "pressure", 20e3, 5.0))))
     rig.wrong |= {"write": NotSent("dac", "exception 4"), "rescue": second}
     guard.begin_safe()

@@ -177,7 +177,7 @@ def regulator(campaign: Campaign, late: Late = IN_TIME, sensor: Late = IN_TIME) 
     """Dead time and lags [s] at each tested pressure and over all of them, and how well they describe the steps.
 
     The campaign is as of `gauge`, and its pressure `late`. What comes after the gauge and is not of the muscle, a
-    displacement `sensor` that is late or a tube, is a line of its own: a loop has it, too.
+    displacement `sensor` that is late, or a tube, is reported separately: a control loop contains it, too.
     """
     found = responses(campaign, late)
     if not found:

@@ -50,7 +50,7 @@ class TextLayout(Layout):
     lines_below_header: Annotated[int, Field(ge=0, le=20)] = 0
     """Number of lines between the line of names and the first row, for instance with units."""
     repeated_header: Literal["refuse", "new test", "page"] = "refuse"
-    """Meaning of a repeated line of names: another test begins, which becomes a run of its own, or the same test
+    """Meaning of a repeated line of names: another test begins, which becomes a separate run, or the same test
     continues, as on the next page of a print-out.
     """
     missing: Annotated[list[Annotated[str, Field(max_length=20)]], Field(max_length=20)] = []

@@ -141,7 +141,7 @@ def test_a_drive_that_does_not_stop_is_reported(rig, monkeypatch):
 def test_a_drive_that_creeps_on_after_its_stop_is_switched_off_and_one_that_brakes_is_not(
     rig, monkeypatch, pace, obeys
 ):
-    """It crept for 5.7 s, and was told to stop 40 times."""
+    """It crept for 5.7 s although the stop was sent 40 times."""
     device, begun = on(rig), time.monotonic()
     monkeypatch.setattr(device, "_look", lambda _until: t.Status(0x0B07, round(pace(time.monotonic() - begun)), 0))
     with pytest.raises(DeviceError, match="and still moves") as raised:
