@@ -129,8 +129,6 @@ def _hint(ratio: float, quantity: str) -> str:
 
 
 MOST_FILES = 10_000
-UNKNOWN = ("unknown", "not told")
-"""Specimen type in proposed maps where no file gives it; the second one is from earlier versions."""
 
 
 @dataclass(frozen=True)
@@ -225,16 +223,14 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)
-    specimen = _specimen(prepared, rules)
-    title = f"{specimen.get('type', '')}-{specimen.get('serial', '')}"
+    title = f"{rules.specimen['type']}-{rules.specimen['serial']}"
     name = run_name(started, title, rules.file.kind, simulated=prepared.simulated)
     manifest = _manifest(prepared, rules, findings, flagged, started)
     writer = RunWriter.create(out, name, manifest, _snapshots(prepared, rules))
     writer.waits = True
     try:
         columns = [channel.rule.record(channel.rule.role in prepared.whole) for channel in prepared.checked]
-        rate = 1.0 / prepared.period if prepared.period > 0 else 0.0
-        writer.open_stream("file", columns, rate if prepared.record is None else prepared.record.rate)
+        writer.open_stream("file", columns, 1.0 / prepared.period if prepared.period > 0 else 0.0)
         begin = 0
         for t, checked in prepared.blocks():
             raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
@@ -260,20 +256,7 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
     )
 
 
-def _specimen(prepared: Prepared, rules: ImportMap) -> Mapping[str, Any]:
-    """The specimen from the record of an exported run, unless the map names another one."""
-    found = prepared.record.about.get("specimen") if prepared.record is not None else None
-    if not isinstance(found, Mapping):
-        return rules.specimen
-    same = all(str(found.get(key)) == str(rules.specimen[key]) for key in ("type", "serial"))
-    return found if same or rules.specimen["type"] in UNKNOWN else rules.specimen
-
-
 def _events(writer: RunWriter, prepared: Prepared) -> None:
-    if prepared.record is not None:
-        for event in prepared.record.events:
-            writer.event(event.kind, event.t, **event.data)
-        return
     for index, part in enumerate(prepared.parts):
         known = {"point": dict(part.point), "repeat": prepared.named.test, "reference": False}
         writer.event("trial-begin", part.begin, trial=index, **known)
@@ -293,10 +276,8 @@ def _snapshots(prepared: Prepared, rules: ImportMap) -> dict[str, bytes | Copy]:
         kept[f"source/notes-{_legal(prepared.notes[0])}"] = prepared.notes[1]
     for number, (path, text) in enumerate(rules.texts.items()):
         kept["map.yaml" if path == rules.path else f"map-included-{number}.yaml"] = text.encode()
-    plan = {**(prepared.record.plan if prepared.record is not None else {})}
-    if settings := {**(plan.get("settings") or {}), **rules.file.model_dump(include={"settings"})["settings"]}:
-        plan["settings"] = settings
-    if plan:
+    if rules.file.settings:
+        plan = rules.file.model_dump(include={"settings"})
         kept[PLAN] = (json.dumps(plan, indent=1, sort_keys=True) + "\n").encode()
     return kept
 
@@ -321,7 +302,7 @@ def _manifest(
         "started_utc": started.isoformat(timespec="milliseconds"),
         "operator": "",
         "bench": rules.file.bench,
-        "specimen": dict(_specimen(prepared, rules)),
+        "specimen": dict(rules.specimen),
         "trials_planned": len(prepared.parts),
         "imported": {
             "file": table.path.name,
@@ -331,7 +312,6 @@ def _manifest(
             "rows": len(prepared.table),
             **({"test": prepared.name} if prepared.name else {}),
             "started_known": prepared.named.started is not None,
-            **({"exported_from": prepared.record.run} if prepared.record is not None else {}),
             "map": Path(rules.path).name,
             "map_sha256": hashlib.sha256("".join(rules.texts.values()).encode()).hexdigest(),
             "notes": notes,

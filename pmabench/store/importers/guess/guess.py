@@ -1,7 +1,6 @@
 """Examines unknown files: their format, columns and sampling, and how they are divided into trials.
 
-Names of files and folders may contain dates, numbers of tests and operating points. For files from `pmabench export`
-the record next to them answers all questions.
+Names of files and folders may contain dates, numbers of tests and operating points.
 """
 
 from __future__ import annotations
@@ -17,8 +16,6 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.base.kind import Imported
 from pmabench.files.shipped import shipped_folder
-from pmabench.store.exported import NAME as RECORD
-from pmabench.store.exported import Known, read_record
 from pmabench.store.formats.mat import alike, is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
@@ -165,48 +162,6 @@ def _call_by_role(guess: Guess) -> None:
         guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
 
 
-def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
-    """Whether the files were written by `pmabench export`; if so, complete the guess from the record next to them."""
-    place = files[0].resolve().parent / RECORD
-    if not place.is_file():
-        return False
-    record = read_record(place)
-    if record.file not in {path.name for path in files}:
-        return False
-    if len(files) > 1:
-        raise invalid(place, f"goes with {record.file} alone: import that file, the others hold no samples of trials")
-    if record.kind not in guess.kinds:
-        raise invalid(place, f'is of a run of kind "{record.kind}", which cannot be imported here')
-    guess.kind, guess.trials = record.kind, {"by": "record"}
-    guess.exported, guess.simulated = True, record.simulated
-    guess.reasons["trials"] = [f"{RECORD} next to it says what {record.run} commanded and found, trial by trial"]
-    for column in guess.columns:
-        known = record.columns.get(column.name)
-        column.role, column.doubts, column.question, column.reasons = "ignore", [], "", ["the record has it"]
-        if column.name == "t [s]":
-            column.role, column.reasons = "time", []
-        elif column.name in ("flags", "simulated"):
-            column.role, column.reasons = column.name, []
-        elif known is not None:
-            column.role, column.reasons = known.channel, []
-            column.unit = column.unit or column.name.rpartition("[")[2].rstrip("]")  # export puts it into the name
-            column.extra = _as_known(known, column.unit)
-    specimen = record.about.get("specimen")
-    if isinstance(specimen, dict):
-        guess.specimen = {key: str(specimen[key]) for key in ("make", "type", "serial") if specimen.get(key)}
-    return True
-
-
-def _as_known(known: Known, unit: str) -> dict[str, str]:
-    """Entries of a map for the uncertainties and lag of a channel in a record."""
-    entries = {
-        "expanded_uncertainty": (known.offset_uncertainty, f"{known.offset_uncertainty:.9g} {unit}"),
-        "gain_uncertainty": (known.gain_uncertainty, f"{100 * known.gain_uncertainty:.9g} %"),
-        "sensor_lag": (known.sensor_lag, f"{known.sensor_lag:.9g} s"),
-    }
-    return {key: text for key, (value, text) in entries.items() if value}
-
-
 _PARTS = (
     (re.compile(r"\d{4}-\d{2}-\d{2}"), "date", ""),
     (re.compile(r"(?<=\{date\}[_T -])\d{6}(?!\d)"), "clock", ""),
@@ -330,9 +285,6 @@ def guess_files(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
 
 def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     guess = look(files[0], kinds)
-    if as_exported(guess, files):
-        _sampling(guess)
-        return guess
     for path in files[1:FILES]:
         _alike(guess, path)
     guess.files = list(files)

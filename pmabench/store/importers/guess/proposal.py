@@ -109,11 +109,6 @@ class Guess:
     """Sampling period from a header [s]; 0 where none gives it."""
     seconds: Array | None = None
     """Time of each row [s], shape (n,); None where no time was found."""
-    exported: bool = False
-    """Whether the record of an exported run answers all questions."""
-    simulated: bool = False
-    specimen: dict[str, str] = field(default_factory=dict)
-    """Entries of the specimen that the record gives."""
 
     @property
     def test(self) -> Imported:

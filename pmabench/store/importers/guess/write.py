@@ -168,7 +168,6 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
         f"name: {scalar('guessed from ' + guess.files[0].name)}",
         "source: unknown  # who recorded these files, when and where",
         f"kind: {guess.kind}{_why(guess, 'trials')}",
-        *(["simulated: true  # as the file says"] if guess.simulated else []),
         "",
         *_file(guess),
         "",
@@ -185,10 +184,8 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
     lines += _trials(guess, spans)
     lines += _siblings(guess) + _analysis(guess)
-    specimen = {"type": "unknown", "serial": "unknown"} | guess.specimen
-    sentence = ", ".join(f"{key}: {scalar(value)}" for key, value in specimen.items())
     more = "  # make, nominal_length, inner_diameter; with the last one a force or pressure in a wrong unit is found"
-    lines.append(f"specimen: {{{sentence}}}{more}")
+    lines.append(f"specimen: {{type: unknown, serial: unknown}}{more}")
     return "\n".join(lines) + "\n"
 
 
@@ -240,7 +237,7 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         return [*head, *_time(column, guess)]
     if column.role in NUMBERS or column.role == "point":
         return [*head, *entry(name, role if column.role == "ignore" else {"is": role, **_marks(column, guess)})]
-    body, why = ({"unit": column.unit, **column.extra}, []) if guess.exported else _measured(column, guess, spans)
+    body, why = _measured(column, guess, spans)
     lines = [line for key, value in {"is": role, **body}.items() for line in entry(f"{key}: ", value, "    ")]
     return [*head, *(f"  {comment(text)}" for text in why), f"  {name}".rstrip(), *lines]
 
