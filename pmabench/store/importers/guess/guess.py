@@ -22,7 +22,6 @@ from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess.columns import SECONDS, choose, proposal, usual_step
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.proposal import Guess, Proposal
-from pmabench.store.importers.guess.shapes import is_whole
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_file import PLACE, spelled
 from pmabench.store.importers.map_rules import NUMBER, number_in, read_map
@@ -63,7 +62,7 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
         reasons.append(f"columns of other lengths, groups or clocks are left out: {', '.join(others)[:200]}")
     columns = [_proposal(name, found[name], units[name], groups[group]) for name in groups[group]]
     if any(column.bare for column in columns):
-        reasons.append("columns of a matrix have no names: they are distinguished by what they hold")
+        reasons.append("columns of a matrix have no names")
     choose(columns)
     guess = Guess([path], layout, columns, [], [*others, *left_out], kinds, reasons={"file": reasons})
     if len(tests) > 1:
@@ -304,9 +303,6 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
             "a table of points without time is no recording: report --overlay draws it next to your own, and model fit "
             "fits a model to it"
         )
-    bare = [column.name for column in guess.columns if column.bare and column.role not in ("ignore", "time")]
-    if bare:
-        guess.doubts.append(f"to be confirmed by who knows the bench, for numbers alone show it: {', '.join(bare)}")
     return guess
 
 
@@ -327,8 +323,7 @@ def _alike(guess: Guess, path: Path) -> None:
             extra = [column.name for column in longer.columns[len(shorter.columns) :]]
             guess.optional = sorted({*guess.optional, *extra})
             if longer is other:
-                roles = [column.role for column in guess.columns]
-                guess.columns += [column for column in other.columns[len(roles) :] if column.role not in roles]
+                guess.columns += other.columns[len(guess.columns) :]
                 guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
             return
     names, others = {column.name for column in guess.columns}, {column.name for column in other.columns}
@@ -346,7 +341,7 @@ def _mixed(guess: Guess, other: Guess) -> None:
         if column.name in there and len(values := there[column.name].good):
             column.elsewhere = max(column.elsewhere, float(np.quantile(np.abs(values), 0.995)))
             column.middles.append(float(np.median(values)))
-        if column.name in there and (here := is_whole(column.good)) != is_whole(there[column.name].good):
+        if column.name in there and (here := column.whole) != there[column.name].whole:
             column.mixed = (guess if here else other).files[0].name
 
 
@@ -410,9 +405,6 @@ def _lacking(guess: Guess) -> None:
     guess.lacks = next(iter(lacking), "")
     ignored = [column for column in guess.columns if column.role == "ignore"]
     spare = next((column for column in guess.columns if column.role in {"pressure_command", "supply"}), None)
-    if guess.lacks:
-        for column in ignored:
-            column.question = ""
     other = spare is not None or any(len(column.good) for column in ignored)
     if guess.lacks == "pressure" and guess.test.commanded is not None and not other:
         why = "no column gives it: that of the operating point, the same throughout each file"
@@ -421,7 +413,7 @@ def _lacking(guess: Guess) -> None:
     if guess.lacks == "pressure" and spare is not None:
         text = f'no measured pressure was found: is "{spare.name[:40]}" it (pressure), or'
         spare.question = f"{text} {spare.role} as its name says? Then nothing can be fitted"
-    elif guess.lacks and ignored:
+    elif guess.lacks and ignored and not any(column.question for column in ignored):
         ignored.sort(key=lambda column: len(column.values) == 0)
         names = ", ".join(f'"{column.name[:40]}"' for column in ignored[:8])
         for role, column in zip(lacking, ignored, strict=False):
