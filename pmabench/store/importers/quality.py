@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from pmabench.base.quantities import show
-from pmabench.store.importers.found import Bools, Checked, Found, Report, add_effects, correlation
+from pmabench.store.importers.found import Bools, Checked, Found, Report, correlation
 from pmabench.store.importers.motion import runs
 from pmabench.store.records import Array, Flag, Flags
 from pmabench.store.spikes import ENDS, FEW, MANY, SPIKE, beyond_neighbours, resolution, some_of, spike_limit
@@ -226,7 +226,6 @@ def inspect(
         _twice(report, channels)
         for channel in channels:
             _channel(report, channel)
-        add_effects(report, channels)
     return report.flags, report.found
 
 
