@@ -40,8 +40,6 @@ class Summary:
 
     point: tuple[tuple[str, float], ...]
     peaks: Mapping[str, float]
-    numbers: Mapping[str, float]
-    """The same peaks in the units of the file."""
     trusted: bool
     """False if the file was already found to be wrong."""
     slope: float | None = None

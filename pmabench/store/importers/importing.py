@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -70,54 +69,23 @@ def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list
             if not sure:
                 text += "; which of the two is wrong is not known"
             found[index].append(Found("fault" if sure else "doubt", "sibling", text, channel))
-        found[index] += _steeper(file, trusted) + _swapped(file, trusted, allowed)
+        found[index] += _steeper(file, trusted)
     return found
 
 
 def _steeper(file: Summary, others: Sequence[Summary]) -> list[Found]:
-    """Finding for a slope that differs from the other files at the same point, so that they are not repeats.
-
-    If two thirds of the files agree the others are wrong; otherwise it is unknown which are, and all are withheld.
-    """
-    slopes = [other.slope for other in others if other.slope]
-    if not file.slope or not file.trusted or not slopes:
+    """Finding for files at one point whose slopes differ too much for repeats: all are withheld."""
+    slopes = [each.slope for each in (file, *others) if each.slope]
+    usual = float(np.median(slopes)) if slopes else 0.0
+    alike = all(1.0 / ALIKE <= slope / usual <= ALIKE for slope in slopes)
+    if not file.slope or not file.trusted or alike:
         return []
-    every = [file.slope, *slopes]
-    usual = float(np.median(every))
-    agree = sum(1.0 / ALIKE <= slope / usual <= ALIKE for slope in every)
-    decided = len(every) > 2 and 3 * agree >= 2 * len(every)
-    if agree == len(every) or (decided and 1.0 / ALIKE <= file.slope / usual <= ALIKE):
-        return []
-    shown = ", ".join(show(slope, "force per pressure", 4) for slope in sorted(slopes)[:4])
-    ratio = file.slope / float(np.median(slopes))
+    low, high = (show(end(slopes), "force per pressure", 4) for end in (min, max))
     text = (
-        f"force: slope over pressure {show(file.slope, 'force per pressure', 4)}, in other files at the same point "
-        f"{shown}: these are no repeats of one test, for a unit or a scale differs, or the contraction"
-        f"{_hint(ratio, 'force') or _hint(ratio, 'pressure')}"
+        f"force: slopes over pressure of the files at its point are {low} to {high}: these are no repeats of one test, "
     )
-    return [Found("fault", "sibling", text, "force", withholds=not decided)]
-
-
-def _swapped(file: Summary, others: Sequence[Summary], allowed: Mapping[str, float]) -> list[Found]:
-    """Findings for pairs of columns whose peaks match each other's in the siblings, but not their own."""
-    if not others:
-        return []
-    usual = {
-        channel: float(np.median([other.numbers[channel] for other in others]))
-        for channel in file.numbers
-        if all(other.numbers.get(channel) for other in others)
-    }
-
-    def like(channel: str, other: str) -> bool:
-        share = max(allowed.get(channel, 0.3), allowed.get(other, 0.3))
-        return abs(file.numbers[channel] / usual[other] - 1.0) <= share
-
-    found = []
-    for a, b in combinations(sorted(usual), 2):
-        if like(a, b) and like(b, a) and not like(a, a) and not like(b, b):
-            text = f"{a} and {b} look swapped: each reads what the other reads in the sibling files"
-            found.append(Found("fault", "swap", text, a))
-    return found
+    text += "for a unit or a scale differs, or the contraction"
+    return [Found("fault", "sibling", text, "force", withholds=True)]
 
 
 def _hint(ratio: float, quantity: str) -> str:

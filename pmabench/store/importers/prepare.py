@@ -132,8 +132,7 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
         period=looked.period,
         summary=Summary(
             tuple(sorted((key, round(value, 9)) for key, value in named.point.items())),
-            {role: pair[0] for role, pair in looked.peaks.items()},
-            {role: pair[1] for role, pair in looked.peaks.items()},
+            looked.peaks,
             not any(each.level == "fault" for each in known),
             slope_of_held(seen.values, seen.flags) if muscle.held else None,
             tuple((name, part.point[name]) for part in parts for name in part.measured),
@@ -270,14 +269,10 @@ def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:
     return Seen(t, checked, values, flags, found)
 
 
-def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tuple[float, float]]]:
-    """Roles with whole counts, and peaks (see `Inspected.peaks`) without dropouts, overrange and time jumps."""
+def _summed(seen: Seen) -> tuple[frozenset[str], Mapping[str, float]]:
+    """Roles with whole counts, and peaks [SI] without dropouts, overrange and time jumps."""
     good = (seen.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
-    peaks = {
-        channel.rule.role: (float(channel.si[good].max()), float(table.columns[channel.rule.column][good].max()))
-        for channel in seen.checked
-        if good.any()
-    }
+    peaks = {channel.rule.role: float(channel.si[good].max()) for channel in seen.checked if good.any()}
     return frozenset(channel.rule.role for channel in seen.checked if _is_int(channel)), peaks
 
 
