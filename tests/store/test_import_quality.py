@@ -91,14 +91,11 @@ def test_a_wrong_unit_of_time_shows_as_the_rate():
     assert "is the unit of time right?" in found["rate"].text
 
 
-def test_stuck_and_slow_channels():
+def test_a_stuck_channel():
     t, raw = clean()
     raw[100:200] = raw[100]
     flags, found = look(t, raw, stale_after=0.5)
     assert flagged(flags, Flag.STALE) == list(range(151, 200))
-    slow = raw[(np.arange(len(raw)) // 9) * 9]
-    _, found = look(t, slow, stale_after=5.0)
-    assert "changes every 0.09 s only" in found["slow"].text
 
 
 def test_values_out_of_range_and_counts_at_its_end():
@@ -115,9 +112,7 @@ def test_repeated_rows():
     t, raw = clean()
     t[41], raw[41] = t[40], raw[40]
     t[61] = t[60]
-    flags, found = look(t, raw)
-    assert flagged(flags, Flag.SUSPECT) == [41]
-    assert found["same-time"].count == 2
+    assert flagged(look(t, raw)[0], Flag.SUSPECT) == [41]
 
 
 def test_missing_values_are_dropouts():

@@ -81,10 +81,8 @@ def _steeper(file: Summary, others: Sequence[Summary]) -> list[Found]:
     if not file.slope or not file.trusted or alike:
         return []
     low, high = (show(end(slopes), "force per pressure", 4) for end in (min, max))
-    text = (
-        f"force: slopes over pressure of the files at its point are {low} to {high}: these are no repeats of one test, "
-    )
-    text += "for a unit or a scale differs, or the contraction"
+    text = f"force: slopes over pressure of the files at its point are {low} to {high}: these are no repeats of one "
+    text += "test, for a unit or a scale differs, or the contraction"
     return [Found("fault", "sibling", text, "force", withholds=True)]
 
 
