@@ -94,7 +94,7 @@ def test_a_wrong_unit_of_time_shows_as_the_rate():
 def test_a_stuck_channel():
     t, raw = clean()
     raw[100:200] = raw[100]
-    flags, found = look(t, raw, stale_after=0.5)
+    flags, _ = look(t, raw, stale_after=0.5)
     assert flagged(flags, Flag.STALE) == list(range(151, 200))
 
 

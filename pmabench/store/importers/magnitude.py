@@ -276,7 +276,7 @@ def _absolute(report: Report, P: Array, F: Array) -> None:
 
 
 def _converter(report: Report, channel: Checked, good: Bools) -> list[Question]:
-    """Report a force of whole numbers, probably counts: a question if the column's name gives the unit, else a fault."""
+    """Report a force of whole numbers, probably counts: a question if its name gives the unit, else a fault."""
     rule = channel.rule
     numbers = (channel.raw * rule.back[0] + rule.back[1])[good]
     marks = np.unique(numbers)
