@@ -91,7 +91,9 @@ def test_a_shaky_displacement_is_in_the_intervals():
     """0.05 mm of noise, which the regression takes into its velocities."""
     analysis = reduce([shaken(small(), 5e-5, 1)], {"replays": 4})
     inside = [
-        abs(e.value - law(P)) < e.parts.combined for symbol, law in PAPER0.items() for P, e in of(analysis, symbol).items()
+        abs(e.value - law(P)) < e.parts.combined
+        for symbol, law in PAPER0.items()
+        for P, e in of(analysis, symbol).items()
     ]
     assert len(inside) == 30
     assert np.mean(inside) > 0.9
