@@ -73,11 +73,6 @@ MOST_SINCE = 2
     metavar="N",
     help="Contraction runs: so many draws over the trials check the intervals.",
 )
-@click.option(
-    "--polish",
-    is_flag=True,
-    help="Contraction runs: the coefficients by output error, too, which simulates each stroke.",
-)
 @click.option("--regulator", is_flag=True, help="Contraction runs: dead time and lags from command to pressure.")
 @click.option("--fresh", is_flag=True, help="A folder of runs: compute also what has not changed.")
 @common
@@ -192,8 +187,7 @@ def processed(
     runs = load_runs(given)
     if asked and not any(run.kind in asked for run in runs):
         raise UsageError(
-            "--form, --bootstrap, --polish and --regulator are for runs of kind "
-            f"{', '.join(asked)}; none of these is one"
+            f"--form, --bootstrap and --regulator are for runs of kind {', '.join(asked)}; none of these is one"
         )
     analyses = reduce_together(form, runs) if form else reduce_runs(runs, asked)
     if out is None:
