@@ -189,12 +189,12 @@ LONGEST = 0.02
 """A dead time with a wider interval than +- this [s] is withheld."""
 
 
-def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | None, late: float) -> list[Estimate]:
+def times(at: Mapping[str, float], steps: Sequence[Step], late: float) -> list[Estimate]:
     """B/K [s] at the pressure at the end of the steps, and the time from command to motion [s].
 
-    `stiffness` [N/m] from two loads, else None; `late` [s]: assumed time between pressure and position where the record
-    gives none. The delay behind the measured pressure is free, so B/K does not depend on the pressure's stamps; the
-    time from command to motion includes the error of the position's stamps, as far as it is known.
+    `late` [s]: assumed time between pressure and position where the record gives none. The delay behind the measured
+    pressure is free, so B/K does not depend on the pressure's stamps; the time from command to motion includes the
+    error of the position's stamps, as far as it is known.
     """
     names = tuple(step.name for step in steps)
     rises = at["pressure"] > at["from"]
@@ -202,9 +202,7 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
     B_K = Estimate(symbol, None, "s", "time", DRIVEN, at, n=len(steps), trials=names)
     if why := _of_another_kind(steps):
         return [replace(B_K, note=why)]
-    mass = float(np.mean([step.trial.point.get("mass", 0.0) for step in steps]))
-    w = sqrt(stiffness / mass) if stiffness is not None and mass > 0 else None
-    found = [fit_delayed(*step.driven, step.best, w) for step in steps]
+    found = [fit_delayed(*step.driven, step.best) for step in steps]
     if why := _no_time(steps, found):
         return [replace(B_K, note=why)]
     tau, of_tau = mean_with_half([one.tau for one in found])
@@ -236,7 +234,7 @@ def _to_motion(
     value: float | None = dead
     if half > LONGEST:
         note = f"a delay of {show(dead, 'time', 2)} and the lag of the mass cannot be distinguished"
-        note = f"{note} (+- {show(half, 'time', 2)}): steps at two known loads give K, and with it that lag"
+        note = f"{note} (+- {show(half, 'time', 2)}): step under a lighter load, whose lag is shorter"
         value, parts = None, Parts()
     n = len(names)
     return Estimate("t_d", value, "s", "time", DRIVEN, at, parts, n, note=note, trials=names, coordinate=TO_MOTION)
