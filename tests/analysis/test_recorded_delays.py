@@ -81,26 +81,20 @@ def test_b_over_k_within_10_percent_and_never_a_k():
     assert half_widths.max() < 2.0
 
 
-def dead_time(before: float, after: float, mass: float, seed: int, tube: float = 0.0) -> tuple[float, float, float]:
-    """Error of the time from command to motion [s], its half width [s], and the error by the root rule [s].
-
-    The last is NaN where noise hides 0.2 % of the stroke.
-    """
+def dead_time(before: float, after: float, mass: float, seed: int, tube: float = 0.0) -> tuple[float, float]:
+    """Error of the time from command to motion [s], and its half width [s]."""
     found = reduced([plant51.step(before, after, mass, seed, dead=DEAD, tube=tube)], (0.0, 0.0))
     e = only(found, "t_d", coordinate="command-to-motion")
-    texts = [f.text for f in found.findings if "by the root rule" in f.text]
-    by_root = float(texts[0].split("by the root rule ")[1].split(" s")[0]) if texts else float("nan")
-    return e.value - DEAD - tube, e.parts.method, by_root - DEAD - tube
+    return e.value - DEAD - tube, e.parts.method
 
 
 @pytest.mark.parametrize(("before", "after", "mass", "tube"), [
     (200e3, 300e3, 0.0, 0.0), (500e3, 340e3, 8.0, 0.0), (340e3, 500e3, 26.0, 0.01),
 ])  # fmt: skip
 def test_the_time_from_command_to_motion(before: float, after: float, mass: float, tube: float):
-    error, half, by_root = dead_time(before, after, mass, 1, tube)
+    error, half = dead_time(before, after, mass, 1, tube)
     assert abs(error) < 3e-3
     assert abs(error) < half < 11e-3
-    assert abs(by_root) < 9e-3
 
 
 @pytest.mark.study
@@ -110,11 +104,11 @@ def test_times_from_command_to_motion_of_many_seeds():
     for mass in (0.0, 8.0, 26.0):
         lifts = [pair for pair in steps if plant51.pull(min(pair)) > stepped.GRAVITY * mass]
         found = [dead_time(*pair, mass, seed) for pair in lifts for seed in range(20)]
-        error, half, by_root = np.array(found).T
+        error, half = np.array(found).T
         print(f"\n{mass:3.0f} kg: {len(found)} steps, driven rms {1e3 * np.sqrt(np.mean(error**2)):.2f} ms, worst "
               f"{1e3 * np.abs(error).max():.2f}; within 3 ms {np.mean(np.abs(error) <= 3e-3):.2f}; held by "
-              f"{np.mean(np.abs(error) <= half):.3f}, worst {np.max(np.abs(error) / half):.2f} half widths; root rule "
-              f"{1e3 * np.nanmin(by_root):.1f} to {1e3 * np.nanmax(by_root):.1f} ms", end="")  # fmt: skip
+              f"{np.mean(np.abs(error) <= half):.3f}, worst {np.max(np.abs(error) / half):.2f} half widths",
+              end="")  # fmt: skip
         assert np.mean(np.abs(error) <= half) >= 0.93
         assert np.max(np.abs(error) / half) < 2.0
 

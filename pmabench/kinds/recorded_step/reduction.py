@@ -21,7 +21,7 @@ from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
-from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, TO_MOTION, check, ringing, times
+from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, ringing, times
 from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step, measure
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
@@ -62,9 +62,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
         estimates += _at(at, group, options, late)
-        here = [step for _, step in group]
-        findings += _sentences(at, here)
-        findings += [one for e in estimates if e.coordinate == TO_MOTION and e.at == at for one in check(at, here, e)]
+        findings += _sentences(at, [step for _, step in group])
     findings += _of_all(steps, estimates, read_off=read_off)
     return Analysis.of(
         KIND,
@@ -115,7 +113,7 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
     """
     pairs = [_pair(step) for step in steps]
     mean, half, _ = mean_over([step.dead for step in steps], [sorted(set(pairs)).index(pair) for pair in pairs])
-    method = hypot(late + max(step.dead_half for step in steps), _slower(steps, 0))
+    method = late + max(step.dead_half for step in steps)
     parts = Parts(repeats=half, method=method, calibration=0.0)
     parents = tuple(step.name for step in steps)
     resolved = "command to pressure, all steps; the log resolves no less than the method part"
@@ -147,9 +145,9 @@ def _at(
     seconds = ("s", "time")
     found: list[Estimate] = []
     if not any(step.found for step in steps):
-        half = hypot(late + max(step.dead_half for step in steps), _slower(steps, 0))
+        half = late + max(step.dead_half for step in steps)
         found.append(estimate("t_d", seconds, [step.dead for step in steps], half, note="to pressure"))
-    half = hypot(max(step.rise_half for step in steps), _slower(steps, 1))
+    half = max(step.rise_half for step in steps)
     found.append(estimate("tau_P", seconds, [step.rise for step in steps], half, note="63 %"))
     strokes = [step.stroke for step in steps]
     found.append(
@@ -164,11 +162,6 @@ def _at(
     doubts = [*_unsettled(moved), _of_steps(moved, "pressure")]
     found.append(estimate("dP/dx", ("Pa/m", "gain"), ratios, 0.0, scaled, note, doubts))
     return [*times(at, moved, late), *found, *ringing(at, moved, options)]
-
-
-def _slower(steps: Sequence[Step], place: int) -> float:
-    """Change of a time [s] by a filter of the gauge that is undeclared, or declared but a delay; mean of all steps."""
-    return float(np.mean([step.slower[place] for step in steps]))
 
 
 def _of_steps(steps: Sequence[Step], other: str = "") -> Doubt:
