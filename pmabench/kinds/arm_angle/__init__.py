@@ -23,7 +23,6 @@ METHODS = {
         "α = a + b / [1 + (p/c)^d] (paper 2, second eqs. 10) by least squares through the way up, as paper 2 does; "
         "intervals by the profile of the sum of squares, if α has this form."
     ),
-    "logistic-mean": "The same through the mean of both ways.",
     "logistic-loads": (
         "The same with a, b, c, d as powers of the load up to the fourth, through the ways up of all loads at once: "
         "paper 2's 20 numbers."

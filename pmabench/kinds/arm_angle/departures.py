@@ -100,14 +100,13 @@ def of_flat(one: Loaded, top: int, value: float) -> list[Doubt]:
     return [moving, _zero(one, 1.0), _steps(by(2**0.5 * one.coarse))]
 
 
-def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *, both: bool) -> list[Estimate]:
+def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float]) -> list[Estimate]:
     """The coefficients of the form at one load, widened by the scatter of the trials, or withheld where the misfit is
     too large.
 
-    `start` are the coefficients fitted to the mean of the trials; `both`: fit to the mean of both branches, else to the
-    way up.
+    `start` are the coefficients fitted to the mean of the trials.
     """
-    rows = 0.5 * (one.up + np.where(np.isfinite(one.down), one.down, one.up)) if both else one.up
+    rows = one.up
     P, mean = one.pressure, rows.mean(axis=0)
     fitted = _fit(P, mean, start)
     text = "the angles lie {} (rms) off this form, {:.0f} of their errors: it is another curve. Take the angles at rest"

@@ -24,8 +24,8 @@ from pmabench.store.analyses.results import Analysis, Estimate, Parts, withhold
 from pmabench.store.records import Array, RunData
 
 KIND = "arm-angle"
-REST, UP, MEAN, MATRIX = "angle-at-rest", "logistic-up", "logistic-mean", "logistic-loads"
-"""Methods: the rests alone; paper 2's form fitted to the way up, to the mean of both branches, or over all loads."""
+REST, UP, MATRIX = "angle-at-rest", "logistic-up", "logistic-loads"
+"""Methods: the rests alone; paper 2's form fitted to the way up, or over all loads."""
 FORM, FORM_LOADS = "arm-angle-at-load", "arm-angle-coefficients"
 """Models of the library."""
 UNKNOWN = ("a", "b", "c", "d")
@@ -40,7 +40,6 @@ class Fitted:
 
     of: Loaded
     up: ModelFit | None
-    mean: ModelFit | None
     why: str = ""
 
 
@@ -48,8 +47,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """Bending angle [rad] at the preload and at most, its hysteresis, and a, b [rad], c [Pa], d [1] at each load [kg].
 
     As in the paper: alpha = a + b / (1 + (p / c)^d) fitted to the way up, its coefficients as powers of the load. Also
-    both branches separately, their difference, and the same form fitted to their mean. `options`: `angle`, `radius` [m]
-    and `compare`, in place of the plan's settings.
+    both branches separately and their difference. `options`: `angle`, `radius` [m] and `compare`, in place of the
+    plan's settings.
     """
     settings = settings_of(runs[0], options) if runs else dict(options or {})
     compare = settings.get("compare") == "paper-2"
@@ -114,8 +113,7 @@ def _of_load(fitted: Fitted) -> list[Estimate]:
         gap = float(one.gaps[:, widest].mean())
         e = made("alpha_H", one.gaps[:, widest], 0.0, {channel: gap})
         found.append(weighed(e, departures.of_gap(one, widest, gap)))
-    found += _coefficients(fitted.up, fitted.why, UP, at, [one])
-    return found + (_coefficients(fitted.mean, fitted.why, MEAN, at, [one]) if one.both else [])
+    return [*found, *_coefficients(fitted.up, fitted.why, UP, at, [one])]
 
 
 def _slopes(P: Array, angle: Array) -> Array:
@@ -131,14 +129,13 @@ def _slopes(P: Array, angle: Array) -> Array:
 def _fitted(one: Loaded) -> Fitted:
     """Paper 2's form at one load, with coefficients fitted to it."""
     if len(one.pressure) <= len(UNKNOWN):
-        return Fitted(one, None, None, f"no fit: {len(one.pressure)} pressures for {len(UNKNOWN)} coefficients")
+        return Fitted(one, None, f"no fit: {len(one.pressure)} pressures for {len(UNKNOWN)} coefficients")
     if one.pressure[-1] > figures.BARELY * figures.HIGHEST:
-        return Fitted(one, None, None, f"no fit: the form holds up to {show(figures.HIGHEST, 'pressure')}")
+        return Fitted(one, None, f"no fit: the form holds up to {show(figures.HIGHEST, 'pressure')}")
     try:
-        up = _fit(one.pressure, one.up.mean(axis=0))
-        return Fitted(one, up, _fit(one.pressure, one.mean) if one.both else None)
+        return Fitted(one, _fit(one.pressure, one.up.mean(axis=0)))
     except ValueError:
-        return Fitted(one, None, None, "no fit: no curve of this form comes near these angles")
+        return Fitted(one, None, "no fit: no curve of this form comes near these angles")
 
 
 def _fit(P: Array, angle: Array) -> ModelFit:
@@ -201,7 +198,7 @@ def _coefficients(
         return found
     if method == MATRIX:
         return departures.of_loads(found, loads)
-    return departures.of_fit(found, loads[0], [u.value for u in fit.unknowns], both=method == MEAN)
+    return departures.of_fit(found, loads[0], [u.value for u in fit.unknowns])
 
 
 def _by_scales(fit: ModelFit, loads: Sequence[Loaded]) -> dict[str, float | None]:
