@@ -16,7 +16,6 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle.departures import zero_off
 from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
@@ -73,7 +72,7 @@ def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Findi
         found.append(Finding("note", f"{text}, where paper 2 calls it straight: creep, or a zero that is off"))
     found += _gaps(loads)
     if (worst := max(loads, key=lambda one: abs(one.zero))).zero:
-        found.append(Finding("doubt", zero_off(worst)))
+        found.append(Finding("doubt", worst.zero_off))
     if (worst := max(loads, key=lambda one: abs(one.apart))).apart:
         text = f"with {worst.mass:g} kg the displacement gives {show(worst.apart, 'angle', 2)} more than the angle"
         text += " at all pressures alike: one of their zeros is off. Zero both with the arm straight"
