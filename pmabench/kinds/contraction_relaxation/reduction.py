@@ -33,8 +33,6 @@ from pmabench.kinds.contraction_relaxation.intervals import (
     assess,
     causes_of,
 )
-from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
-from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
     FLOOR,
     SYMBOLS,
@@ -45,7 +43,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     rms_of,
 )
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Gate, Segments, cut, gather, moved, strokes
-from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, curve, values
+from pmabench.kinds.contraction_relaxation.values import FEWEST, FORMS, METHOD, Solution, compare_orders, curve, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold, without_value
 from pmabench.store.records import Array, RunData
 
@@ -57,6 +55,7 @@ AFTER = 0.15
 OF_THE_FORM = (*SYMBOLS, "F_c", "f_b")
 """Symbols whose values depend on the form of the model; times are read directly from the samples."""
 ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
+"""Orders of curves over pressure that are always given; in addition that which the Akaike criterion chooses."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -66,8 +65,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     segments with the measured pressure; for comparison K by regression over loads and B = K tau of an exponential.
 
     `options`: `speed` (least speed of the segments [m/s]), `replays` (number), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `forms` = ["K=line", ...] as in `joint`;
-    `bootstrap`, number of draws over trials; `regulator`: dead time and lags of the pressure [s].
+    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `bootstrap`, number of draws over trials;
+    `regulator`: dead time and lags of the pressure [s].
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -82,15 +81,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     recorded, late = gathered(campaign, pooled.diagnosis)
     campaign, diagnosis = pooled.campaign, pooled.diagnosis
     estimates, curves = estimates_of(campaign, pooled)
-    joint = compare(campaign, pooled, options)
     stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
     resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
-    asked = (("joint", joint.facts), ("bootstrap", resampled))
-    others = (joint, stepwise)
-    every = (*estimates, *(e for other in others for e in other.estimates))
+    every = (*estimates, *stepwise.estimates)
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
     analysis = Analysis.of(
@@ -98,13 +94,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         runs,
         results=RESULTS,
         estimates=(*reported, *response),
-        curves=[c for c in (*curves, *(c for other in others for c in other.curves)) if c.symbol not in gone],
+        curves=[c for c in (*curves, *stepwise.curves) if c.symbol not in gone],
         dropped=dropped,
         findings=(
             *checks.findings(campaign, pooled, estimates),
             *skew.findings(runs, campaign.channels, campaign.skew, every),
             *([checks.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
-            *(finding for other in others for finding in other.findings),
+            *stepwise.findings,
             *described,
             *reference_findings(runs),
         ),
@@ -113,7 +109,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             **facts,
             **checks.facts(campaign, pooled, simulated),
             **stepwise.facts,
-            **{name: found for name, found in asked if found},
+            **({"bootstrap": resampled} if resampled else {}),
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
@@ -141,7 +137,7 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
     uncorrected = next((one for one in diagnosis.of_fit if one.of_muscle), None)
     result = []
     for place, e in enumerate(estimates):
-        key, corrected = (e.symbol, e.at.get("pressure")), e.method in (METHOD, JOINT)
+        key, corrected = (e.symbol, e.at.get("pressure")), e.method == METHOD
         why = diagnosis.reason or reasons.get(key) or hidden.get(place, "")
         if e.symbol in OF_THE_FORM and e.value is not None:
             if why:
@@ -280,15 +276,16 @@ def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice
 def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
     """The primary method's coefficients at the tested pressures, and curves through them."""
     found = pooled.diagnosis
-    solution = Solution(
-        campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD, found.note, found.stiffness_is
-    )
+    solution = Solution(campaign, pooled.segments, pooled.fit, pooled.trust, METHOD, found.note, found.stiffness_is)
     estimates = values(solution)
     curves = []
     for symbol, orders in ORDERS.items():
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]
         places = [pooled.fit.columns(symbol).start + pooled.fit.at(e.at["pressure"]) for e in known]
-        curves += [curve(known, order, pooled.trust, places) for order in orders]
+        scores = compare_orders(np.array([e.at["pressure"] for e in known]), np.array([e.value for e in known], float))
+        best = min(scores, key=lambda order: scores[order][0], default=1)
+        for order in sorted({*orders, best}):
+            curves.append(curve(known, order, pooled.trust, places, normalised=order > max(FORMS)))
     return estimates, [through for through in curves if through is not None]
 
 
