@@ -12,7 +12,6 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared import simulated, skew
 from pmabench.analysis.shared.samples import NotUsable, Samples
@@ -29,7 +28,6 @@ from pmabench.kinds.contraction_relaxation.intervals import (
     Cause,
     Pooled,
     Rest,
-    Trust,
     assess,
     causes_of,
 )
@@ -184,7 +182,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     if len(as_recorded) < 2 * FEWEST:
         return None
     diagnosis = examined(recorded, knots, segments_of, as_recorded)
-    spread, test = diagnosis.spread, diagnosis.reported.test
+    test = diagnosis.reported.test
     campaign, segments, solved = test.campaign, test.segments, test.fit
     noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
     slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # its correction covers that
@@ -193,46 +191,32 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     stepless = replace(campaign, samples=_stepless(campaign))
     work = simulated.stretches(_moving(stepless, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
-    def first(late: Segments) -> Array:
-        """Theta of a fit that starts at the first knots: shifted clocks may need added knots elsewhere."""
-        return fit(late, knots, campaign.noise)[0].at_knots(solved.knots)
+    def again(samples: Sequence[Samples]) -> Array:
+        """Theta of a fit to these samples from the first knots on: shifted clocks may need added knots elsewhere."""
+        other = diagnosis.corrected(segments_of(samples))
+        return fit(other, knots, campaign.noise)[0].at_knots(solved.knots)
 
-    def trusted(
-        other: Fit, rows: NDArray[np.bool_], seen: Array, unit: float, again: Callable[[Segments], Array]
-    ) -> Trust:
-        """Uncertainty of a fit to these rows of the segments; `seen` [N] is the noise of each row, `unit` [N] that for
-        repeating the correction; `again` fits shifted segments.
-        """
-        mine = segments.where(rows)
-        again_seen = _replays(campaign, segments_of, work, other, int(options.get("replays", REPLAYS)))
-        replays = [other.again(one, rms_of(seen)).theta for one in again_seen]
-        skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
-        causes = list(causes_of(campaign, mine, other, rms_of(seen), rests))
-        if campaign.pressure_step:
-            between = again(diagnosis.corrected(segments_of(stepless.samples))) - other.theta
-            causes.append(Cause("where the pressure is between its steps", "method", between[None]))
-        trust = assess(campaign, mine, other, seen, replays, skews, causes)
-        return trust if spread is None else replace(trust, correction=spread.of(other, rows, unit))
+    def replays(count: int) -> Iterator[Segments]:
+        return _replays(campaign, segments_of, work, solved, count)
 
-    every = np.ones(len(segments), bool)
-    alone = trusted(solved, every, noise, test.expected, first)
+    expected = rms_of(noise)
+    thetas = [solved.again(one, expected).theta for one in replays(int(options.get("replays", REPLAYS)))]
+    skews = _skews(campaign, again, solved)
+    causes = list(causes_of(campaign, segments, solved, expected, rests))
+    if campaign.pressure_step:
+        between = again(stepless.samples) - solved.theta
+        causes.append(Cause("where the pressure is between its steps", "method", between[None]))
+    trust = assess(campaign, segments, solved, noise, thetas, skews, causes)
+    if diagnosis.spread is not None:
+        trust = replace(trust, correction=diagnosis.spread.correction())
 
     def tests_of_noise(count: int) -> list[Test]:
-        found = _replays(campaign, segments_of, work, solved, count)
-        return [Test.of(campaign, one, solved.again(one, test.expected), test.expected) for one in found]
+        return [Test.of(campaign, one, solved.again(one, test.expected), test.expected) for one in replays(count)]
 
-    departures = hidden(test, diagnosis.search.followed, diagnosis.weighed, alone, tests_of_noise)
-    diagnosis = replace(diagnosis, hidden=departures)
-
-    def with_hidden(other: Fit, rows: NDArray[np.bool_], trust: Trust) -> Trust:
-        sensors = of_the_sensors(campaign, diagnosis.weighed, segments.where(rows), other)
-        return replace(trust, causes=(*trust.causes, *diagnosis.hidden.lines(other, rows), *sensors))
-
-    def trust_of(other: Fit, rows: NDArray[np.bool_], seen: Array) -> Trust:
-        unit = rms_of(seen)
-        return with_hidden(other, rows, trusted(other, rows, seen, unit, lambda late: other.again(late, unit).theta))
-
-    return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, diagnosis)
+    departures = hidden(test, diagnosis.search.followed, diagnosis.weighed, trust, tests_of_noise)
+    sensors = of_the_sensors(campaign, diagnosis.weighed, segments, solved)
+    trust = replace(trust, causes=(*trust.causes, *departures.lines(solved), *sensors))
+    return Pooled(campaign, segments, solved, noise, trust, replace(diagnosis, hidden=departures))
 
 
 def _stepless(campaign: Campaign) -> tuple[Samples, ...]:
@@ -246,12 +230,12 @@ def _stepless(campaign: Campaign) -> tuple[Samples, ...]:
     return tuple(found)
 
 
-def _skews(campaign: Campaign, segments_of: Cut, again: Callable[[Segments], Array], solved: Fit) -> Array:
+def _skews(campaign: Campaign, again: Callable[[Sequence[Samples]], Array], solved: Fit) -> Array:
     """Change of theta by the clock of each stream at its bound, with both signs; shape (clocks, courses, p)."""
 
     def changed(channels: tuple[str, ...], by: Array) -> Array:
         late = [moved(samples, channels, float(one)) for samples, one in zip(campaign.samples, by, strict=True)]
-        return again(segments_of(late)) - solved.theta
+        return again(late) - solved.theta
 
     clocks = skew.causes(campaign.runs, campaign.channels)
     courses = [way * course for course in skew.courses(campaign.trials) for way in (1.0, -1.0)]
