@@ -124,7 +124,7 @@ class Kind:
     options: tuple[str, ...] = ()
     """Options of its reduction for users."""
     parts: dict[str, str] = field(default_factory=dict)
-    """Parts for certain commands, as "module:name": `check options`, `tune by steps`, `tune by model`.
+    """Parts for certain commands, as "module:name": `tune by steps`, `tune by model`.
 
     `next trial`: chooses the trials of a plan one by one, `Chooser(plan, expected, goals, seconds).decide(runs)`.
 

@@ -6,7 +6,6 @@
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`, by the pressure of `gauge`
 - sessions that do not fit one muscle: `days`
-- where asked for: chosen forms over pressure in `joint`
 - by paper 1: `paper1`, made of `paper1_steps`
 - further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`
@@ -36,11 +35,6 @@ METHODS = {
         "One least-squares fit over short moving segments of all trials together, both strokes: M x″ + B(P) x′ + K(P) x"
         " + F_c sign x′ = F_ce(P) − F_L, driven by the pressure that was measured. K, B_c, B_r and F_ce are values at "
         "the tested pressures with straight lines between."
-    ),
-    "joint": (
-        "The same least-squares fit with the forms over pressure that were asked for (constant, line, polynomial of a "
-        "given or chosen order) from the lowest tested pressure up; its residual, compared with that of straight "
-        "lines between pressures, shows whether the forms are enough."
     ),
     "regulator-response": (
         "Dead time and one lag, or two where the corrected Akaike criterion asks for them, fitted to the mean step of "
@@ -117,10 +111,9 @@ KIND = Kind(
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:offers",
     methods=METHODS,
-    options=("forms", "bootstrap", "regulator"),
+    options=("bootstrap", "regulator"),
     parts={
         "intervals of a plan": "pmabench.kinds.contraction_relaxation.predicted:intervals_of_plan",
-        "check options": "pmabench.kinds.contraction_relaxation.joint:check",
         "slow rows": "pmabench.analysis.surface.trials:hanging",
         "next trial": "pmabench.kinds.contraction_relaxation.next_trial:Chooser",
     },

@@ -13,7 +13,7 @@ The bootstrap checks the repeats part, which is its limit for many draws. Of n t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import TYPE_CHECKING
@@ -309,8 +309,6 @@ class Pooled:
     noise: Array
     """Standard deviation of each segment by the noise of the channels [N]; shape (n,)."""
     trust: Trust
-    trust_of: Callable[[Fit, NDArray[np.bool_], Array], Trust]
-    """Uncertainty of another fit to some rows of the segments, with the noise of these rows [N]."""
     diagnosis: Diagnosis
     """Whether the data have the form of the fit, and what was corrected."""
 
