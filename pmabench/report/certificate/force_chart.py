@@ -103,7 +103,7 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
         zero=True,
         stamp="SIMULATED" if simulated else "",
     )
-    friction = next((e for a in analyses for e in a.estimates if e.symbol == "F_c" and not e.at and e.value), None)
+    friction = next((e for a in analyses for e in a.estimates if e.symbol == "F_c" and not e.at and (e.value or 0.0) > 0), None)
     size = rounded(friction.value, None, 3) if friction else ""
     off = f" Friction lets a muscle rest up to F_c = {size} N off its line." if size else ""
     hollow = " Hollow: where relaxing strokes ended." if any(len(level.back) for level in levels) else ""
