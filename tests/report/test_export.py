@@ -25,7 +25,7 @@ from pmabench.plotting.svg import GREEK
 from pmabench.report.files.export import FORMATS, export_results, export_run
 from pmabench.report.files.latex import typeset
 from pmabench.report.files.simulator_models import GRAVITY, control_model, mujoco_model, simulated
-from pmabench.store.analyses.results import Analysis
+from pmabench.store.analyses.results import Analysis, Parts
 from tests.store.runs import closed
 
 from . import samples
@@ -186,7 +186,10 @@ def in_mujoco(text, t, P, load, mass):
 def test_friction_below_0_is_left_out_since_it_would_drive_the_muscle():
     found = samples.contraction()
     primary = found.estimates[0].method
-    below = tuple(replace(e, value=-0.06) if (e.symbol, e.method) == ("F_c", primary) else e for e in found.estimates)
+    below = tuple(
+        replace(e, value=-0.06, parts=Parts(0.1)) if (e.symbol, e.method) == ("F_c", primary) else e
+        for e in found.estimates
+    )
     assert any(e.value == -0.06 for e in below)
     model = control_model(replace(found, estimates=below))
     assert model.params["F_c"] == 0
