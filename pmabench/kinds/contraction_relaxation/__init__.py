@@ -111,7 +111,7 @@ KIND = Kind(
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:offers",
     methods=METHODS,
-    options=("bootstrap", "regulator"),
+    options=("regulator",),
     parts={
         "intervals of a plan": "pmabench.kinds.contraction_relaxation.predicted:intervals_of_plan",
         "slow rows": "pmabench.analysis.surface.trials:hanging",

@@ -63,8 +63,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     segments with the measured pressure; for comparison K by regression over loads and B = K tau of an exponential.
 
     `options`: `speed` (least speed of the segments [m/s]), `replays` (number), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `bootstrap`, number of draws over trials;
-    `regulator`: dead time and lags of the pressure [s].
+    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `regulator`: dead time and lags of the pressure.
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -81,7 +80,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates, curves = estimates_of(campaign, pooled)
     stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
-    resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     every = (*estimates, *stepwise.estimates)
@@ -97,7 +95,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings=(
             *checks.findings(campaign, pooled, estimates),
             *skew.findings(runs, campaign.channels, campaign.skew, every),
-            *([checks.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
             *stepwise.findings,
             *described,
             *reference_findings(runs),
@@ -107,7 +104,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             **facts,
             **checks.facts(campaign, pooled, simulated),
             **stepwise.facts,
-            **({"bootstrap": resampled} if resampled else {}),
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
