@@ -46,11 +46,6 @@ METHODS = {
         "fitted to the steps of the measured pressure, and K, (B_c + B_r)/2 and the moving mass M. The interval holds "
         "those of K, B and the lags, and half of what B_c and B_r alone would make; no friction."
     ),
-    "bandwidth, by steps": (
-        "The same from recorded steps without a model: the gain is that of the step's own Fourier integral, G = 1 − jω "
-        "∫ (1 − y) e^(−jωt) dt, with y the contraction from its start to its rest. Such steps are larger than small "
-        "signals and relax only."
-    ),
     "step-exponential": (
         "The way of papers 0 and 1: K and F_ce from final contractions over loads, B = K τ with τ from an exponential "
         "through the displacement. It takes the pressure for a step, so B comes out too large where the regulator is "
