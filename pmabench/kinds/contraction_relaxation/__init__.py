@@ -5,7 +5,6 @@
 - whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`, by the pressure of `gauge`
-- sessions that do not fit one muscle: `days`
 - by paper 1: `paper1`, made of `paper1_steps`
 - further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`

@@ -15,9 +15,9 @@ import numpy as np
 
 from pmabench.analysis.shared import simulated, skew
 from pmabench.analysis.shared.samples import NotUsable, Samples
-from pmabench.analysis.shared.trials import grouped, reference_findings, session_of
+from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, checks, days, exponentials
+from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
@@ -85,7 +85,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     every = (*estimates, *stepwise.estimates)
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
-    analysis = Analysis.of(
+    return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
@@ -107,9 +107,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
-    sessions = list(grouped(runs, session_of).values()) if diagnosis.reason else []
-    alone = [reduce(one, options) for one in sessions] if len(sessions) > 1 else []
-    return days.of_each(analysis, alone, ORDERS) or analysis
 
 
 def _without_fit(
