@@ -61,12 +61,6 @@ MOST_SINCE = 2
 @click.option(
     "--form", metavar="FORM", help="`surface`: all slow tests together as one muscle with hysteresis and creep."
 )
-@click.option(
-    "--bootstrap",
-    type=click.IntRange(20, 10_000),
-    metavar="N",
-    help="Contraction runs: so many draws over the trials check the intervals.",
-)
 @click.option("--regulator", is_flag=True, help="Contraction runs: dead time and lags from command to pressure.")
 @click.option("--fresh", is_flag=True, help="A folder of runs: compute also what has not changed.")
 @common
@@ -181,7 +175,7 @@ def processed(
     key = "" if form else key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
     runs = load_runs(given)
     if asked and not any(run.kind in asked for run in runs):
-        raise UsageError(f"--bootstrap and --regulator are for runs of kind {', '.join(asked)}; none of these is one")
+        raise UsageError(f"--regulator is for runs of kind {', '.join(asked)}; none of these is one")
     analyses = reduce_together(form, runs) if form else reduce_runs(runs, asked)
     if out is None:
         out = place_of(given[0])

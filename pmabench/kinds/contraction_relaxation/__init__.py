@@ -5,7 +5,6 @@
 - whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`, by the pressure of `gauge`
-- sessions that do not fit one muscle: `days`
 - by paper 1: `paper1`, made of `paper1_steps`
 - further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`
@@ -45,11 +44,6 @@ METHODS = {
         "Where the gain from the pressure command to small contractions first falls by 3 dB: the regulator's lags, "
         "fitted to the steps of the measured pressure, and K, (B_c + B_r)/2 and the moving mass M. The interval holds "
         "those of K, B and the lags, and half of what B_c and B_r alone would make; no friction."
-    ),
-    "bandwidth, by steps": (
-        "The same from recorded steps without a model: the gain is that of the step's own Fourier integral, G = 1 − jω "
-        "∫ (1 − y) e^(−jωt) dt, with y the contraction from its start to its rest. Such steps are larger than small "
-        "signals and relax only."
     ),
     "step-exponential": (
         "The way of papers 0 and 1: K and F_ce from final contractions over loads, B = K τ with τ from an exponential "
@@ -111,7 +105,7 @@ KIND = Kind(
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:offers",
     methods=METHODS,
-    options=("bootstrap", "regulator"),
+    options=("regulator",),
     parts={
         "intervals of a plan": "pmabench.kinds.contraction_relaxation.predicted:intervals_of_plan",
         "slow rows": "pmabench.analysis.surface.trials:hanging",

@@ -1,4 +1,4 @@
-"""Uncertainty of the coefficients of a pooled fit by cause, and the bootstrap over its trials.
+"""Uncertainty of the coefficients of a pooled fit by cause.
 
 *Repeats*: covariance of least squares with the observed noise, checked by replays and widened where trials scatter
 more. *Method*: bias found by replays of the fitted muscle. *Calibration*: the fit repeated with each channel off by its
@@ -6,9 +6,6 @@ uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: of the
 a zero from the check at the end of a run and from readings at rest before each trial. Where the stroke of a specimen
 drifted, its compliance or its force may have changed; a zero may have drifted at any time. Such a cause is fitted both
 ways, and the larger change counts. Each is a `Source`; together they make the parts.
-
-The bootstrap checks the repeats part, which is its limit for many draws. Of n trials n - 1 are drawn with weight n / (n
-- 1); otherwise a draw from two would scatter by a half too little (Rao and Wu 1988, J. Am. Stat. Assoc. 83, 231).
 """
 
 from __future__ import annotations
@@ -450,44 +447,3 @@ def _off(segments: Segments, fit: Fit, channel: str, gain: float, offset: float 
     """Theta of the fit where a channel reads (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
     begun = fit.followed(gain, float(np.mean(offset))) if channel == "pressure" else fit
     return begun.again(segments.shifted(channel, gain, offset), expected).theta
-
-
-@dataclass(frozen=True, eq=False)
-class Draws:
-    """Theta of each draw, shape (count, p)."""
-
-    theta: Array
-
-    def half(self, combination: Array) -> float:
-        """Half the width between the percentiles 2.5 and 97.5 of a linear combination (p,)."""
-        low, high = np.percentile(self.theta @ combination, [2.5, 97.5])
-        return float(high - low) / 2
-
-
-def bootstrap(segments: Segments, fit: Fit, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
-    """`count` fits to trials drawn with replacement, within their cells or among all.
-
-    `cells` holds the cell of each trial number in `segments.trial`. Every draw keeps the prior of the fit. The random
-    numbers are the same each time.
-    """
-    trials, rows = np.unique(segments.trial, return_inverse=True)
-    normal = np.array([design.T @ design for design in (fit.design[rows == i] for i in range(len(trials)))])
-    right = np.zeros((len(trials), fit.design.shape[1]))
-    np.add.at(right, rows, fit.design * segments.force[:, None])
-    prior = np.linalg.inv(fit.inverse) - normal.sum(axis=0)
-    groups = [np.flatnonzero(cells[trials] == cell) for cell in np.unique(cells[trials])]
-    groups = groups if within else [np.arange(len(trials))]
-    chance = np.random.default_rng(0)
-    drawn = np.empty((count, len(fit.theta)))
-    for draw in range(count):
-        weight = np.zeros(len(trials))
-        for group in groups:
-            n = len(group)
-            if n == 1:
-                weight[group] = 1.0
-            else:
-                np.add.at(weight, chance.choice(group, n - 1), n / (n - 1))
-        total = np.tensordot(weight, normal, 1) + prior
-        scale = np.sqrt(np.diag(total))
-        drawn[draw] = np.linalg.solve(total / np.outer(scale, scale), (weight @ right) / scale) / scale
-    return Draws(drawn)

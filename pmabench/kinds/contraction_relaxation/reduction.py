@@ -15,9 +15,9 @@ import numpy as np
 
 from pmabench.analysis.shared import simulated, skew
 from pmabench.analysis.shared.samples import NotUsable, Samples
-from pmabench.analysis.shared.trials import grouped, reference_findings, session_of
+from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, checks, days, exponentials
+from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
@@ -63,8 +63,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     segments with the measured pressure; for comparison K by regression over loads and B = K tau of an exponential.
 
     `options`: `speed` (least speed of the segments [m/s]), `replays` (number), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `bootstrap`, number of draws over trials;
-    `regulator`: dead time and lags of the pressure [s].
+    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `regulator`: dead time and lags of the pressure.
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -81,13 +80,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates, curves = estimates_of(campaign, pooled)
     stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
-    resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     every = (*estimates, *stepwise.estimates)
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
-    analysis = Analysis.of(
+    return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
@@ -97,7 +95,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings=(
             *checks.findings(campaign, pooled, estimates),
             *skew.findings(runs, campaign.channels, campaign.skew, every),
-            *([checks.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
             *stepwise.findings,
             *described,
             *reference_findings(runs),
@@ -107,13 +104,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             **facts,
             **checks.facts(campaign, pooled, simulated),
             **stepwise.facts,
-            **({"bootstrap": resampled} if resampled else {}),
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
-    sessions = list(grouped(runs, session_of).values()) if diagnosis.reason else []
-    alone = [reduce(one, options) for one in sessions] if len(sessions) > 1 else []
-    return days.of_each(analysis, alone, ORDERS) or analysis
 
 
 def _without_fit(
