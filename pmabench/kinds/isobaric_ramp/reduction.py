@@ -166,13 +166,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     The mean of both branches is extrapolated to speed 0 in the same way; K is minus its slope. At 0 kPa it is the
     rubber's force, to which F_e = A eps (eps - B1)/(eps + B2) is fitted (paper 3 eq. 8).
 
-    `options`: `discard` (cycles at the start; else the plan's setting, else 1), `turn` [m] (left out at both ends; else
-    the plan's setting, else a twentieth of the stroke).
+    The plan's settings, or the map's, have `discard` (cycles at the start; else 1) and `turn` [m] (left out at both
+    ends; else a twentieth of the stroke).
     """
-    options = options or {}
-    members, dropped = measured_trials(
-        runs, lambda run, trial: Member(run, trial, measure_as_planned(run, trial, options))
-    )
+    members, dropped = measured_trials(runs, lambda run, trial: Member(run, trial, measure_as_planned(run, trial)))
     scales = Scales.of(runs)
     cells = _cells(members)
     estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
@@ -190,8 +187,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates = without_negative_friction(estimates)
     findings += skew.findings(runs, CHANNELS, max((cell.skew for cell in cells), default=0.0), estimates)
     findings += scales.findings(estimates, ("force", "displacement"))
-    facts = {"options": dict(options), "trials": len(members), "cells": len(cells)}
-    facts["loops"] = [cell.facts() for cell in cells]
+    facts = {"trials": len(members), "cells": len(cells), "loops": [cell.facts() for cell in cells]}
     estimates.sort(key=lambda e: e.method != CURVE)
     return Analysis.of(
         KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
