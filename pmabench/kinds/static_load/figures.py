@@ -52,14 +52,6 @@ def of_place(mean: Mean) -> Finding:
     return Finding("note", f"{text}: lift and set-down are carried to x = 0, {off} at {show(middle, 'pressure', 3)}")
 
 
-def of_reversal(mean: Mean) -> Finding:
-    """Loads that set down at a higher pressure than they lifted."""
-    size, force = show(mean.reversed, "pressure", 2), show(0.5 * mean.reversed * mean.line.s, "force", 2)
-    text = f"a load sets down at a pressure up to {size} above that at which it lifts, which no friction does:"
-    text += " it swings, or its support gives way. Let it come to rest before"
-    return Finding("doubt", f"{text}; the interval of F_ce holds {force} of it")
-
-
 def of_hysteresis(mean: Mean) -> Finding:
     """Correction for the braid's hysteresis, or why there is none."""
     if mean.kept is None:

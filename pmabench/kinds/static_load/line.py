@@ -133,8 +133,6 @@ STILL = 0.5
 """Friction counts as dry if the load does not move over this share of the difference from lift to set-down ..."""
 CLEAR = 5.0
 """... and if that difference exceeds this many times the noise of the pressure."""
-LEAST_REVERSED, NEARLY = 1e3, 0.1e-3
-"""A load whose set-down is this much above its lift [Pa], within NEARLY of x = 0 [m], is moved by something else."""
 
 
 @dataclass(frozen=True)
@@ -289,8 +287,6 @@ class Mean:
     """Whether the loads were raised, so that hysteresis would show."""
     why: str = ""
     """Why F_ce is withheld; empty where it is not."""
-    reversed: float = 0.0
-    """Largest excess of a load's set-down pressure over its lift pressure [Pa]; 0 if not significant."""
 
     @property
     def friction(self) -> float | None:
@@ -298,6 +294,13 @@ class Mean:
         apart = 0.5 * (self.points.lift - self.points.set_down)
         apart = apart[np.isfinite(apart)]
         return float(np.mean(apart)) * self.line.s if len(apart) else None
+
+    @property
+    def reversed(self) -> float:
+        """Largest half difference of a load that sets down at more pressure than it lifts [N]; else 0."""
+        load, half = self.points.load, 0.5 * (self.points.set_down - self.points.lift) * self.line.s
+        known = np.isfinite(half)
+        return max([0.0, *(float(half[known & (load == one)].mean()) for one in np.unique(load[known]))])
 
     def off(self, row: Array) -> float:
         """Half width [N] of the mean's systematic error, for `row` @ (a, s); for s as if the error were proportional to
@@ -307,7 +310,7 @@ class Mean:
         friction = share * abs(self.friction or 0.0)
         place = 0.5 * self.points.uncertain * self.line.s if self.carried else 0.0
         loop = 0.0 if self.kept is None else float(np.nanmax(self.kept.half))
-        whole = hypot(friction, place, loop, 0.5 * self.reversed * self.line.s)
+        whole = hypot(friction, place, loop, self.reversed)
         return whole if row[0] else whole / float(np.nanmean(self.points.side(MEAN)))
 
 
@@ -322,7 +325,6 @@ def mean_of(runs: Sequence[RunData], plain: Points) -> Mean | None:
         return None
     times = [times_of(trial) for trial in own]
     gap = plain.lift - plain.set_down
-    back = _reversed(own, points, carried=moved is not None)
     loops = [loop_of(trial, when) for trial, when in zip(own, times, strict=True)]
     held = kept(loops, plain.load, gap, before.s)
     if held is not None:
@@ -330,27 +332,12 @@ def mean_of(runs: Sequence[RunData], plain: Points) -> Mean | None:
         without = fit_side(points, MEAN)
         if without is None:
             return None
-        return Mean(points, without, before, moved is not None, held, reversed=back)
+        return Mean(points, without, before, moved is not None, held)
     seen = [still for trial, when, one in zip(own, times, gap, strict=True)
             if (still := rests(trial, when, one)) is not None]  # fmt: skip
     raised = sum(loop is not None for loop in loops) > 0.5 * len(loops)
     why = YIELDS if seen and not raised and np.mean(seen) < 0.5 else ""
-    return Mean(points, line, before, moved is not None, None, raised, why, back)
-
-
-def _reversed(trials: Sequence[TrialData], points: Points, *, carried: bool) -> float:
-    """Largest excess of a load's mean set-down pressure over its lift pressure [Pa]; 0 if not significant.
-
-    Friction, damping and hysteresis act the other way; so does K x where a load that hangs higher than `NEARLY` was not
-    corrected to x = 0, which is left out.
-    """
-    places = [float((one.found.get("set-down") or {}).get("displacement") or 0.0) for one in trials]
-    gap = points.lift - points.set_down
-    rows = np.isfinite(gap) & (carried | (np.abs(places) < NEARLY))
-    load = points.load
-    worst = max((-float(gap[rows & (load == one)].mean()) for one in np.unique(load[rows])), default=0.0)
-    noise = [noise_of(one.channels["pressure"][one.usable]) for one in trials if "pressure" in one.channels]
-    return worst if worst > max(LEAST_REVERSED, points.step, CLEAR * max(noise, default=0.0)) else 0.0
+    return Mean(points, line, before, moved is not None, None, raised, why)
 
 
 def _carried(trials: Sequence[TrialData], points: Points) -> Points | None:
