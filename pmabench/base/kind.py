@@ -111,8 +111,6 @@ class Kind:
     """`module:options`: offers of the specimen's other tests -> options of this reduction, which runs after them."""
     reverses: bool = False
     """Whether it examines small reversals of the motion."""
-    at_rest: bool = False
-    """Whether limits against static load are compared with its F_ce."""
     instead: str = ""
     """Advice to run it if other tests contradict each other on F_ce, F or K."""
     figures: dict[str, str] = field(default_factory=dict)

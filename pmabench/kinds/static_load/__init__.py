@@ -37,7 +37,6 @@ KIND = Kind(
     word="static load",
     offers="pmabench.kinds.static_load.reduction:offers",
     after="pmabench.kinds.static_load.points:option_of",
-    at_rest=True,
     methods=METHODS,
     figures={"static": "pmabench.kinds.static_load.figures:points", "lift": "pmabench.kinds.static_load.figures:lifts"},
     imported=Imported(
