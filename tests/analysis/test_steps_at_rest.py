@@ -133,14 +133,6 @@ def test_friction_that_shows_at_the_first_rest_is_in_the_intervals():
     assert sound.parts.combined < 0.015 * K
 
 
-def test_steps_of_two_sizes_name_the_friction_between_the_rests():
-    found = reduced(steps(5, friction=3.0, swing=0.0), steps(6, step=10e-3, friction=3.0, swing=0.0))
-    (text,) = [f.text for f in found.findings if "friction of" in f.text]
-    assert "friction of 3 N" in text
-    assert "6.77 N/mm" in text
-    assert not any("friction of" in f.text for f in reduced(steps(5), steps(6, step=10e-3)).findings)
-
-
 @pytest.mark.parametrize("lsb", [1.0, 4.0])
 def test_a_force_that_is_read_in_steps_has_them_in_its_intervals(lsb):
     found = reduced(steps(7, swing=0.0, lsb=lsb, noise=0.02))

@@ -51,8 +51,6 @@ UNTURNED = 0.05
 """Share of the friction between two rests that a small step may not have reversed."""
 RUBS = "friction between the two rests is in it"
 AT_LEAST = f"{RUBS}, as twice its size over the step: it is at least K"
-CLEAR = 1.5
-"""Difference of K between two sizes of step, in half widths of the repeats, from which on it is reported."""
 RUBBED = "friction between the rests"
 LIKELY = 2.0
 """Upper bound of dF/dP, as a multiple of that of a force proportional to the pressure at the rest length."""
@@ -92,7 +90,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             estimates += [*way.forces(), *way.times()]
         findings += _findings(group)
         traces.append(_trace(at, group[0]))
-    findings += _sizes(estimates)
     if estimates and (lack := scales.lack(("force", "displacement"))):
         findings.append(Finding("note", lack))
     return Analysis.of(
@@ -302,22 +299,6 @@ def _still_moving(rests: Sequence[Held]) -> Doubt:
     further = left(rests)
     text = f"the force is not at rest: after the hold it may still change by {show(further.most, 'force', 2)}"
     return Doubt("motion of the force after the rest", "method", further.most, further.seen, f"{text}. Hold longer")
-
-
-def _sizes(estimates: Sequence[Estimate]) -> Iterator[Finding]:
-    """Friction from steps of two sizes from one start."""
-    known = [e for e in estimates if (e.symbol, e.method) == ("K", RELAXED) and e.value is not None]
-    away = [e for e in known if e.at.get("step", 0.0) > 0]
-    for (P, *_), steps in sorted(grouped(away, _start).items()):
-        for one, two in pairwise(sorted(steps, key=lambda e: e.at["step"])):
-            (s_1, K_1), (s_2, K_2) = ((e.at["step"], e.value or 0.0) for e in (one, two))
-            if K_1 - K_2 > CLEAR * hypot(one.parts.repeats or 0.0, two.parts.repeats or 0.0):
-                friction = (K_1 - K_2) * s_1 * s_2 / (s_2 - s_1) / 2
-                text = f"at {show(P, 'pressure')} steps of {show(s_1, 'length')} give a K that is larger by"
-                text += f" {show(K_1 - K_2, 'stiffness', 2)} than steps of {show(s_2, 'length')}: friction of"
-                text += f" {show(friction, 'force', 2)} between the rests, or a K that changes along the contraction;"
-                K = (K_2 * s_2 - K_1 * s_1) / (s_2 - s_1)
-                yield Finding("note", f"{text} without friction it is {show(K, 'stiffness', 3)} between their ends")
 
 
 def _findings(group: Sequence[Steps]) -> Iterator[Finding]:
