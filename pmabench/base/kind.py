@@ -109,8 +109,6 @@ class Kind:
     """`module:offers`: Analysis -> its `Offer` of each quantity that other kinds of test also measure."""
     reverses: bool = False
     """Whether it examines small reversals of the motion."""
-    at_rest: bool = False
-    """Whether limits against static load are compared with its F_ce."""
     instead: str = ""
     """Advice to run it if other tests contradict each other on F_ce, F or K."""
     figures: dict[str, str] = field(default_factory=dict)
