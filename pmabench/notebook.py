@@ -34,13 +34,11 @@ def process(
     *runs: Run | Path | str,
     forms: Sequence[str] = (),
     bootstrap: int | None = None,
-    polish: bool = False,
     regulator: bool = False,
 ) -> Results:
     """Coefficients of runs, for each kind of test; runs that continue each other are combined.
 
-    `forms`, `bootstrap`, `polish` and `regulator` are for kinds of test that have these options, as in `pmabench
-    process`.
+    `forms`, `bootstrap` and `regulator` are for kinds of test that have these options, as in `pmabench process`.
 
     Raises InvalidFile if one is no run or of a kind that cannot be reduced; UsageError if none is given, or for an
     unknown form.
@@ -52,7 +50,7 @@ def process(
     if not runs:
         raise UsageError("no run is given; give run folders, or what open_run returned")
     loaded = open_chains([Path(run.data.path if isinstance(run, Run) else run) for run in runs])
-    asked = {"forms": list(forms), "bootstrap": bootstrap, "polish": polish, "regulator": regulator}
+    asked = {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator}
     return Results(tuple(reduce_runs(loaded, registry.options_for(asked))), tuple(loaded))
 
 

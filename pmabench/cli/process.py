@@ -21,8 +21,7 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.base.text import clean
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import PATH, RunFolder, short
-from pmabench.cli.outcome import next_lines
+from pmabench.cli.names import PATH, RunFolder, next_lines, short
 from pmabench.cli.sources import (
     campaign_folder,
     chains,
@@ -73,11 +72,6 @@ MOST_SINCE = 2
     type=click.IntRange(20, 10_000),
     metavar="N",
     help="Contraction runs: so many draws over the trials check the intervals.",
-)
-@click.option(
-    "--polish",
-    is_flag=True,
-    help="Contraction runs: the coefficients by output error, too, which simulates each stroke.",
 )
 @click.option("--regulator", is_flag=True, help="Contraction runs: dead time and lags from command to pressure.")
 @click.option("--fresh", is_flag=True, help="A folder of runs: compute also what has not changed.")
@@ -193,8 +187,7 @@ def processed(
     runs = load_runs(given)
     if asked and not any(run.kind in asked for run in runs):
         raise UsageError(
-            "--form, --bootstrap, --polish and --regulator are for runs of kind "
-            f"{', '.join(asked)}; none of these is one"
+            f"--form, --bootstrap and --regulator are for runs of kind {', '.join(asked)}; none of these is one"
         )
     analyses = reduce_together(form, runs) if form else reduce_runs(runs, asked)
     if out is None:

@@ -60,6 +60,17 @@ def errors(analysis: Analysis, truth: dict[str, Law], symbol: str, method: str =
     return np.array([e.value / truth[symbol](P) - 1 for P, e in found.items()])
 
 
+def shaken(run: RunData, by: float, seed: int) -> RunData:
+    """The run with white noise of `by` [m] on its displacement."""
+    chance = np.random.default_rng(seed)
+
+    def one(trial: TrialData) -> TrialData:
+        x = trial.channels["displacement"]
+        return replace(trial, channels={**trial.channels, "displacement": x + by * chance.standard_normal(len(x))})
+
+    return replace(run, trials=tuple(map(one, run.trials)))
+
+
 # -- the targets ---------------------------------------------------------------------------------------------------
 
 
@@ -74,6 +85,18 @@ def test_ideal_returns_the_truth():
     assert intercept == pytest.approx(-49.0, abs=1.0)
     assert slope == pytest.approx(1.08e-3, rel=0.01)
     assert [term.unit for term in line.terms] == ["N", "N/Pa"]
+
+
+def test_a_shaky_displacement_is_in_the_intervals():
+    """0.05 mm of noise, which the regression takes into its velocities."""
+    analysis = reduce([shaken(small(), 5e-5, 1)], {"replays": 4})
+    inside = [
+        abs(e.value - law(P)) < e.parts.combined
+        for symbol, law in PAPER0.items()
+        for P, e in of(analysis, symbol).items()
+    ]
+    assert len(inside) == 30
+    assert np.mean(inside) > 0.9
 
 
 def test_ideal_uses_44_of_88_cells_and_says_why_not_the_others():

@@ -90,8 +90,6 @@ def test_steps_of_a_run_that_it_was_not_fitted_to(surface, tmp_path):
         e["method"]: e["value"] for e in analysis["estimates"] if (e["symbol"], e["at"]["pressure"]) == ("e_sim", 4e5)
     }
     assert rms["measured pressure"] < 0.4e-3
-    assert rms["measured pressure, straight lines"] > 5 * rms["measured pressure"]
-    assert "the straight form of the same tests" in " ".join(found["text"] for found in analysis["findings"])
 
 
 def test_force_of_a_driven_end_next_to_what_was_measured(surface, tmp_path):

@@ -6,7 +6,7 @@
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`, by the pressure of `gauge`
 - sessions that do not fit one muscle: `days`
-- where asked for: chosen forms over pressure in `joint`; output error in `output_error`
+- where asked for: chosen forms over pressure in `joint`
 - by paper 1: `paper1`, made of `paper1_steps`
 - further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`
@@ -41,11 +41,6 @@ METHODS = {
         "The same least-squares fit with the forms over pressure that were asked for (constant, line, polynomial of a "
         "given or chosen order) from the lowest tested pressure up; its residual, compared with that of straight "
         "lines between pressures, shows whether the forms are enough."
-    ),
-    "output-error": (
-        "The coefficients of measured-pressure polished: each stroke is simulated with them under the measured pressure"
-        " and force, and the error of the contraction, whitened for its serial correlation, is made least (Gauss-"
-        "Newton)."
     ),
     "regulator-response": (
         "Dead time and one lag, or two where the corrected Akaike criterion asks for them, fitted to the mean step of "
@@ -122,7 +117,7 @@ KIND = Kind(
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:offers",
     methods=METHODS,
-    options=("forms", "bootstrap", "regulator", "polish"),
+    options=("forms", "bootstrap", "regulator"),
     parts={
         "intervals of a plan": "pmabench.kinds.contraction_relaxation.predicted:intervals_of_plan",
         "check options": "pmabench.kinds.contraction_relaxation.joint:check",
@@ -130,7 +125,7 @@ KIND = Kind(
         "next trial": "pmabench.kinds.contraction_relaxation.next_trial:Chooser",
     },
     also=(PAPER_1,),
-    figures={"overlay": "pmabench.plotting.motion:motions"},
+    figures={"overlay": "pmabench.plotting.motion:overlays"},
     front={"overlay": "pmabench.plotting.motion:overlays"},
     imported=Imported(
         Commanded(

@@ -171,16 +171,12 @@ class Fit:
         kept = np.setdiff1d(self.knots, self.halves)
         if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
             return np.zeros(len(self.theta))
-        coarse = self.coarser(segments, kept, noise)
+        coarse = solve(segments, kept, noise)
         return np.asarray((coarse.at_knots(self.knots) - self.theta) / 3.0)
 
     def at_knots(self, knots: Array) -> Array:
         """The unknowns of the same polygons at other knots [Pa]."""
         return np.concatenate((*(self.values(symbol, knots) for symbol in SYMBOLS), [self.theta[-1]]))
-
-    def coarser(self, segments: Segments, knots: Array, noise: float) -> Fit:
-        """The same fit with fewer knots [Pa]."""
-        return solve(segments, knots, noise)
 
     def change(self, columns: Array) -> Array:
         """Change of theta by additional forces [N] at the segments; (n, m) gives (p, m)."""

@@ -18,7 +18,7 @@ from pmabench.analysis.shared import simulated, skew
 from pmabench.analysis.shared.samples import NotUsable, Samples
 from pmabench.analysis.shared.trials import grouped, reference_findings, session_of
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, checks, days, exponentials, output_error
+from pmabench.kinds.contraction_relaxation import RESULTS, checks, days, exponentials
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
@@ -67,8 +67,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `speed` (least speed of the segments [m/s]), `replays` (number), `static` = {"intercept" [N], "slope"
     [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `forms` = ["K=line", ...] as in `joint`;
-    `bootstrap`, number of draws over trials; `regulator`: dead time and lags of the pressure [s]; `polish`: also output
-    error.
+    `bootstrap`, number of draws over trials; `regulator`: dead time and lags of the pressure [s].
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -84,14 +83,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     campaign, diagnosis = pooled.campaign, pooled.diagnosis
     estimates, curves = estimates_of(campaign, pooled)
     joint = compare(campaign, pooled, options)
-    polished = output_error.compare(campaign, pooled, estimates, options)
     stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
     resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
-    asked = (("joint", joint.facts), ("output_error", polished.facts), ("bootstrap", resampled))
-    others = (joint, polished, stepwise)
+    asked = (("joint", joint.facts), ("bootstrap", resampled))
+    others = (joint, stepwise)
     every = (*estimates, *(e for other in others for e in other.estimates))
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}

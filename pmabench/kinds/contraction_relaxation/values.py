@@ -163,7 +163,7 @@ def _at(solution: Solution, symbol: str, P: float) -> Estimate:
     return _given(solution, blank, row, known)
 
 
-ASKED = {METHOD: "", "joint": "joint fit", "output-error": "output-error fit"}
+ASKED = {METHOD: "", "joint": "joint fit"}
 """Method -> name in sentences; all but the first exist only on request."""
 
 

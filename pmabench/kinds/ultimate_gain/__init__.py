@@ -53,7 +53,7 @@ KIND = Kind(
         "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
     },
     figures={"oscillation": "pmabench.plotting.loops:oscillations", "growth": "pmabench.plotting.loops:oscillations"},
-    front={"growth": "pmabench.plotting.loops:growth_alone"},
+    front={"growth": "pmabench.plotting.loops:oscillation"},
     imported=Imported(),
     loop=True,
 )
