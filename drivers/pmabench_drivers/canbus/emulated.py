@@ -18,7 +18,7 @@ from pmabench.base.errors import UsageError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord, Scale
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus import node as t
-from pmabench_drivers.canbus.emulated_drive import STEP, EmulatedDrive, encoder_objects
+from pmabench_drivers.canbus.emulated_drive import STATUS, STEP, VELOCITY, EmulatedDrive, encoder_objects
 from pmabench_drivers.canbus.emulated_node import EmulatedNode
 from pmabench_drivers.canbus.frames import Frame
 from pmabench_drivers.canbus.link import TCP, line_of, read_line
@@ -252,7 +252,7 @@ class EmulatedBus(Hub):
             return round(float(channel.calibrated.to_raw(place)) * 1000 / STEP)
 
         node.objects |= encoder_objects(node, position)
-        for sub, entry in enumerate((t.POSITIONS[0], t.VELOCITY, t.STATUS), 1):
+        for sub, entry in enumerate((t.POSITIONS[0], VELOCITY, STATUS), 1):
             node.preset(f.TPDO_MAPPING, sub, entry)
         node.preset(f.TPDO_MAPPING, 0, 3)
         node.preset(f.TPDO_PARAMETER, 1, f.TPDO[0] + number)

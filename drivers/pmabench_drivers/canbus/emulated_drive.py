@@ -19,8 +19,8 @@ LINEAR_ENCODER = 406 | 8 << 16
 """Device type: the profile, and an absolute linear encoder."""
 STEP = 1000
 """Measuring step: 1 um, in units of 0.001 um."""
-SPEED_STEP = 10
-"""Step of the velocity: 0.1 mm/s, in units of 0.01 mm/s."""
+VELOCITY, STATUS = f.mapping(0x6030, 1, 16), f.mapping(0x6400, 1, 8)
+"""What the encoder sends behind its position."""
 WORDS = {state: value for _mask, value, state in f.STATES}
 FOLLOWING_ERROR = 0x8611
 SERVO_DRIVE = 402 | 2 << 16
@@ -36,7 +36,6 @@ def encoder_objects(node: EmulatedNode, position: Callable[[], int]) -> dict[tup
     objects = {
         (0x6004, 0): Entry("i", read=position),
         (0x6005, 1): Entry("I", STEP),
-        (0x6005, 2): Entry("I", SPEED_STEP),
         (0x6020, 1): Entry("i", read=position),
         (0x6030, 1): Entry("h", 0),
         (0x6400, 1): Entry("B", 0),
