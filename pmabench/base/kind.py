@@ -36,7 +36,7 @@ class Imported:
     """What a kind of test, or of recording, needs from a file of another program."""
 
     commanded: Commanded | None = None
-    """None: the commands of a search or a loop cannot be found in a file."""
+    """None: no commands are looked for in a file."""
     recording: bool = False
     """Recorded for this reduction alone: commands and operating points come from the `cut` of the map."""
     follows: str = ""
