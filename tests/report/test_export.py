@@ -3,6 +3,7 @@
 import json
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -24,7 +25,7 @@ from pmabench.plotting.svg import GREEK
 from pmabench.report.files.export import FORMATS, export_results, export_run
 from pmabench.report.files.latex import typeset
 from pmabench.report.files.simulator_models import GRAVITY, control_model, mujoco_model, simulated
-from pmabench.store.analyses.results import Analysis
+from pmabench.store.analyses.results import Analysis, Parts
 from tests.store.runs import closed
 
 from . import samples
@@ -180,6 +181,19 @@ def in_mujoco(text, t, P, load, mass):
         data.ctrl[:] = pressure, load
         mujoco.mj_step(model, data)
     return np.interp(t - t[0], now, x)
+
+
+def test_friction_below_0_is_left_out_since_it_would_drive_the_muscle():
+    found = samples.contraction()
+    primary = found.estimates[0].method
+    below = tuple(
+        replace(e, value=-0.06, parts=Parts(0.1)) if (e.symbol, e.method) == ("F_c", primary) else e
+        for e in found.estimates
+    )
+    assert any(e.value == -0.06 for e in below)
+    model = control_model(replace(found, estimates=below))
+    assert model.params["F_c"] == 0
+    assert "Coulomb friction came out below 0 and is left out" in model.notes
 
 
 def test_the_exported_actuator_does_in_mujoco_what_its_file_says(tmp_path):

@@ -126,11 +126,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ln(ratio) of successive swings is fitted against K_p by a line over the last levels; K_u is its zero, T_u the period
     by a line at the same gain (Ziegler and Nichols 1942). The bias of the line is found by replay with the loop
     identified from the levels, and subtracted.
-
-    `options`: `loop` = {"gain" [m/Pa], "dead_time" [s], "lags" [s, ...]}, a linear model from elsewhere with which K_u
-    and T_u are compared.
     """
-    options = options or {}
     cells, dropped = _cells(runs)
     estimates: list[Estimate] = []
     findings: list[Finding] = []
@@ -146,10 +142,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             fact = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": gain_ways.plain_lags(loop), "skew": apart}
             loops.append({"at": dict(K_u.at), **fact})
         settings.extend(tuning.facts(tuning.tune(K_u, T_u, loop=loop), K_u.at))
-        if "loop" in options:
-            given = options["loop"]
-            model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
-            findings.append(tuning.plausibility(T_u.value, model, K_u.value))
 
     every = [cell for mine in cells.values() for cell in mine]
     for cell in every:
@@ -158,7 +150,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces += cell.traces()
         dropped += cell.dropped
         settle(cell.estimates[0], cell.estimates[1], cell.loop, cell.apart)
-    findings += gain_ways.findings(estimates, loops)
+    findings += gain_ways.findings(estimates)
     return Analysis.of(
         KIND,
         runs,
@@ -168,7 +160,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings=findings,
         traces=traces,
         facts={
-            "options": dict(options),
             "trials": sum(len(cell.good) for cell in every),
             "cells": len(every),
             "loops": loops,
