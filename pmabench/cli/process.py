@@ -21,8 +21,7 @@ import click
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.text import clean
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import PATH, RunFolder, short
-from pmabench.cli.outcome import next_lines
+from pmabench.cli.names import PATH, RunFolder, next_lines, short
 from pmabench.cli.sources import (
     campaign_folder,
     chains,

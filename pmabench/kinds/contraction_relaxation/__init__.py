@@ -112,7 +112,7 @@ KIND = Kind(
         "next trial": "pmabench.kinds.contraction_relaxation.next_trial:Chooser",
     },
     also=(PAPER_1,),
-    figures={"overlay": "pmabench.plotting.motion:motions"},
+    figures={"overlay": "pmabench.plotting.motion:overlays"},
     front={"overlay": "pmabench.plotting.motion:overlays"},
     imported=Imported(
         Commanded(

@@ -363,6 +363,7 @@ def assess(
             Cause("scatter of the replays", "method", np.diag(unsure), "", np.ones(len(unsure)), kind="A"),
             Cause("straight lines between pressures", "method", fit.bends(segments, expected)[None], seen=True),
             *_calibration(segments, fit, expected, Scales.of(campaign.runs)),
+            *_zero_by_session(campaign, segments, fit, expected),
             *causes,
         ),
         skews=skews,
@@ -428,6 +429,18 @@ def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) 
     for channel in CHANNELS if not (segments.mass > 0).all() else CHANNELS[:2]:
         if not scales.offsets.get(channel) and not scales.gains.get(channel):
             yield Cause(f"calibration of {channel}", "calibration", None, NO_UNCERTAINTY)
+
+
+def _zero_by_session(campaign: Campaign, segments: Segments, fit: Fit, expected: float) -> Iterator[Cause]:
+    """Effect of a zero that is another one in each session, anywhere within its uncertainty: it does not cancel where
+    a load or a pressure was tested in one session only.
+    """
+    day = campaign.sessions[segments.trial]
+    for channel, by in Scales.of(campaign.runs).offsets.items() if day.max(initial=0) > 0 else ():
+        if channel in CHANNELS and by:
+            ways = [_off(segments, fit, channel, 0.0, by * (day == one), expected) for one in np.unique(day)]
+            own = np.array(ways) - fit.theta
+            yield Cause(f"zero of {channel} from session to session", "calibration", own, likely=np.ones(len(own)))
 
 
 def _off(segments: Segments, fit: Fit, channel: str, gain: float, offset: float | Array, expected: float) -> Array:
