@@ -343,8 +343,6 @@ def _groups(segments: Segments) -> list[NDArray[np.bool_]]:
     return [rows for rows in found if rows.sum() >= ENOUGH] or [np.ones(len(segments), dtype=bool)]
 
 
-MISFIT = 3.0
-"""A residual this many times larger than the channels' noise explains puts the model's form in doubt."""
 UNEVEN = 2.0
 """Ratio of the variance between trials to that of noise from which on the difference is reported."""
 SHOWN = 6
@@ -374,17 +372,10 @@ def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[s
 
 def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) -> Iterator[Finding]:
     """Adequacy of the model, coefficients that could not be identified, and scatter between trials."""
-    rms, expected, trust = pooled.fit.rms, pooled.expected, pooled.trust
-    size = f"residual {show(rms, 'force', 2)} rms over {len(pooled.segments)} segments"
-    if rms > MISFIT * expected:
-        text = (
-            f"{size}, {rms / expected:.2g} times what the noise explains ({show(expected, 'force', 2)}): the model does"
-            " not have the form of this muscle, the pressure is not that inside it, or trials differ by themselves"
-        )
-        yield Finding("doubt", text)
-    else:
-        yield Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")
-    yield from pooled.diagnosis.findings(pooled.fit, trust)
+    trust = pooled.trust
+    size = f"residual {show(pooled.fit.rms, 'force', 2)} rms over {len(pooled.segments)} segments"
+    yield Finding("note", f"{size}; noise of the channels explains {show(pooled.expected, 'force', 2)}")
+    yield from pooled.diagnosis.findings(trust)
     if not campaign.cell:
         text = "no load cell: F_L is the weight, and M x'' of the moving mass; both are taken as exact, M is not fitted"
         if any("mass" not in trial.point for trial in campaign.trials):
