@@ -23,10 +23,8 @@ from pmabench.kinds.isobaric_ramp.cell import (
     CURVE,
     GAP,
     LOCAL,
-    MEAN_GAP,
     OF_MEAN,
     ONE_SPEED,
-    OPEN,
     RAW,
     Cell,
     each_local,
@@ -161,37 +159,29 @@ def _gap_lines(cell: Cell, scales: Scales, K: float, uneven: float, rising: floa
     """
     newton, damping = ("N", "force"), ("N.s/m", "damping")
     still = {**cell.at, "speed": 0.0}
-    found, few = [], TWO_SPEEDS if len({member.speed for member in cell.members}) == 2 else ""
-    ways: dict[str, Callable[[Loop], Array]]
-    ways = {GAP: lambda loop: loop.middle_gap, MEAN_GAP: lambda loop: loop.mean_gap}
-    if cell.turns_of_each:  # one asymptotic gap for all cycles of a loop
-        ways[OPEN] = lambda loop: np.full(1, 2 * loop.turns.h if loop.turns is not None else np.nan)
-    for method, of in ways.items():
-        line = cell.over_speed(of)
-        if cell.one_speed:
-            found.append(cell.estimate("H", None, newton, method, still, Parts(), ONE_SPEED))
-            found.append(cell.estimate("B", None, damping, method, cell.at, Parts(), ONE_SPEED))
-            continue
-        start, slope = line.start, line.slope
-        start_P, slope_P = (
-            cell.over_pressure(near, lambda cell, of=of, name=name: float(getattr(cell.over_speed(of), name)))  # type: ignore[misc]
-            for name in ("start", "slope")
-        )
-        force = cell.part(scales, {"force": start}, {}, start_P)
-        note = "gap at speed 0: true hysteresis"
-        H = cell.estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note)
-        gains = {"force": slope / 2, "displacement": -slope / 2}
-        both = cell.part(scales, gains, {}, None if slope_P is None else slope_P / 2)
-        low, high = cell.speeds
-        least = PROPORTIONAL * abs(start) / (high - low) / 2
-        parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * cell.skew)
-        B = cell.estimate("B", slope / 2, damping, method, cell.at, parts, sentences("(B_c + B_r)/2", few))
-        friction, said = Parts(_halved(line.half_start), uneven / 2, _halved(force)), "half the gap at speed 0"
-        F_c = cell.estimate("F_c", start / 2, newton, method, cell.at, friction, sentences(said, few))
-        found += [H, B, F_c]
-    least = min((e.value + (e.parts.combined or inf) for e in found if e.symbol == "B" and e.value), default=0.0)
-    why = f"B would be below {show(least, 'damping', 2)}; {SHRINKS}"
-    return found if least >= 0 else [withhold(e, why) for e in found]
+    if cell.one_speed:
+        return [
+            cell.estimate("H", None, newton, GAP, still, Parts(), ONE_SPEED),
+            cell.estimate("B", None, damping, GAP, cell.at, Parts(), ONE_SPEED),
+        ]
+    line, few = cell.gap, TWO_SPEEDS if len({member.speed for member in cell.members}) == 2 else ""
+    start, slope = line.start, line.slope
+    start_P = cell.over_pressure(near, lambda cell: cell.gap.start)
+    slope_P = cell.over_pressure(near, lambda cell: cell.gap.slope)
+    force = cell.part(scales, {"force": start}, {}, start_P)
+    note = "gap at speed 0: true hysteresis"
+    H = cell.estimate("H", start, newton, GAP, still, Parts(line.half_start, uneven, force), note)
+    gains = {"force": slope / 2, "displacement": -slope / 2}
+    both = cell.part(scales, gains, {}, None if slope_P is None else slope_P / 2)
+    low, high = cell.speeds
+    least = PROPORTIONAL * abs(start) / (high - low) / 2
+    parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * cell.skew)
+    B = cell.estimate("B", slope / 2, damping, GAP, cell.at, parts, sentences("(B_c + B_r)/2", few))
+    friction, said = Parts(_halved(line.half_start), uneven / 2, _halved(force)), "half the gap at speed 0"
+    F_c = cell.estimate("F_c", start / 2, newton, GAP, cell.at, friction, sentences(said, few))
+    most = inf if B.value is None else B.value + (B.parts.combined or inf)
+    why = f"B would be below {show(most, 'damping', 2)}; {SHRINKS}"
+    return [H, B, F_c] if most >= 0 else [withhold(e, why) for e in (H, B, F_c)]
 
 
 def _halved(half: float | None) -> float | None:
