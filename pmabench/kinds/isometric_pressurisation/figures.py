@@ -93,7 +93,7 @@ def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> li
         text = f"{method}: slopes within {off:.2%} of the curve"
         if one.freedom > 0:
             text += f", the curve known to +-{float(one.band(one.slopes.eps).max()) / largest:.2%} of its largest value"
-        found.append(Finding("note", f"{text}; condition number {one.condition:.0f}"))
+        found.append(Finding("note", text))
         if one.open and not one.other_form:
             found.append(Finding("doubt", f"{method}: {_open(one)}"))
         if one.other_form:
@@ -116,7 +116,7 @@ def _open(one: Section) -> str:
         text += f": {' and '.join(sets)} fit alike"
     if min(abs(one.alpha - end) for end in ALPHAS) < 1e-3:
         text += f"; alpha runs to the end of its range, {one.alpha:.3g}"
-    return f"{text}. Give inner_diameter or braid_angle in the specimen file, or measure a wider range"
+    return f"{text}. Give inner_diameter in the specimen file, or measure a wider range"
 
 
 def of_across(found: Sequence[Across]) -> list[Finding]:
@@ -159,9 +159,9 @@ def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 
 def section_facts(one: Section) -> dict[str, Any]:
-    """All parameters as fitted, determined or not [SI], the residual [N/Pa] and the condition number."""
+    """All parameters as fitted, determined or not [SI], and the residual [N/Pa]."""
     values = {name: getattr(one, name) for name in NAMES}
-    found = {"free": list(one.free), "residual_rms": one.rms, "condition": one.condition, "open": list(one.open)}
+    found = {"free": list(one.free), "residual_rms": one.rms, "open": list(one.open)}
     return {**values, **found}
 
 
@@ -201,7 +201,7 @@ def _section_trace(one: Section, cells: Sequence[Cell], length: float) -> Trace:
     }  # fmt: skip
     columns = {name: np.concatenate(pair) for name, pair in both.items()}
     quantities = dict.fromkeys(columns, "force per pressure") | {"contraction": "ratio"}
-    marks = {name: getattr(one, name) for name in (*NAMES, "condition")} | {"length": length}
+    marks = {name: getattr(one, name) for name in NAMES} | {"length": length}
     title = "S over contraction: slopes of force over pressure, and the curve of the modified Daerden model"
     return Trace("section", "section", title, columns, quantities, marks)
 
