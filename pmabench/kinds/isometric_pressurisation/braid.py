@@ -86,11 +86,6 @@ class Section:
         return len(self.slopes.S) - len(self.free)
 
     @property
-    def rms(self) -> float:
-        """Residual [N/Pa]."""
-        return float(np.sqrt(np.mean((self.slopes.S - self.at(self.slopes.eps)) ** 2)))
-
-    @property
     def other_form(self) -> bool:
         """Whether a slope is further from the curve than three times its error: S(eps) is not of this form."""
         off = self.slopes.S - self.at(self.slopes.eps)

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.isometric_lines import branches
 from pmabench.analysis.shared.trials import thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
-from pmabench.kinds.isometric_pressurisation.curve import PHASES, REST, WITHIN, Cell, pulling
+from pmabench.kinds.isometric_pressurisation.curve import REST, Cell, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
@@ -133,36 +132,6 @@ def of_across(found: Sequence[Across]) -> list[Finding]:
     between = f"{show(low, 'stiffness', 3)} to {show(high, 'stiffness', 3)}"
     text += f": -dF/dx between neighbours is {between}; F_ce and K are those of a straight line through that"
     return [Finding("doubt", text)]
-
-
-def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """For each contraction: the straight part, and the slope of each branch."""
-    rows = []
-    for cell in cells:
-        low, pooled = cell.low, cell.pooled
-        slopes = {} if low is None else branches(cell.tests, lambda test, low=low: test.P >= low, PHASES)  # type: ignore[misc]
-        rows.append(
-            {
-                "contraction": cell.contraction,
-                "measured": float(cell.place.mean()),
-                "tests": len(cell.tests),
-                "straight_from": low,
-                "straight_to": None if pooled is None else pooled.line.high,
-                "within": WITHIN,
-                "off": cell.off,
-                "residual_rms": None if pooled is None else pooled.rms,
-                "samples": 0 if pooled is None else pooled.line.n,
-                "slopes_of_phases": slopes,
-            }
-        )
-    return rows
-
-
-def section_facts(one: Section) -> dict[str, Any]:
-    """All parameters as fitted, determined or not [SI], and the residual [N/Pa]."""
-    values = {name: getattr(one, name) for name in NAMES}
-    found = {"free": list(one.free), "residual_rms": one.rms, "open": list(one.open)}
-    return {**values, **found}
 
 
 def traces(cells: Sequence[Cell], sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Trace]:

@@ -91,8 +91,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "options": dict(options),
             "specimen": given,
             "tests": sum(len(cell.tests) for cell in cells),
-            "cells": figures.facts(cells),
-            "sections": {name: figures.section_facts(one) for name, one in found.through.items()},
         },
     )
 
