@@ -67,6 +67,7 @@ KIND = Kind(
         "bode": "pmabench.plotting.loops:bode",
         "sine-pressure": "pmabench.kinds.sinusoidal_displacement.pressure:sine_pressure",
     },
+    front={"loop": "pmabench.plotting.loops:loops"},
     published={"loop": ("displacement", "force", "pressure")},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
