@@ -230,7 +230,7 @@ def ultimate_gain(simulated: bool = True) -> Analysis:
         title = f"Growth per half period, {where}"
         traces.append(Trace(f"growth-{setpoint:g}-0", "growth", title, columns, quantities, {"K_u": K_u}))
     findings = (
-        Finding("note", "K_u changes 4.3-fold between 10 mm and 60 mm: settings hold for their own set-point only"),
+        Finding("note", "K_u at 30 mm: 7.1 bar/cm (open-loop), 7.2 bar/cm (relay-fit); the ways are 1.4% apart"),
     )
     return Analysis(
         kind="ultimate-gain",

@@ -4,7 +4,7 @@
 - protocol files: `protocol`
 """
 
-from pmabench.base.kind import Imported, Kind, Result
+from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("V", "volume inside the muscle", "volume", headline=True),
@@ -35,5 +35,4 @@ KIND = Kind(
     moves="displacement",
     methods=METHODS,
     figures={"volume": "pmabench.kinds.closed_volume.reduction:volumes"},
-    imported=Imported(),
 )
