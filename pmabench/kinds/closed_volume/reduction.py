@@ -1,7 +1,7 @@
 """Reduction of closed volumes: V over contraction at each start pressure, whether they agree, and V(eps) fitted to all.
 
-One trial, the curve, and the effects of departures are in `stroke`. Also the figure, and with `one_trial` the values of
-one trial for the display.
+One trial, the curve, and what the strokes leave open are in `stroke`. Also the figure, and with `one_trial` the values
+of one trial for the display.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import weighed
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
-from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, form_of, measure, volume_at
+from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, measure, moved_by, spreads_of, volume_at
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, how_many, numbers, picture, spread, unit_of
 from pmabench.plotting.plots import Points
@@ -30,7 +30,6 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "closed-volume"
 TIGHT, PRINTED, CURVE = "closed, leak taken out", "closed, as printed", "closed, V(eps)"
-ADIABATIC = 1.4
 LEAKS = 0.02
 """Share of the air lost over a trial from which on it is a doubt."""
 LOST = "look for the leak, and whether the air or the room cools, or the gauge drifts"
@@ -58,19 +57,28 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     cells = grouped(members, lambda stroke: round(stroke.trial.point["pressure"], 6))
     estimates: list[Estimate] = []
     findings: list[Finding] = []
-    form = form_of(cells, gas)
+    spreads = spreads_of(cells, gas)
     for pressure, group in sorted(cells.items()):
         for leak, method in ((True, TIGHT), (False, PRINTED)):
             estimates += _volumes(pressure, group, settings, scales, method, leak=leak)
-        findings += _findings(pressure, group, gas)
+        findings.append(_leaks(pressure, group, gas))
     findings += _agree(estimates)
-    estimates = [weighed(e, form.of_volume(e, leak=e.method == TIGHT)) for e in estimates]
-    curve = [weighed(e, form.of_curve(index, length)) for index, e in enumerate(_curve(members, settings, scales))]
+    estimates = [
+        weighed(e, spreads[round(e.at["pressure"], 6)].doubts(e, n % len(members[0].x), leak=e.method == TIGHT))
+        for n, e in enumerate(estimates)
+    ]
+    V = np.mean(
+        [np.mean([m.volumes(gas, leak=True).mean(axis=0) for m in group], axis=0) for group in cells.values()], 0
+    )
+    apart = moved_by(members[0].x / length, V, length, spreads.values())
+    curve = [
+        weighed(e, [Doubt("volumes that differ", "method", half, seen=False)])
+        for e, half in zip(_curve(members, settings, scales), apart, strict=True)
+    ]
     if lacking := next((e.note for e in estimates if e.withheld and e.method == TIGHT), ""):
         curve = [withhold(e, f"a volume that it goes through is withheld: {lacking}") for e in curve]
     if lack := scales.lack(("pressure",), ("pressure",)):
         findings.append(Finding("note", lack))
-    findings.append(_made_of(float(members[0].x[0]), settings))
     share = max((m.lost / (m.before + gas.atmosphere) for m in members), key=abs)
     return Analysis.of(
         KIND,
@@ -156,28 +164,19 @@ def _curve(members: Sequence[Stroke], settings: Mapping[str, Any], scales: Scale
             yield Estimate(symbol, None, unit, quantity, CURVE, n=n, note=why)
 
 
-def _findings(pressure: float, group: Sequence[Stroke], gas: Gas) -> list[Finding]:
-    """How much air leaked, and how another exponent would change the volume."""
+def _leaks(pressure: float, group: Sequence[Stroke], gas: Gas) -> Finding:
+    """How much air leaked."""
     where = f"from {show(pressure, 'pressure')}"
     share = max((m.lost / (m.before + gas.atmosphere) for m in group), key=abs)
     lost = max((m.lost for m in group), key=abs)
     if share < 0 and -lost > 6 * group[0].noise:
         higher = f"{where} the pressure comes back {show(-lost, 'pressure', 3)} higher"
-        text = f"{higher}: air comes in through the valve, the air or the room warms, or the gauge drifts"
-        found = [Finding("doubt", text)]
-    elif share > LEAKS:
-        found = [Finding("doubt", f"{where} {share:.1%} of the air is lost over a trial: {LOST}")]
-    else:
-        found = [Finding("note", f"{where} {max(share, 0.0):.2%} of the air is lost over a trial")]
-    if gas.exponent < ADIABATIC:
-        heat = replace(gas, exponent=ADIABATIC)
-        apart = np.mean([m.volumes(heat, leak=True)[:, -1] - m.volumes(gas, leak=True)[:, -1] for m in group])
-        text = (
-            f"{where} the volume at the end of the stroke would be {show(float(apart), 'volume', 3)} off if the air "
-            f"took no heat from the wall (k = {ADIABATIC}); with k = {gas.exponent:g} it is taken to have time for it"
+        return Finding(
+            "doubt", f"{higher}: air comes in through the valve, the air or the room warms, or the gauge drifts"
         )
-        found.append(Finding("note", text))
-    return found
+    if share > LEAKS:
+        return Finding("doubt", f"{where} {share:.1%} of the air is lost over a trial: {LOST}")
+    return Finding("note", f"{where} {max(share, 0.0):.2%} of the air is lost over a trial")
 
 
 def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
@@ -206,19 +205,6 @@ def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
         ]
     causes = "a dead volume, the room's pressure or k is wrong, or the muscle swells with the pressure"
     return [Finding("doubt", f"{text}: more than their intervals; {causes}")]
-
-
-def _made_of(start: float, settings: Mapping[str, Any]) -> Finding:
-    """The given quantities behind the volumes; `start` is where the strokes begin [m]."""
-    gas = Gas.of(settings)
-    reference, dead = (show(float(settings[f"{name}_half"]), "volume", 2) for name in ("reference", "dead"))
-    room = show(float(settings["atmosphere_half"]), "pressure", 2)
-    text = (
-        f"volume at {show(start, 'length')} {show(gas.reference, 'volume', 5)} +- {reference} by {settings['by']}, "
-        f"dead volume {show(gas.dead, 'volume')} +- {dead}, room {show(gas.atmosphere, 'pressure', 6)} +- {room} "
-        "absolute, added to gauge pressures; they are in the method part of the intervals"
-    )
-    return Finding("note", text)
 
 
 def _traces(estimates: Sequence[Estimate], curve: Sequence[Estimate], length: float) -> Iterator[Trace]:
