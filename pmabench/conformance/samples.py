@@ -11,11 +11,9 @@ from statistics import fmean, median
 from time import monotonic
 from typing import Any
 
-from pmabench.base.clock import RealClock
 from pmabench.base.quantities import show
 from pmabench.bench.interface import COMPUTER, Block, ChannelRecord
-from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotChecked, Rig
-from pmabench.conformance.truth import State, Truth
+from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotChecked, Rig, State, Truth
 from pmabench.guard.limits import to_device
 
 RATE = 50.0
@@ -255,7 +253,7 @@ def values(rig: Rig) -> str:
         measured = [c for c in rig.record.channels if c.name in known and not c.name.endswith("_command")]
         checked = [channel.name for channel in measured if _agrees(channel, measured, states)]
         seen = [channel for channel in measured if channel.name in checked]
-        moved = _moves(rig, truth, seen, rate, stamped=stamped) if truth.history else []
+        moved = _moves(rig, truth, seen, rate, stamped=stamped)
     agree = f"{', '.join(checked) or 'nothing'} as in the plant, in states far apart"
     agree += f"; {', '.join(moved)} also sample by sample on the move" if moved else ""
     outputs = {f"{output.name}_command" for output in rig.record.outputs}  # checked with the set-points
@@ -264,14 +262,12 @@ def values(rig: Rig) -> str:
         for c in rig.record.channels
         if c.name not in checked and c.name not in outputs
     ]
-    for output in rig.record.outputs if truth.history else ():
+    for output in rig.record.outputs:
         pair = [c for c in rig.record.channels if c.name in {output.name, f"{output.name}_command"}]
         if output.quantity == "length" and len(pair) == 2 and pair[0].scale == pair[1].scale:
             why.append(f"whether {pair[0].name} and {pair[1].name} are swapped (this drive follows without any error)")
-    if truth.history and seen and not moved:
+    if seen and not moved:
         why.append("whether each sample belongs to its time (nothing moved enough, or this computer is too busy)")
-    if not truth.history:
-        why.append("whether each sample belongs to its time (this simulation keeps no past to compare with)")
     if why:
         raise NotChecked(f"{agree}; not checked: {', '.join(why)}")
     return agree
@@ -294,8 +290,8 @@ class _Seen:
 def _bring(rig: Rig, truth: Truth, state: State) -> float:
     """Bring the plant to a state, an end with the device's own drive; returns the time that this may take [s]."""
     truth.bring(state)
-    seconds = SETTLES if truth.history else 2.0
-    for output in rig.record.outputs if truth.history else ():
+    seconds = SETTLES
+    for output in rig.record.outputs:
         if output.quantity == "length":
             way = abs(state.position - truth.now()["displacement"])
             value = to_device(output, min(max(state.position, output.low), output.high))
@@ -310,7 +306,7 @@ def _in_state(rig: Rig, truth: Truth, state: State, known: set[str]) -> _Seen:
     found = record(rig, 0.3)
     if not found.times:
         raise Late("samples no longer come while the pressure changes")
-    grid = _grid(rig, truth, found) if truth.history else [(0.0, truth.now())]
+    grid = _grid(rig, truth, found)
     shown, had, off = {}, {}, {}
     for channel in rig.record.channels:
         if channel.name in known:
@@ -389,7 +385,6 @@ def _swept(since: float) -> State:
 
 def _grid(rig: Rig, truth: Truth, found: Recording) -> list[tuple[float, Mapping[str, float]]]:
     """State of the plant around the samples: bench time [s], quantities."""
-    assert isinstance(rig.bench_clock, RealClock)  # noqa: S101  (a plant with a history is in real time)
     moments, zero = found.moments(), rig.bench_clock.start
     first = moments[0] - WINDOW
     count = round((moments[-1] + WINDOW - first) / GRID)
