@@ -63,10 +63,6 @@ class Late(Failed):
     """Something was late, possibly because the computer is busy; it counts only if it happens in every attempt."""
 
 
-class NotApplicable(Exception):
-    """The device has nothing to check; the text states what is missing."""
-
-
 class NotChecked(Exception):
     """Something had no independent reference; the text states what, why, and what was compared."""
 

@@ -25,7 +25,7 @@ from pmabench.bench.truth import read_truth, truth_of
 from pmabench.conformance import broken_wire, commands, following, samples
 from pmabench.conformance import rig as r
 from pmabench.conformance.broken_wire import Battle
-from pmabench.conformance.rig import COLLECTS_WITHIN, OPENS_WITHIN, Failed, NotApplicable, Result, Rig, open_files
+from pmabench.conformance.rig import COLLECTS_WITHIN, OPENS_WITHIN, Failed, Result, Rig, open_files
 from pmabench.files.shipped import shipped_folder
 
 CAPABILITIES = (
@@ -72,20 +72,10 @@ def light(rig: Rig) -> str:
 
 
 def interfaces(rig: Rig) -> str:
-    """It is a Device and has what the bench file wants of it; building it opens nothing."""
+    """It is a Device; building it opens nothing."""
     driver: Any = rig.driver()
     if not issubclass(driver, Device):
         raise Failed(f"{rig.record.driver} has no open() and close(): see pmabench/bench/interface.py")
-    wanted = {
-        "Stream": rig.record.channels,
-        "SetPoint": rig.record.outputs,
-        "Switch": rig.record.valves,
-        "Inputs": rig.record.interlocks,
-        "Watchdog": rig.record.watchdog,
-    }
-    for name, wants in wanted.items():
-        if wants and not issubclass(driver, getattr(interface, name)):
-            raise Failed(f"the bench wants a {name}, and the driver does not implement it")
     before = threading.active_count(), open_files()
     rig.build(rig.record)
     after = threading.active_count(), open_files()
@@ -117,20 +107,6 @@ def options(rig: Rig) -> str:
         if not list(check(record)):
             raise Failed(f"check() takes {what} ({NOWHERE}); name it, with what there is")
     return f"good options are taken, {len(wrong)} kinds of mistake are named"
-
-
-def declared(rig: Rig) -> str:
-    """Every channel and output has a unit, a range and a finite scale."""
-    for channel in rig.record.channels:
-        if not channel.raw_unit or not channel.low < channel.high or not channel.scale.slope:
-            raise Failed(f"the channel {channel.name} has no unit, no range or no scale")
-    for output in rig.record.outputs:
-        if not output.low <= output.safe <= output.high or not output.scale.slope or output.resolution < 0:
-            raise Failed(f"the output {output.name} has no limits with its safe value between them, or no scale")
-    count = len(rig.record.channels) + len(rig.record.outputs)
-    if not count + len(rig.record.valves):
-        raise NotApplicable("the bench names no channel and no output of it")
-    return f"{count} channels and outputs have unit, range and scale"
 
 
 def nobody(rig: Rig) -> str:
@@ -198,7 +174,6 @@ RESCUE: Need = (_can(interface.Rescue, "outputs"), "it has no second way to its 
 CHECKS: dict[str, tuple[Callable[[Rig], str], *tuple[Need, ...]]] = {
     "interface": (interfaces,),
     "imports": (light,),
-    "declares": (declared,),
     "options": (options,),
     "nobody there": (nobody, WIRE),
     "life": (life,),
@@ -217,7 +192,6 @@ CHECKS: dict[str, tuple[Callable[[Rig], str], *tuple[Need, ...]]] = {
     "silence": (broken_wire.silent, WIRE),
     "late answers": (broken_wire.late_answers, WIRE, OUTPUTS),
     "line cut": (broken_wire.hang_up, WIRE),
-    "exchanges": (broken_wire.exchanges, WIRE),
     "nothing left": (broken_wire.nothing_left, WIRE),
 }
 """Name -> check and its needs; the promise is the first line of the check's docstring."""
@@ -307,8 +281,6 @@ def _verdict(
         try:
             missing = next((sentence for has, sentence in needs if not has(rig)), "")
             return (r.NOT_APPLICABLE, missing) if missing else (r.PASSED, check(rig))
-        except r.NotApplicable as reason:
-            return r.NOT_APPLICABLE, str(reason)
         except r.NotChecked as reason:
             return r.NOT_CHECKED, str(reason)
         except r.Late as failure:

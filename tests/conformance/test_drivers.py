@@ -12,7 +12,7 @@ from pmabench.conformance.suite import CHECKS
 from tests.conformance.mutants import shipped
 from tests.reliability.cases import cases
 
-QUICK = ("interface", "imports", "declares", "options")
+QUICK = ("interface", "imports", "options")
 
 
 def broken(driver, hostile, checks):
