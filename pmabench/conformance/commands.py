@@ -102,8 +102,7 @@ def refuse_position(
     `by_itself`: the device has switched the valve without a command.
     """
     if not by_itself and not _soon(rig, ARRIVES, lambda: truth.coil(valve) is on):
-        state = {True: "energised", False: "not energised", None: "where it was: nothing arrived"}[truth.coil(valve)]
-        raise Failed(f"{valve.name}: after {after} the device has it {state}; is the valve inverted, or another one?")
+        raise Failed(f"{valve.name}: after {after} the device has it otherwise; is the valve inverted, or another one?")
     is_open = on != (valve.energised == "closed")
     if valve is dump_of(rig.record.valves) and truth.dump_open() is not is_open:
         words = {True: "open", False: "closed"}

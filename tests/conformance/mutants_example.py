@@ -105,7 +105,7 @@ class WaitsForEver(_Wire):
     kind = _Forever
 
 
-@fault("example", "values", "swapped")
+@fault("example", "values", "where the emulated plant has")
 class ReadsTheOtherInput:
     """The order of the page's answer is mixed up."""
 
