@@ -87,6 +87,16 @@ def test_ideal_returns_the_truth():
     assert [term.unit for term in line.terms] == ["N", "N/Pa"]
 
 
+def test_the_orders_of_the_curves_are_those_of_the_plant():
+    """Paper 0's muscle: F_ce, B_c and B_r are lines over pressure, K = 5600 + 1.0e-3 P + 9.7e-9 P^2."""
+    _, analysis = campaign("paper0", "bench")
+    curves = {symbol: [c for c in analysis.curves if (c.symbol, c.method) == (symbol, PRIMARY)] for symbol in PAPER0}
+    forms = {symbol: [c.form for c in mine] for symbol, mine in curves.items()}
+    assert forms == {"F_ce": ["line"], "K": ["line", "quadratic"], "B_c": ["line"], "B_r": ["line"]}
+    quadratic = curves["K"][1].terms[2]
+    assert abs(quadratic.value - 9.7e-9) < quadratic.parts.combined < 0.05 * 9.7e-9
+
+
 def test_a_shaky_displacement_is_in_the_intervals():
     """0.05 mm of noise, which the regression takes into its velocities."""
     analysis = reduce([shaken(small(), 5e-5, 1)], {"replays": 4})

@@ -241,7 +241,7 @@ def test_a_zero_within_what_is_declared_is_taken_off_where_the_lengths_show_it(z
 def test_the_way_to_one_pressure_along_a_curve_that_no_form_says_is_open_in_the_difference_of_both_sides():
     """A regulator that stops 3 kPa before its set-point made a hysteresis of 0.7 mm +- 0.06 of a muscle without one."""
     found = Bench(levels=(0, 60, 110, 350, 500), vents=True, band=3e3).measured(0)
-    sides = [e for e in found.estimates if e.symbol == "x_H" and e.value is not None and e.at["pressure"] > 0]
-    assert len(sides) == 4
+    sides = [e for e in found.estimates if e.symbol == "x_H" and 0 < e.at["pressure"] < 500e3]
+    assert len(sides) == 3
     assert all(abs(e.value) < 1.3 * e.parts.combined for e in sides), "5 pressures hardly show the knee"
     assert max(abs(e.value) for e in sides) > 2e-4

@@ -29,7 +29,9 @@ def reduced(trials: Sequence[Trial], late: tuple[float, float] | None = None) ->
         replace(one, index=n, commands=tuple(replace(c, kind="set") for c in one.commands))
         for n, one in enumerate(as_trials(trials))
     ]
-    return reduce([as_run("recorded-step", steps, RATE, {})], {} if late is None else {"late_by": late})
+    run = as_run("recorded-step", steps, RATE, {})
+    known = {} if late is None else {"late_by": {"pressure": late}}
+    return reduce([replace(run, manifest={**run.manifest, "imported": known})])
 
 
 def only(analysis: Analysis, symbol: str, **of: str) -> Estimate:

@@ -4,7 +4,7 @@
 - protocol files: `protocol`; sentences, figures and one trial on the display: `figures`
 """
 
-from pmabench.base.kind import Imported, Kind, Result
+from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("alpha_0", "bending angle at the preload", "angle"),
@@ -42,5 +42,4 @@ KIND = Kind(
     figures={
         "arm-angle": "pmabench.kinds.arm_angle.figures:angles",
     },
-    imported=Imported(),
 )

@@ -48,11 +48,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     equally well, and are withheld where it is wider than +-15 %. Lags of sensors (`sensor_lag`, first order) are
     corrected, with an uncertainty of a fifth.
 
-    Repeats are trials with the same load and commanded pressures before and after. `options`: `mass` [kg] and `late_by`
-    [[least, most] in s], in place of the record's.
+    Repeats are trials with the same load and commanded pressures before and after.
     """
-    options = options or {}
-    steps, dropped, read_off = measured(runs, options, measure)
+    steps, dropped, read_off = measured(runs, measure)
     loads = len({_load(step) for _, step in steps}) > 1
     groups = grouped(steps, lambda one: (*_pair(one[1]), *(_load(one[1]) if loads else ())))
     commanded = [step for _, step in steps if not step.found]
@@ -61,7 +59,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
-        estimates += _at(at, group, options, late)
+        estimates += _at(at, group, late)
         findings += _sentences(at, [step for _, step in group])
     findings += _of_all(steps, estimates, read_off=read_off)
     return Analysis.of(
@@ -73,7 +71,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings=(*import_findings(runs), *findings),
         traces=(_trace(group[0][1], by_load=loads) for _, group in sorted(groups.items())),
         facts={
-            "options": dict(options),
             "trials": len(steps),
             "cells": len(groups),
             "flagged": flagged_counts(runs),
@@ -121,9 +118,7 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
     return Estimate("t_d", mean, "s", "time", STEP, {}, parts, len(steps), note=note, trials=parents)
 
 
-def _at(
-    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], late: float
-) -> list[Estimate]:
+def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], late: float) -> list[Estimate]:
     """All estimates at one pair of commanded pressures.
 
     `late` [s]: assumed delay of the pressure where the record gives none.
@@ -161,7 +156,7 @@ def _at(
     note = "at rest, includes friction"
     doubts = [*_unsettled(moved), _of_steps(moved, "pressure")]
     found.append(estimate("dP/dx", ("Pa/m", "gain"), ratios, 0.0, scaled, note, doubts))
-    return [*times(at, moved, late), *found, *ringing(at, moved, options)]
+    return [*times(at, moved, late), *found, *ringing(at, moved)]
 
 
 def _of_steps(steps: Sequence[Step], other: str = "") -> Doubt:

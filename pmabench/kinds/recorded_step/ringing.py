@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import hypot, sqrt
-from typing import Any
 
 import numpy as np
 
@@ -40,10 +39,10 @@ STOPPED = 0.3
 """Ratio of observed to expected amplitude below which friction has stopped the oscillation."""
 
 
-def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any]) -> list[Estimate]:
+def ringing(at: Mapping[str, float], steps: Sequence[Step]) -> list[Estimate]:
     """K and B where the motion rings, or the reason why not; they follow from times and a mass, without any scale."""
     parents = tuple(step.name for step in steps)
-    masses = [float(options.get("mass", step.trial.point.get("mass", 0.0))) for step in steps]
+    masses = [step.trial.point.get("mass", 0.0) for step in steps]
     known = all(masses)
     unknown = "pressure and displacement at one load give ratios only; `point: {mass: ...}` gives the moving mass"
     why = "" if known else unknown

@@ -5,7 +5,7 @@
 - protocol files: `protocol`; one trial on the display: `reduction`
 """
 
-from pmabench.base.kind import Imported, Kind, Result
+from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("K_u", "ultimate gain", "gain", headline=True, positive=True),
@@ -54,6 +54,5 @@ KIND = Kind(
     },
     figures={"oscillation": "pmabench.plotting.loops:oscillations", "growth": "pmabench.plotting.loops:oscillations"},
     front={"growth": "pmabench.plotting.loops:oscillation"},
-    imported=Imported(),
     loop=True,
 )
