@@ -148,13 +148,14 @@ class Fit:
 
     def scatter(self, segments: Segments, noise: Noise) -> Array:
         """Covariance of theta by this noise of the channels of the segments that were fitted, shape (p, p)."""
-        own, _ = noise_covariance(segments, self, noise)
+        own, after = noise_covariance(segments, self, noise)
         alone = self.inverse @ ((self.design * own[:, None]).T @ self.design) @ self.inverse
-        return np.asarray(alone + self.shared(segments, noise))
+        return np.asarray(alone + self.shared(after))
 
-    def shared(self, segments: Segments, noise: Noise) -> Array:
-        """Part of `scatter` from samples that neighbouring segments share, shape (p, p)."""
-        _, after = noise_covariance(segments, self, noise)
+    def shared(self, after: Array) -> Array:
+        """Part of `scatter` from samples that neighbouring segments share, by the covariance of each with the next (n -
+        1,) [N^2]; shape (p, p).
+        """
         cross = (self.design[1:] * after[:, None]).T @ self.design[:-1]
         return np.asarray(self.inverse @ (cross + cross.T) @ self.inverse)
 
