@@ -447,4 +447,5 @@ def _zero_by_session(campaign: Campaign, segments: Segments, fit: Fit, expected:
 def _off(segments: Segments, fit: Fit, channel: str, gain: float, offset: float | Array, expected: float) -> Array:
     """Theta of the fit where a channel reads (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
     begun = fit.followed(gain, float(np.mean(offset))) if channel == "pressure" else fit
-    return begun.again(segments.shifted(channel, gain, offset), expected).theta
+    shifted = segments.shifted(channel, gain, offset)
+    return begun.again(shifted, expected, fit.shifted(channel, gain, offset)).theta
