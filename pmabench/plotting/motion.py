@@ -1,14 +1,13 @@
-"""Figures of measured motion compared with the fitted muscle: contraction over pressure, and what residuals look like.
+"""Figures of driven and free motion: overlays, loops, values over frequency, growth over gain; drawn by `plots`.
 
-Residuals are described and not tested: at 500 Hz every whiteness test rejects.
+Also of isometric tests: force over pressure at fixed contractions, with fitted lines.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from math import ceil
-from statistics import NormalDist
-from typing import TYPE_CHECKING
+from math import pi
 
 import numpy as np
 
@@ -27,41 +26,16 @@ from pmabench.plotting.pictures import (
     spread,
     unit_of,
 )
-from pmabench.plotting.plots import (
-    BLUE,
-    FAINT,
-    FULL,
-    HALF,
-    PALETTE,
-    QUIET,
-    Array,
-    Panel,
-    blank,
-    few_ticks,
-    grid,
-    legend_above,
-)
+from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting.wording import clean, shown
 from pmabench.store.analyses.results import Analysis, Trace
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-TOGETHER = 5
-"""Most curves of a figure."""
-LAGS = 60
-"""Lags of the autocorrelation."""
-POINTS = 99
-"""Quantiles that are compared with those of a normal distribution."""
+LOOPS, ROWS, MOST = 8, 4, 6
+"""Most loops of a figure, rows of a figure of oscillations, and figures of loops."""
 NAMES = ("t", "pressure", "displacement", "model")
 OVERLAYS = 6
 """Most panels of measured and modelled motion."""
 FREE_RUN = "the fitted muscle, run freely with the measured pressure"
-
-
-def motions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """Free runs of the fitted muscle, their residuals, and the same motion over the pressure."""
-    found = overlays(traces, analysis)
-    return found + residuals(traces, analysis.simulated) + over_pressure(traces, analysis.simulated)
 
 
 def overlays(
@@ -102,98 +76,178 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
 
 
-def over_pressure(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
-    """Contraction over the pressure that was measured, both branches, a curve for each trial."""
-    able = [t for t in traces if has(t, "pressure", "displacement")]
-    if len(able) < 2:
-        return []
-    chosen = spread(able, TOGETHER)
-    panels = [panel(t, {"x": "pressure", "y": "displacement"}, head(t)) for t in chosen]
-    labels = (label(chosen[0], "pressure"), label(chosen[0], "displacement"))
-    caption = "Measured, filling and venting; what lies between the branches is lag, damping and friction."
-    alt = f"{labels[1]} over {labels[0]} as measured, both branches, for {'; '.join(p.title for p in panels)}."
-    table = numbers([(head(t), t) for t in chosen], ("pressure", "displacement"))
-    draw = bound(_draw_curves, panels, *labels)
-    title = "Contraction over pressure, both branches"
-    return [picture(draw, title, caption + how_many(chosen, able), alt, table, wide=False, simulated=simulated)]
+def _title(first: str, second: str, where: str) -> str:
+    words = f"Loops of {second} over {first}".replace("displacement", "contraction")
+    return f"{words}, {where}" if where else words
 
 
-def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
-    """Autocorrelation of measured less modelled contraction, and its quantiles against those of a normal one."""
-    able = [t for t in traces if has(t, *NAMES)]
-    parts = [(t, _residual(t)) for t in able]
-    parts = [(t, values) for t, values in parts if len(values) > 2 * LAGS and np.std(values) > 0]
-    if not parts:
+def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Loops at each frequency, one figure for each operating point."""
+    groups: dict[str, list[Trace]] = {}
+    for trace in traces:
+        if has(trace, *_axes(trace)):
+            groups.setdefault(re.sub(r"-[^-]*$", "", trace.name), []).append(trace)
+    found = []
+    for members in list(groups.values())[:MOST]:
+        chosen = spread(sorted(members, key=lambda t: t.marks.get("frequency", 0.0)), LOOPS)
+        first, second = _axes(chosen[0])
+        names = {"x": first, "measured": second} | ({"model": "model"} if all(has(t, "model") for t in chosen) else {})
+        panels = [panel(t, names, _frequency(t)) for t in chosen]
+        labels = {"x": label(chosen[0], first), "y": label(chosen[0], second)}
+        where = clean(chosen[0].title.partition(", ")[2], 60)
+        title = _title(first, second, where)
+        each = " at each frequency" if any("frequency" in t.marks for t in chosen) else ""
+        lacking = ". No model is drawn: stiffness, damping and friction are not all known here."
+        model = "; brown: the fitted muscle along the same motion." if "model" in names else lacking
+        caption = f"Grey: the last measured cycle{each}{model}"
+        if width := [t.marks["width"] for t in chosen if "width" in t.marks]:
+            unit = shown("force")
+            caption += f" Width at mid stroke {reach([w / unit.scale for w in width])} {unit.unit}."
+        alt = f"{labels['y']} over {labels['x']} as closed loops at {', '.join([p.title for p in panels])}"
+        alt += f", {where}." if where else "."
+        alt += " Loops grow wider as the frequency rises where damping acts." if len(chosen) > 1 else ""
+        table = numbers([(_frequency(t), t) for t in chosen])
+        draw = bound(plots.loops, panels, labels)
+        found.append(picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated))
+    return found
+
+
+def _axes(trace: Trace) -> tuple[str, str]:
+    return ("pressure", "displacement") if trace.figure == "pressure-loop" else ("displacement", "force")
+
+
+def _frequency(trace: Trace) -> str:
+    return f"{trace.marks['frequency']:.4g} Hz" if "frequency" in trace.marks else head(trace)
+
+
+def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Stiffness, loss per speed and phase over frequency, for all operating points."""
+    able = [t for t in traces if has(t, "frequency", "stiffness", "loss", "speed", "phase")]
+    able = [t for t in able if np.all(t.columns["frequency"] > 0) and np.all(t.columns["speed"] > 0)][:6]
+    if not able:
         return []
-    unit = unit_of(parts[0][0], "displacement")
-    steps = np.array([float(np.median(np.diff(t.columns["t"]))) for t, _ in parts])
-    lags = np.asarray(np.arange(LAGS + 1) * float(np.median(steps)), dtype=np.float64)
-    correlations = [(head(t), _autocorrelation(values)) for t, values in parts[:TOGETHER]]
-    pooled = np.sort(np.concatenate([values / np.std(values) for _, values in parts]))
-    share = np.arange(1, POINTS + 1) / (POINTS + 1)
-    normal = np.array([NormalDist().inv_cdf(float(p)) for p in share])
-    quantiles = np.quantile(pooled, share)
-    rms = float(np.sqrt(np.mean(np.concatenate([values for _, values in parts]) ** 2))) / unit.scale
+    panels = []
+    for trace in able:
+        title = clean(trace.title.partition(", ")[2] or trace.title, 40)
+        base = panel(trace, {"frequency": "frequency", "K": "stiffness", "phase": "phase"}, title)
+        damping = shown("damping")
+        speed, f = np.asarray(trace.columns["speed"]), np.asarray(trace.columns["frequency"])
+        columns = dict(base.columns) | {"B": np.asarray(trace.columns["loss"]) / speed / damping.scale}
+        if all(name in trace.marks for name in ("K", "B", "F_c")) and len(f) > 1:
+            fine = np.geomspace(f.min(), f.max(), 60)
+            fast = np.interp(fine, f, speed / f) * fine
+            loss = trace.marks["B"] * fast + 4 * trace.marks["F_c"] / pi
+            amplitude = fast / (2 * pi * fine)
+            columns |= {
+                "frequency fit": fine,
+                "K fit": np.full(60, trace.marks["K"] / shown("stiffness").scale),
+                "B fit": loss / fast / damping.scale,
+                "phase fit": np.degrees(np.arctan2(loss, trace.marks["K"] * amplitude)),
+            }
+        panels.append(Panel(title, columns, dict(trace.marks)))
+    labels = {"frequency": "frequency [Hz]", "phase": "phase [deg]"}
+    labels |= {"K": shown("stiffness").label("K"), "B": shown("damping").label("loss per speed")}
     caption = (
-        f"Measured less modelled contraction of {len(parts)} free runs, {rms:.2g} {unit.unit} rms. Left: "
-        "autocorrelation. A free run that comes to rest a little off, as friction lets it, stays off until the next "
-        "command, so its errors agree over seconds and say little of the form; that is tested on the segments of the "
-        "fit, see `form` among the findings. Right: "
-        "quantiles of the residuals, each trial by its own standard deviation, against those of a normal distribution."
+        "Left: stiffness K = −Re(F/x). Middle: loss per speed, −Im(F/x)/ω, which tends to B where viscous damping "
+        "rules and rises at low frequency where Coulomb friction does. Right: phase of force before displacement. "
+    ) + ("Lines: the fitted K, B and F_c." if any("B fit" in p.columns for p in panels) else "No line is known.")
+    alt = f"Stiffness, loss per speed and phase over frequency for {'; '.join(p.title for p in panels)}."
+    names = ("frequency", "stiffness", "loss", "speed", "phase", "width")
+    table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], names)
+    title = "Stiffness, damping and phase over frequency"
+    draw = bound(plots.against_frequency, panels, labels, ("K", "B", "phase"))
+    return [picture(draw, title, caption, alt, table, wide=True, simulated=analysis.simulated)]
+
+
+def _growth_panel(trace: Trace) -> Panel | None:
+    if not has(trace, "gain", "log_ratio", "used"):
+        return None
+    names = {"gain": "gain", "log_ratio": "log_ratio", "used": "used"} | ({"fit": "fit"} if has(trace, "fit") else {})
+    base = panel(trace, names, "")
+    unit = unit_of(trace, "gain")
+    if "K_u" not in base.marks:
+        return base
+    K_u = base.marks["K_u"] / unit.scale
+    return Panel(f"K_u = {K_u:.4g}", base.columns, {"K_u": K_u})
+
+
+_GROWTH = (
+    "Each point is one level of gain: the mean logarithm of the ratio of successive swings. Below 0 the swings die "
+    "out, above they grow. The line is fitted to the filled points; its zero is K_u."
+)
+
+
+def _setpoint(trace: Trace) -> str:
+    return clean(trace.title.rpartition(", ")[2] or trace.title, 60)
+
+
+def oscillation(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """The first set-point alone, for the first page."""
+    setpoint = traces[0].name.partition("-")[2]
+    return oscillations([t for t in analysis.traces if t.name.partition("-")[2] == setpoint], analysis)
+
+
+def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Oscillations near the ultimate gain and their growth over gain, one row for each set-point."""
+    pairs: dict[str, list[Trace | None]] = {}
+    for trace in traces:
+        place = 0 if trace.figure == "oscillation" else 1
+        pairs.setdefault(trace.name.partition("-")[2], [None, None])[place] = trace
+    rows, named = [], []
+    labels = {"t": "time [s]", "measured": "contraction [mm]", "gain": "gain"}
+    labels["log_ratio"] = "ln(growth) per half period"
+    for swing, growth in list(pairs.values())[:ROWS]:
+        left = right = None
+        if swing is not None and has(swing, "t", "displacement"):
+            scale = unit_of(swing, "displacement").scale
+            base = panel(swing, {"t": "t", "measured": "displacement"}, f"Swings near K_u, {_setpoint(swing)}")
+            marks = {k: v / scale for k, v in swing.marks.items() if k == "setpoint"}
+            left = Panel(base.title, base.columns, marks)
+            labels |= {"t": label(swing, "t"), "measured": label(swing, "displacement")}
+            named.append((f"swings, {_setpoint(swing)}", swing))
+        if growth is not None:
+            right = _growth_panel(growth)
+            labels["gain"] = label(growth, "gain")
+            named.append((f"growth, {_setpoint(growth)}", growth))
+        rows.append((left, right))
+    if not any(left or right for left, right in rows):
+        return []
+    caption = "Left: contraction at the gain levels around K_u; dashed, the set-point. Right: growth. " + _GROWTH
+    if len(pairs) > ROWS:
+        caption += f" {ROWS} of {len(pairs)} operating points are shown."
+    gains = [right.title for _, right in rows if right is not None and right.title]
+    alt = f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points."
+    alt += f" {'; '.join(gains)}."
+    draw = bound(time_plots.oscillations, rows, labels)
+    title = "Sustained oscillation and ultimate gain" + (f", {_setpoint(named[0][1])}" if len(rows) == 1 else "")
+    return [picture(draw, title, caption, alt, numbers(named), wide=True, simulated=analysis.simulated)]
+
+
+PANELS = 9
+"""Most panels."""
+
+
+def isometric(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Force over pressure at each contraction."""
+    able = [t for t in traces if has(t, "pressure", "force")]
+    if not able:
+        return []
+    chosen = spread(able, PANELS)
+    by_branch = all(has(t, "branch") for t in able)
+    optional = {"fit": "fit", "group": "branch" if by_branch else "test"}
+    panels = []
+    for trace in chosen:
+        names = {"x": "pressure", "measured": "force"} | {k: v for k, v in optional.items() if has(trace, v)}
+        x = trace.marks.get("contraction")
+        title = f"x = {x / shown('length').scale:.3g} {shown('length').unit}" if x is not None else head(trace)
+        panels.append(panel(trace, names, title))
+    labels = {"x": label(chosen[0], "pressure"), "y": label(chosen[0], "force")}
+    caption = (
+        f"Samples of every test ({'blue: filling, red: emptying' if by_branch else 'colours'}) at set contractions, "
+        f"and the least-squares line through them where it was fitted.{how_many(chosen, able)}"
     )
-    alt = (
-        f"Left: autocorrelation of residuals over lags up to {lags[-1]:.3g} s, "
-        f"{min(r[-1] for _, r in correlations):.2g} to {max(r[-1] for _, r in correlations):.2g} at the last. Right: "
-        f"quantiles of residuals from {quantiles[0]:.2g} to {quantiles[-1]:.2g} standard deviations where a normal "
-        f"distribution has {normal[0]:.2g} to {normal[-1]:.2g}."
-    )
-    columns = {"lag": lags} | {f"r{n}": r for n, (_, r) in enumerate(correlations)}
-    table = numbers([("", Trace("", "", "", columns, {"lag": "time"}))])
-    for n, (name, _) in enumerate(correlations):
-        table = table.renamed(f"r{n}", f"autocorrelation {n + 1}, {name}")
-    draw = bound(_draw_residuals, lags, correlations, normal, quantiles)
-    return [picture(draw, "Residuals of the free runs", caption, alt, table, wide=True, simulated=simulated)]
-
-
-def _residual(trace: Trace) -> Array:
-    """Measured less modelled contraction where both are known [m]; the mean stays in."""
-    values = np.asarray(trace.columns["displacement"], dtype=np.float64) - np.asarray(trace.columns["model"])
-    return np.asarray(values[np.isfinite(values)])
-
-
-def _autocorrelation(values: Array) -> Array:
-    """Autocorrelation of values less their mean at lags 0 to `LAGS`, shape (LAGS + 1,); 1 at lag 0."""
-    x = values - values.mean()
-    power = float(np.dot(x, x))
-    return np.array([float(np.dot(x[: len(x) - lag], x[lag:])) / power for lag in range(LAGS + 1)])
-
-
-def _draw_curves(panels: Sequence[Panel], x_label: str, y_label: str) -> Figure:
-    """Columns y over x, a curve for each panel on common axes."""
-    figure, axes = plots.one_axes(HALF, 2.7, top=0.2 + 0.16 * ceil(len(panels) / 2), left=0.56)
-    for i, one in enumerate(panels):
-        axes.plot(one.columns["x"], one.columns["y"], color=PALETTE[i % len(PALETTE)], linewidth=0.9, label=one.title)
-    axes.set(xlabel=x_label, ylabel=y_label)
-    few_ticks(axes)
-    legend_above(figure, 2, at=(0.105, 0.13), handletextpad=0.4)
-    return figure
-
-
-def _draw_residuals(lags: Array, correlations: Sequence[tuple[str, Array]], normal: Array, quantiles: Array) -> Figure:
-    """Autocorrelation over lags [s], a line for each trial; quantiles over those of a normal distribution."""
-    figure = blank(FULL, 2.7)
-    cells = grid(figure, 1, 2, top=0.4, left=0.56, across=0.7)
-    left, right = figure.add_subplot(cells[0]), figure.add_subplot(cells[1])
-    left.axhline(0, color=QUIET, linewidth=0.8)
-    for i, (name, values) in enumerate(correlations):
-        left.plot(lags, values, color=PALETTE[i % len(PALETTE)], linewidth=0.9, label=name)
-    left.set(xlabel="lag [s]", ylabel="autocorrelation")
-    left.set_ylim(min(-0.3, 1.1 * min(float(values.min()) for _, values in correlations)), 1.05)
-    few_ticks(left)
-    ends = (float(normal[0]), float(normal[-1]))
-    right.plot(ends, ends, color=FAINT, linewidth=1.0)
-    right.plot(normal, quantiles, ".", color=BLUE, markersize=3)
-    right.set(xlabel="quantile of a normal distribution", ylabel="quantile of residuals")
-    few_ticks(right)
-    figure.legend(*left.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.06, 0.985), ncols=3)
-    return figure
+    alt = f"Force over pressure at fixed contraction, with a straight line, for {'; '.join(p.title for p in panels)}."
+    table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)], ("pressure", "force", "fit", "test"))
+    draw = bound(plots.scatter_and_line, panels, labels)
+    title = "Isometric force over pressure" + (f", {panels[0].title}" if len(chosen) == 1 else "")
+    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]

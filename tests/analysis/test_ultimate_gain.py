@@ -174,7 +174,7 @@ def test_trials_without_levels_or_excluded_are_dropped_with_a_reason() -> None:
     analysis = reduce([as_run("ultimate-gain", [trial, *others])])
     assert {d.trial: d.reason for d in analysis.dropped} == {
         "r1/2": "the trial is excluded",
-        "r1/3": "no levels of gain are recorded: no column holds them, but run.json of an exported run does",
+        "r1/3": "no levels of gain are recorded",
     }
     assert analysis.facts["trials"] == 1
 

@@ -282,7 +282,11 @@ def run(kind: str, simulated: bool = True, **manifest) -> RunData:
         "lacks": ["no dump valve"],
     }
     channel = ChannelInfo("pressure", "pressure", "Pa", 1.0, 0.0, 0.0, 1e6, 1.5e3, 0.002, 0.001, "CAL-P-7")
-    accept = {"accept": {"K": 0.02}} if kind == "contraction-relaxation" else {}
+    accept = (
+        {"accept": {"limits": [{"what": "K", "measure": "relative_interval", "limit": 0.02}]}}
+        if kind == "contraction-relaxation"
+        else {}
+    )
     answer = Event(0, 0.2, "answer", {"answer": "confirmed beforehand (--yes)"})
     return RunData(
         id=RUNS[kind],

@@ -1,6 +1,6 @@
 """Isometric tests of other programs: the line F = m P + c at each contraction.
 
-- `reduction`; `form` (late sensors, unevenly sampled branches, drift)
+- `reduction`; `form` (late sensors, drift, unevenly sampled branches)
 """
 
 from dataclasses import replace
@@ -20,8 +20,8 @@ PULL = Kind(
     reduction="pmabench.kinds.isometric.reduction:reduce",
     word="recorded pull",
     offers="pmabench.kinds.isometric.reduction:offers",
-    figures={"isometric": "pmabench.plotting.loops:isometric"},
-    front={"isometric": "pmabench.plotting.loops:isometric"},
+    figures={"isometric": "pmabench.plotting.motion:isometric"},
+    front={"isometric": "pmabench.plotting.motion:isometric"},
     published={"isometric": ("pressure", "force", "displacement")},
     parts={"slow rows": "pmabench.analysis.surface.trials:by_hand"},
     imported=Imported(recording=True, follows="force", shown="pauses"),

@@ -36,7 +36,7 @@ KIND = Kind(
     word="recorded step",
     offers="pmabench.kinds.recorded_step.reduction:offers",
     methods=METHODS,
-    figures={"overlay": "pmabench.plotting.motion:motions"},
+    figures={"overlay": "pmabench.plotting.motion:overlays"},
     front={"overlay": "pmabench.plotting.motion:overlays"},
     parts={"slow rows": "pmabench.analysis.surface.trials:hanging"},
     imported=Imported(recording=True, follows="displacement", timed=True, shown="steps"),

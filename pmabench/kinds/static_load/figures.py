@@ -1,4 +1,4 @@
-"""Sentences, table of loads and figures of static load; fits nothing.
+"""Sentences and figures of static load; fits nothing.
 
 `measure`: values of one trial, for the display.
 """
@@ -43,21 +43,13 @@ def of_place(mean: Mean) -> Finding:
     if not mean.carried:
         text = "a lifted load hangs above its support when it breaks away again, and half of K x there is still in F_ce"
         text += " (within the method part): lift it by 2 mm and more, and record its way down"
-        return Finding("note", f"{text}; or process a test of K together, which takes it off")
+        return Finding("note", text)
     text = f"set-down broke away at a contraction of {show(points.place, 'length', 2)} on average"
     if mean.kept is not None:
         return Finding("note", f"{text}: lift and set-down are carried to x = 0")
     middle = float(np.nanmean(0.5 * (points.lift + points.set_down)))
     off = show(mean.line(middle) - mean.before(middle), "force", 2)
     return Finding("note", f"{text}: lift and set-down are carried to x = 0, {off} at {show(middle, 'pressure', 3)}")
-
-
-def of_reversal(mean: Mean) -> Finding:
-    """Loads that set down at a higher pressure than they lifted."""
-    size, force = show(mean.reversed, "pressure", 2), show(0.5 * mean.reversed * mean.line.s, "force", 2)
-    text = f"a load sets down at a pressure up to {size} above that at which it lifts, which no friction does:"
-    text += " it swings, or its support gives way. Let it come to rest before"
-    return Finding("doubt", f"{text}; the interval of F_ce holds {force} of it")
 
 
 def of_hysteresis(mean: Mean) -> Finding:
@@ -74,19 +66,6 @@ def of_hysteresis(mean: Mean) -> Finding:
     least, most = (show(float(one), "force", 2) for one in (force.min(), force.max()))
     text = "a load that is raised comes down at less pressure than it went up, most in the middle: "
     return Finding("note", f"{text}{least} to {most} of hysteresis are in lift and set-down alike, and taken off F_ce")
-
-
-def table(points: Points) -> list[dict[str, float | int | None]]:
-    """Per load: number of trials, mean and standard deviation of the pressures."""
-    rows: list[dict[str, float | int | None]] = []
-    for load in np.unique(points.load):
-        row: dict[str, float | int | None] = {"load": float(load), "n": int((points.load == load).sum())}
-        for name, values in (("lift", points.lift), ("set_down", points.set_down)):
-            known = values[(points.load == load) & np.isfinite(values)]
-            row[name] = float(known.mean()) if len(known) else None
-            row[f"{name}_sd"] = float(known.std(ddof=1)) if len(known) > 1 else None
-        rows.append(row)
-    return rows
 
 
 def traces(runs: Sequence[RunData], points: Points) -> tuple[Trace, ...]:

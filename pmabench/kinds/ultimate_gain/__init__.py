@@ -5,7 +5,7 @@
 - protocol files: `protocol`; one trial on the display: `reduction`
 """
 
-from pmabench.base.kind import Imported, Kind, Result
+from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("K_u", "ultimate gain", "gain", headline=True, positive=True),
@@ -52,8 +52,7 @@ KIND = Kind(
         "tune by steps": "pmabench.kinds.ultimate_gain.reduction:of_open_loops",
         "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
     },
-    figures={"oscillation": "pmabench.plotting.loops:oscillations", "growth": "pmabench.plotting.loops:oscillations"},
-    front={"growth": "pmabench.plotting.loops:growth_alone"},
-    imported=Imported(),
+    figures={"oscillation": "pmabench.plotting.motion:oscillations", "growth": "pmabench.plotting.motion:oscillations"},
+    front={"growth": "pmabench.plotting.motion:oscillation"},
     loop=True,
 )

@@ -35,7 +35,6 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "ultimate-gain"
 NO_LEVELS = "no levels of gain are recorded"
-ELSEWHERE = f"{NO_LEVELS}: no column holds them, but run.json of an exported run does"
 METHOD = "gain-steps"
 USED = ("finished", "failed")
 """Statuses of trials that are evaluated; a search that found nothing is a failed trial, and its reason is reported."""
@@ -180,7 +179,7 @@ def _cells(runs: Sequence[RunData]) -> tuple[dict[str, list[GainCell[Any]]], lis
         if trial.status not in USED:
             why = f"the trial is {trial.status}"
         if why:
-            dropped.append(Dropped(trial.name, trial.point, ELSEWHERE if why == NO_LEVELS else why))
+            dropped.append(Dropped(trial.name, trial.point, why))
         else:
             ways[way].append((run, trial))
     return {way: cell.all_of(ways[way], look) for way, (cell, look) in WAYS.items()}, dropped

@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, time
 from fnmatch import fnmatchcase
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.base.quantities import show
-from pmabench.store.exported import NAME as RECORD
-from pmabench.store.exported import Exported, read_record
-from pmabench.store.importers import long, plausible, quality
+from pmabench.store.importers import plausible, quality
 from pmabench.store.importers.found import Checked, Found, Summary
-from pmabench.store.importers.long import Seen
 from pmabench.store.importers.magnitude import Muscle, slope_of_held
 from pmabench.store.importers.map_file import Question, made, spelled
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, number_in
 from pmabench.store.importers.plausible import pressure_late
 from pmabench.store.importers.segments import Segment, segments
-from pmabench.store.importers.table import Table, read_table, with_made
-from pmabench.store.records import Array, Flag, Flags, trial_spans
+from pmabench.store.importers.table import Table, read_table
+from pmabench.store.records import Array, Flag, Flags
 
 NOTES_BYTES = 100_000
-PAUSED = ("record", "column")
-"""Values of `trials: by` for files with marked trials: there may be pauses between trials."""
 SAME = 0.5
 """Largest share of rows with the time stamp of the row before; above it the time is too coarse."""
 
@@ -49,11 +43,10 @@ class Prepared:
     table: Table
     named: Named
     t: Array
-    """Time stamps [s]; for a long file only of the rows for cutting into trials."""
+    """Time stamps [s], shape (n,)."""
     checked: tuple[Checked, ...]
-    """Channels of the same rows as `t`."""
+    """Channels, shape (n,)."""
     flags: Flags
-    """Flags of all rows."""
     findings: tuple[Found, ...]
     parts: tuple[Segment, ...]
     notes: tuple[str, bytes] | None
@@ -68,18 +61,19 @@ class Prepared:
     summary: Summary
     questions: tuple[Question, ...]
     """Open questions of the map, and those that the numbers cannot decide."""
-    record: Exported | None
-    """Record of the run that the file was exported from; None for other files."""
     simulated: bool
 
-    def blocks(self) -> Iterator[tuple[Array, tuple[Checked, ...]]]:
-        """Time stamps [s] and channels of all rows in order, in blocks that fit into memory."""
-        if len(self.t) == len(self.table):
-            yield self.t, self.checked
-            return
-        for begin, end in long.parts(len(self.table)):
-            part = self.table.part(begin, end)
-            yield times(part, self.rules), channels_of(part, self.rules)
+
+@dataclass(frozen=True)
+class _Seen:
+    """Result of the inspection of the rows of a table."""
+
+    t: Array
+    checked: tuple[Checked, ...]
+    values: Mapping[str, Array]
+    """Channels [SI] and other columns by their role, shape (n,)."""
+    flags: Flags
+    found: list[Found]
 
 
 def prepare(path: Path, rules: ImportMap) -> Prepared:
@@ -111,22 +105,15 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     if name:
         named = replace(named, test=named.test or number + 1)
     table, constant = _with_constants(path, rules, table, named.point)
-    record = _record_of(path, rules)
-    looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part, record), _summed)
-    seen, found = looked.seen, looked.seen.found + constant
+    seen = _inspected(path, rules, table)
+    found = seen.found + constant
     specimen = rules.file.specimen
     contraction = named.point.get("contraction")
     muscle = Muscle(specimen.inner_diameter, specimen.nominal_length, contraction, _held(rules))
-    questions: list[Question] = []
-    if record is None:
-        more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed)
-        found += looked.placed(more)
-        parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
-        found += [Found("doubt", "trial", text) for text in doubts]
-    else:
-        parts = [Segment(begin, end, {}) for begin, end in trial_spans(record.events)]
-        if named.started is None and record.started_utc:
-            named = replace(named, started=datetime.fromisoformat(record.started_utc))
+    more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed)
+    found += more
+    parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
+    found += [Found("doubt", "trial", text) for text in doubts]
     if not parts:
         found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
     known = tuple(placed(each, seen.t, len(table)) for each in found)
@@ -135,27 +122,23 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
         named=named,
         t=seen.t,
         checked=seen.checked,
-        flags=looked.flags,
+        flags=seen.flags,
         findings=known,
         parts=tuple(parts),
         notes=_notes(path, rules.file.notes),
         rules=rules,
         name=name,
-        whole=looked.whole,
-        period=looked.period,
+        whole=frozenset(channel.rule.role for channel in seen.checked if _is_int(channel)),
+        period=float(np.median(np.abs(np.diff(seen.t)))) if len(seen.t) > 1 else 0.0,
         summary=Summary(
             tuple(sorted((key, round(value, 9)) for key, value in named.point.items())),
-            {role: pair[0] for role, pair in looked.peaks.items()},
-            {role: pair[1] for role, pair in looked.peaks.items()},
+            _peaks(seen),
             not any(each.level == "fault" for each in known),
             slope_of_held(seen.values, seen.flags) if muscle.held else None,
             tuple((name, part.point[name]) for part in parts for name in part.measured),
         ),
         questions=(*rules.unresolved, *questions),
-        record=record,
-        simulated=rules.file.simulated
-        or (record is not None and record.simulated)
-        or bool(np.any(seen.values.get("simulated", 0.0))),
+        simulated=rules.file.simulated or bool(np.any(seen.values.get("simulated", 0.0))),
     )
 
 
@@ -188,7 +171,7 @@ def _with_constants(
             where = f'trials: {{point: {{{coordinate}: ...}}}}, or {{{coordinate}}} in "name_tells"'
             raise invalid(path, f"{text}: say {where}")
         value = np.float64((point[coordinate] - rule.offset) / rule.slope)
-        table = with_made(table, rule.column, partial(np.full_like, fill_value=value, dtype=np.float64))
+        table = replace(table, columns={**table.columns, rule.column: np.full(len(table), value)})
         text = f"{rule.role} was not recorded: {show(point[coordinate], rule.quantity)} throughout, as map or name says"
         known = bool(rule.calibration["offset_uncertainty"] or rule.calibration["gain_uncertainty"])
         more = "" if known else "; how far it was from that no result includes: say expanded_uncertainty"
@@ -201,19 +184,6 @@ def _held(rules: ImportMap) -> bool:
     return rules.test.held and rules.trials.by in ("file", "ramp")
 
 
-def _record_of(path: Path, rules: ImportMap) -> Exported | None:
-    """The record next to an exported file, if the map uses it; else None."""
-    if rules.trials.by != "record":
-        return None
-    place = path.resolve().parent / RECORD
-    record = read_record(place)
-    if record.file != path.name:
-        raise invalid(place, f"is the record of {record.file}, not of {path.name}")
-    if record.kind != rules.file.kind:
-        raise invalid(place, f'is of a run of kind "{record.kind}", the map says "{rules.file.kind}"')
-    return record
-
-
 def _own_flags(path: Path, values: Array) -> Flags:
     """Flags from a column of the file, as written by `pmabench export`."""
     most = sum(Flag)
@@ -222,19 +192,14 @@ def _own_flags(path: Path, values: Array) -> Flags:
     return np.asarray(values.astype(np.uint16))
 
 
-def _gaps_within(t: Array, flags: Flags, values: Mapping[str, Array], record: Exported | None, gap: float) -> None:
+def _gaps_within(t: Array, flags: Flags, trial: Array, gap: float) -> None:
     """Flag gaps within trials, but not pauses between trials."""
-    if record is not None:
-        begins = np.array(sorted(begin for begin, _ in trial_spans(record.events)))
-        trial = np.searchsorted(begins, t - 1e-6).astype(np.float64)
-    else:
-        trial = values["trial"]
     late = np.concatenate([[False], (np.diff(t) > gap) & (np.diff(trial) == 0) & (trial[1:] != 0)])
     flags[late] |= np.uint16(Flag.GAP)
 
 
-def times(table: Table, rules: ImportMap) -> Array:
-    """Time stamps [s] of a table in memory; raises InvalidFile where a row has none."""
+def _times(table: Table, rules: ImportMap) -> Array:
+    """Time stamps [s] of a table; raises InvalidFile where a row has none."""
     time = next(column for column in rules.columns if column.role == "time")
     t = table.columns[time.column] * time.slope
     if np.isnan(t).any() or np.abs(t).max() > 9e9:
@@ -257,28 +222,22 @@ def _coarse(table: Table, t: Array) -> None:
     raise invalid(table.path, text, table.line(int(np.argmax(steps == 0)) + 1), 1)
 
 
-def channels_of(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
-    """The channels of a table in memory, raw and in SI units."""
-    return tuple(
-        _checked(table, column) for column in rules.columns if column.is_channel and column.column in table.columns
-    )
-
-
-def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | None) -> Seen:
-    """Scale and check the rows of a table in memory."""
-    t, checked = times(table, rules), channels_of(table, rules)
+def _inspected(path: Path, rules: ImportMap, table: Table) -> _Seen:
+    """Scale and check the rows of a table."""
+    t = _times(table, rules)
+    checked = tuple(_checked(table, c) for c in rules.columns if c.is_channel and c.column in table.columns)
     _coarse(table, t)
     others = {
         c.role: c.slope * table.columns[c.column]
         for c in rules.columns
         if not c.is_channel and c.role not in ("time", "date") and c.column in table.columns
     }
-    paused = rules.trials.by in PAUSED
+    paused = rules.trials.by == "column"
     sampling = rules.file.sampling
     gap, leap = (np.inf, np.inf) if paused else (sampling.gap, sampling.leap)
     flags, found = quality.inspect(t, checked, sampling.rate, gap, leap)
     if paused:
-        _gaps_within(t, flags, others, record, sampling.gap)
+        _gaps_within(t, flags, others["trial"], sampling.gap)
     if "flags" in others:
         flags |= _own_flags(path, others["flags"])
     if not paused:
@@ -301,18 +260,13 @@ def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | No
     declared = rules.column("pressure")
     if rules.test.timed and declared is not None and (late := pressure_late(t, values, flags)):
         found.append(replace(late, level="note") if any(declared.late_by) else late)
-    return Seen(t, checked, values, flags, found)
+    return _Seen(t, checked, values, flags, found)
 
 
-def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tuple[float, float]]]:
-    """Roles with whole counts, and peaks (see `Inspected.peaks`) without dropouts, overrange and time jumps."""
+def _peaks(seen: _Seen) -> dict[str, float]:
+    """Highest value of each channel [SI], without dropouts, overrange and time jumps."""
     good = (seen.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
-    peaks = {
-        channel.rule.role: (float(channel.si[good].max()), float(table.columns[channel.rule.column][good].max()))
-        for channel in seen.checked
-        if good.any()
-    }
-    return frozenset(channel.rule.role for channel in seen.checked if _is_int(channel)), peaks
+    return {channel.rule.role: float(channel.si[good].max()) for channel in seen.checked if good.any()}
 
 
 def placed(found: Found, t: Array, rows: int) -> Found:
