@@ -72,11 +72,11 @@ KIND = Kind(
     offers="pmabench.kinds.isometric_pressurisation.reduction:offers",
     methods=METHODS,
     figures={
-        "isometric": "pmabench.plotting.loops:isometric",
+        "isometric": "pmabench.plotting.motion:isometric",
         "flow-volume": "pmabench.kinds.isometric_pressurisation.figures:volumes",
         "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
     },
-    front={"isometric": "pmabench.plotting.loops:isometric"},
+    front={"isometric": "pmabench.plotting.motion:isometric"},
     published={"isometric": ("pressure", "force", "displacement")},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(

@@ -63,11 +63,11 @@ KIND = Kind(
     offers="pmabench.kinds.sinusoidal_displacement.reduction:offers",
     methods=METHODS,
     figures={
-        "loop": "pmabench.plotting.loops:loops",
-        "bode": "pmabench.plotting.loops:bode",
+        "loop": "pmabench.plotting.motion:loops",
+        "bode": "pmabench.plotting.motion:bode",
         "sine-pressure": "pmabench.kinds.sinusoidal_displacement.pressure:sine_pressure",
     },
-    front={"loop": "pmabench.plotting.loops:loops"},
+    front={"loop": "pmabench.plotting.motion:loops"},
     published={"loop": ("displacement", "force", "pressure")},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
