@@ -16,8 +16,8 @@ from pmabench.analysis.shared.joint import BY_PRESSURE, MUSCLES, STIFFNESS, TORQ
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
-from pmabench.kinds.joint_sweep.sweep import OffForm, Sweep, flatter_by, steeper_by, sweep_of
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
+from pmabench.kinds.joint_sweep.sweep import Sweep, flatter_by, steeper_by, sweep_of
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 from pmabench.store.records import RunData, TrialData
 
 KIND = "joint-sweep"
@@ -39,7 +39,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     reason. `options`: `discard` (cycles at the start; else the plan's setting, else 1).
     """
     options = options or {}
-    sweeps, dropped = _sweeps(runs, options)
+    sweeps, dropped = measured_trials(runs, lambda run, trial: sweep_of(run, trial, options))
     scales = Scales.of(runs)
     estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
     for at, members in _cells(sweeps).items():
@@ -62,33 +62,7 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
     return float(sweep_of(run, trial, {}).stiffness.mean())
 
 
-def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
-    """The usable trials, without those of a point where at least as many loops have another form."""
-    off: dict[tuple[float, ...], list[str]] = {}
-
-    def measured(run: RunData, trial: TrialData) -> Sweep:
-        try:
-            return sweep_of(run, trial, options)
-        except OffForm as reason:
-            off.setdefault(_place(trial.point), []).append(str(reason))
-            raise
-
-    sweeps, dropped = measured_trials(runs, measured)
-    alike = [_place(one.trial.point) for one in sweeps]
-    spoiled = {place for place, reasons in off.items() if len(reasons) >= alike.count(place)}
-    for one, place in zip(sweeps, alike, strict=True):
-        if place in spoiled:
-            text = f"half of the sweeps at this point, or more, have another form, so it tells nothing: {off[place][0]}"
-            dropped.append(Dropped(one.trial.name, one.trial.point, text))
-    return [one for one, place in zip(sweeps, alike, strict=True) if place not in spoiled], dropped
-
-
 COORDINATES = (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
-
-
-def _place(point: Mapping[str, float]) -> tuple[float, ...]:
-    """Pressures, speed and ends of a sweep."""
-    return tuple(round(point.get(name, 0.0), 9) for name in COORDINATES)
 
 
 def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[Sweep]]:

@@ -40,10 +40,6 @@ class Sweep:
     """Pressures while the angle falls minus while it rises [Pa], shape (cycles, 2)."""
 
 
-class OffForm(NotUsable):
-    """A sweep whose loop has another form than the reduction needs: something is wrong at its operating point."""
-
-
 def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:
     """Evaluation of one trial; raises `NotUsable`, with the sufficient size for a sweep that is too small."""
     low, high = (trial.point.get(name) for name in ("lowest_angle", "highest_angle"))
@@ -53,10 +49,10 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
     half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
     noise = float(np.sqrt(0.5 * np.mean(np.diff(loop.gap, axis=1) ** 2)))  # of one point, by its neighbours
     if why := why_no_turns(loop.turns, half, gap, noise):
-        raise OffForm(why)
+        raise NotUsable(why)
     if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
         least, w = show(HALF_SWEEP * loop.turns.w, "angle", 3), show(loop.turns.w, "angle", 3)
-        raise OffForm(
+        raise NotUsable(
             f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
             f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
         )
