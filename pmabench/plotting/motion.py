@@ -6,45 +6,26 @@ Residuals are described and not tested: at 500 Hz every whiteness test rejects.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil
 from statistics import NormalDist
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.plotting import plots, time_plots
+from pmabench.plotting.chart import COLUMN, GAP, PAGE, Chart, Series, of_points, with_common_sides
 from pmabench.plotting.pictures import (
     Picture,
-    bound,
     has,
     head,
     how_many,
     label,
     numbers,
+    of_charts,
     panel,
-    picture,
     reach,
     spread,
     unit_of,
 )
-from pmabench.plotting.plots import (
-    BLUE,
-    FAINT,
-    FULL,
-    HALF,
-    PALETTE,
-    QUIET,
-    Array,
-    Panel,
-    blank,
-    few_ticks,
-    grid,
-    legend_above,
-)
+from pmabench.plotting.plots import BLUE, BROWN, FAINT, PALETTE, QUIET, Array, Panel
 from pmabench.store.analyses.results import Analysis, Trace
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TOGETHER = 5
 """Most curves of a figure."""
@@ -53,6 +34,10 @@ LAGS = 60
 POINTS = 99
 """Quantiles that are compared with those of a normal distribution."""
 NAMES = ("t", "pressure", "displacement", "model")
+UPPER, LOWER = 104.0, 66.0
+"""Heights of a panel, and of the difference below it [pt]."""
+SHORT = 20
+"""Letters of titles with which three panels fit side by side, and not two."""
 OVERLAYS = 6
 """Most panels of measured and modelled motion."""
 FREE_RUN = "the fitted muscle, run freely with the measured pressure"
@@ -79,7 +64,6 @@ def overlays(
     names = {"t": "t", "measured": "displacement", "model": "model"}
     panels = [panel(t, names, head(t)) for t in chosen]
     unit = unit_of(chosen[0], "displacement").unit
-    labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"diff. [{unit}]"}
     misfits = [_rms(p.columns["measured"] - p.columns["model"]) for p in panels]
     worst = int(np.argmax(misfits))
     title += f", {panels[0].title}" if len(chosen) == 1 else ""
@@ -93,8 +77,27 @@ def overlays(
         + (f", largest at {panels[worst].title}." if len(panels) > 1 else ".")
     )
     table = numbers([(head(t), t) for t in chosen], columns)
-    draw = bound(time_plots.overlay, panels, labels)
-    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    rows = _overlaid(panels, label(chosen[0], "t"), unit, simulated=analysis.simulated)
+    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated, still=True)]
+
+
+def _overlaid(panels: Sequence[Panel], t_label: str, unit: str, *, simulated: bool) -> list[list[Chart]]:
+    """Measured and model over time with their difference below, in small multiples; columns t, measured, model."""
+    columns = 1 if len(panels) == 1 else 3 if max(len(one.title) for one in panels) < SHORT else 2
+    width = COLUMN if columns == 1 else (PAGE - GAP * (columns - 1)) / columns
+    pairs = []
+    for n, one in enumerate(panels, 1):
+        t, y, model = (one.columns[name] for name in ("t", "measured", "model"))
+        lines = (Series("", t, y, FAINT, width=3.0), Series("", t, model, BROWN))
+        apart = (Series("", t, y - model, QUIET, width=0.9),)
+        name = "contraction" if columns == 1 else f"{one.title}: x"
+        stamp = "SIMULATED" if simulated and n == min(columns, len(panels)) else ""
+        upper = Chart(t_label, f"{name} [{unit}]", lines, width, UPPER, "", stamp=stamp, x_named=False)
+        pairs.append(
+            with_common_sides((upper, Chart(t_label, f"difference [{unit}]", apart, width, LOWER, "", y_ticks=3)))
+        )
+    rows = [pairs[i : i + columns] for i in range(0, len(pairs), columns)]
+    return [[pair[n] for pair in row] for row in rows for n in (0, 1)]
 
 
 def _rms(values: Array) -> float:
@@ -113,9 +116,11 @@ def over_pressure(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     caption = "Measured, filling and venting; what lies between the branches is lag, damping and friction."
     alt = f"{labels[1]} over {labels[0]} as measured, both branches, for {'; '.join(p.title for p in panels)}."
     table = numbers([(head(t), t) for t in chosen], ("pressure", "displacement"))
-    draw = bound(_draw_curves, panels, *labels)
-    title = "Contraction over pressure, both branches"
-    return [picture(draw, title, caption + how_many(chosen, able), alt, table, wide=False, simulated=simulated)]
+    colors = zip(panels, PALETTE, strict=False)
+    series = [Series(p.title, p.columns["x"], p.columns["y"], color, width=1.0) for p, color in colors]
+    chart = of_points(series, *labels, alt, simulated=simulated)
+    title, caption = "Contraction over pressure, both branches", caption + how_many(chosen, able)
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
 
 
 def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
@@ -151,8 +156,14 @@ def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     table = numbers([("", Trace("", "", "", columns, {"lag": "time"}))])
     for n, (name, _) in enumerate(correlations):
         table = table.renamed(f"r{n}", f"autocorrelation {n + 1}, {name}")
-    draw = bound(_draw_residuals, lags, correlations, normal, quantiles)
-    return [picture(draw, "Residuals of the free runs", caption, alt, table, wide=True, simulated=simulated)]
+    colors = zip(correlations, PALETTE, strict=False)
+    left = [Series(name, lags, values, color, width=1.0) for (name, values), color in colors]
+    right = [Series("", normal, normal, FAINT, width=1.0), Series("", normal, quantiles, BLUE, width=2.2)]
+    charts = [
+        of_points(left, "lag [s]", "autocorrelation", "", simulated=False),
+        of_points(right, "quantile of a normal distribution", "quantile of residuals", "", simulated=simulated),
+    ]
+    return [of_charts([charts], "Residuals of the free runs", caption, alt, table, simulated=simulated, still=True)]
 
 
 def _residual(trace: Trace) -> Array:
@@ -166,34 +177,3 @@ def _autocorrelation(values: Array) -> Array:
     x = values - values.mean()
     power = float(np.dot(x, x))
     return np.array([float(np.dot(x[: len(x) - lag], x[lag:])) / power for lag in range(LAGS + 1)])
-
-
-def _draw_curves(panels: Sequence[Panel], x_label: str, y_label: str) -> Figure:
-    """Columns y over x, a curve for each panel on common axes."""
-    figure, axes = plots.one_axes(HALF, 2.7, top=0.2 + 0.16 * ceil(len(panels) / 2), left=0.56)
-    for i, one in enumerate(panels):
-        axes.plot(one.columns["x"], one.columns["y"], color=PALETTE[i % len(PALETTE)], linewidth=0.9, label=one.title)
-    axes.set(xlabel=x_label, ylabel=y_label)
-    few_ticks(axes)
-    legend_above(figure, 2, at=(0.105, 0.13), handletextpad=0.4)
-    return figure
-
-
-def _draw_residuals(lags: Array, correlations: Sequence[tuple[str, Array]], normal: Array, quantiles: Array) -> Figure:
-    """Autocorrelation over lags [s], a line for each trial; quantiles over those of a normal distribution."""
-    figure = blank(FULL, 2.7)
-    cells = grid(figure, 1, 2, top=0.4, left=0.56, across=0.7)
-    left, right = figure.add_subplot(cells[0]), figure.add_subplot(cells[1])
-    left.axhline(0, color=QUIET, linewidth=0.8)
-    for i, (name, values) in enumerate(correlations):
-        left.plot(lags, values, color=PALETTE[i % len(PALETTE)], linewidth=0.9, label=name)
-    left.set(xlabel="lag [s]", ylabel="autocorrelation")
-    left.set_ylim(min(-0.3, 1.1 * min(float(values.min()) for _, values in correlations)), 1.05)
-    few_ticks(left)
-    ends = (float(normal[0]), float(normal[-1]))
-    right.plot(ends, ends, color=FAINT, linewidth=1.0)
-    right.plot(normal, quantiles, ".", color=BLUE, markersize=3)
-    right.set(xlabel="quantile of a normal distribution", ylabel="quantile of residuals")
-    few_ticks(right)
-    figure.legend(*left.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.06, 0.985), ncols=3)
-    return figure

@@ -109,7 +109,7 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
     hollow = " Hollow: where relaxing strokes ended." if any(len(level.back) for level in levels) else ""
     lines = "the fitted force; K is its slope at one contraction" if bent else "F = F_ce − K x of the fit"
     caption = f"Lines: {lines}. Dots: where strokes ended under each load.{hollow}{off}"
-    return of_charts((chart,), f"Force over contraction, {ends}", caption, alt, _table(levels), simulated=simulated)
+    return of_charts([[chart]], f"Force over contraction, {ends}", caption, alt, _table(levels), simulated=simulated)
 
 
 def _levels(analyses: Sequence[Analysis]) -> list[Level]:
@@ -240,5 +240,5 @@ def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None
     )
     title, alt = f"One stroke, {where}: measured and free run", f"{upper.alt} {lower.alt}"
     table = numbers([("", trace)], ("t", "displacement", "model"))
-    charts = with_common_sides((upper, lower))
-    return of_charts(charts, title, caption, alt, table, simulated=analysis.simulated, stacked=True), trace
+    rows = [[chart] for chart in with_common_sides((upper, lower))]
+    return of_charts(rows, title, caption, alt, table, simulated=analysis.simulated), trace

@@ -21,7 +21,6 @@ from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
 from pmabench.plotting.chart import to_svg
 from pmabench.plotting.pictures import Picture
-from pmabench.plotting.svg import drawing
 from pmabench.plotting.wording import printed
 from pmabench.report.certificate.interactive import assets, chart_data
 from pmabench.report.certificate.sheet import Sheet, sheet_of
@@ -117,7 +116,6 @@ class Content:
     """A line, and a BibTeX entry."""
 
 
-@drawing()
 def content_of(
     analyses: Sequence[Analysis],
     runs: Sequence[RunData],
