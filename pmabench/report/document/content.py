@@ -31,7 +31,6 @@ from pmabench.report.document.provenance import citation, methods_paragraph
 from pmabench.report.document.special_tables import Parents, budget_table, change_tables, check_tables, reduced_with
 from pmabench.report.document.special_tables import who as who_changed
 from pmabench.report.figures import overlays
-from pmabench.report.figures.characteristic_figures import characteristic
 from pmabench.report.figures.figures import kind_pictures
 from pmabench.report.foremost import Tile, Verdict, tiles_of, verdict_of
 from pmabench.report.words import declared, described, distinct, kind_title
@@ -142,8 +141,7 @@ def content_of(
     verdict = verdict_of(analyses, runs, failed, accepted=accepted)
     sheet = sheet_of(analyses, theirs, runs, names, verdict, failed)
     front = [figures.add(p) for p in (*sheet.first, *sheet.second)]
-    sections = _together(analyses, figures)
-    sections += [_section(a, figures, sheet.used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
+    sections = [_section(a, figures, sheet.used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
     about_runs = _about_runs(runs, names)
     when = about_runs["when"]
     specimen = next((name for name, _ in about_runs["specimens"] if name != provenance.UNNAMED), "")
@@ -279,15 +277,6 @@ def _primary(analyses: Sequence[Analysis]) -> list[Grid]:
     frame, methods = tables.primary_table(analyses)
     caption = "Primary methods, by pressure" + (f"; {methods}" if methods else "")
     return [grid(part.frame, part.caption) for part in narrow(tables.Table(caption, frame)) if len(part.frame)]
-
-
-def _together(analyses: Sequence[Analysis], figures: _Figures) -> list[Section]:
-    """Figures of several tests on common axes."""
-    pictures = characteristic(analyses)
-    if not pictures:
-        return []
-    title, simulated = "Force, pressure and contraction", any(p.simulated for p in pictures)
-    return [Section(title, simulated, "Tests on common axes", figures=[figures.add(p) for p in pictures])]
 
 
 def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:

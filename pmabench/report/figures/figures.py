@@ -29,8 +29,9 @@ from pmabench.plotting.pictures import (
 )
 from pmabench.plotting.plots import FULL, MARKERS, PALETTE, Array, blank, few_ticks, grid, legend_above
 from pmabench.plotting.wording import COLUMNS, Frame, clean, in_order, point_shown, point_text, shown
+from pmabench.report.certificate.force_chart import FIGURE
 from pmabench.report.document.tables import cell
-from pmabench.report.figures import characteristic_figures, coefficient_figures
+from pmabench.report.figures import coefficient_figures
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def kind_pictures(analysis: Analysis, without: Sequence[str] = ()) -> list[Pictu
     analysis = drawable(analysis)
     found = coefficient_figures.others(analysis)
     traces = [t for t in analysis.traces if t.name not in without]
-    left = {t.figure for t in traces} - {characteristic_figures.FIGURE}  # drawn over all tests together
+    left = {t.figure for t in traces} - {FIGURE}  # in the second figure of the certificate
     for target, kinds in _drawn_by(analysis.kind).items():
         mine = [t for t in traces if t.figure in kinds]
         left -= kinds
