@@ -34,7 +34,6 @@ KIND = Kind(
     protocol="pmabench.kinds.relaxation.protocol:Relaxation",
     live="pmabench.kinds.relaxation.figures:measure",
     moves="force",
-    compares="force",
     repeated="pmabench.kinds.relaxation.reduction:per_decade",
     repeated_is="relaxation per decade",
     word="relaxation",

@@ -1,4 +1,4 @@
-"""Figures of coefficients over an operating point: dots with 95 % bars, curves with bands; and repeats over each other.
+"""Figures of coefficients over an operating point: dots with 95 % bars, curves with bands.
 
 The certificate has up to three panels with the coefficients of the test with most values: its primary method is drawn,
 others are in the same data, for the page's buttons. Appendices and comparisons have a figure for each plot, in which
@@ -11,36 +11,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import floor, log10, nan
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pmabench.base.kind import Result
-from pmabench.plotting import plots
 from pmabench.plotting.chart import COLUMN, GAP, HIGH, PAGE, Chart, Series
 from pmabench.plotting.pictures import (
     Picture,
-    bound,
-    column,
-    has,
-    numbers,
     of_charts,
-    picture,
-    unit_of,
 )
 from pmabench.plotting.plots import (
     BROWN,
     DARK,
-    FAINT,
     GREEN,
-    HALF,
     INK,
     PALETTE,
-    QUIET,
     Array,
-    blank,
-    few_ticks,
-    grid,
 )
 from pmabench.plotting.wording import (
     POINTS,
@@ -60,10 +46,7 @@ from pmabench.plotting.wording import (
 from pmabench.report.certificate.force_chart import READABLE, blue
 from pmabench.report.document.tables import cell, least
 from pmabench.report.words import declared
-from pmabench.store.analyses.results import AGREEMENT, PUBLISHED, Analysis, Curve, Estimate, Trace
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from pmabench.store.analyses.results import AGREEMENT, PUBLISHED, Analysis, Curve, Estimate
 
 COLORS = {"B_c": GREEN, "B_r": BROWN, "B": DARK}
 """Colours of symbols; all others are blue, or in turn where they share a panel."""
@@ -411,57 +394,3 @@ def _surface_chart(
         zero=min(values) >= 0,
         stamp="SIMULATED" if simulated else "",
     )
-
-
-WORDS = {"length": "contraction", "force": "force"}
-
-
-def repeats(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """One figure for each trace with at least two repeats."""
-    return [found for trace in traces if (found := _repeats(trace, analysis.simulated)) is not None]
-
-
-def _repeats(trace: Trace, simulated: bool) -> Picture | None:
-    names = [name for name in trace.columns if name.startswith("repeat ") and has(trace, "t", name)]
-    if len(names) < 2:
-        return None
-    where, t = clean(trace.title.partition(":")[0], 140), column(trace, "t")
-    values = np.array([column(trace, name) for name in names])
-    mean = values.mean(axis=0)
-    unit = unit_of(trace, names[0]).unit
-    spread = float(np.sqrt(np.mean(values.var(axis=0, ddof=1))))
-    first = float(np.sqrt(np.mean((values[0] - values[1:].mean(axis=0)) ** 2)))
-    word = WORDS.get(trace.quantities.get(names[0], ""), "value")
-    last = "the second" if len(names) == 2 else "the mean of the later ones"
-    caption = (
-        f"{len(names)} trials at {where}, the first in red. Below: each less the mean of all. Standard deviation "
-        f"between repeats {spread:.2g} {unit}, over the whole time; the first is {first:.2g} {unit} rms off {last}."
-    )
-    alt = (
-        f"{word.capitalize()} over time of {len(names)} repeats at {where}, which scatter by {spread:.2g} "
-        f"{unit}; the first is {first:.2g} {unit} rms off {last}."
-    )
-    draw = bound(drawing_of, t, values, mean, unit_of(trace, "t").label("time"), word, unit)
-    return picture(draw, "Repeats", caption, alt, numbers([("", trace)]), wide=False, simulated=simulated)
-
-
-def drawing_of(t: Array, values: Array, mean: Array, x_label: str, word: str, unit: str) -> Figure:
-    """Values (repeats, n) above, what they are off their mean (n,) below."""
-    figure = blank(HALF, 2.9)
-    cell = grid(figure, 1, 1, top=0.42, left=0.6)[0]
-    upper, lower = plots.above_each_other(figure, cell, (1.6, 1), 0.12, shared=True)
-    others = [color for color in PALETTE if color != BROWN]
-    lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
-    for i in reversed(range(len(values))):
-        color = BROWN if i == 0 else others[(i - 1) % len(others)] if len(values) < 4 else QUIET
-        label = ("first" if i == 0 else "second" if len(values) == 2 else "later") if i < 2 else None
-        upper.plot(t, values[i], color=color, linewidth=0.8 if i else 1.0, label=label)
-        lower.plot(t, values[i] - mean, color=color, linewidth=0.8)
-    upper.set_ylabel(f"{word} [{unit}]")
-    lower.set(ylabel=f"off mean [{unit}]", xlabel=x_label)
-    few_ticks(upper)
-    few_ticks(lower, y=3)
-    figure.align_ylabels([upper, lower])
-    handles, labels = upper.get_legend_handles_labels()
-    plots.legend_above(figure, 2, (handles[::-1], labels[::-1]))
-    return figure

@@ -6,7 +6,6 @@ A trace of an unknown kind becomes a generic line plot, so a new reduction needs
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,11 +30,6 @@ from pmabench.report.certificate.force_chart import FIGURE
 from pmabench.report.figures import coefficient_figures
 from pmabench.store.analyses.results import Analysis, Trace
 
-if TYPE_CHECKING:
-    pass
-
-REPEATS = {"repeats": "pmabench.report.figures.coefficient_figures:repeats"}
-"""Traces that every kind of test may have."""
 GENERIC = 6
 """Most figures of traces that no kind of test draws."""
 
@@ -98,7 +92,7 @@ def _drawn_by(kind: str) -> dict[str, set[str]]:
     own = registry.find(kind)
     found: dict[str, set[str]] = {}
     known: set[str] = set()
-    for figures in [own.figures if own else {}, *(other.figures for other in registry.all_kinds().values()), REPEATS]:
+    for figures in [own.figures if own else {}, *(other.figures for other in registry.all_kinds().values())]:
         for figure, target in figures.items():
             if figure not in known:
                 found.setdefault(target, set()).add(figure)
