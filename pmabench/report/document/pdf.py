@@ -1,20 +1,16 @@
 """A report as a tagged PDF (PDF/UA-1), set by typst from the same content; every text is data and never markup.
 
 Needs the extra `pdf`. Fonts are those that matplotlib brings, and where these lack a sign also those of the machine.
-The same report gives the same bytes. A tagged PDF says of every cell of every table what it is; as plain text these
-objects are most of a long report, so they are packed into compressed streams (PDF 1.5), not a mark on any page changed.
+The same report gives the same bytes.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-import re
-import zlib
 from collections.abc import Sequence
 from importlib.resources import files
 from io import BytesIO
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -63,7 +59,7 @@ def pdf_bytes(content: Content) -> bytes:
                 pdf_standards="ua-1",
                 timestamp=0,
             )
-            return packed(bytes(data))
+            return bytes(data)
         except (RuntimeError, typst.TypstError) as error:
             raise PmaError(f"typst could not set the PDF: {clean(error, 300)}; write the HTML page alone") from error
 
@@ -73,7 +69,6 @@ class _Data:
 
     def __init__(self, content: Content, folder: Path) -> None:
         self.content, self.folder = content, folder
-        self.files = 0
 
     def all(self) -> dict[str, Any]:
         c = self.content
@@ -188,105 +183,11 @@ class _Data:
             found.append({"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, **look})
         return found
 
-    def note(self, note: Said) -> dict[str, Any]:
-        """A note with its pictures; one that cannot be read is only named, as other files are."""
-        read = [(name, self.photo(uri)) for name, uri in note.pictures]
-        photos = [{"file": file, "alt": f"Picture {name}"} for name, file in read if file]
-        files = [*note.files, *(name for name, file in read if not file)]
-        attached = f" (attached: {', '.join(files)})" if files else ""
-        return {"said": f"{note.run}, {note.utc} UTC, {note.operator}: {note.text}{attached}", "photos": photos}
-
-    def photo(self, uri: str) -> str:
-        """The name of the picture's file; empty for one that is damaged or too large to be unpacked."""
-        from matplotlib.image import imread
-
-        head, _, data = uri.partition(";base64,")
-        kind = "png" if head.endswith("png") else "jpg"
-        raw = base64.b64decode(data)
-        try:
-            with catch_warnings():
-                simplefilter("error")
-                imread(BytesIO(raw), format=kind)
-        except (OSError, ValueError, SyntaxError, RuntimeError, Warning):
-            return ""
-        self.files += 1
-        (self.folder / f"photo-{self.files}.{kind}").write_bytes(raw)
-        return f"photo-{self.files}.{kind}"
+    def note(self, note: Said) -> str:
+        """A note with the names of what is attached; the page shows the pictures."""
+        files = ", ".join([*note.files, *(name for name, _ in note.pictures)])
+        return f"{note.run}, {note.utc} UTC, {note.operator}: {note.text}{f' (attached: {files})' if files else ''}"
 
 
 def _level(level: str) -> str:
     return level if level in ("good", "doubt", "fault") else "note"
-
-
-PER_STREAM = 400
-"""Objects of one compressed stream."""
-LEVEL = 9
-_TRAILER = re.compile(rb"trailer\s*<<(.*?)>>\s*startxref\s*(\d+)\s*%%EOF\s*$", re.DOTALL)
-_HEAD = re.compile(rb"\s*(\d+) 0 obj\s*")
-
-
-def packed(data: bytes) -> bytes:
-    """The same document in fewer bytes; unchanged where it is not as expected, or already packed."""
-    trailer = _TRAILER.search(data[-4096:])
-    if trailer is None or b"/Encrypt" in trailer[1] or b"/Prev" in trailer[1]:
-        return data
-    objects = _objects(data, int(trailer[2]))
-    if not objects:
-        return data
-    out = bytearray(data[: min(offset for offset, _ in objects.values())])
-    places: dict[int, tuple[int, int, int]] = {0: (0, 0, 65535)}
-    plain: list[tuple[int, bytes]] = []
-    for number, (_, body) in sorted(objects.items()):
-        if body.endswith(b"endstream"):
-            places[number] = (1, len(out), 0)
-            out += b"%d 0 obj\n%s\nendobj\n" % (number, body)
-        else:
-            plain.append((number, body))
-    free = max(objects) + 1
-    for first in range(0, len(plain), PER_STREAM):
-        members = plain[first : first + PER_STREAM]
-        heads, at = [], 0
-        for place, (number, body) in enumerate(members):
-            places[number] = (2, free, place)
-            heads.append(b"%d %d" % (number, at))
-            at += len(body) + 1
-        head = b" ".join(heads) + b"\n"
-        stream = zlib.compress(head + b"\n".join(body for _, body in members), LEVEL)
-        places[free] = (1, len(out), 0)
-        said = b"/Type/ObjStm/N %d/First %d/Filter/FlateDecode/Length %d" % (len(members), len(head), len(stream))
-        out += b"%d 0 obj\n<<%s>>\nstream\n%s\nendstream\nendobj\n" % (free, said, stream)
-        free += 1
-    begin = len(out)
-    places[free] = (1, begin, 0)
-    rows = b"".join(
-        kind.to_bytes(1, "big") + where.to_bytes(4, "big") + rank.to_bytes(2, "big")
-        for kind, where, rank in (places.get(number, (0, 0, 0)) for number in range(free + 1))
-    )
-    stream = zlib.compress(rows, LEVEL)
-    kept = re.sub(rb"/Size\s*\d+", b"", trailer[1])
-    said = b"/Type/XRef/Size %d/W[1 4 2]/Filter/FlateDecode/Length %d" % (free + 1, len(stream))
-    out += b"%d 0 obj\n<<%s%s>>\nstream\n%s\nendstream\nendobj\n" % (free, said, kept, stream)
-    out += b"startxref\n%d\n%%%%EOF\n" % begin
-    return bytes(out)
-
-
-def _objects(data: bytes, table: int) -> dict[int, tuple[int, bytes]]:
-    """Number -> offset and body of every object, by the table of references; empty where that is not as expected."""
-    head = re.match(rb"xref\s+0 (\d+)\s+", data[table : table + 64])
-    if head is None:
-        return {}
-    rows = data[table + head.end() :]
-    entries = [rows[20 * n : 20 * n + 18].split() for n in range(int(head[1]))]
-    kinds = ([b"00000", b"n"], [b"65535", b"f"], [b"00000", b"f"])
-    if any(len(entry) != 3 or entry[1:] not in kinds for entry in entries):
-        return {}
-    offsets = {n: int(entry[0]) for n, entry in enumerate(entries) if entry[2] == b"n"}
-    after = dict(pairwise(sorted([*offsets.values(), table])))
-    found = {}
-    for number, offset in offsets.items():
-        text = data[offset : after[offset]]
-        begin, end = _HEAD.match(text), text.rfind(b"endobj")
-        if begin is None or int(begin[1]) != number or end < 0:
-            return {}
-        found[number] = offset, text[begin.end() : end].strip()
-    return found
