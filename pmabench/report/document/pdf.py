@@ -6,15 +6,12 @@ The same report gives the same bytes.
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Sequence
 from importlib.resources import files
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from warnings import catch_warnings, simplefilter
 
 from pmabench.base.errors import PmaError, UsageError
 from pmabench.plotting.svg import as_file, symbol_parts
