@@ -1,29 +1,26 @@
-"""Differences as text and as files: of a comparison one HTML file; by another calibration CSV and JSON; no estimate.
+"""Differences as text, and those of a comparison as one HTML file; no estimate.
 
 The page of a comparison has both sides over pressure, and the table.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pmabench.analysis.verdict import comparison
 from pmabench.analysis.verdict.comparison import Change, Difference, Side, percent
 from pmabench.plotting.pictures import drawable
-from pmabench.plotting.wording import Frame, clean, plain_unit, point_text, shown, symbol_text
+from pmabench.plotting.wording import Frame, clean, point_text, shown, symbol_text
 from pmabench.report.document.special_tables import change_rows
 from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison, comparison_table
-from pmabench.report.files.csv_files import csv_text, value_cells
 from pmabench.report.terminal import print_grid
 from pmabench.report.words import declared
-from pmabench.report.writing import Page, TextTable, write_file, write_page
+from pmabench.report.writing import Page, TextTable, write_page
 from pmabench.store.analyses.results import PUBLISHED, Analysis
-from pmabench.store.folder import plain
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -107,8 +104,6 @@ def curve_rows(curves: Sequence[Comparison]) -> Rows:
     return frame.columns, frame.cells()
 
 
-NAME = "changes"
-SCHEMA = "pmabench.changes/1"
 HEADS = ("coefficient", "at", "unit", "as recorded", "as reduced here", "difference", "%")
 
 
@@ -126,30 +121,3 @@ def print_changes(changes: Sequence[Change], console: Console) -> None:
         console.print(Text(f"{kind}, {method}", style="italic"))
         mine = [row for row in rows if (row["kind"], row["method"]) == (kind, method)]
         print_grid(console, HEADS, Frame(mine, HEADS).cells(), ("coefficient", "at", "unit"), keys=2)
-
-
-def write_changes(
-    changes: Sequence[Change], channels: Sequence[Mapping[str, Any]], who: Mapping[str, str], folder: Path
-) -> list[Path]:
-    """`changes.csv` in display units and `changes.json` in SI; raises RecordError where they cannot be written."""
-    rows = []
-    for change in changes:
-        e = change.estimate
-        unit = shown(e.quantity, e.unit)
-
-        row: dict[str, Any] = {"kind": change.kind, "symbol": e.symbol, "coordinate": e.coordinate}
-        row |= {"at": point_text(e.at), "unit": plain_unit(unit.unit)}
-        for name, side in (("before", change.before), ("after", change.after)):
-            cells = value_cells(side) if side is not None else {}
-            row |= {name: cells.get("value")} | {f"{name} {end}": cells.get(end) for end in ("low95", "high95")}
-        row |= {"difference": unit.of(change.difference), "half width 95 %": unit.of(change.half_width)}
-        rows.append(row | {"method": e.method})
-    data = {
-        "schema": SCHEMA,
-        "recalibration": dict(who),
-        "channels": list(channels),
-        "changes": [change.to_dict() for change in changes],
-    }
-    text = json.dumps(plain(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    files = {f"{NAME}.csv": csv_text(rows, ["kind", "symbol"]), f"{NAME}.json": f"{text}\n"}
-    return [write_file(folder / name, data, "the changes") for name, data in files.items()]
