@@ -70,7 +70,7 @@ class _Data:
     def all(self) -> dict[str, Any]:
         c = self.content
         plain = ("title", "report_id", "version", "simulated", "operators", "statuses")
-        grids = ("coefficients", "compared", "tuning", "parents")
+        grids = ("coefficients", "compared", "tuning")
         return {
             **{name: getattr(c, name) for name in plain},
             **{name: [self.grid(grid) for grid in getattr(c, name)] for name in grids},
