@@ -1,4 +1,4 @@
-"""`pmabench cascade`: muscles end to end with pressures of their own: simulate, draw, play again in real time."""
+"""`pmabench model cascade`: muscles end to end with pressures of their own: simulate, draw, play again in real time."""
 
 from __future__ import annotations
 

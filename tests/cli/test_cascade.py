@@ -1,4 +1,4 @@
-"""`pmabench cascade`: files with all problems at once, pacing, results, drawings that need nothing else, replay."""
+"""`pmabench model cascade`: files with all problems at once, pacing, results, drawings that need nothing else, replay."""
 
 import csv
 import doctest
