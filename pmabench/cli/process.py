@@ -98,7 +98,7 @@ def command(
     RUNS named one by one are taken together: one analysis for each kind of test of each specimen.
 
     Of a FOLDER of runs each run is taken on its own, with those that it continues: an analysis folder for each in
-    analyses/each, and one table over all of them next to those (all-runs.csv, .parquet, .json). Runs that have not
+    analyses/each, and one table over all of them next to those (all-runs.csv, .json). Runs that have not
     changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
     from pmabench.kinds.reduce import FORM
