@@ -159,7 +159,10 @@ def test_overlays_are_read_with_their_units_and_labels(tmp_path):
         ("P [bar],K\n1,2\n", "needs a unit of stiffness"),
         ("P [bar],L [mm]\n1,2\n", "a coordinate and a value over it are expected"),
         ("P [bar],K [N/mm],S [N/mm]\n1,2,3\n", "a second column of K"),
-        ("eps [%],force [N]\n1,2\n", "matches no figure of this report: it holds contraction, force; what is read: pressure"),
+        (
+            "eps [%],force [N]\n1,2\n",
+            "matches no figure of this report: it holds contraction, force; what is read: pressure",
+        ),
     ],
 )
 def test_tables_that_cannot_be_used_are_reported_with_their_place(tmp_path, text, reported):
