@@ -32,18 +32,13 @@ def open_run(path: Path | str) -> Run:
 
 def process(
     *runs: Run | Path | str,
-    forms: Sequence[str] = (),
-    bootstrap: int | None = None,
-    polish: bool = False,
     regulator: bool = False,
 ) -> Results:
     """Coefficients of runs, for each kind of test; runs that continue each other are combined.
 
-    `forms`, `bootstrap`, `polish` and `regulator` are for kinds of test that have these options, as in `pmabench
-    process`.
+    `regulator` is for kinds of test that have this option, as in `pmabench process`.
 
-    Raises InvalidFile if one is no run or of a kind that cannot be reduced; UsageError if none is given, or for an
-    unknown form.
+    Raises InvalidFile if one is no run or of a kind that cannot be reduced; UsageError if none is given.
     """
     from pmabench.kinds import registry
     from pmabench.kinds.reduce import reduce_runs
@@ -52,8 +47,8 @@ def process(
     if not runs:
         raise UsageError("no run is given; give run folders, or what open_run returned")
     loaded = open_chains([Path(run.data.path if isinstance(run, Run) else run) for run in runs])
-    asked = {"forms": list(forms), "bootstrap": bootstrap, "polish": polish, "regulator": regulator}
-    return Results(tuple(reduce_runs(loaded, registry.options_for(asked))), tuple(loaded))
+    options = registry.options_for({"regulator": regulator})
+    return Results(tuple(reduce_runs(loaded, options)), tuple(loaded))
 
 
 def open_analysis(*folders: Path | str) -> Results:

@@ -103,8 +103,6 @@ def test_a_few_trials_bring_its_coefficients_back_and_the_run_keeps_the_file(fol
 
 def test_the_muscle_with_hysteresis_and_creep_is_what_its_commands_show(folder):
     """Sine of 10 mm about 17 mm at 300 kPa, by hand: 2 H 0.85 and (B_c + B_r) 2 pi 0.1 Hz 10 mm, less 5 ms of lag."""
-    for name, printed in (("real", "1264.6 N"), ("real-loop", "51.00 N"), ("real-creep", "41.635 mm")):
-        assert printed in call(f"pmabench model show {name}")
     lifted = json.loads(call(command("model simulate real"), "--json"))["columns"]
     assert max(lifted[3]["values"]) * 1e3 == pytest.approx(39.2, abs=0.1)
     driven = next(line for line in COMMANDS if "--drive" in line)

@@ -61,19 +61,18 @@ def late_by(run: RunData, channel: str) -> tuple[float, float] | None:
 
 def measured(
     runs: Sequence[RunData],
-    options: Mapping[str, Any],
     measure: Callable[[RunData, TrialData, tuple[float, float]], Measured | str],
 ) -> tuple[list[tuple[RunData, Measured]], list[Dropped], bool]:
     """Results of `measure` with their runs, the trials that it refused, and whether all runs state their lateness.
 
-    `measure` gets run, trial and lateness of the pressure [s], which is that of `late_by` or the option of that name;
-    it returns a reason as text where it refuses. The last value counts a lateness of pressure or displacement.
+    `measure` gets run, trial and lateness of the pressure [s]; it returns a reason as text where it refuses. The last
+    value counts a lateness of pressure or displacement.
     """
     found: list[tuple[RunData, Measured]] = []
     dropped: list[Dropped] = []
     stated = True
     for run in runs:
-        late = tuple(options["late_by"]) if "late_by" in options else late_by(run, "pressure")
+        late = late_by(run, "pressure")
         stated = stated and (late is not None or late_by(run, "displacement") is not None)
         for trial in run.trials:
             one = measure(run, trial, late or (0.0, 0.0))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from math import hypot, isfinite, sqrt
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from pmabench.analysis.model_problem import (
     net_of,
     solve,
     spread_of,
+    with_halves,
 )
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import listed
@@ -148,13 +149,14 @@ def fit_model(
     unknown: Sequence[str],
     *,
     start: Mapping[str, float] | None = None,
+    halves: Array | None = None,
     profiles: bool = True,
 ) -> ModelFit:
     """Fit the inputs `unknown` of `model` so that `output` follows `measured` (n,) at `columns` (n,) and `fixed`, SI.
 
-    `start` replaces reference values in the first start. Without `profiles` intervals are linear, which takes a
-    fraction of the time. Raises ValueError where there are fewer rows than unknowns, or where the model holds at none
-    of the starts.
+    `start` replaces reference values in the first start. `halves` are 95 % half widths of `measured` (n,); they go into
+    the intervals, not into the weights. Without `profiles` intervals are linear, which takes a fraction of the time.
+    Raises ValueError where there are fewer rows than unknowns, or where the model holds at none of the starts.
     """
     problem = Problem(model, output, unknown, {**fixed, **columns}, measured)
     if len(measured) < len(unknown):
@@ -172,6 +174,8 @@ def fit_model(
     spread, intervals, better = _intervals(problem, best, freedom, net, profiled=method == "profile")
     ends = [*better, *ends]
     best = ends[0] if better else best
+    if halves is not None and freedom > 0:
+        spread, intervals = _widened(problem, best[1], spread, intervals, halves, freedom)
     computed = problem.output_at(best[1])
     at_end = _at_ends(problem, best[1])
     findings = identifiability(unknown, spread, intervals, at_end)
@@ -231,6 +235,24 @@ def _intervals(
         better[0] = best = (*best[:2], False)
     spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
     return spread, [_wald(v, s, freedom) for v, s in zip(best[1], spread.errors, strict=True)], better
+
+
+def _widened(
+    problem: Problem, at: Array, spread: Spread, intervals: Sequence[Interval | None], halves: Array, freedom: int
+) -> tuple[Spread, list[Interval | None]]:
+    """Spread and intervals with what half widths of the rows add, in squares at each end."""
+    limit = float(student.ppf(0.975, freedom))
+    wider = with_halves(spread, problem.slopes(at), halves, limit)
+    found: list[Interval | None] = []
+    for value, old, new, ends in zip(at.tolist(), spread.errors, wider.errors, intervals, strict=True):
+        more = limit * sqrt(max(0.0, (new or 0.0) ** 2 - (old or 0.0) ** 2))
+        low, high = ends or (None, None)
+        wide = (
+            None if low is None else value - hypot(value - low, more),
+            None if high is None else value + hypot(high - value, more),
+        )
+        found.append(None if ends is None else wide)
+    return wider, found
 
 
 def _wald(value: float, error: float | None, freedom: int) -> Interval | None:

@@ -66,6 +66,23 @@ def spread_of(slopes: Array, squares: float, freedom: int) -> Spread:
     return Spread(errors, covariance, correlation, tuple(tied))
 
 
+def with_halves(spread: Spread, slopes: Array, halves: Array, limit: float) -> Spread:
+    """The spread with what 95 % half widths of the rows (n,) do to the unknowns; `limit` is Student's t of the fit.
+
+    Of which errors the rows have in common their widths do not say: all of it once, as a gain and a zero of one sensor,
+    and all of it row by row, add up in squares.
+    """
+    lengths = np.linalg.norm(slopes, axis=0)
+    scale = np.where(lengths > 0, lengths, 1.0)
+    each = np.linalg.pinv(slopes / scale, rcond=RANK) / scale[:, None] * halves
+    common = each.sum(axis=1)
+    covariance = spread.covariance + (np.outer(common, common) + each @ each.T) / limit**2
+    width = np.sqrt(np.diag(covariance))
+    errors = tuple(None if e is None else float(w) for e, w in zip(spread.errors, width, strict=True))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return Spread(errors, covariance, covariance / np.outer(width, width), spread.tied)
+
+
 def identifiability(
     names: Sequence[str],
     spread: Spread,

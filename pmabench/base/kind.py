@@ -36,7 +36,7 @@ class Imported:
     """What a kind of test, or of recording, needs from a file of another program."""
 
     commanded: Commanded | None = None
-    """None: the commands of a search or a loop cannot be found in a file."""
+    """None: no commands are looked for in a file."""
     recording: bool = False
     """Recorded for this reduction alone: commands and operating points come from the `cut` of the map."""
     follows: str = ""
@@ -105,12 +105,8 @@ class Kind:
     """Its name in a comparison of tests, `sine`; the same for two reductions of the same runs."""
     offers: str = ""
     """`module:offers`: Analysis -> its `Offer` of each quantity that other kinds of test also measure."""
-    after: str = ""
-    """`module:options`: offers of the specimen's other tests -> options of this reduction, which runs after them."""
     reverses: bool = False
     """Whether it examines small reversals of the motion."""
-    at_rest: bool = False
-    """Whether limits against static load are compared with its F_ce."""
     instead: str = ""
     """Advice to run it if other tests contradict each other on F_ce, F or K."""
     figures: dict[str, str] = field(default_factory=dict)
@@ -122,7 +118,7 @@ class Kind:
     options: tuple[str, ...] = ()
     """Options of its reduction for users."""
     parts: dict[str, str] = field(default_factory=dict)
-    """Parts for certain commands, as "module:name": `check options`, `tune by steps`, `tune by model`.
+    """Parts for certain commands, as "module:name": `tune by steps`, `tune by model`.
 
     `next trial`: chooses the trials of a plan one by one, `Chooser(plan, expected, goals, seconds).decide(runs)`.
 

@@ -156,7 +156,7 @@ def _compile(c: Compilation, path: Path) -> Mounted:
         platform=platform,
         path=str(path.resolve()),
     )
-    doubts, open_values = tuple(mistaken(c, devices)), tuple(unconfirmed(c))
+    doubts, open_values = tuple(mistaken(c)), tuple(unconfirmed(c))
     return Mounted(bench, c.bench, c.specimen, c.texts, missing, before, doubts, unconfirmed=open_values)
 
 

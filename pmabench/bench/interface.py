@@ -358,40 +358,15 @@ def _record(kind: type[R], data: Mapping[str, Any]) -> R:
 
 
 @dataclass(frozen=True)
-class Plug:
-    """A sensor or an actuator at one terminal with its signal, and the terminal's scale for that signal."""
-
-    sensor: Scale
-    """Signal to SI."""
-    digits: Scale = field(default_factory=Scale)
-    """Scale from device units to the signal."""
-    unit: str = ""
-    """Unit of the signal: a plug only fits terminals of the same unit."""
-    low: float = 0.0
-    """Lower end of the sensor's range [SI]."""
-
-    @property
-    def scale(self) -> Scale:
-        """Scale from device units to SI."""
-        return Scale(self.sensor.slope * self.digits.slope, float(self.sensor.to_si(self.digits.offset)))
-
-
-@dataclass(frozen=True)
-class Wired:
-    """One device as it is really wired: a record for its emulator, and the plugs by terminal."""
-
-    record: DeviceRecord
-    """Channels, outputs, valves and interlocks are named by their meaning in the plant, and have the plugs' scales."""
-    inputs: Mapping[str, Plug]
-    outputs: Mapping[str, Plug]
-
-
-@dataclass(frozen=True)
 class Truth:
-    """A rig as described by its truth file, by device name; without addresses."""
+    """A rig as described by its truth file, by device name; without addresses.
+
+    Channels, outputs, valves and interlocks are named by their meaning in the plant, and have the scales of what is
+    wired to them.
+    """
 
     path: str
-    devices: Mapping[str, Wired]
+    devices: Mapping[str, DeviceRecord]
 
 
 COMPUTER = "computer"

@@ -38,8 +38,8 @@ def read_truth(path: Path) -> b.Truth:
     devices = {}
     for name, said in file.devices.items():
         device = _Device(document, name, said, path.parent)
-        devices[name] = device.wired()
-        problems += device.problems or _refused_by_driver(device, devices[name].record)
+        devices[name] = device.record()
+        problems += device.problems or _refused_by_driver(device, devices[name])
     if problems:
         raise InvalidFile(problems)
     return b.Truth(str(path), devices)
@@ -57,7 +57,7 @@ class _Device:
         """Add a problem at a value of this device."""
         self.problems.append(self.document.problem((*self.at, *location), message))
 
-    def wired(self) -> b.Wired:
+    def record(self) -> b.DeviceRecord:
         """The wired device, with a placeholder as address."""
         file, name, driver = self.file, self.name, ""
         try:
@@ -65,25 +65,22 @@ class _Device:
         except ValueError as error:
             self.fault(("driver",), str(error))
         channels, outputs = [], []
-        inputs, driven = {}, {}
         for terminal, sensor in file.inputs.items():
             what, at = sensor.measures, ("inputs", terminal)
-            inputs[terminal], unit = self._plug(at, "sensor", what, sensor.sensor, sensor.device)
-            kind, scale = "int32" if unit == "count" else "float64", inputs[terminal].scale
-            quantity = CHANNEL_QUANTITY[what]
+            scale, unit = self._plug(at, "sensor", what, sensor.sensor, sensor.device)
+            kind, quantity = "int32" if unit == "count" else "float64", CHANNEL_QUANTITY[what]
             channels.append(b.ChannelRecord(what, quantity, name, terminal, kind, unit, scale, -ENDLESS, ENDLESS))
         for terminal, actuator in file.outputs.items():
             what, at = actuator.drives, ("outputs", terminal)
-            driven[terminal], unit = self._plug(at, "actuator", what, actuator.actuator, actuator.device)
+            scale, unit = self._plug(at, "actuator", what, actuator.actuator, actuator.device)
             quantity = CHANNEL_QUANTITY[what]
             ends = [self._si(end, quantity, (*at, "range", i)) for i, end in enumerate(actuator.range or ())]
             low, high = min(ends, default=0.0), max(ends, default=0.0)
-            step, scale = self._step(actuator, unit, at), driven[terminal].scale
+            step = self._step(actuator, unit, at)
             outputs.append(b.OutputRecord(what, quantity, name, terminal, scale, step, 0.0, low, high, rate=ENDLESS))
         valves = tuple(b.ValveRecord(valve.valve, name, at, valve.energised) for at, valve in file.valves.items())
         locks = tuple(b.InterlockRecord(item.contact, name, at, item.released) for at, item in file.contacts.items())
-        record = b.DeviceRecord(name, driver, NOWHERE, self._options(), tuple(channels), tuple(outputs), valves, locks)
-        return b.Wired(record, inputs, driven)
+        return b.DeviceRecord(name, driver, NOWHERE, self._options(), tuple(channels), tuple(outputs), valves, locks)
 
     def _step(self, actuator: ActuatorFile, unit: str, at: Location) -> float:
         step, given = actuator.step or (0.0, unit)
@@ -91,18 +88,19 @@ class _Device:
             self.fault((*at, "step"), f"a step in {unit} is expected")
         return step
 
-    def _plug(self, at: Location, key: str, what: str, signal: Line, device: Line | None) -> tuple[b.Plug, str]:
-        """The plug, and the device's own unit."""
+    def _plug(self, at: Location, key: str, what: str, signal: Line, device: Line | None) -> tuple[b.Scale, str]:
+        """The scale from device units to SI, and the device's own unit."""
         quantity = CHANNEL_QUANTITY[what]
         unit = self._one_unit(signal, 0, (*at, key))
         ends = [self._si(point[1], quantity, (*at, key, i, 1)) for i, point in enumerate(signal)]
         sensor = self._line([point[0][0] for point in signal], ends, (*at, key))
         if device is None:
-            return b.Plug(sensor, unit=unit, low=ends[0]), unit
+            return sensor, unit
         if self._one_unit(device, 1, (*at, "device")) != unit:
             self.fault((*at, "device", 0, 1), f"what the device makes of its digits is in {unit}, as the {key} is")
         digits = self._line([p[0][0] for p in device], [p[1][0] for p in device], (*at, "device"))
-        return b.Plug(sensor, digits, unit, ends[0]), self._one_unit(device, 0, (*at, "device"))
+        scale = b.Scale(sensor.slope * digits.slope, float(sensor.to_si(digits.offset)))
+        return scale, self._one_unit(device, 0, (*at, "device"))
 
     def _one_unit(self, line: Line, side: int, at: Location) -> str:
         first, second = line[0][side][1], line[1][side][1]

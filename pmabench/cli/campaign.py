@@ -12,8 +12,8 @@ import click
 
 from pmabench.base.quantities import in_words
 from pmabench.cli.common import Ui, common, say, session_options
-from pmabench.cli.names import CAMPAIGN, FOLDER, PATH, short
-from pmabench.cli.outcome import cut, next_lines, outcome_json, show_next
+from pmabench.cli.names import CAMPAIGN, FOLDER, PATH, next_lines, short
+from pmabench.cli.outcome import cut, outcome_json, show_next
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from pmabench.base.quantities import in_words, show
 from pmabench.base.text import printable
 from pmabench.bench.compile import Mounted
 from pmabench.cli.common import Ui, common, fields, labelled, no_overwriting, plan_options
-from pmabench.cli.names import FILE, PATH, typed
-from pmabench.cli.outcome import next_lines, progress_line
+from pmabench.cli.names import FILE, PATH, next_lines, typed
+from pmabench.cli.outcome import progress_line
 from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
 from pmabench.kinds.compile import read_protocol
 from pmabench.protocol.plan import Plan

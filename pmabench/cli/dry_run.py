@@ -30,7 +30,8 @@ from pmabench.bench.dry_run import (
 from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint, SpecimenFile
 from pmabench.bench.plant import read_plant
 from pmabench.cli.common import fields
-from pmabench.cli.outcome import WIDTH, cut
+from pmabench.cli.names import WIDTH
+from pmabench.cli.outcome import cut
 from pmabench.engine.executor import Progress
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.recorder import TrialPeaks

@@ -11,7 +11,6 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -50,17 +49,10 @@ NOT_PROVEN = "scales not proven: wiring and scales are taken from the bench file
 @click.option("--log", type=FILE, help="Append every exchange as JSON lines.")
 @click.option("--faults", type=FILE, help="YAML file of what goes wrong, and when.")
 @click.option("--truth", help="What is really wired, and by which scales: a shipped rig's name, or a truth file.")
-@click.option(
-    "--wrong",
-    multiple=True,
-    help="What differs from that, as scale:force=0.5, sign:displacement, swap:pressure=force, offset:force=120 N.",
-)
 @click.option("--expose", is_flag=True, help="Serve also at addresses that other machines can reach.")
 @click.option("--control", type=click.IntRange(0, 65535), default=0, help="Port for loads and faults; 0: a free one.")
 @common
-def command(
-    ui: Ui, bench: str, plant: str, faults: Path | None, truth: str | None, wrong: tuple[str, ...], **how: Any
-) -> None:
+def command(ui: Ui, bench: str, plant: str, faults: Path | None, truth: str | None, **how: Any) -> None:
     """Serve the devices of BENCH whose drivers have an emulator on this machine, in real time, until Ctrl-C.
 
     Devices answer at the addresses of the bench file: TCP at its address (port 0 takes a free one, which is printed),
@@ -85,7 +77,6 @@ def command(
     served: Any = next(iter(found)).load()(
         mounted.bench.devices,
         truth=None if real is None else read_truth(real),
-        wrong=[_in_si(text) for text in wrong],
         plant=_muscle(plant, mounted.bench.outputs),
         **how,
     )
@@ -114,31 +105,15 @@ def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path |
             "devices": {name: device.address for name, device in served.devices.items()},
             "control": served.control.address,
             "truth": None if truth is None else str(truth),
-            "wrong": served.wrong,
         },
         lambda: click.echo("\n".join([*served.lines(), f"control: {served.control.address}"])),
     )
     ui.note(f"wiring and scales from {truth}" if truth is not None else NOT_PROVEN)
-    for sentence in served.wrong:
-        ui.note(f"wrong on purpose: {sentence}")
     ui.note('serving until Ctrl-C; "help" and Enter: what can be typed here')
     schedule = Schedule(served.act, ui.note)
     schedule.add(planned)
     threading.Thread(target=_typed, args=(ui, faults, schedule), daemon=True).start()
     threading.Event().wait()
-
-
-def _in_si(text: str) -> str:
-    """An entry of `--wrong` with its value in SI."""
-    from pmabench.files.quantity import parse_quantity
-
-    head, equals, value = text.partition("=")
-    if not head.startswith("offset:") or not equals or value.lstrip("+-").replace(".", "").isdigit():
-        return text
-    for quantity in ("length", "pressure", "force", "angle"):
-        with suppress(ValueError):
-            return f"{head}={parse_quantity(value, quantity)!r}"
-    raise UsageError(f'--wrong {text}: a length, pressure, force or angle is expected, as "12 mm", not "{value}"')
 
 
 def _muscle(name: str, outputs: Iterable[OutputRecord]) -> str | dict[str, Any]:

@@ -14,8 +14,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, RecordError, UsageError, did_you_mean, invalid
 from pmabench.cli.common import Ui, common, say
-from pmabench.cli.names import BENCH, FILE, PATH
-from pmabench.cli.outcome import next_lines
+from pmabench.cli.names import BENCH, FILE, PATH, next_lines
 from pmabench.files.shipped import find_file, shipped_folder
 
 if TYPE_CHECKING:

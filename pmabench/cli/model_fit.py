@@ -135,7 +135,8 @@ def _fit(
     try:
         known = {name: value for name, value in fixed.items() if name not in unknown}
         start = {name: float(value) for name, value in begin.items()}
-        return fit_model(model, measured.output, measured.columns, known, measured.values, unknown, start=start)
+        values, halves = measured.values, measured.halves
+        return fit_model(model, measured.output, measured.columns, known, values, unknown, start=start, halves=halves)
     except (ValueError, OutsideDomain) as error:
         raise UsageError(f"{model.name}: {error}") from error
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, UsageError, did_you_mean
 from pmabench.base.quantities import QUANTITIES, show
-from pmabench.files.table import Column, Table, Wanted, meaning, numbers, read_table
+from pmabench.files.table import Column, Table, Wanted, meaning, numbers, read_table, split_head
 from pmabench.model.curve import Array
 from pmabench.model.library import Model, Parameter
 from pmabench.model.library.description import Output
@@ -31,6 +31,8 @@ SYNONYMS = {
 """Other heads for an input or output of this name, where the model calls nothing else so."""
 
 
+HALF = " half width 95 %"
+"""End of the head of a column that holds the half widths of the column before it."""
 CLOSE = 0.8
 """Likeness from which on an unknown head counts as a slip of the pen and not as another column."""
 
@@ -44,6 +46,8 @@ class Measured:
     """Inputs by name."""
     values: Array
     """What was measured of the output."""
+    halves: Array | None
+    """95 % half widths of these values, where the table has a column of them."""
     left_out: int
     """Rows with an empty cell or outside of the ranges."""
     notes: list[str]
@@ -79,6 +83,7 @@ def read_measured(
         expected = ", ".join(_example(p.name, p.quantity) for p in model.parameters if not p.choices)
         raise UsageError(f"{table.path} has no column of an input of {model.name}; it takes: {expected}")
     idle = [*unused, *(other.head.text for name, (other, _) in outputs.items() if name != chosen)]
+    idle = [head for head in idle if not split_head(head)[0].endswith(HALF)]
     if idle and not path.is_dir():
         notes.append("not used: column " + ", ".join(f'"{head}"' for head in idle))
     if path.is_dir() and not only:
@@ -106,7 +111,25 @@ def read_measured(
     if not kept:
         raise UsageError(f"{table.path}: no row has a value in each of {', '.join([*names, chosen])} that counts")
     columns = dict(zip(names, found[:-1], strict=True))
-    return Measured(chosen, columns, found[-1], count - len(kept), notes, table.source)
+    halves = _halves(table, chosen_columns[-1], kept, notes)
+    return Measured(chosen, columns, found[-1], halves, count - len(kept), notes, table.source)
+
+
+def _halves(
+    table: Table, measured: tuple[Column, str, str | None], kept: Sequence[int], notes: list[str]
+) -> Array | None:
+    """Half widths of the measured column at the rows that count, as `process` writes them; None without a column."""
+    column, quantity, unit = measured
+    wide = next((one for one in table.columns if one.name == f"{column.name}{HALF}"), None)
+    if wide is None:
+        return None
+    (every,), _ = numbers(table, [(wide, quantity, wide.unit or unit)], blank=True)
+    halves = every[list(kept)]
+    halves[~(halves > 0)] = 0.0
+    notes.append(f'intervals hold those of column "{wide.head.text}"')
+    if lacking := int((halves == 0).sum()):
+        notes.append(f"{lacking} rows have no half width: their values count as exact but for the scatter")
+    return halves
 
 
 Found = dict[str, tuple["Column", "str | None"]]
@@ -167,6 +190,8 @@ def _columns(
         taken[heads[head]] = name
     own = {p.name for p in model.parameters}
     for column in table.columns:
+        if not any(cell.text for cell in column.cells):
+            continue  # of an analysis that does not know it
         head = column.head.text
         if head in taken:
             name, unit = taken[head], column.unit

@@ -14,8 +14,7 @@ from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common
 from pmabench.cli.model_inputs import column_of, show_columns
-from pmabench.cli.model_plants import DRIVE, PLANTS, columns_of, described_by, next_to, within
-from pmabench.cli.names import RunFolder
+from pmabench.cli.model_plants import DRIVE, PLANTS, columns_of, described_by, within
 
 if TYPE_CHECKING:
     from pmabench.model.driven import Actuator, DrivenPlant
@@ -75,8 +74,6 @@ CHANGES = {
 @click.option("--for", "duration", default="5 s", show_default=True, help="How long.")
 @click.option("--every", help="Time between rows; a twenty-fifth of the whole where not given.")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Change a parameter of the plant.")
-@click.option("--along", type=RunFolder(), metavar="RUN", help="Under the pressures and loads of a run; its errors.")
-@click.option("--trial", type=int, metavar="NUMBER", help="With --along: the samples of one trial.")
 @click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values in SI units on stdout.")
 @common
 def simulate(
@@ -90,8 +87,6 @@ def simulate(
     duration: str,
     every: str | None,
     settings: tuple[str, ...],
-    along: Path | None,
-    trial: int | None,
     openings: tuple[str, ...],
     chain: str,
     *,
@@ -102,21 +97,14 @@ def simulate(
     Two muscles on a pulley: joint, with --step "1: 300 kPa at 0 s" and free, or --drive "0 deg +- 30 deg, 0.05 Hz".
     Three under a platform, level at first: platform, with --open; or under its law, --step "10 deg, 0 deg at 1 s".
 
-    Or the folder of an analysis of kind surface; with --along RUN next to what was measured. True values in time,
-    without sensors.
+    Or the folder of an analysis of kind surface. True values in time, without sensors.
     """
     several = plant in PLANTS
     if chain != "reference" and plant != "platform":
         raise UsageError("--chain is for the platform")
-    if several and (sine or load or settings or along):
-        raise UsageError(f"{plant}: --sine, --load, --set and --along are for plants of one muscle")
-    if along is not None:
-        if any((steps, sine, load, drive, settings)):
-            what = "--along takes pressures and loads from the run"
-            raise UsageError(f"{what}; give no --step, --sine, --load, --drive, --set")
-        next_to(ui, Path(plant), along, trial, as_csv=as_csv)
-        return
-    problems = [] if several else _misplaced(trial, openings, load, drive, nothing=not steps and sine is None)
+    if several and (sine or load or settings):
+        raise UsageError(f"{plant}: --sine, --load and --set are for plants of one muscle")
+    problems = [] if several else _misplaced(openings, load, drive, nothing=not steps and sine is None)
     times = _times(problems, duration, every, LONGEST_OF_SEVERAL if several else LONGEST)
     asked = None if several else _asked(problems, steps, sine, load, drive, settings)
     if problems:
@@ -136,12 +124,9 @@ def simulate(
     show_columns(ui, data, as_csv=as_csv, above=above, below=[f"\n{said}"] if said and not ui.quiet else [])
 
 
-def _misplaced(
-    trial: int | None, openings: tuple[str, ...], load: str | None, drive: str | None, *, nothing: bool
-) -> list[str]:
+def _misplaced(openings: tuple[str, ...], load: str | None, drive: str | None, *, nothing: bool) -> list[str]:
     """What is wrong with the options together, for a plant of one muscle."""
     wrong = {
-        "--trial is for --along RUN": trial is not None,
         "--open is for the platform": bool(openings),
         "--load and --drive: the free end carries a load or is driven, not both": bool(load and drive),
         '--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"': nothing,

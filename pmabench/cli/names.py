@@ -24,6 +24,9 @@ TAIL = re.compile("[0-9a-f]{4}(-[a-z]+)?")
 MOST = 50
 """Runs that are proposed, the newest first."""
 
+WIDTH = 80
+"""Columns of a terminal that every line of advice fits."""
+
 
 class Named(click.ParamType[str]):
     """A file of one kind by its path, or by the name of a shipped one."""
@@ -119,3 +122,15 @@ PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 BENCH, SPECIMEN, PROTOCOL, CAMPAIGN = (Named(kind) for kind in ("bench", "specimen", "protocol", "campaign"))
+
+
+def next_lines(*words: str, indent: int = 8) -> list[str]:
+    """`next    COMMAND` in lines of at most 80 columns where its words allow it; it can be typed as it is printed."""
+    lines = [f"{'next':<{indent}}{words[0]}"]
+    for word in words[1:]:
+        if len(lines[-1]) + len(word) + 3 > WIDTH:
+            lines[-1] += " \\"
+            lines.append(f"          {word}")
+        else:
+            lines[-1] += f" {word}"
+    return lines

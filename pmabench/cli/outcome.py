@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, fields, read_or_not, rewrite, say
-from pmabench.cli.names import short, typed
+from pmabench.cli.names import WIDTH, short, typed
 from pmabench.guard.safe import UNANSWERED
 from pmabench.guard.station import Station
 from pmabench.report.terminal import print_texts
@@ -27,25 +27,12 @@ if TYPE_CHECKING:
     from pmabench.session.checks import Check
 
 FINISHED = ("finished", "failed")
-WIDTH = 80
 MAY_COME = "; a command may still come: shut the supply"
 
 
 def cut(text: str) -> str:
     """One line of at most 80 columns."""
     return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
-
-
-def next_lines(*words: str, indent: int = 8) -> list[str]:
-    """`next    COMMAND` in lines of at most 80 columns where its words allow it; it can be typed as it is printed."""
-    lines = [f"{'next':<{indent}}{words[0]}"]
-    for word in words[1:]:
-        if len(lines[-1]) + len(word) + 3 > WIDTH:
-            lines[-1] += " \\"
-            lines.append(f"          {word}")
-        else:
-            lines[-1] += f" {word}"
-    return lines
 
 
 def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -> None:

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import UsageError
+from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.text import clean
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import PATH, RunFolder, short
-from pmabench.cli.outcome import bar_line, next_lines
+from pmabench.cli.names import PATH, RunFolder, next_lines, short
+from pmabench.cli.outcome import bar_line
 from pmabench.cli.sources import (
     campaign_folder,
     chains,
@@ -58,24 +58,7 @@ MOST_SINCE = 2
 @click.option("--jobs", type=click.IntRange(1, 256), metavar="N", help="So many processes share a folder of runs.")
 @click.option("--cluster", metavar="ADDRESS", help="A Dask scheduler whose workers share a folder of runs.")
 @click.option(
-    "--form",
-    "forms",
-    multiple=True,
-    metavar="FORM",
-    help="`surface`: all slow tests together as one muscle with hysteresis and creep. SYMBOL=FORM, contraction runs:"
-    " F_ce, K, B_c or B_r over pressure as constant, line, polynomial or polygon, in a joint fit next to the straight"
-    " lines between pressures.",
-)
-@click.option(
-    "--bootstrap",
-    type=click.IntRange(20, 10_000),
-    metavar="N",
-    help="Contraction runs: so many draws over the trials check the intervals.",
-)
-@click.option(
-    "--polish",
-    is_flag=True,
-    help="Contraction runs: the coefficients by output error, too, which simulates each stroke.",
+    "--form", metavar="FORM", help="`surface`: all slow tests together as one muscle with hysteresis and creep."
 )
 @click.option("--regulator", is_flag=True, help="Contraction runs: dead time and lags from command to pressure.")
 @click.option("--fresh", is_flag=True, help="A folder of runs: compute also what has not changed.")
@@ -87,7 +70,7 @@ def command(
     each: bool,
     jobs: int | None,
     cluster: str | None,
-    forms: tuple[str, ...],
+    form: str | None,
     fresh: bool,
     **options: Any,
 ) -> int | None:
@@ -99,15 +82,16 @@ def command(
     analyses/each, and one table over all of them next to those (all-runs.csv, .json). Runs that have not
     changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
-    from pmabench.kinds.reduce import FORM
+    if form is not None:
+        from pmabench.kinds.reduce import FORM
 
-    together = [form for form in forms if form in registry.with_part(FORM)]
-    if together:
-        if len(forms) > 1 or any(options.values()) or each or any(holds_runs(path) for path in runs):
-            what = f"--form {together[0]} takes all runs that are named into one muscle, and no other option"
+        if form not in (forms := registry.with_part(FORM)):
+            raise UsageError(f"there is no form {form[:40]!r}{did_you_mean(form, forms)}")
+        if any(options.values()) or each or any(holds_runs(path) for path in runs):
+            what = f"--form {form} takes all runs that are named into one muscle, and no other option"
             raise UsageError(f"{what}: name run folders, for instance with /*")
-        return _process_together(ui, runs, out, {}, together[0])
-    asked = registry.options_for({"forms": list(forms), **options})
+        return _process_together(ui, runs, out, {}, form)
+    asked = registry.options_for(options)
     below = [path for path in runs if holds_runs(path)]
     if each or below:
         if jobs is not None and cluster is not None:
@@ -190,10 +174,7 @@ def processed(
     key = "" if form else key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
     runs = load_runs(given)
     if asked and not any(run.kind in asked for run in runs):
-        raise UsageError(
-            "--form, --bootstrap, --polish and --regulator are for runs of kind "
-            f"{', '.join(asked)}; none of these is one"
-        )
+        raise UsageError(f"--regulator is for runs of kind {', '.join(asked)}; none of these is one")
     analyses = reduce_together(form, runs) if form else reduce_runs(runs, asked)
     if out is None:
         out = place_of(given[0])

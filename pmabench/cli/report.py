@@ -15,7 +15,7 @@ import click
 from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
 from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.common import Ui, common, no_pipes
-from pmabench.cli.names import FILE, PATH, RunFolder
+from pmabench.cli.names import FILE, PATH, RunFolder, next_lines
 
 if TYPE_CHECKING:
     from pmabench.cli.process import Processed
@@ -142,8 +142,6 @@ def characterise(given: Sequence[Path], place: Path, report: Path, title: str | 
 
 def characterised_lines(found: Processed, report: Path) -> list[str]:
     """The results at a glance, where the report is, and what to type where they are not accepted."""
-    from pmabench.cli.outcome import next_lines
-
     then = found.described_by()
     return [*found.glance(), f"report  {report}", *(next_lines(*then) if then else [])]
 

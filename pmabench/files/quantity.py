@@ -136,16 +136,6 @@ def parse_mass_or_force(value: object) -> tuple[str, float]:
             raise
 
 
-def parse_share_or_force(value: object) -> tuple[str, float]:
-    """`("ratio", 0.03)` for `"3 %"`, `("force", N)` for `"15 N"`."""
-    if isinstance(value, str) and value.strip().endswith("%"):
-        return "ratio", parse_quantity(value, "ratio")
-    try:
-        return "force", parse_quantity(value, "force")
-    except ValueError:
-        raise ValueError(f'"{value}" is neither a share nor a force, for instance "3 %" or "15 N"') from None
-
-
 def parse_plates(value: object) -> tuple[int, float]:
     """`"5 x 5 kg"` to `(5, 5.0)`: COUNT x QUANTITY, for plates only."""
     match = _COUNTED.fullmatch(str(value).strip())
@@ -206,7 +196,6 @@ Damping = Annotated[float, _of("damping")]
 ForcePerPressure = Annotated[float, _of("force per pressure")]
 Volume = Annotated[float, _of("volume")]
 Load = Annotated[tuple[str, float], AsText(parse_mass_or_force, "a mass or a force", "6 kg", "58.86 N")]
-ShareOrForce = Annotated[tuple[str, float], AsText(parse_share_or_force, "a share or a force", "3 %", "15 N")]
 Plates = Annotated[tuple[int, float], AsText(parse_plates, "COUNT x MASS", "5 x 5 kg")]
 
 

@@ -11,16 +11,9 @@ from pmabench.analysis.imported import in_time, without_doubtful
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.signals import without_spikes
 from pmabench.analysis.shared.trials import grouped, session_of
-from pmabench.analysis.verdict.acceptance import Pairs, not_accepted, not_accepted_as_form
+from pmabench.analysis.verdict.acceptance import not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
-from pmabench.analysis.verdict.agreement import (
-    Offer,
-    against_static,
-    agreement,
-    offers_of,
-    side_by_side,
-    without_diameter,
-)
+from pmabench.analysis.verdict.agreement import Offer, agreement, offers_of, side_by_side, without_diameter
 from pmabench.analysis.verdict.checks import with_checks, with_record
 from pmabench.analysis.verdict.sessions import with_sessions
 from pmabench.base.errors import UsageError, did_you_mean, invalid
@@ -84,7 +77,8 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
             raise invalid(run.path, f'no reduction for runs of kind "{kind}"{did_you_mean(kind, registry.all_kinds())}')
     found: list[Analysis] = []
     for members in grouped(ordered, _whose).values():
-        analyses = _of_specimen(grouped(members, reduction_of), options or {})
+        kinds = grouped(members, reduction_of)
+        analyses = [_reduced(kind, of, (options or {}).get(kind)) for kind, of in kinds.items()]
         difference = compared(analyses)
         found += analyses if difference is None else [*analyses, difference]
     return found
@@ -106,18 +100,6 @@ def reduce_together(form: str, runs: Sequence[RunData]) -> list[Analysis]:
         kinds = ", ".join(dict.fromkeys(run.kind for run in runs))
         raise UsageError(f"--form {form} takes runs of kind {', '.join(rows)}; these are of kind {kinds}")
     return [_reduced(form, members, {"rows": rows}) for members in specimens.values()]
-
-
-def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, Mapping[str, Any]]) -> list[Analysis]:
-    """One analysis for each kind, in their order; kinds that use results of other tests are reduced last."""
-    analyses: dict[str, Analysis] = {}
-    for name in sorted(kinds, key=lambda name: bool(registry.kind_of(name).after)):
-        kind, asked = registry.kind_of(name), options.get(name)
-        if kind.after:
-            others = {other: _offers(analysis) for other, analysis in analyses.items()}
-            asked = {**kind.part("after")(others), **(asked or {})}
-        analyses[name] = _reduced(name, kinds[name], asked)
-    return [analyses[name] for name in kinds]
 
 
 def _offers(analysis: Analysis) -> list[Offer]:
@@ -165,7 +147,6 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
     Reasons: no value at all, a withheld value, a reduction that refuses acceptance, a limit of the protocol exceeded.
     """
     failed: list[str] = []
-    tested = {run.id: _whose(run) for run in runs}
     for analysis in analyses:
         failed += analysis.refusals
         if analysis.kind == AGREEMENT:
@@ -177,7 +158,7 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
         if analysis.kind in registry.with_part(FORM):
             failed += not_accepted_as_form(runs, analysis, _named)
             continue
-        failed += not_accepted(runs, analysis, _named, _static_of(analysis, analyses, tested))
+        failed += not_accepted(runs, analysis, _named)
     return failed
 
 
@@ -204,16 +185,6 @@ def _sentence(withheld: Sequence[Estimate]) -> str:
     others = any(estimate.note != first.note for estimate in withheld)
     alike = f" ({_named(first)}; alike for the others)" if others else ""
     return f"{', '.join(name for of in counted for name in of)}: withheld: {first.note}{alike}"
-
-
-def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Pairs | None:
-    """F_ce of an analysis and of the static-load test of the same specimen; None without that."""
-    mine = next((tested[run] for run in analysis.runs if run in tested), None)
-    for other in analyses:
-        kind = registry.find(other.kind)
-        if kind is not None and kind.at_rest and mine in [tested.get(run) for run in other.runs]:
-            return against_static(_offers(analysis), _offers(other))
-    return None
 
 
 def _named(estimate: Estimate) -> str:

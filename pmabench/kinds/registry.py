@@ -12,7 +12,7 @@ from pkgutil import iter_modules
 
 from pmabench import kinds
 from pmabench.base.errors import did_you_mean
-from pmabench.base.kind import Imported, Kind, load
+from pmabench.base.kind import Imported, Kind
 from pmabench.base.system import registered
 
 GROUP = "pmabench.kinds"
@@ -58,13 +58,10 @@ def with_results(*symbols: str) -> dict[str, Kind]:
 
 
 def options_for(asked: Mapping[str, object]) -> dict[str, dict[str, object]]:
-    """Kind -> those of the user's options that its reduction has. UsageError for an option that a kind refuses."""
+    """Kind -> those of the user's options that its reduction has."""
     found = {}
     for kind in all_kinds().values():
-        mine = {name: value for name, value in asked.items() if value and name in kind.options}
-        if mine and "check options" in kind.parts:
-            load(kind.parts["check options"])(mine)
-        if mine:
+        if mine := {name: value for name, value in asked.items() if value and name in kind.options}:
             found[kind.name] = mine
     return found
 

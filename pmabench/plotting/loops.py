@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from math import pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,45 +30,8 @@ from pmabench.plotting.plots import Panel
 from pmabench.plotting.wording import clean, shown
 from pmabench.store.analyses.results import Analysis, Trace
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 LOOPS, ROWS, MOST = 8, 4, 6
 """Most loops of a figure, rows of a figure of oscillations, and figures of loops."""
-TOGETHER: dict[str, tuple[str, str, str]] = {
-    "loop": ("displacement", "force", "frequency"),
-    "isobaric": ("displacement", "force", "pressure"),
-    "pressure-loop": ("pressure", "displacement", "frequency"),
-}
-"""Kinds of traces that are loops -> x column, y column, and the mark that differs between them."""
-MOST_TOGETHER = 5
-
-
-def together(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
-    """One small figure with measured loops on common axes, for the first page.
-
-    Of several operating points the last is shown, of several speeds the slowest.
-    """
-    for kind, (first, second, mark) in TOGETHER.items():
-        groups: dict[str, list[Trace]] = {}
-        for trace in (t for t in traces if t.figure == kind and has(t, first, second)):
-            groups.setdefault(re.sub(r"-[^-]*$", "", trace.name) if kind == "loop" else kind, []).append(trace)
-        if not groups:
-            continue
-        slow_last = sorted(list(groups.values())[-1], key=lambda t: -t.marks.get("speed", 0.0))
-        members = {t.marks.get(mark, float(i)): t for i, t in enumerate(slow_last)}
-        chosen = spread([members[at] for at in sorted(members)], MOST_TOGETHER)
-        names = [_loop_name(t, mark) for t in chosen]
-        panels = [panel(t, {"x": first, "y": second}, name) for t, name in zip(chosen, names, strict=True)]
-        labels = (label(chosen[0], first), label(chosen[0], second))
-        where = clean(chosen[0].title.partition(", ")[2], 60) if kind == "loop" else ""
-        title = _title(first, second, where)
-        caption = "Measured; the area of a loop is the energy lost in a cycle."
-        alt = f"{labels[1]} over {labels[0]} as measured loops on common axes: {', '.join(names)}."
-        table = numbers(list(zip(names, chosen, strict=True)), (first, second))
-        draw = bound(plots.loops_together, panels, *labels)
-        return [picture(draw, title, caption, alt, table, wide=False, simulated=simulated)]
-    return []
 
 
 def _title(first: str, second: str, where: str) -> str:
@@ -77,25 +39,16 @@ def _title(first: str, second: str, where: str) -> str:
     return f"{words}, {where}" if where else words
 
 
-def _loop_name(trace: Trace, mark: str) -> str:
-    """The frequency, pressure or other mark that distinguishes a loop from the others, with its unit."""
-    if mark not in trace.marks:
-        return head(trace)
-    unit = shown(mark)
-    return f"{trace.marks[mark] / unit.scale:.4g} {unit.unit}"
-
-
 def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """Loops at each frequency, one figure for each operating point."""
     groups: dict[str, list[Trace]] = {}
     for trace in traces:
-        first, second = TOGETHER["pressure-loop" if trace.figure == "pressure-loop" else "loop"][:2]
-        if has(trace, first, second):
+        if has(trace, *_axes(trace)):
             groups.setdefault(re.sub(r"-[^-]*$", "", trace.name), []).append(trace)
     found = []
     for members in list(groups.values())[:MOST]:
         chosen = spread(sorted(members, key=lambda t: t.marks.get("frequency", 0.0)), LOOPS)
-        first, second = TOGETHER["pressure-loop" if chosen[0].figure == "pressure-loop" else "loop"][:2]
+        first, second = _axes(chosen[0])
         names = {"x": first, "measured": second} | ({"model": "model"} if all(has(t, "model") for t in chosen) else {})
         panels = [panel(t, names, _frequency(t)) for t in chosen]
         labels = {"x": label(chosen[0], first), "y": label(chosen[0], second)}
@@ -115,6 +68,10 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         draw = bound(plots.loops, panels, labels)
         found.append(picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated))
     return found
+
+
+def _axes(trace: Trace) -> tuple[str, str]:
+    return ("pressure", "displacement") if trace.figure == "pressure-loop" else ("displacement", "force")
 
 
 def _frequency(trace: Trace) -> str:
@@ -172,24 +129,6 @@ def _growth_panel(trace: Trace) -> Panel | None:
     return Panel(f"K_u = {K_u:.4g}", base.columns, {"K_u": K_u})
 
 
-def growth_alone(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """The growth plot alone, for the first page."""
-    growth = _growth_panel(traces[0])
-    if growth is None:
-        return []
-    labels = {"gain": label(traces[0], "gain"), "log_ratio": "ln(growth) per half period"}
-
-    def draw() -> Figure:
-        figure, axes = plots.one_axes(plots.HALF, 2.55, left=0.6)
-        time_plots.growth_axes(axes, growth, labels)
-        return figure
-
-    table = numbers([("", traces[0])])
-    title = f"Growth of the oscillation over gain, {_setpoint(traces[0])}"
-    alt = f"Logarithm of the ratio of successive swings over gain, rising through zero at {growth.title}."
-    return [picture(draw, title, _GROWTH, alt, table, wide=False, simulated=analysis.simulated)]
-
-
 _GROWTH = (
     "Each point is one level of gain: the mean logarithm of the ratio of successive swings. Below 0 the swings die "
     "out, above they grow. The line is fitted to the filled points; its zero is K_u."
@@ -198,6 +137,12 @@ _GROWTH = (
 
 def _setpoint(trace: Trace) -> str:
     return clean(trace.title.rpartition(", ")[2] or trace.title, 60)
+
+
+def oscillation(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """The first set-point alone, for the first page."""
+    setpoint = traces[0].name.partition("-")[2]
+    return oscillations([t for t in analysis.traces if t.name.partition("-")[2] == setpoint], analysis)
 
 
 def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -232,7 +177,7 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     alt = f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points."
     alt += f" {'; '.join(gains)}."
     draw = bound(time_plots.oscillations, rows, labels)
-    title = "Sustained oscillation and ultimate gain"
+    title = "Sustained oscillation and ultimate gain" + (f", {_setpoint(named[0][1])}" if len(rows) == 1 else "")
     return [picture(draw, title, caption, alt, numbers(named), wide=True, simulated=analysis.simulated)]
 
 

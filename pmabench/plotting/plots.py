@@ -172,25 +172,6 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     return figure
 
 
-def loops_together(panels: Sequence[Panel], x_label: str, y_label: str) -> Figure:
-    """Measured loops on common axes, columns x, y."""
-    rows = ceil((len(panels) + len({name for panel in panels for name, _, _ in panel.published})) / 3)
-    figure, axes = one_axes(HALF, 2.55, top=0.2 + 0.16 * rows, left=0.56)
-    marks: dict[str, int] = {}
-    for i, panel in enumerate(panels):
-        x, y = _closed(panel.columns["x"]), _closed(panel.columns["y"])
-        axes.plot(x, y, color=PALETTE[i % len(PALETTE)], linewidth=1.1, label=panel.title)
-    for panel in panels:
-        for name, x, y in panel.published:
-            mark = CROSSES[marks.setdefault(name, len(marks)) % len(CROSSES)]
-            axes.plot(x, y, mark, color=INK, markersize=4.5, label=name, zorder=4)
-    axes.set(xlabel=x_label, ylabel=y_label)
-    few_ticks(axes)
-    shown = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    legend_above(figure, 3, (shown.values(), shown.keys()), (0.105, 0.13), handletextpad=0.4)
-    return figure
-
-
 def _closed(values: Array) -> Array:
     return np.append(values, values[0]) if len(values) else values
 

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
-from pmabench.files.quantity import Ratio, ShareOrForce
+from pmabench.files.quantity import Ratio
 
 if TYPE_CHECKING:
     from pmabench.protocol.common import Compilation
@@ -30,58 +30,43 @@ IN_EXPECTED = ("F_ce", "K", "B_c", "B_r", "F_c")
 
 
 def _above_zero(expected: str) -> AfterValidator:
-    """Validator: a share, or a value with its quantity, must be above 0; `expected` ends the message."""
+    """Validator: a share must be above 0; `expected` ends the message."""
 
-    def check(limit: Any) -> Any:
-        quantity, value = limit if isinstance(limit, tuple) else ("ratio", limit)
-        if not value > 0:
-            raise ValueError(f"{show(value, quantity)}: {expected}")
+    def check(limit: float) -> float:
+        if not limit > 0:
+            raise ValueError(f"{show(limit, 'ratio')}: {expected}")
         return limit
 
     return AfterValidator(check)
 
 
 Limit = Annotated[Ratio, _above_zero('a limit is above 0 %, for instance "5 %"')]
-StaticLimit = Annotated[ShareOrForce, _above_zero('a limit is above 0, for instance "3 %" or "15 N"')]
 
 
 class Accept(Strict):
-    """Limits of one coefficient, of one check, or of R2."""
+    """Limits of one coefficient, or of one check."""
 
     relative_interval: Annotated[Ratio, _above_zero('an interval must be > 0 %, for instance "5 %"')] | None = None
     """Largest half width of a coefficient's 95 % interval, as a share of its value."""
     of_specimen: Limit | None = None
     """Largest deviation of a coefficient from the specimen file's expected value, as a share of that."""
-    of_static: StaticLimit | None = None
-    """Largest deviation of F_ce from the specimen's static-load test, as a share of that or in N."""
-    static_E_n: Annotated[float, Field(gt=0, le=100)] | None = None
-    """Largest E_n number of that difference: the difference divided by the root sum of squares of both half widths."""
     at_most: Limit | None = None
     """Largest size of a check."""
-    at_least: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Least R2 of a coefficient over pressure."""
 
 
-Acceptance = dict[Coefficient | CheckName | Literal["R2"], Accept]
+Acceptance = dict[Coefficient | CheckName, Accept]
 
 
 def measures_of(name: str) -> tuple[str, ...]:
     """Limits that an entry of the section can have."""
-    if name in COEFFICIENTS:
-        return ("relative_interval", "of_specimen", *(("of_static", "static_E_n") if name == "F_ce" else ()))
-    return ("at_least",) if name == "R2" else ("at_most",)
+    return ("relative_interval", "of_specimen") if name in COEFFICIENTS else ("at_most",)
 
 
-def find_faults(
-    c: Compilation, accept: Acceptance, gives: tuple[str, ...], checks: tuple[str, ...], *, with_static: bool
-) -> None:
-    """Note limits that cannot be applied: results that the kind of test does not give, and unsuitable limits.
-
-    `with_static`: whether its F_ce can be compared with that of static load.
-    """
+def find_faults(c: Compilation, accept: Acceptance, gives: tuple[str, ...], checks: tuple[str, ...]) -> None:
+    """Note limits that cannot be applied: results that the kind of test does not give, and unsuitable limits."""
     kind = c.document.data.get("kind")
     for name, limits in accept.items():
-        able = gives if name in COEFFICIENTS else (*checks, *(("R2",) if gives and checks else ()))
+        able = gives if name in COEFFICIENTS else checks
         if name not in able:
             nothing = f"gives nothing of the kind; it gives {', '.join(gives) or ', '.join(checks)}"
             wrong = f"does not give {name}; it gives {', '.join(able)}" if able else nothing
@@ -95,10 +80,6 @@ def find_faults(
         for measure in measures:
             if measure not in fitting:
                 c.fault(("accept", name, measure), f"{name} has no {measure}; {expected}", key=True)
-        for measure in ("of_static", "static_E_n"):
-            if measure in measures and name == "F_ce" and not with_static:
-                wrong = f'compares F_ce with that of static load; "{kind}" has no such comparison'
-                c.fault(("accept", name, measure), wrong, key=True)
         if "of_specimen" in measures and name in COEFFICIENTS:
             _needs_expected(c, name)
 
@@ -133,9 +114,6 @@ def _limits(c: Compilation, accept: Acceptance) -> Iterator[dict[str, Any]]:
             where = c.document.problem(("accept", name, measure), "", key=True)
             place = f"{Path(where.path).name}:{where.line}" if where.line else Path(where.path).name
             entry = {"what": name, "measure": measure, "limit": limit, "place": place}
-            if measure == "of_static":
-                quantity, entry["limit"] = limit
-                entry["measure"] = "of_static" if quantity == "ratio" else "of_static_by"
             expected = c.mounted.specimen_file.expected
             if measure == "of_specimen" and expected is not None and name in IN_EXPECTED:
                 points = [(point.pressure, getattr(point, name)) for point in expected.points if name != "F_c"]

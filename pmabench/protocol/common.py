@@ -60,8 +60,6 @@ class ProtocolHead(Strict):
     """Coefficients that the reduction of this kind can give."""
     checks: ClassVar[tuple[str, ...]] = ()
     """Checks that the reduction of this kind makes in addition."""
-    with_static: ClassVar[bool] = False
-    """Whether its F_ce can be compared with that of static load."""
     schema_: Annotated[Literal["pmabench.protocol/1"], Field(alias="schema")]
     name: Annotated[str, Field(max_length=120)]
     source: Annotated[str, Field(max_length=400)]
@@ -261,7 +259,7 @@ class Compilation:
 
     def needs_coefficients(self) -> None:
         """Check that the kind of test gives the coefficients that have acceptance limits."""
-        accept.find_faults(self, self.head.accept, self.head.gives, self.head.checks, with_static=self.head.with_static)
+        accept.find_faults(self, self.head.accept, self.head.gives, self.head.checks)
 
     def plan(self, kind: str, settings: dict[str, Any]) -> Plan:
         """The finished plan."""

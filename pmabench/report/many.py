@@ -12,9 +12,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pmabench.analysis.many import Pool, share, stopped
 from pmabench.base.errors import InvalidFile, PmaError, RecordError
 from pmabench.plotting.wording import POINTS, in_order, point_shown, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text, plain_head, write_with_tables
@@ -24,6 +23,9 @@ from pmabench.store.analyses import folder as made_from
 from pmabench.store.catalogue import Task
 from pmabench.store.folder import plain, read_manifest
 from pmabench.store.records import RunData
+
+if TYPE_CHECKING:
+    from pmabench.analysis.many import Pool
 
 Progress = Callable[[int, int, int], None]
 """Called with the number of runs that are done, of all, and of those that had not changed."""
@@ -93,6 +95,8 @@ def process_many(
     things = [{"path": str(t.path.absolute()), "folder": t.place, "key": key, **common} for t, key in about]
     progress = progress or (lambda _done, _total, _unchanged: None)
     progress(unchanged, len(tasks), unchanged)
+    from pmabench.analysis.many import share
+
     for index, entry in share(things, process_batch, lost, pool):
         number = left[index]
         found[number] = ("failed" if "error" in entry else "computed", json.dumps(entry, allow_nan=False))
@@ -186,6 +190,8 @@ WITHOUT_TRIALS = ("session", "self-test", "calibration", "setup")
 
 def process_batch(things: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Process each of `things`: `path` of a run, analysis `folder` to write below `out`, `options` by kind."""
+    from pmabench.analysis.many import stopped
+
     return [] if stopped() else [process_one(thing) for thing in things]
 
 

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 from pmabench import __version__
 from pmabench.base.errors import RecordError
 from pmabench.base.text import clean
-from pmabench.plotting.svg import symbol_parts
 from pmabench.store.analyses.folder import key_of
 from pmabench.store.folder import open_regular
 from pmabench.store.since import stamp
@@ -71,6 +70,8 @@ def render(template: str, context: dict[str, Any], **filters: Callable[[Any], An
 def symbols_marked(text: object) -> Any:
     """Escaped text with symbols in italics and their subscripts lowered."""
     from markupsafe import Markup
+
+    from pmabench.plotting.svg import symbol_parts
 
     tags = {"symbol": ("<i>", "</i>"), "sub": ("<sub>", "</sub>"), "text": ("", "")}
     return Markup("".join(escape(part).join(tags[kind]) for kind, part in symbol_parts(str(text))))  # noqa: S704

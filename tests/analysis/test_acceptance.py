@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.analysis.verdict.acceptance import limits_of
 from pmabench.kinds.reduce import verdicts
 from pmabench.store.analyses.folder import read_analysis, write_analysis
-from pmabench.store.analyses.results import Analysis, Curve, Estimate, Parts, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, withhold
 from tests.analysis.loop_rig import as_run
 
 PLACE = "cr.yaml:7"
@@ -54,31 +53,9 @@ def test_a_check_is_held_against_its_limit_and_must_be_known():
     assert judged(entry, replace(analysis, facts={"checks": [{**check, "value": 0.03}]})) == []
 
 
-def test_r2_is_that_of_the_best_curve():
-    K = Estimate("K", 1.0, "N/m", "stiffness", "m")
-    line, bent = (
-        Curve("K", form, (), "pressure", (1e5, 5e5), r2, 0.0, "m") for form, r2 in (("line", 0.9), ("quadratic", 0.97))
-    )
-    entry = {"what": "R2", "measure": "at_least", "limit": 0.98}
-    analysis = Analysis("contraction-relaxation", (), True, (K,), (line, bent))
-    assert judged(entry, analysis) == ["R2 of K over pressure (quadratic): 0.97, accepted at least 0.98 (cr.yaml:7)"]
-    assert judged({**entry, "limit": 0.96}, analysis) == []
-    assert judged(entry, replace(analysis, curves=())) == [
-        "R2: there is no curve over pressure, accepted at least 0.98 (cr.yaml:7)"
-    ]
-    nan = replace(analysis, curves=(replace(bent, r2=float("nan")),))
-    assert judged(entry, nan) == ["R2 of K over pressure (quadratic): nan, accepted at least 0.98 (cr.yaml:7)"]
-
-
-def test_an_interval_names_its_place_and_plans_from_before_still_count():
+def test_an_interval_names_its_place():
     entry = {"measure": "relative_interval", "limit": 0.001}
     assert judged(entry) == ["K at pressure 300 kPa: interval +-0.31 %, accepted +-0.1 % (cr.yaml:7)"]
-    run = replace(as_run("contraction-relaxation", []), plan={"accept": {"K": 0.02, "F_ce": 0.01}})
-    assert [(limit.what, limit.limit, limit.place) for limit in limits_of(run)] == [("K", 0.02, ""), ("F_ce", 0.01, "")]
-    both = {
-        "accept": {"K": 0.02, "limits": [{"what": "K", "measure": "relative_interval", "limit": 0.02, "place": "a:1"}]}
-    }
-    assert [limit.place for limit in limits_of(replace(run, plan=both))] == ["a:1"]
 
 
 @pytest.mark.parametrize(
@@ -93,60 +70,6 @@ def test_what_is_no_limit_judges_nothing(accept):
     run = replace(as_run("contraction-relaxation", []), plan={"accept": accept})
     K = Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5}, Parts(20.0))
     assert verdicts([run], [Analysis(run.kind, (run.id,), True, (K,))]) == []
-
-
-def against_static(entry, F_ce=520.0, half=12.0, static=None, specimen="s1", P=3e5):
-    """Verdicts on a contraction test whose protocol limits F_ce against static load: 500 +- 9 N at 300 kPa."""
-    limit = {"what": "F_ce", "place": PLACE, **entry}
-    moved, held = (as_run(kind, []) for kind in ("contraction-relaxation", "static-load"))
-    moved = replace(moved, id="moved", plan={"accept": {"limits": [limit]}}, manifest={"specimen": "s1"})
-    held = replace(held, id="held", plan={}, manifest={"specimen": specimen})
-    mine = Estimate("F_ce", F_ce, "N", "force", "measured-pressure", {"pressure": P}, Parts(half))
-    line = [(2e5, 300.0), (3e5, 500.0), (4e5, 700.0)] if static is None else static
-    theirs = tuple(Estimate("F_ce", F, "N", "force", "static-mean", {"pressure": at}, Parts(9.0)) for at, F in line)
-    analyses = [
-        Analysis(moved.kind, ("moved",), True, (mine,)),
-        *([Analysis(held.kind, ("held",), True, theirs)] if theirs else ()),
-    ]
-    return verdicts([moved, held], analyses)
-
-
-@pytest.mark.parametrize(
-    ("entry", "reported"),
-    [
-        ({"measure": "of_static", "limit": 0.03}, "4 % above, accepted +-3 %"),
-        ({"measure": "of_static", "limit": 0.041}, ""),
-        ({"measure": "of_static_by", "limit": 15.0}, "20 N above, accepted +-15 N"),
-        ({"measure": "of_static_by", "limit": 20.5}, ""),
-        ({"measure": "static_E_n", "limit": 1.0}, "E_n 1.33, accepted at most 1"),  # 20 / hypot(12, 9)
-        ({"measure": "static_E_n", "limit": 1.4}, ""),
-    ],
-)
-def test_force_is_held_against_static_load(entry, reported):
-    assert against_static(entry) == (
-        [f"F_ce at pressure 300 kPa: 520 N against 500 N of static load: {reported} (cr.yaml:7)"] if reported else []
-    )
-
-
-def test_static_load_is_a_line_between_its_points_and_nothing_outside():
-    entry = {"measure": "of_static_by", "limit": 15.0}
-    assert against_static(entry, F_ce=410.0, P=2.5e5) == []  # halfway between 300 and 500 N
-    (reported,) = against_static(entry, F_ce=370.0, P=2.5e5)
-    assert "370 N against 400 N of static load: 30 N below" in reported
-    (reported,) = against_static(entry, P=5e5)
-    assert reported.startswith("F_ce against static load: the two tests give F_ce at no pressure in common")
-
-
-@pytest.mark.parametrize("missing", [{"static": []}, {"specimen": "s2"}])
-def test_a_static_test_that_is_not_there_is_said(missing):
-    (reported,) = against_static({"measure": "of_static", "limit": 0.5}, **missing)
-    assert reported.startswith("F_ce against static load: no static-load test of this specimen to compare with")
-    assert "accepted +-50 % (cr.yaml:7)" in reported
-
-
-def test_a_score_without_an_interval_is_not_accepted():
-    (reported,) = against_static({"measure": "static_E_n", "limit": 1.0}, half=None)
-    assert "one has no interval, E_n accepted at most 1 (cr.yaml:7)" in reported
 
 
 def test_what_is_withheld_or_refused_is_not_accepted_whatever_the_limits():

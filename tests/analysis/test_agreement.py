@@ -118,24 +118,6 @@ def forces(*methods, kind="contraction-relaxation", pressure=3e5):
     )
 
 
-def test_fits_that_were_asked_for_are_compared_next_to_the_primary_one():
-    """What everybody gets, the exponentials, are not; 500 +- 4 N of static load, 3 N of each fit."""
-    found = compared(
-        [
-            forces(("measured-pressure", 501.0), ("joint", 490.0), ("output-error", 503.0), ("step-exponential", 1.0)),
-            static((3e5, 500.0, 4.0)),
-        ]
-    )
-    title = "static load against contraction"
-    reported = [(e.method, e.value, e.parts.combined) for e in found.estimates]
-    assert reported == [
-        (title, -1.0, 5.0),
-        (f"{title}, joint fit", 10.0, 5.0),
-        (f"{title}, output-error fit", -3.0, 5.0),
-    ]
-    assert [f.level for f in found.findings] == ["note", "doubt", "note"]
-
-
 def test_static_load_is_read_between_its_points():
     found = compared(
         [forces(("measured-pressure", 590.0), pressure=3.5e5), static((3e5, 500.0, 4.0), (4e5, 700.0, 4.0))]

@@ -2,10 +2,9 @@
 
 from math import pi, sqrt
 
-import numpy as np
 import pytest
 
-from pmabench.kinds.contraction_relaxation.bandwidth import MODEL, STEP, _scatter, of_model, of_step
+from pmabench.kinds.contraction_relaxation.bandwidth import MODEL, of_model
 from pmabench.kinds.contraction_relaxation.reduction import reduce
 from tests.analysis.simulate import LOADS, contraction_run, rig
 
@@ -19,22 +18,12 @@ def test_one_lag_and_two_alike_and_a_maximally_flat_pair():
     assert of_model(7000.0, B, 50.0, []) == pytest.approx(sqrt(7000.0 / 50.0) / (2 * pi), rel=1e-6)
 
 
-@pytest.mark.parametrize("dead", [0.0, 0.05])
-def test_a_step_shows_the_same_without_a_model(dead):
-    t = np.arange(0.0, 6.0, 0.002)
-    one = np.where(t > dead, -np.expm1(-(t - dead) / 0.2), 0.0)
-    assert of_step(t, one) == pytest.approx(1 / (2 * pi * 0.2), rel=2e-3)
-    s = np.maximum(t - dead, 0.0) / 0.1
-    assert of_step(t, 1 - (1 + s) * np.exp(-s)) == pytest.approx(sqrt(sqrt(2) - 1) / (2 * pi * 0.1), rel=2e-3)
-
-
 def test_nothing_is_reported_of_what_does_not_fall():
     assert of_model(7000.0, 0.0, 0.0, []) is None
     assert of_model(-7000.0, 100.0, 1.0, [0.1]) is None
-    assert of_step(np.arange(0.0, 1.0, 0.002), np.ones(500)) is None
 
 
-def test_that_of_a_known_muscle_comes_back_both_ways():
+def test_that_of_a_known_muscle_comes_back():
     bench = rig("paper0", "ideal")
     cells = [(load, P) for load in LOADS[:3] for P in (2e5, 3e5, 4e5)]
     analysis = reduce([contraction_run(bench, cells)], {"replays": 2})
@@ -49,27 +38,4 @@ def test_that_of_a_known_muscle_comes_back_both_ways():
     assert model.value == pytest.approx(truth, rel=0.01)
     apart = 0.5 * abs(of_model(K, B_c, mass, lags) - of_model(K, B_r, mass, lags))
     assert model.parts.method == pytest.approx(apart, rel=0.05)
-    (steps,) = [e for e in analysis.estimates if (e.symbol, e.method) == ("f_b", STEP) and e.at == at]
-    relaxing = of_model(K, B_r, mass, lags)
-    assert steps.value == pytest.approx(relaxing, rel=0.12)  # from 400 to 300 kPa, B_r falls by a sixth on the way
     assert any("bandwidth of contraction" in f.text for f in analysis.findings)
-
-
-def test_two_repeats_that_agree_by_chance_borrow_the_scatter_of_the_others():
-    """0.50 and 0.52 are 0.01 from their mean, two others agree: one degree of freedom each."""
-    groups = {
-        1e5: [("a", -5e4, 0.50, 0.0), ("b", -5e4, 0.52, 0.0)],
-        2e5: [("a", -5e4, 0.6, 0.0), ("b", -5e4, 0.6, 0.0)],
-    }
-    common, freedom = _scatter(groups)
-    assert freedom == 2
-    assert common == pytest.approx(0.01 / 0.51)
-
-
-def test_repeats_give_no_bandwidth_an_interval_far_below_that_of_the_others():
-    bench = rig("paper0", "bench")
-    cells = [(LOADS[0], P) for P in (1.5e5, 2e5, 2.5e5, 3e5, 3.5e5, 4e5)] * 2
-    found = [e for e in reduce([contraction_run(bench, cells)], {"replays": 2}).estimates if e.method == STEP]
-    shares = np.array([e.parts.repeats / e.value for e in found])
-    assert sum(e.n == 2 for e in found) == 2
-    assert shares.min() > 0.3 * shares.max()

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.kinds.contraction_relaxation.intervals import bootstrap
+from pmabench.kinds.contraction_relaxation.intervals import _between
 from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
 from pmabench.kinds.contraction_relaxation.segments import Segments, gather
@@ -80,19 +80,17 @@ def test_8_campaigns_are_covered():
     assert sum(k for k, _ in found.values()) >= 0.92 * 96
 
 
-def test_a_bootstrap_over_two_repeats_scatters_as_it_should():
-    """Mean of pairs: the variance is that of the pairs' differences, which a plain draw from two tells by half."""
+def test_the_scatter_between_two_repeats_is_that_of_their_differences():
+    """The mean of 400 pairs: its variance is that of the differences, which scatter about the pairs' means halves."""
     chance = np.random.default_rng(4)
     pairs = chance.standard_normal((400, 2))
-    empty = np.empty((800, 0))
-    fit = Fit(np.zeros(1), np.array([[1 / 800]]), np.ones((800, 1)), np.zeros(800), True, np.zeros(0))
-    none = np.zeros(800)
-    numbers = np.arange(800)
-    segments = Segments(numbers, none, none, *5 * [empty], pairs.ravel(), none, np.empty(0), 0.002)
-    draws = bootstrap(segments, fit, numbers // 2, 700, within=True)
-    expected = np.sqrt(np.sum((pairs[:, 0] - pairs[:, 1]) ** 2) / 2 * 2) / 800
-    assert np.std(draws.theta) == pytest.approx(expected, rel=0.06)
-    assert draws.half(np.ones(1)) == pytest.approx(1.96 * expected, rel=0.08)
+    fit = Fit(np.zeros(1), np.array([[1 / 800]]), np.ones((800, 1)), pairs.ravel(), True, np.zeros(0))
+    none, empty, numbers = np.zeros(800), np.empty((800, 0)), np.arange(800)
+    segments = Segments(numbers, none, none, *5 * [empty], none, none, np.empty(0), 0.002)
+    variance, freedom, within = _between(segments, fit, numbers // 2)
+    assert within
+    assert variance[0] == pytest.approx(np.sum((pairs[:, 0] - pairs[:, 1]) ** 2) / 800**2)
+    assert freedom[0] == pytest.approx(400)
 
 
 # -- drift ---------------------------------------------------------------------------------------------------------

@@ -60,6 +60,17 @@ def errors(analysis: Analysis, truth: dict[str, Law], symbol: str, method: str =
     return np.array([e.value / truth[symbol](P) - 1 for P, e in found.items()])
 
 
+def shaken(run: RunData, by: float, seed: int) -> RunData:
+    """The run with white noise of `by` [m] on its displacement."""
+    chance = np.random.default_rng(seed)
+
+    def one(trial: TrialData) -> TrialData:
+        x = trial.channels["displacement"]
+        return replace(trial, channels={**trial.channels, "displacement": x + by * chance.standard_normal(len(x))})
+
+    return replace(run, trials=tuple(map(one, run.trials)))
+
+
 # -- the targets ---------------------------------------------------------------------------------------------------
 
 
@@ -74,6 +85,28 @@ def test_ideal_returns_the_truth():
     assert intercept == pytest.approx(-49.0, abs=1.0)
     assert slope == pytest.approx(1.08e-3, rel=0.01)
     assert [term.unit for term in line.terms] == ["N", "N/Pa"]
+
+
+def test_the_orders_of_the_curves_are_those_of_the_plant():
+    """Paper 0's muscle: F_ce, B_c and B_r are lines over pressure, K = 5600 + 1.0e-3 P + 9.7e-9 P^2."""
+    _, analysis = campaign("paper0", "bench")
+    curves = {symbol: [c for c in analysis.curves if (c.symbol, c.method) == (symbol, PRIMARY)] for symbol in PAPER0}
+    forms = {symbol: [c.form for c in mine] for symbol, mine in curves.items()}
+    assert forms == {"F_ce": ["line"], "K": ["line", "quadratic"], "B_c": ["line"], "B_r": ["line"]}
+    quadratic = curves["K"][1].terms[2]
+    assert abs(quadratic.value - 9.7e-9) < quadratic.parts.combined < 0.05 * 9.7e-9
+
+
+def test_a_shaky_displacement_is_in_the_intervals():
+    """0.05 mm of noise, which the regression takes into its velocities."""
+    analysis = reduce([shaken(small(), 5e-5, 1)], {"replays": 4})
+    inside = [
+        abs(e.value - law(P)) < e.parts.combined
+        for symbol, law in PAPER0.items()
+        for P, e in of(analysis, symbol).items()
+    ]
+    assert len(inside) == 30
+    assert np.mean(inside) > 0.9
 
 
 def test_ideal_uses_44_of_88_cells_and_says_why_not_the_others():

@@ -153,7 +153,8 @@ def with_noise(run: RunData, force: float) -> RunData:
 def test_a_stretch_that_stays_far_from_the_pole_is_reported_to_say_little(paper3):
     """From -1.9 % on: the slope A B1/B2 is known, A, B1 and B2 are not; the warning says so in words."""
     short = replace(paper3, trials=tuple(t for t in paper3.trials if t.point["pressure"] == 0))
-    found = reduce([with_noise(short, 2.0)], {"turn": 2.2e-3})
+    short = replace(short, plan={**short.plan, "settings": {**short.plan["settings"], "turn": 2.2e-3}})
+    found = reduce([with_noise(short, 2.0)])
     reported = [e for e in found.estimates if e.symbol in ("A", "B1", "B2")]
     assert any(e.value is None and "not identifiable" in e.note for e in reported)
     assert any(f.level == "doubt" and "not identifiable" in f.text for f in found.findings)

@@ -87,13 +87,10 @@ def test_a_filter_of_5_ms_that_nobody_declared_is_in_the_interval():
 def test_a_loop_that_is_sampled_unevenly_is_in_the_interval(h, fall):
     """More samples of the slow filling than of the fast venting: m was 7, c 10 half widths off."""
     for seed in SEEDS:
-        m, c, analysis = found(seed, fall=fall, h=h)
+        m, c, _ = found(seed, fall=fall, h=h)
         assert off(m, SLOPE) <= 1.05
         assert off(c, START) <= 1.05
         assert m.parts.combined < 0.06 * SLOPE
-        if h > 4:
-            assert any(line.name.startswith("rising and falling") for e in (m, c) for line in e.budget)
-            assert any("not sampled alike" in one.text for one in analysis.findings)
 
 
 @pytest.mark.parametrize("drift", [0.5, 1.0, 2.0, 5.0])
@@ -116,7 +113,6 @@ def test_a_sound_bench_keeps_its_intervals():
         assert m.value == pytest.approx(SLOPE, rel=0.005)
         assert c.value == pytest.approx(START, abs=0.15)
         assert {finding.level for finding in analysis.findings} == {"note"}
-        assert not any("not sampled alike" in one.text for one in analysis.findings)
     m, c = np.mean(halves, axis=0)
     assert m < 3.5e-6
     assert c < 0.1

@@ -19,9 +19,10 @@ def fixed_of(name, columns, **given):
     return {p.name: given.get(p.name, p.value) for p in MODELS[name].parameters if p.name not in columns}
 
 
-def fit(name, output, columns, measured, unknown, start=None, **given):
+def fit(name, output, columns, measured, unknown, start=None, halves=None, **given):
     model = MODELS[name]
-    return fit_model(model, output, columns, fixed_of(name, columns, **given), measured, unknown, start=start)
+    known = fixed_of(name, columns, **given)
+    return fit_model(model, output, columns, known, measured, unknown, start=start, halves=halves)
 
 
 def values(found):
@@ -206,6 +207,27 @@ def test_a_linear_fit_has_the_errors_and_intervals_of_the_textbook():
         assert u.ci95 == pytest.approx((value - half, value + half), abs=0.02 * half)
     _, half = found.band({"pressure": np.array([3.5e5])})
     assert half[0] == pytest.approx(student.ppf(0.975, 8) * errors[0], rel=1e-3)
+
+
+def test_half_widths_of_the_rows_are_in_the_intervals_once_for_all_and_row_by_row():
+    """A force cell and a gauge that are off inside their calibration: rows that agree to 0.01 %, and are all 0.5 % off."""
+    pressure = np.arange(1, 6.1, 0.5) * BAR
+    z = (pressure - 3.5e5) / 1.6583e5
+    true = 45000 + 16000 * z
+    y = 1.005 * true + np.random.default_rng(3).normal(0, 4, 11)
+    names, halves = ["c_0", "c_1"], 0.006 * true
+    bare = fit("stiffness-polynomial", "stiffness", {"pressure": pressure}, y, names, order=1.0)
+    found = fit("stiffness-polynomial", "stiffness", {"pressure": pressure}, y, names, halves=halves, order=1.0)
+    back = np.linalg.pinv(np.column_stack([np.ones(11), z]))
+    row_by_row = np.sqrt((back * halves) ** 2 @ np.ones(11))
+    for u, old, value, alone in zip(found.unknowns, bare.unknowns, (45000, 16000), row_by_row, strict=True):
+        assert not old.ci95[0] < value < old.ci95[1]
+        assert u.value == old.value
+        half = np.hypot(np.hypot(0.006 * value, alone), old.ci95[1] - old.value)
+        assert u.ci95 == pytest.approx((u.value - half, u.value + half), abs=0.01 * half)
+        assert u.standard_error > 20 * old.standard_error
+    _, half = found.band({"pressure": np.array([3.5e5])})
+    assert half[0] == pytest.approx(np.hypot(0.006 * 45000, row_by_row[0]), rel=0.01)
 
 
 CASES = (

@@ -214,18 +214,6 @@ def test_weights_that_are_marked_wrong_are_in_every_value_that_rests_on_them():
         assert 0.018 < e.parts.calibration / e.value < 0.03, "friction alone made it wide enough here"
 
 
-def test_a_joint_fit_bears_a_gauge_that_reads_otherwise_in_some_trials():
-    """Knots that were put where a coefficient bends lie below the tested pressures, too: a traceback it was."""
-    clean = judged.as_run(campaign.campaign("clean", 1.0, 3))
-    trials = []
-    for trial in clean.trials:
-        off = 4e3 * (trial.point["pressure"] == campaign.PRESSURES[1])
-        read = {**trial.channels, "pressure": trial.channels["pressure"] + off}
-        trials.append(replace(trial, channels=read))
-    found = reduce_contraction([replace(clean, trials=tuple(trials))], {"replays": 2, "forms": ["K=line"]})
-    assert any(e.method == "joint" for e in found.estimates)
-
-
 def test_a_cell_whose_zero_drifts_from_file_to_file_is_in_the_values_or_withheld():
     """c was 12.7 half widths off."""
     trials = judged_forms.as_trials(held.campaign("clean", 1.0, 5))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from pmabench.analysis.shared.samples import fresh
 from pmabench.kinds.recorded_sine import reduction as recorded_sine
 from pmabench.store.analyses.results import Analysis, Estimate
-from pmabench.store.records import Array, TrialData
+from pmabench.store.records import Array, RunData, TrialData
 from tests.analysis.judged_forms import as_run
 
 
@@ -64,6 +65,11 @@ def test_a_reading_that_sticks_behind_its_noise_is_not_polled() -> None:
 SINES = {"P": 46e3, "x": 4e-3, "phi_x": -0.2, "phi_P": -0.3, "P/x": 46e3 / 4e-3, "H": 8e-3 * np.sin(0.2)}
 
 
+def on_time(run: RunData) -> RunData:
+    """A run whose pressure is known to be no older than its stamps."""
+    return replace(run, manifest={"imported": {"late_by": {"pressure": [0.0, 0.0]}}})
+
+
 def sines(
     frequency: float, faults: Mapping[str, Callable[[Array], Array]] | None = None,
     known: Mapping[str, Mapping[str, Any]] | None = None,
@@ -80,7 +86,7 @@ def sines(
         }
         channels |= {name: fault(channels[name]) for name, fault in (faults or {}).items()}
         trials.append(trial(100 * number + t, channels, {"frequency": frequency}, number))
-    return recorded_sine.reduce([as_run("recorded-sine", trials, 200.0, {}, known)], {"late_by": [0.0, 0.0]})
+    return recorded_sine.reduce([on_time(as_run("recorded-sine", trials, 200.0, {}, known))])
 
 
 @pytest.mark.parametrize("polled", ["pressure", "displacement"])
@@ -148,7 +154,7 @@ def swept(gain: Callable[[float], complex], frequencies: Sequence[float]) -> Est
         trials.append(trial(100 * number + t, channels, {"frequency": f}, number % 2))
     known = {name: {"sensor_lag": 1e-5} for name in ("pressure", "displacement")}
     run = as_run("recorded-sine", trials, 200.0, {}, known)
-    return next(e for e in recorded_sine.reduce([run], {"late_by": [0.0, 0.0]}).estimates if e.symbol == "f_b")
+    return next(e for e in recorded_sine.reduce([on_time(run)]).estimates if e.symbol == "f_b")
 
 
 @pytest.mark.parametrize("frequencies", [(0.2, 1.0, 5.0), (0.2, 2.0, 8.0), (0.2, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)])

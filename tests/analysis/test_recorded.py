@@ -49,8 +49,8 @@ def covers(estimate, truth):
     return low <= truth <= high
 
 
-def without_lateness(run):
-    imported = {**run.manifest["imported"], "late_by": {}}
+def with_lateness(run, late):
+    imported = {**run.manifest["imported"], "late_by": late}
     return replace(run, manifest={**run.manifest, "imported": imported})
 
 
@@ -98,7 +98,7 @@ def test_without_a_mass_only_ratios_are_known(steps):
 
 
 def test_a_mass_that_rings_shows_the_time_between_the_channels_itself(steps):
-    analysis = recorded_steps.reduce(steps, {"late_by": [-0.03, 0.035]})
+    analysis = recorded_steps.reduce([with_lateness(run, {"pressure": [-0.03, 0.035]}) for run in steps])
     found = [e for e in analysis.estimates if e.symbol in {"K", "B"} and e.value is not None]
     assert len(found) == 4
     assert all(covers(e, TRUTH[e.symbol]) for e in found)
@@ -106,7 +106,7 @@ def test_a_mass_that_rings_shows_the_time_between_the_channels_itself(steps):
 
 def test_unknown_lateness_is_said(steps, sines):
     for module, runs in ((recorded_steps, steps), (recorded_sines, sines)):
-        analysis = module.reduce([without_lateness(run) for run in runs])
+        analysis = module.reduce([with_lateness(run, {}) for run in runs])
         assert any("nothing is known of the time between the channels" in f.text for f in analysis.findings)
 
 

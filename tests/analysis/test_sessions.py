@@ -11,7 +11,6 @@ from pmabench.store.records import TrialData
 from tests.analysis.loop_rig import as_run
 
 RATE, F, X, P = 200.0, 1.0, 4e-3, 46e3
-OPTIONS = {"late_by": [0.0, 0.0]}
 
 
 def day(number, scale, seed):
@@ -32,7 +31,8 @@ def day(number, scale, seed):
         trials.append(
             TrialData(f"day{number}", i, {"frequency": F}, i, False, "finished", 100 * i + t, channels, flags, (), {})
         )
-    return replace(as_run("recorded-sine", trials), id=f"day{number}", rate=RATE)
+    on_time = {"imported": {"late_by": {"pressure": [0.0, 0.0]}, "folder": f"day{number}"}}
+    return replace(as_run("recorded-sine", trials), id=f"day{number}", rate=RATE, manifest=on_time)
 
 
 def amplitude(analysis):
@@ -42,7 +42,7 @@ def amplitude(analysis):
 @pytest.mark.parametrize("scales", [(1.008, 1.012, 0.995), (1.012, 0.998), (1.0, 0.99, 1.001, 0.988)])
 def test_days_that_differ_by_more_than_their_repeats_are_in_the_interval(scales):
     """The amplitude was up to 3.3 half widths off: trials of all days were repeats of each other."""
-    (analysis,) = reduce_runs([day(i, scale, i) for i, scale in enumerate(scales)], {"recorded-sine": OPTIONS})
+    (analysis,) = reduce_runs([day(i, scale, i) for i, scale in enumerate(scales)])
     e = amplitude(analysis)
     assert abs(e.value - X) < e.parts.combined
     assert any(line.name == "scatter between sessions" for line in e.budget)
@@ -53,7 +53,7 @@ def test_days_that_agree_keep_the_interval_of_their_repeats():
     wider = []
     for first in range(10, 60, 10):
         runs = [day(i, 1.0, first + i) for i in range(3)]
-        (analysis,) = reduce_runs(runs, {"recorded-sine": OPTIONS})
-        pairs = zip(analysis.estimates, reduce(runs, OPTIONS).estimates, strict=True)
+        (analysis,) = reduce_runs(runs)
+        pairs = zip(analysis.estimates, reduce(runs).estimates, strict=True)
         wider += [one.parts.combined > 1.001 * other.parts.combined for one, other in pairs]
     assert np.mean(wider) < 0.1

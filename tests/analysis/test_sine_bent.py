@@ -1,4 +1,4 @@
-"""Sines on the bent curve of plant 5.5, in closed form: force and stiffness at the mean, F_ce, or the reason why not.
+"""Sines on the bent curve of plant 5.5, in closed form: force and stiffness at the mean, or the reason why not.
 
 `pytest -s -m study tests/analysis/test_sine_bent.py` counts how many intervals hold the truth.
 """
@@ -96,26 +96,23 @@ def test_a_small_sine_gives_force_and_stiffness_at_its_mean_and_no_f_ce(
     (5e5, ((5.0, 5.0), (15.0, 5.0), (25.0, 5.0))),
     (3e5, ((2.0, 2.0), (6.0, 2.0), (10.0, 2.0))),
 ])  # fmt: skip
-def test_sines_about_three_means_give_f_ce(P: float, cells: tuple[tuple[float, float], ...]) -> None:
-    (F_ce,) = pooled(reduced(P, cells), "F_ce")
-    truth = float(force(0.0, P))
-    assert F_ce.method == "sine-centres"
-    assert dict(F_ce.at) == {"pressure": P}
-    assert abs(F_ce.value - truth) < 0.005 * truth
-    assert share(F_ce, truth) < 1.0
-    assert F_ce.parts.combined < 0.03 * truth
-
-
-def test_means_of_which_none_holds_0_in_its_stroke_give_no_f_ce() -> None:
-    found = reduced(3e5, ((12.0, 4.0), (20.0, 4.0), (28.0, 4.0)))
-    assert all(e.value is None for e in pooled(found, "F_ce"))
-    assert len(pooled(found, "F")) == 3
+def test_a_curve_bent_near_0_gives_no_f_ce_about_whatever_means(
+    P: float, cells: tuple[tuple[float, float], ...]
+) -> None:
+    """The second harmonic of the sine that holds x = 0 is 6 to 9 % there; K and F are given at each mean."""
+    found = reduced(P, cells)
+    given = pooled(found, "F_ce")
+    assert len(given) == len(cells)
+    assert all(e.value is None for e in given)
+    assert given[0].withheld
+    assert "2% is accepted" in given[0].note
+    assert len(pooled(found, "F")) == len(cells)
 
 
 @pytest.mark.study
 @pytest.mark.timeout(3600)
 def test_intervals_on_bent_curves_hold_the_truth() -> None:
-    scores: dict[str, list[float]] = {"K": [], "F": [], "F_ce": []}
+    scores: dict[str, list[float]] = {"K": [], "F": []}
     for seed in range(20):
         for P in (2e5, 3e5, 5e5):
             for friction in (0.0, 6.0, 15.0):
@@ -126,8 +123,7 @@ def test_intervals_on_bent_curves_hold_the_truth() -> None:
                         scores[symbol] += [
                             share(e, of(e.at["mean"], P)) for e in pooled(found, symbol) if e.value is not None
                         ]
-                    given = [e for e in pooled(found, "F_ce") if e.value is not None]
-                    scores["F_ce"] += [share(e, float(force(0.0, P))) for e in given]
+                    assert all(e.value is None for e in pooled(found, "F_ce"))
     for symbol, of in scores.items():
         held = float(np.mean(np.array(of) <= 1))
         print(f"\n{symbol}: {len(of)} values, {held:.3f} hold the truth, worst {max(of):.2f} half widths", end="")

@@ -43,10 +43,11 @@ def worst(found):
     return max(abs(e.value - SLOPE * (e.at["pressure"] - START)) / e.parts.combined for e in found)
 
 
-def test_loads_that_swing_are_named_and_held():
-    """They lift at 19 kPa less than they set down at: F_ce was up to 2 half widths off."""
-    found, said = measured(swing=0.05)
-    assert "above that at which it lifts, which no friction does: it swings" in said
+@pytest.mark.parametrize("swing", [0.02, 0.05])
+def test_loads_that_swing_are_named_and_held(swing):
+    """At 5 % those of 402 N lift at 22 kPa less than they set down at: F_ce was up to 2 half widths off."""
+    found, said = measured(swing)
+    assert "sets down at a higher pressure than it lifts, which no friction does: it swings" in said
     assert worst(found) < 1
 
 

@@ -212,31 +212,34 @@ def as_it_is(y: np.ndarray) -> np.ndarray:
     return y
 
 
-def test_the_difference_of_a_true_model_is_the_noise_and_known_to_it(motion: tuple[np.ndarray, np.ndarray]) -> None:
-    """Both filters are known to be none, so that the interval is no wider than the scatter of repeats."""
+def without_interval(found: Estimate) -> bool:
+    return found.parts.combined is None and "errors of the channels are in it like those of the model" in found.note
+
+
+def test_the_difference_of_a_true_model_is_the_noise(motion: tuple[np.ndarray, np.ndarray]) -> None:
     found = e_sim(motion, MEASURED, x=as_it_is, P=as_it_is, **EXACT)
     assert number(found) < 10e-6
-    assert (found.parts.combined or 1.0) < 10e-6
+    assert without_interval(found)
 
 
 @pytest.mark.parametrize(("channel", "lags"), [("displacement", (0.02, 0.0)), ("pressure", (0.0, 0.02))])
 def test_a_declared_filter_is_no_error_of_the_model(
     motion: tuple[np.ndarray, np.ndarray], channel: str, lags: tuple[float, float]
 ) -> None:
-    """A true model was 430 and 450 um off by a filter of 20 ms that the channel declares, with +- 3 um."""
+    """A true model was 430 and 450 um off by a filter of 20 ms that the channel declares."""
     x, P = (partial(filtered, lag=lag) for lag in lags)
     found = e_sim(motion, MEASURED, x=x, P=P, **{**EXACT, channel: {"sensor_lag": 0.02}})
     assert number(found) < 40e-6
-    assert number(found) < (found.parts.combined or 0.0) < 120e-6  # by a fifth of the 20 ms, of which each ms is 20 um
 
 
 @pytest.mark.parametrize("method", [COMMANDED, MEASURED])
-def test_a_filter_of_the_gauge_that_nobody_declared_is_open(motion: tuple[np.ndarray, np.ndarray], method: str) -> None:
+def test_a_filter_of_the_gauge_that_nobody_declared_has_no_small_interval(
+    motion: tuple[np.ndarray, np.ndarray], method: str
+) -> None:
     """5 ms make 90 um of the speed of the rise: they were an error of the model, with +- 3 um."""
     found = e_sim(motion, method, x=lambda y: filtered(y, 0.005), P=as_it_is, pressure=EXACT["pressure"])
-    sound = e_sim(motion, method, x=as_it_is, P=as_it_is, **EXACT)
-    assert number(found) - number(sound) > 50e-6
-    assert number(found) - number(sound) < (found.parts.combined or 0.0) < 150e-6
+    assert number(found) > 50e-6
+    assert without_interval(found)
 
 
 @pytest.mark.parametrize(("off_x", "off_P"), [(1e-4, 0.0), (-1e-4, 0.0), (0.0, 1.5e3), (0.0, -1.5e3)])
@@ -246,8 +249,8 @@ def test_zeros_within_their_calibration_are_open(
     """A zero of the gauge or of the pressure at the end of what is declared: 97 and 84 um, with +- 3 um."""
     declared = {name: {**EXACT[name], **more} for name, more in zip(EXACT, WIDE, strict=True)}
     found = e_sim(motion, MEASURED, x=lambda y: y + off_x, P=lambda y: y + off_P, **declared)
-    assert 50e-6 < number(found) < (found.parts.combined or 0.0) < 350e-6
-    assert "calibration" not in found.note
+    assert number(found) > 50e-6
+    assert without_interval(found)
 
 
 def analysed(
@@ -270,8 +273,9 @@ KNOWN = {
 
 
 def in_half_widths(found: Analysis) -> dict[tuple[str, str], float]:
-    """How far each value is off that of a perfect model, which is 0."""
-    return {(e.symbol, e.method): abs(number(e)) / (e.parts.combined or 0.0) for e in found.estimates}
+    """How far each value with an interval is off that of a perfect model, which is 0."""
+    known = [e for e in found.estimates if e.symbol != "e_sim"]
+    return {(e.symbol, e.method): abs(number(e)) / (e.parts.combined or 0.0) for e in known}
 
 
 def doubts(found: Analysis) -> str:
@@ -293,8 +297,8 @@ def test_what_a_sensor_reads_before_the_step_is_named_and_held(
 ) -> None:
     """Zeros beyond their calibration, and coarse steps, were 3 to 3000 half widths of e_ss, without a word."""
     found = analysed(motion, **{"P" if name == "pressure" else "x": fault}, **known)
-    off = in_half_widths(found)
-    assert all(size < 1.1 for (symbol, method), size in off.items() if symbol != "e_sim" or method == MEASURED)
+    assert all(size < 1.1 for size in in_half_widths(found).values())
+    assert all(without_interval(e) for e in found.estimates if e.symbol == "e_sim")
     assert f"before 3 of 3 steps the {name} reads up to" in doubts(found)
 
 
@@ -313,8 +317,8 @@ def test_a_polled_channel_is_no_error_of_the_model(
 ) -> None:
     """What was held from one value to the next made 0.5 to 2.4 mm of e_sim, with +- 0.15 mm."""
     found = analysed(motion, **{name: lambda y: held(T, y, rate)}, **KNOWN)
-    off = in_half_widths(found)
-    assert off["e_sim", MEASURED] < 1.0
+    assert in_half_widths(found)["e_ss", MEASURED] < 1.0
+    assert without_interval(value(found, "e_sim", 5e5))
     if name == "x":
         assert number(value(found, "e_sim", 5e5)) < 20e-6
     assert "before" not in doubts(found)
@@ -323,7 +327,7 @@ def test_a_polled_channel_is_no_error_of_the_model(
 def test_noise_is_no_error_of_the_model(motion: tuple[np.ndarray, np.ndarray]) -> None:
     rng = np.random.default_rng(4)
     found = analysed(motion, x=lambda y: y + 1e-4 * rng.standard_normal(len(y)), **KNOWN)
-    assert in_half_widths(found)["e_sim", MEASURED] < 1.0
+    assert in_half_widths(found)["e_ss", MEASURED] < 1.0
     assert number(value(found, "e_sim", 5e5)) < 2.5e-5
 
 

@@ -18,7 +18,8 @@ def K(half: float | None, value: float | None = 6773.0, **more: object) -> Estim
 
 
 def run(**accept: float) -> RunData:
-    return replace(as_run("sinusoidal-displacement", []), plan={"accept": accept})
+    limits = [{"what": name, "measure": "relative_interval", "limit": limit} for name, limit in accept.items()]
+    return replace(as_run("sinusoidal-displacement", []), plan={"accept": {"limits": limits}})
 
 
 def judged(*estimates: Estimate, **accept: float) -> list[str]:

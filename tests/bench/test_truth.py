@@ -56,15 +56,13 @@ def written(tmp_path, *changes):
 
 def test_sensor_and_device_are_put_together_in_si(tmp_path):
     device = read_truth(written(tmp_path)).devices["terminal"]
-    [channel], [output] = device.record.channels, device.record.outputs
+    [channel], [output] = device.channels, device.outputs
     # 16000 counts are 5 V, which are 3 V above the 2 V of 0 bar, of 1 V a bar
     assert channel.scale.to_si(16000) == pytest.approx(3e5)
     assert (channel.name, channel.input, channel.raw_unit, channel.raw_type) == ("pressure", "ai3.0", "count", "int32")
     assert output.scale.to_raw(2.5e5) == pytest.approx(8000)
-    plug = device.inputs["ai3.0"]
-    assert (plug.unit, plug.low) == ("V", 0.0)
-    assert [(v.output, v.energised) for v in device.record.valves] == [("do2.0", "closed")]
-    assert [(lock.name, lock.input, lock.safe) for lock in device.record.interlocks] == [("e-stop", "di1.0", "high")]
+    assert [(v.output, v.energised) for v in device.valves] == [("do2.0", "closed")]
+    assert [(lock.name, lock.input, lock.safe) for lock in device.interlocks] == [("e-stop", "di1.0", "high")]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """How long the pooled fit of a campaign takes, beside scipy's `curve_fit` of each step on the same data, in one run.
 
-24 trials of 10,000 samples; 500 trials with 200 bootstrap draws. Times are judged by `make bench`, values always.
+24 trials of 10,000 samples; 500 trials. Times are judged by `make bench`, values always.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.kinds.contraction_relaxation.checks import resampled
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
 from pmabench.kinds.contraction_relaxation.segments import Campaign, gather, strokes
 from pmabench.store.records import RunData, TrialData
@@ -83,24 +82,13 @@ def test_24_trials_are_fitted_faster_than_one_by_one(benchmark):
 
 
 @pytest.mark.study
-def test_500_trials_with_200_draws(benchmark):
+def test_500_trials(benchmark):
     found = campaign(21)
     assert len(found.trials) == 504
     assert all(len(trial.t) == SAMPLES for trial in found.trials)
-
-    def all_of_it() -> dict[str, Any]:
-        pooled = pool(found, {})
-        assert pooled is not None
-        return resampled(found, pooled, estimates_of(found, pooled)[0], 200)
-
-    took, draws = least(all_of_it, 1)
+    took, _ = least(lambda: pool(found, {}), 1)
     alone, _ = least(lambda: exponentials(campaign(1)), 1)
-    ratios = [one["bootstrap"] / one["repeats"] for one in draws["half_widths"]]
-    print(
-        f"\n504 trials with 200 draws: {took:.1f} s, {took / alone:.1f} times curve_fit of every step of 24; bootstrap by repeats part {np.median(ratios):.2f}"
-    )
-    assert draws["within_cells"]
-    assert np.median(ratios) == pytest.approx(1.0, abs=0.15)
+    print(f"\n504 trials: {took:.1f} s, {took / alone:.1f} times curve_fit of every step of 24")
     if not benchmark.disabled:
         assert took < 20 * alone
     benchmark.pedantic(lambda: None, rounds=1)

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 import xml.etree.ElementTree as ET
 from functools import partial
 from pathlib import Path
@@ -76,15 +77,21 @@ def test_rows_are_chosen_by_text_and_by_range(tmp_path):
 
 def test_an_analysis_folder_is_a_table(tmp_path):
     (tmp_path / "coefficients.csv").write_text(
-        "method,pressure [kPa],K [N/mm],K half width 95 % [N/mm]\n"
-        + "".join(f"m1,{p},{p / 50},0.1\n" for p in range(100, 601, 100))
-        + "".join(f"m2,{p},{p / 40},0.1\n" for p in range(100, 601, 100))
+        "method,pressure [kPa],K [N/mm],K half width 95 % [N/mm],F_L [N]\n"
+        + "".join(f"m1,{p},{p / 50},0.1,\n" for p in range(100, 601, 100))
+        + "".join(f"m2,{p},{p / 40},0.1,\n" for p in range(100, 601, 100))
     )
     options = ("--free", "c_0,c_1", "--set", "order=1", "--set", "centre=0 kPa", "--set", "scale=100 kPa", "--json")
     result = call("stiffness-polynomial", str(tmp_path), *options)
     values = {u["name"]: u["value"] for u in json.loads(result.stdout)["parameters"]}
     assert values == pytest.approx({"c_0": 0, "c_1": 2000}, abs=1e-3)
     assert 'method "m1"; there are also: m2' in result.stderr
+    # all rows off by the half width at once, and each by itself: hypot(1, 0.93) for c_0 of six rows at 1 to 6
+    (c_0, _) = json.loads(result.stdout)["parameters"]
+    assert c_0["ci95"][1] - c_0["value"] == pytest.approx(
+        100 * math.hypot(1.0, math.sqrt(1 / 6 + 3.5**2 / 17.5)), rel=0.02
+    )
+    assert 'intervals hold those of column "K half width 95 % [N/mm]"' in result.stderr
     other = call("stiffness-polynomial", str(tmp_path), *options, "--only", "method=m2")
     assert {u["name"]: u["value"] for u in json.loads(other.stdout)["parameters"]}["c_1"] == pytest.approx(2500)
 

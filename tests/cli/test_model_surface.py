@@ -1,4 +1,4 @@
-"""`pmabench model` with the muscle of an analysis: shown, evaluated, simulated, next to runs that it was not fitted to.
+"""`pmabench model` with the muscle of an analysis: shown, evaluated, simulated; a validation of it.
 
 The truth is the muscle of the mock bench, whose force is written out in `test_process_surface`.
 """
@@ -73,34 +73,14 @@ def test_a_pressure_is_found_behind_forces(surface, tmp_path):
 
 
 def test_steps_of_a_run_that_it_was_not_fitted_to(surface, tmp_path):
-    """A free end under a weight: within 1 % of the stroke, a fifth of the straight form of the same tests."""
+    """A free end under a weight: within 1 % of the stroke."""
     run = ran(tmp_path / "runs", "validation", "mock-real", [("model.coefficients", str(surface)), *STEPS])
-    table = answer("simulate", surface, "--along", run)
-    assert table["pressure"] == [250e3, 400e3]
-    for off, lines in zip(table["surface_rms"], table["straight_rms"], strict=True):
-        assert off < 0.4e-3
-        assert lines > 5 * off
-    printed = model("simulate", surface, "--along", run).stdout
-    assert "straight form of the same tests" in printed
-    samples = answer("simulate", surface, "--along", run, "--trial", 2)
-    assert samples["of_surface"][-1] == pytest.approx(samples["displacement_measured"][-1], abs=0.5e-3)
     processed = CliRunner().invoke(main, ["process", run, "--json"])
     (analysis,) = json.loads(processed.stdout)["analyses"]
     rms = {
         e["method"]: e["value"] for e in analysis["estimates"] if (e["symbol"], e["at"]["pressure"]) == ("e_sim", 4e5)
     }
     assert rms["measured pressure"] < 0.4e-3
-    assert rms["measured pressure, straight lines"] > 5 * rms["measured pressure"]
-    assert "the straight form of the same tests" in " ".join(found["text"] for found in analysis["findings"])
-
-
-def test_force_of_a_driven_end_next_to_what_was_measured(surface, tmp_path):
-    settings = [("sweep.zip.pressure", "[300 kPa]"), ("sweep.zip.upper", "[30 mm]"), ("sweep.zip.lower", "[5 mm]")]
-    settings += [("sweep.zip.speed", "[15 mm/s]"), ("trial.minor", "{lower: 12 mm, upper: 20 mm}")]
-    run = ran(tmp_path / "runs", "real-muscle-ramps", "mock-real-actuator", settings)
-    table = answer("simulate", surface, "--along", run)
-    assert table["surface_rms"][0] < 5.0
-    assert table["straight_rms"][0] > 4 * table["surface_rms"][0]
 
 
 def test_pressures_and_loads_may_be_made_up(surface):
@@ -112,8 +92,6 @@ def test_pressures_and_loads_may_be_made_up(surface):
     high = model("simulate", surface, "--step", "700 kPa at 0.1 s")
     assert high.exit_code == 2
     assert "up to which it was tested" in high.output
-    both = model("simulate", surface, "--along", "runs/none", "--step", "300 kPa at 0 s")
-    assert both.exit_code == 2
 
 
 def test_an_analysis_without_a_surface_is_refused(tmp_path):

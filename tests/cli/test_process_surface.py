@@ -156,9 +156,12 @@ def test_a_rested_muscle_whose_first_loops_are_wider(tmp_path, first_cycle):
 
 
 def test_what_it_does_not_take_is_refused_with_the_reason(runs):
-    both = process(*runs, "--form", "surface", "--form", "K=line")
+    both = process(*runs, "--form", "surface", "--regulator")
     assert both.exit_code == 2
     assert "and no other option" in both.output
+    unknown = process(*runs, "--form", "surfaces")
+    assert unknown.exit_code == 2
+    assert "did you mean" in unknown.output
     folder = process(str(Path(runs[0]).parent), "--form", "surface")
     assert folder.exit_code == 2
     assert "name run folders" in folder.output

@@ -1,8 +1,8 @@
 """Modbus TCP by hand in front of a T7: there is no maker's library for this machine, and the maker documents the wire.
 
 Calls: LabJack, Protocol Details (Direct Modbus TCP), https://support.labjack.com/docs/protocol-details-direct-modbus-tcp
-(functions 3, 4, 6, 16, 76); test registers, identity, DACs, lines, watchdog: the maker's register table, LabJack/ljm_constants,
-2025.12.18; DACs: T-series datasheet, 15.0 DAC.
+(functions 3, 4, 16); test register, identity, DACs, lines, watchdog: the maker's register table, LabJack/ljm_constants,
+2025.12.18; DACs: T-series datasheet, 15.0 DAC. Here are the registers that the driver uses.
 """
 
 import socket
@@ -76,65 +76,31 @@ def near(found, wanted, within):
 
 
 t7 = T7()
-with call("read TEST (55100), whole and by words"):
+with call("read TEST (55100)"):
     assert t7.read(55100, "I") == 0x00112233
-    assert (t7.read(55100, "H"), t7.read(55101, "H")) == (0x0011, 0x2233)
-with call("read and write TEST_UINT16 (55110)"):
-    assert t7.read(55110, "H") == 0x0011
-    t7.ask(struct.pack(">BHH", 6, 55110, 0xBEEF))
-    assert t7.read(55110, "H") == 0xBEEF
-with call("read and write TEST_UINT32 (55120)"):
-    assert t7.read(55120, "I") == 0x00112233
-    t7.write(55120, "I", 0xDEADBEEF)
-    assert t7.read(55120, "I") == 0xDEADBEEF
-with call("read and write TEST_INT32 (55122)"):
-    assert t7.read(55122, "i") == -2003195205
-    t7.write(55122, "i", -5)
-    assert t7.read(55122, "i") == -5
-with call("read and write TEST_FLOAT32 (55124)"):
-    assert t7.read(55124, "f") == -9999.0
-    t7.write(55124, "f", 5.5)
-    assert t7.read(55124, "f") == 5.5
-with call("read PRODUCT_ID, HARDWARE_VERSION, FIRMWARE_VERSION (60000)"):
-    product, hardware, firmware = t7.read(60000, "fff")
-    assert product == 7.0
-    assert hardware > 1.0
-    assert firmware > 1.0
+with call("read PRODUCT_ID (60000), FIRMWARE_VERSION (60004)"):
+    assert t7.read(60000, "f") == 7.0
+    assert t7.read(60004, "f") > 1.0
 with call("read SERIAL_NUMBER (60028) by function 4"):
     t7.read(60028, "I", 4)
 with call("refuse one word of a 32-bit value"):
-    for address in (0, 1, 1000, 55120, 55124, 60000, 61520):
+    for address in (0, 1, 1000, 55100, 60000, 61500):
         t7.refused(lambda address=address: t7.read(address, "H"), 4)
         assert t7.read(55000, "H") == 2315
     t7.refused(lambda: t7.ask(struct.pack(">BHH", 6, 1000, 0)), 4)
-    t7.refused(lambda: t7.read(60000, "fH"), 4)
 with call("refuse an address that is not in the table"):
     t7.refused(lambda: t7.read(3999, "H"), 2)
 with call("refuse a function that is not supported"):
     t7.refused(lambda: t7.ask(struct.pack(">BHH", 1, 2000, 1)), 1)
-with call("read CORE_TIMER (61520)"):
-    first = t7.read(61520, "I")
-    time.sleep(0.5)
-    near((t7.read(61520, "I") - first) % 2**32 / 40e6, 0.5, 0.3)
-with call("AIN0_RESOLUTION_INDEX (41500)"):
-    assert t7.read(41500, "H") == 0
-    t7.write(41500, "H", 8)
-    assert t7.read(41500, "H") == 8
-    t7.refused(lambda: t7.write(41500, "H", 13), 4)
-    assert t7.read(55000, "H") == 2375
-    t7.write(41500, "H", 0)
-with call("AIN0_RANGE (40000), AIN0_NEGATIVE_CH (41000), AIN0_SETTLING_US (42000)"):
+with call("AIN0_RANGE (40000), AIN0_NEGATIVE_CH (41000)"):
     t7.write(40000, "f", 1.0)
     assert t7.read(40000, "f") == 1.0
     t7.refused(lambda: t7.write(40000, "f", 3.0), 4)
     t7.write(40000, "f", 10.0)
     t7.write(41000, "H", 199)
-    t7.write(42000, "f", 500.0)
-    t7.refused(lambda: t7.write(42000, "f", 60_000.0), 4)
-    t7.write(42000, "f", 0.0)
-with call("FIO0 (2000) as an output, FIO_STATE (2500), DIO_DIRECTION (2850)") as saw:
+with call("FIO0 (2000) as an output, DIO_STATE (2800), DIO_DIRECTION (2850)") as saw:
     t7.write(2000, "H", 1)
-    assert t7.read(2500, "H") & 1
+    assert t7.read(2800, "I") & 1
     assert t7.read(2850, "I") & 1
     saw["valve"] = 1.0
 with call("DAC0 (1000)") as saw:
@@ -154,17 +120,8 @@ with call("DAC0 beyond its range reads back as its end"):
 with call("a NaN for DAC0 leaves the connection and the DAC as they are"):
     t7.refused(lambda: t7.write(1000, "f", float("nan")), 3)
     assert t7.read(1000, "f") == 0.0
-with call("Modbus Feedback (76): reads and writes in one packet"):
-    packet = bytes([76]) + struct.pack(">BHB", 1, 1000, 2) + struct.pack(">f", 0.5)
-    packet += struct.pack(">BHB", 0, 55100, 2) + struct.pack(">BHB", 0, 1000, 2) + struct.pack(">BHB", 0, 55110, 1)
-    test, dac, word = struct.unpack(">IfH", t7.ask(packet))
-    assert (test, word) == (0x00112233, 0xBEEF)
-    near(dac, 0.5, 0.002)
-with call("Modbus Feedback (76): the frame that failed"):
-    packet = bytes([76]) + struct.pack(">BHB", 0, 55100, 2) + struct.pack(">BHB", 0, 3999, 1)
-    t7.refused(lambda: t7.ask(packet), 2)
-    assert t7.read(55002, "H") == 1
 with call("watchdog (61600): is set while it is off, vents, and counts again") as saw:
+    t7.write(1000, "f", 0.5)
     t7.write(61600, "I", 0)
     t7.write(61602, "III", 0, 1, 0)
     t7.write(61610, "II", 1, 77)
@@ -183,11 +140,3 @@ with call("watchdog (61600): is set while it is off, vents, and counts again") a
     time.sleep(1.5)
     assert t7.read(1000, "f") == 0.0
     t7.write(61600, "I", 0)
-with call("SYSTEM_REBOOT (61998): power-on values, RTC_TIME_S (61500) from 0"):
-    t7.write(1000, "f", 1.0)
-    t7.refused(lambda: t7.write(61998, "I", 1), 4)
-    t7.write(61998, "I", 0x4C4A0002)
-    time.sleep(0.5)
-    t7 = T7()
-    assert t7.read(1000, "f") == 0.0
-    assert t7.read(61500, "I") <= 1

@@ -35,7 +35,7 @@ class Client:
 
 
 CLIENTS: tuple[Client, ...] = (
-    Client("alicat", "alicat 0.9.0 / MCD", "alicat==0.9.0", "alicat_client.py", lambda line: controller(line, baud=19200, emulate="MCD")),
+    Client("alicat", "alicat 0.9.0 / PCD", "alicat==0.9.0", "alicat_client.py", lambda line: controller(line, baud=19200)),
     Client("labjack", "Modbus TCP by hand / T7", "", "labjack_raw.py", lambda _line: t7()),
     Client("nidaqmx", "nidaqmx 1.7.0 over gRPC / USB-6215", "", "nidaqmx_client.py", lambda _line: daq()),
     Client("minimalmodbus", "minimalmodbus 2.1.1 / register map on RTU", "minimalmodbus==2.1.1", "minimalmodbus_client.py", lambda line: regulator(str(line))),

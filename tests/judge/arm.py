@@ -66,9 +66,6 @@ def truth(cause: str, size: float) -> Truth:
         else:
             flat = float(fine[int(np.argmax(curve >= top - NEAR))])
             right["P_flat", "", load] = (flat, flat)
-            for name, value in zip("abcd", LOADS[load], strict=True):
-                scaled = value * (more if name in "ab" else 1.0)
-                right["alpha_b", name, load] = (scaled - GAP / 2, scaled) if name == "a" else (scaled, scaled)
         right["alpha_max", "", load] = (top - GAP / 2, top)
     return right
 

@@ -30,7 +30,6 @@ DEFAULTS = {
     ("pmabench/bench/dry_run.py", "surface"),
     ("pmabench/bench/plant.py", "surface"),
     ("pmabench/model/presets.py", "surface"),
-    ("pmabench/model/library/real.py", "surface"),
     ("pmabench/report/document/special_tables.py", "relaxation"),
 }
 """Words that name a kind of test, too: the shipped protocols that `init` offers, a part of the plant of a muscle."""

@@ -1,105 +1,15 @@
-"""Regulators, chamber, friction, loads and compositions of the library against integration, plants and closed forms."""
+"""Chamber and compositions of the library against another simulation, tables of the papers and closed forms."""
 
 import math
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.signal import lti, step
 
-from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.library import MODELS, OutsideDomain
-from pmabench.model.plant import Plant
-from pmabench.model.presets import preset
-from pmabench.model.regulator import Regulated, Regulator, constant, sine
-from tests.model.hysteresis_path import hysteresis_path
 
 
 def value(name, output, **given):
     return MODELS[name].evaluate(given)[output]
-
-
-# -- regulators --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("start", "target"), [(1e5, 4e5), (4e5, 1e5)])
-def test_first_order_is_the_regulator_of_the_simulated_bench(start, target):
-    t = np.linspace(0, 1, 201)
-    supply = Regulated(Regulator(dead_time=0.04, lag=0.1, vent_ratio=1.5), start, 0.0)
-    supply.command(constant(0.0, target))
-    given = {"start": start, "target": target, "lag": 0.1, "vent_ratio": 1.5, "dead_time": 0.04}
-    found = value("regulator-first-order", "pressure", time=t, **given)
-    np.testing.assert_allclose(found, supply.values(t)[0], rtol=1e-9)
-
-
-def test_a_regulator_without_lag_steps_after_its_dead_time():
-    found = value("regulator-first-order", "pressure", time=[0.0, 0.03, 0.05], lag=0.0, dead_time=0.04)
-    assert found.tolist() == [0, 0, 3e5]
-
-
-@pytest.mark.parametrize("zeta", [0.05, 0.5, 0.99999, 1.0, 1.00001, 3.0])
-def test_second_order_is_the_step_of_its_transfer_function(zeta):
-    w = 2 * math.pi * 4
-    t = np.linspace(0, 1, 401)
-    _, expected = step(lti([w * w], [1, 2 * zeta * w, w * w]), T=t)
-    found = value("regulator-second-order", "pressure", time=t, target=1e5, damping_ratio=zeta)
-    np.testing.assert_allclose(found, 1e5 * expected, atol=2)
-    if zeta in (0.05, 0.5):
-        beyond = value("regulator-second-order", "overshoot", damping_ratio=zeta)
-        assert found.max() / 1e5 - 1 == pytest.approx(float(beyond), abs=2e-3)
-
-
-@pytest.mark.parametrize(("start", "target", "rate"), [(0.0, 4e5, 8e5), (4e5, 1e5, 5e5), (2e5, 2.5e5, 8e5)])
-def test_a_limited_rate_is_what_integration_gives(start, target, rate):
-    lag, t = 0.15, np.linspace(0, 2, 401)
-
-    def slope(_t, P):
-        return np.clip((target - P) / lag, -5e5, 8e5)
-
-    solved = solve_ivp(slope, (0, 2), [start], t_eval=t, rtol=1e-9, atol=1e-3, max_step=0.002)
-    given = {"start": start, "target": target, "lag": lag, "rate_fill": 8e5, "rate_vent": 5e5}
-    found = value("regulator-rate-limited", "pressure", time=t, **given)
-    np.testing.assert_allclose(found, solved.y[0], atol=20)
-    assert np.abs(np.diff(found) / np.diff(t)).max() <= rate * (1 + 1e-9)
-
-
-def test_a_limited_flow_is_what_the_chamber_gives():
-    t = np.linspace(0, 0.6, 301)
-    given = {"conductance_fill": 1e-8, "flow_fill": 5e-4, "polytropic": 1.1, "volume": 80e-6, "temperature": 300.0}
-
-    def slope(_t, P):
-        flow = min(1e-8 * (3e5 - P[0]), 5e-4)
-        rate = value(
-            "chamber-rate", "pressure_rate", pressure=P[0], volume=80e-6, inflow=flow, polytropic=1.1, temperature=300.0
-        )
-        return [float(rate)]
-
-    solved = solve_ivp(slope, (0, 0.6), [0.0], t_eval=t, rtol=1e-8, atol=1e-2, max_step=0.005)
-    found = value("regulator-flow-limited", "pressure", time=t, target=3e5, **given)
-    np.testing.assert_allclose(found, solved.y[0], atol=30)
-
-
-@pytest.mark.parametrize("ease", [1.2, 0.95, 0.8, 0.65, 0.55, 0.5, 0.2])
-def test_the_gain_of_a_limited_sine_is_that_of_a_limiter_in_time(ease):
-    A, f = 2e5, 2.0
-    R, steps = ease * A * 2 * math.pi * f, 4000
-    h, y, wave = 1 / f / steps, 0.0, []
-    for k in range(8 * steps):
-        wanted = A * math.sin(2 * math.pi * f * (k + 1) * h)
-        y += min(max(wanted - y, -R * h), R * h)
-        wave.append(y)
-    theta = 2 * math.pi * np.arange(1, steps + 1) / steps
-    harmonic = 2j / steps * np.sum(np.array(wave[-steps:]) * np.exp(-1j * theta)) / A
-    found = MODELS["regulator-sine"].evaluate({"amplitude": A, "frequency": f, "rate": R})
-    assert float(found["gain"]) == pytest.approx(abs(harmonic), abs=1e-3)
-    assert float(found["phase"]) == pytest.approx(np.angle(harmonic), abs=2e-3)
-
-
-def test_a_large_sine_is_followed_worse_than_a_small_one():
-    gains = value("regulator-sine", "gain", amplitude=np.linspace(0.1e5, 5e5, 50), frequency=5.0)
-    assert (np.diff(gains) <= 1e-9).all()
-    assert gains[0] == 1
-    assert gains[-1] < 0.25
 
 
 # -- chamber -----------------------------------------------------------------------------------------------------
@@ -142,96 +52,6 @@ def test_volume_that_gives_way_to_pressure_makes_the_chamber_slower():
 def test_times_may_come_in_any_order():
     sorted_, mixed = (value("driven-chamber", "pressure", time=t) for t in ([0.0, 2.0, 5.0], [5.0, 0.0, 2.0]))
     assert mixed.tolist() == sorted_[[2, 0, 1]].tolist()
-
-
-# -- friction and hysteresis -------------------------------------------------------------------------------------
-
-
-def test_friction_never_drives():
-    v, drive = np.meshgrid(np.linspace(-5e-3, 5e-3, 41), np.linspace(-30, 30, 61))
-    f = value("coulomb-stiction", "friction", speed=v, drive=drive)
-    assert (f * v >= 0).all()
-    still = v == 0
-    assert (np.abs(f[still]) <= np.abs(drive[still]) + 1e-12).all()
-    assert np.abs(f).max() == 10
-    with pytest.raises(OutsideDomain, match="above static"):
-        value("coulomb-stiction", "friction", kinetic=11.0)
-
-
-def test_hysteresis_knows_no_rate_and_settles_into_its_loop():
-    def around(samples):
-        theta = np.linspace(0, 6 * math.pi, 6 * samples + 1)
-        eps = 0.085 - 0.115 * np.cos(theta)
-        return eps, hysteresis_path(eps, 30.0, 0.006)
-
-    eps, force = around(500)
-    _, coarse = around(50)
-    np.testing.assert_allclose(coarse, force[::10], atol=1e-9)
-    last = slice(-1001, None)
-    loop = MODELS["hysteresis-loop"].evaluate({"contraction": np.clip(eps[last], -0.03, 0.2)})
-    expected = np.where(np.arange(1001) <= 500, loop["contracting"], loop["expanding"])
-    np.testing.assert_allclose(force[last], expected, atol=1e-6)
-    middle = value("hysteresis-loop", "gap", contraction=0.085)
-    assert float(middle) == pytest.approx(60, abs=0.01)
-
-
-def test_a_small_loop_is_narrower_and_contracting_is_the_lower_branch():
-    small = MODELS["hysteresis-loop"].evaluate(
-        {"contraction": 0.1, "contraction_low": 0.099, "contraction_high": 0.101}
-    )
-    assert 0 < float(small["gap"]) < 1
-    eps = np.linspace(-0.03, 0.2, 24)
-    loop = MODELS["hysteresis-loop"].evaluate({"contraction": eps})
-    assert (loop["contracting"][1:-1] < loop["expanding"][1:-1]).all()
-    branch = value("hysteresis-branch", "force", contraction=eps[1:], reversal=-0.03, force_start=30.0)
-    np.testing.assert_allclose(branch, loop["contracting"][1:], atol=1e-6)
-    with pytest.raises(OutsideDomain, match="between the turns"):
-        value("hysteresis-loop", "gap", contraction=0.3)
-
-
-# -- loads -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("load", "kpa"), [(0.0, 300), (58.86, 300), (300.0, 300), (10.0, 600)])
-def test_a_muscle_at_rest_between_its_stops_is_the_plant_at_rest(load, kpa):
-    setup = preset("paper0", "ideal")
-    plant = Plant(setup.muscle, setup.regulator, force=load, mass=0.5)
-    plant.command(constant(0.0, kpa * 1e3))
-    plant.advance(20.0)
-    x, P, F = plant.reading()
-    given = {"force_ce": setup.muscle.F_ce(P), "stiffness": setup.muscle.K(P), "load": load, "stop": 0.05}
-    found = MODELS["end-stops"].evaluate(given | {"stop": setup.muscle.stop})
-    assert float(found["displacement"]) == pytest.approx(x, abs=1e-7)
-    assert float(found["force"]) == pytest.approx(F, abs=1e-3)
-    held = MODELS["end-stops"].evaluate(given | {"stop": 0.01})
-    assert float(held["force"]) == pytest.approx(
-        max(min(given["force_ce"], load), given["force_ce"] - given["stiffness"] * 0.01)
-    )
-
-
-def test_a_spring_holds_the_muscle_where_both_forces_agree():
-    x, F = (float(value("load-spring", output, rate=3e3, preload=40.0)) for output in ("displacement", "force"))
-    muscle = value("three-element", "force", displacement=x)
-    assert float(muscle) == pytest.approx(F)
-    assert pytest.approx(40 + 3e3 * x) == F
-    assert float(value("load-spring", "force", preload=300.0)) == 275
-
-
-def test_an_imposed_sine_meets_the_force_of_the_driven_plant():
-    setup = preset("paper0", "ideal")
-    plant = DrivenPlant(setup.muscle, setup.regulator, Actuator(), pressure=300e3, position=0.02)
-    plant.move(sine(0.0, 0.02, 0.01, 0.5, 4))
-    t = np.linspace(0.001, 3.9, 391)
-    motion = plant.advance(4.0, t)
-    F_ce, K = setup.muscle.F_ce(300e3), setup.muscle.K(300e3)
-    speed = 0.01 * math.pi * np.cos(math.pi * t)
-    for way, B in ((1, setup.muscle.B_c(300e3)), (-1, setup.muscle.B_r(300e3))):
-        rows = (way * speed > 1e-4).nonzero()[0]
-        found = MODELS["load-imposed"].evaluate(
-            {"time": t[rows], "force_ce": F_ce, "stiffness": K, "damping": B, "kinetic": 0.0}
-        )
-        np.testing.assert_allclose(found["displacement"], motion.x[rows], atol=1e-9)
-        np.testing.assert_allclose(found["force"], motion.F[rows], atol=1e-5)
 
 
 # -- compositions ------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
 from pmabench.kinds.compile import make_plan, plan_campaign
 from pmabench.protocol.driven import predicted_force
-from pmabench.protocol.plan import Ask, Follow, Ramp, Record, Seek, Set
+from pmabench.protocol.plan import Ask, Follow, Hold, Ramp, Record, Seek, Set
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECIMEN = ROOT / "fixtures" / "specimens" / "mas-20-250-paper0.yaml"
@@ -297,6 +297,16 @@ def test_the_longest_time_of_hands_counts_the_vent_before_them_and_the_wait_afte
     compiled = plan("contraction-relaxation", ("sweep.repeat.count", "1"), ("prepare.precondition.cycles", "0"))
     shortest, longest = compiled.duration()
     assert longest - shortest == pytest.approx(11 * 30.0)
+
+
+def test_the_rest_comes_before_the_first_trial_and_after_preconditioning():
+    both = "{precondition: {cycles: 1, pressure: 300 kPa, hold: 1 s}, rest: 20 min}"
+    compiled = plan("isobaric-ramp", ("prepare", both))
+    holds = [(n, s.duration) for n, s in enumerate(compiled.steps) if isinstance(s, Hold) and s.phase == "precondition"]
+    first = next(n for n, s in enumerate(compiled.steps) if isinstance(s, Record))
+    assert [seconds for _, seconds in holds] == [1.0, 1.0, 1200.0]
+    assert holds[-1][0] < first
+    assert compiled.settings["rest"] == 1200.0
 
 
 @pytest.mark.parametrize(

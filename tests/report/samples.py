@@ -230,7 +230,7 @@ def ultimate_gain(simulated: bool = True) -> Analysis:
         title = f"Growth per half period, {where}"
         traces.append(Trace(f"growth-{setpoint:g}-0", "growth", title, columns, quantities, {"K_u": K_u}))
     findings = (
-        Finding("note", "K_u changes 4.3-fold between 10 mm and 60 mm: settings hold for their own set-point only"),
+        Finding("note", "K_u at 30 mm: 7.1 bar/cm (open-loop), 7.2 bar/cm (relay-fit); the ways are 1.4% apart"),
     )
     return Analysis(
         kind="ultimate-gain",
@@ -282,7 +282,11 @@ def run(kind: str, simulated: bool = True, **manifest) -> RunData:
         "lacks": ["no dump valve"],
     }
     channel = ChannelInfo("pressure", "pressure", "Pa", 1.0, 0.0, 0.0, 1e6, 1.5e3, 0.002, 0.001, "CAL-P-7")
-    accept = {"accept": {"K": 0.02}} if kind == "contraction-relaxation" else {}
+    accept = (
+        {"accept": {"limits": [{"what": "K", "measure": "relative_interval", "limit": 0.02}]}}
+        if kind == "contraction-relaxation"
+        else {}
+    )
     answer = Event(0, 0.2, "answer", {"answer": "confirmed beforehand (--yes)"})
     return RunData(
         id=RUNS[kind],

@@ -3,6 +3,7 @@
 import json
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -24,7 +25,7 @@ from pmabench.plotting.svg import GREEK
 from pmabench.report.files.export import FORMATS, export_results, export_run
 from pmabench.report.files.latex import typeset
 from pmabench.report.files.simulator_models import GRAVITY, control_model, mujoco_model, simulated
-from pmabench.store.analyses.results import Analysis
+from pmabench.store.analyses.results import Analysis, Parts
 from tests.store.runs import closed
 
 from . import samples
@@ -182,6 +183,19 @@ def in_mujoco(text, t, P, load, mass):
     return np.interp(t - t[0], now, x)
 
 
+def test_friction_below_0_is_left_out_since_it_would_drive_the_muscle():
+    found = samples.contraction()
+    primary = found.estimates[0].method
+    below = tuple(
+        replace(e, value=-0.06, parts=Parts(0.1)) if (e.symbol, e.method) == ("F_c", primary) else e
+        for e in found.estimates
+    )
+    assert any(e.value == -0.06 for e in below)
+    model = control_model(replace(found, estimates=below))
+    assert model.params["F_c"] == 0
+    assert "Coulomb friction came out below 0 and is left out" in model.notes
+
+
 def test_the_exported_actuator_does_in_mujoco_what_its_file_says(tmp_path):
     """Along the trials of the analysis, by the solver itself: the stated distance from the fitted muscle, and no more."""
     analysis = samples.contraction()
@@ -238,8 +252,7 @@ def test_the_command_names_what_it_wrote(run, tmp_path):
     out = pmabench_export(run.data.path, "--format", "csv", "-o", str(tmp_path / "x"), "--json")
     assert (out.exit_code, json.loads(out.stdout)["format"]) == (0, "csv")
     written = [Path(path) for path in json.loads(out.stdout)["written"]]
-    assert [path.name for path in written if path.suffix != ".csv"] == ["run.json"]
-    assert all(path.is_file() for path in written)
+    assert all(path.is_file() and path.suffix == ".csv" for path in written)
     (tmp_path / "f").write_text("")
     assert pmabench_export(run.data.path, "--format", "csv", "-o", str(tmp_path / "f")).exit_code == 2
     assert pmabench_export(str(tmp_path), "--format", "mat", "-o", str(tmp_path / "g")).exit_code == 3

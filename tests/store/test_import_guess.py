@@ -12,7 +12,7 @@ from pmabench.base.text import sparkline
 from pmabench.cli.main import main
 from pmabench.files.document import read_document
 from pmabench.store.importers import apart
-from pmabench.store.importers.guess.columns import lattice, unit_in
+from pmabench.store.importers.guess.columns import unit_in
 from pmabench.store.importers.guess.layout import guess_layout
 from pmabench.store.importers.guess.signs import sine_of
 from pmabench.store.importers.guess.write import Span, map_text, still_open
@@ -66,30 +66,25 @@ def written(tmp_path, guess, spans=None):
     return path
 
 
-def test_files_without_names_are_distinguished_by_their_numbers(tmp_path):
+@pytest.mark.parametrize("last", ["ignore", "{is: phase, marks: {fill: 1, exhaust: 2}, optional: true}"])
+def test_what_each_column_of_files_without_names_is_must_be_answered(tmp_path, last):
     files = sorted((OLD / "isometric").glob("*.csv"))
     guess = guess_files(files)
-    assert roles(guess) == {
-        "force": ("force", "N"),
-        "pressure": ("pressure", "kPa"),
-        "time": ("time", "s"),
-        "phase": ("phase", ""),
-    }
-    assert guess.optional == ["phase"]
-    assert guess.kind == "isometric"
+    assert {role for role, _ in roles(guess).values()} == {"time", "ignore"}
+    assert guess.optional == ["column 4"]
     assert set(guess.forms) == {"10mm_13cm_Unkinked_Test{test}", "10mm_13cm_Kinked{contraction}mm_Test{test}"}
-    assert any("only its numbers" in doubt for doubt in guess.role("pressure").doubts)
     path = written(tmp_path, guess)
-    assert asked(path) == [
-        "columns.force.unit",
-        "columns.pressure.unit",
-        "name_tells.otherwise.contraction",
-        "analysis.force_above",
-    ], "no header, a name without a contraction, and force that is 0 at first"
-    runs = [open_run(run.path) for run in import_files(files, path, tmp_path / "runs", unresolved=True)]
+    answers = {
+        "kind": "isometric",
+        "columns.column 1": "{is: force, unit: N}",
+        "columns.column 2": "{is: pressure, unit: kPa}",
+        "columns.column 4": last,
+        "name_tells.otherwise.contraction": "0 mm",
+    }
+    assert set(asked(path)) == set(answers), "no header, and a name without a contraction"
+    runs = [open_run(run.path) for run in import_files(files, path, tmp_path / "runs", list(answers.items()))]
     assert {run.trials[0].point["contraction"] for run in runs} == {0.0, 0.004}
     assert runs[0].trials[0].channels["pressure"].max() == pytest.approx(640e3, rel=0.01)
-    assert read_map(path, unresolved=True).file.siblings == {"force": 0.3, "pressure": 0.1}
 
 
 @pytest.mark.parametrize(
@@ -141,7 +136,7 @@ def test_a_mat_file_whose_columns_have_no_names_says_so():
         assert roles(guess)["log.cmd_bar"] == ("pressure_command", "bar")
         (force,) = [column for column in guess.columns if column.name == "log.FX(:,1)"]
         assert force.role == "ignore"
-        assert "is it force or displacement?" in force.doubts[0]
+        assert 'what is "log.FX(:,1)"? It has no name' in force.question
 
 
 @pytest.mark.parametrize(
@@ -225,30 +220,25 @@ def matrix():
 
 
 @pytest.mark.parametrize("name", ["X", "data"])
-def test_columns_of_a_matrix_are_distinguished_by_what_they_hold(tmp_path, name):
+def test_what_each_column_of_a_matrix_is_must_be_answered(tmp_path, name):
+    """Which column is which no number shows: two of the same range could be exchanged."""
     from scipy.io import savemat
 
     savemat(tmp_path / "old.mat", {name: matrix()})
     guess = guess_files([tmp_path / "old.mat"])
-    assert roles(guess) == {
-        f"{name}(:,1)": ("time", "s"),
-        f"{name}(:,2)": ("pressure_command", "kPa"),
-        f"{name}(:,3)": ("force", "N"),
-        f"{name}(:,4)": ("pressure", "kPa"),
-        f"{name}(:,5)": ("displacement", "mm"),
-    }
-    assert all(column.reasons for column in guess.columns)
-    for column in guess.columns[1:]:
-        assert column.doubts, column.name
-    (asked,) = [doubt for doubt in guess.doubts if "to be confirmed" in doubt]
-    assert all(f"{name}(:,{k})" in asked for k in (2, 3, 4, 5))
+    assert roles(guess) == {f"{name}(:,1)": ("time", "s")} | {f"{name}(:,{k})": ("ignore", "") for k in (2, 3, 4, 5)}
     path = written(tmp_path, guess)
-    (run,) = import_files([tmp_path / "old.mat"], path, tmp_path / "runs", unresolved=True)
-    assert {question.what.split(".")[-1] for question in run.unresolved} == {"unit"}
-    assert len(run.unresolved) == 4, "one for each column that nothing names, but the time"
-    assert max(float(trial.channels["pressure"].max()) for trial in open_run(run.path).trials) == pytest.approx(
-        502e3, rel=0.01
-    )
+    with pytest.raises(InvalidFile) as caught:
+        import_files([tmp_path / "old.mat"], path, tmp_path / "runs")
+    refused = str(caught.value)
+    assert all(f'what is "{name}(:,{k})"? It has no name; its numbers: ' in refused for k in (2, 3, 4, 5))
+    assert "which kind of test is it" in refused
+    what = ("pressure_command, unit: kPa", "force, unit: N", "pressure, unit: kPa", "displacement, unit: mm")
+    answers = [(f"columns.{name}(:,{k})", f"{{is: {role}}}") for k, role in zip((2, 3, 4, 5), what, strict=True)]
+    answers += [("kind", "recorded-step"), ("trials", "{by: step, smallest: 20 kPa, lead: 1 s}")]
+    (run,) = import_files([tmp_path / "old.mat"], path, tmp_path / "runs", answers)
+    assert len(open_run(run.path).trials) == 3
+    assert run.unresolved == ()
 
 
 def test_a_matrix_without_a_pressure_is_not_made_into_one(tmp_path):
@@ -351,13 +341,6 @@ def test_a_sine_is_distinguished_from_steps_and_noise():
     assert sine_of(t, 3 + np.sin(2 * np.pi * 1.5 * t)) == pytest.approx(1.5, abs=0.06)
     assert sine_of(t, np.sign(np.sin(2 * np.pi * 0.5 * t))) == 0
     assert sine_of(t, np.random.default_rng(1).normal(size=len(t))) == 0
-
-
-def test_numbers_of_a_converter_stand_in_steps():
-    rng = np.random.default_rng(1)
-    counts = rng.integers(0, 300, 5000)
-    assert lattice(counts * 0.7654 - 18.609) == pytest.approx(0.7654)
-    assert lattice(rng.normal(size=5000)) == 0
 
 
 def test_the_picture_goes_from_low_to_high():

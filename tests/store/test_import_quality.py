@@ -91,14 +91,11 @@ def test_a_wrong_unit_of_time_shows_as_the_rate():
     assert "is the unit of time right?" in found["rate"].text
 
 
-def test_stuck_and_slow_channels():
+def test_a_stuck_channel():
     t, raw = clean()
     raw[100:200] = raw[100]
-    flags, found = look(t, raw, stale_after=0.5)
+    flags, _ = look(t, raw, stale_after=0.5)
     assert flagged(flags, Flag.STALE) == list(range(151, 200))
-    slow = raw[(np.arange(len(raw)) // 9) * 9]
-    _, found = look(t, slow, stale_after=5.0)
-    assert "changes every 0.09 s only" in found["slow"].text
 
 
 def test_values_out_of_range_and_counts_at_its_end():
@@ -115,9 +112,7 @@ def test_repeated_rows():
     t, raw = clean()
     t[41], raw[41] = t[40], raw[40]
     t[61] = t[60]
-    flags, found = look(t, raw)
-    assert flagged(flags, Flag.SUSPECT) == [41]
-    assert found["same-time"].count == 2
+    assert flagged(look(t, raw)[0], Flag.SUSPECT) == [41]
 
 
 def test_missing_values_are_dropouts():
@@ -147,8 +142,7 @@ def test_a_wrong_sign_is_doubted():
 
 def summary(force, pressure=640e3, point=0.012, trusted=True):
     return Summary(
-        (("contraction", point),), {"force": force, "pressure": pressure},
-        {"force": force * 10, "pressure": pressure / 1e3}, trusted,
+        (("contraction", point),), {"force": force, "pressure": pressure}, trusted,
     )  # fmt: skip
 
 
@@ -169,11 +163,12 @@ def test_of_two_alone_either_may_be_wrong():
     assert [[f.level for f in each] for each in found] == [[], ["fault"]]
 
 
-def test_swapped_columns_and_wrong_units_are_recognised():
+def test_exchanged_columns_and_wrong_units_are_implausible():
     good = [summary(100.0), summary(101.0), summary(99.0)]
-    swapped = Summary(good[0].point, {"force": 64.0, "pressure": 1e6}, {"force": 640.0, "pressure": 1000.0}, True)
-    found = compare([*good, swapped], {"force": 0.3, "pressure": 0.1})
-    assert "swap" in {finding.kind for finding in found[3]}
+    exchanged = Summary(good[0].point, {"force": 64.0, "pressure": 1e6}, True)
+    found = compare([*good, exchanged], {"force": 0.3, "pressure": 0.1})
+    assert {finding.kind for finding in found[3]} == {"sibling"}
+    assert all(finding.level == "fault" for finding in found[3])
     found = compare([*good, summary(100 / 9.80665)], {"force": 0.3})
     assert "kilograms for newtons" in found[3][0].text
 

@@ -29,13 +29,12 @@ def found(pattern, map_name, out):
     return runs, reported
 
 
-def test_dropouts_gaps_and_a_slow_cell_of_the_pull_test(tmp_path):
+def test_dropouts_and_gaps_of_the_pull_test(tmp_path):
     (run,), reported = found("mit_2-151/*characterization*/*_data.dat", "mit-2-151-pull", tmp_path)
     kinds = {(finding.kind, finding.channel): finding for finding in reported}
     assert (kinds["dropout", "pressure"].index, kinds["dropout", "pressure"].count) == (0, 65)
     assert kinds["dropout", "supply"].count == 127
     assert "8.03 s" in kinds["gap", ""].text
-    assert kinds["slow", "force"]
     assert len(open_run(run.path).trials) == 11
     assert not np.isnan(open_run(run.path).trials[0].point["contraction"])
 
@@ -48,7 +47,6 @@ def test_zeros_in_the_command_and_a_late_pressure_of_the_steps(tmp_path):
     (late,) = [finding for finding in reported if finding.kind == "late"]
     assert late.t == pytest.approx(10.06, abs=0.01)
     assert kinds["cut-end"] == 1
-    assert kinds["slow"] == 5
 
 
 def test_sines_have_no_step_whose_pressure_is_late(tmp_path):

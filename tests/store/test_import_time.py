@@ -224,7 +224,8 @@ def test_a_guess_gives_each_matrix_its_own_clock_and_leaves_out_a_record_of_zero
     text = map_text(guess_files([tmp_path / "log.mat"]), {})
     assert "nothing moves in zero" in text
     (tmp_path / "map.yaml").write_text(text)
-    answers = [(f"tests.{test}.point.contraction", "0 mm") for test in (0, 1)]
+    answers = [("columns.{test}(:,2)", "{is: pressure, unit: kPa}"), ("columns.{test}(:,3)", "{is: force, unit: N}")]
+    answers += [("kind", "isometric"), *((f"tests.{test}.point.contraction", "0 mm") for test in (0, 1))]
     slow, fast = prepare_all(tmp_path / "log.mat", read_map(tmp_path / "map.yaml", answers, unresolved=True))
     assert (slow.name, fast.name) == ("slow", "fast")
     assert (slow.period, fast.period) == (pytest.approx(0.02), pytest.approx(0.005))

@@ -1,7 +1,7 @@
 """Alicat PC and PCD pressure controllers, over ASCII or Modbus RTU on a serial line.
 
 Here: options in the bench file, readings, the device interface; `ascii_link`, `modbus_link`: the two protocols with the
-same methods; `emulator`, `emulated_controller`: the device for `pmabench emulate`.
+same methods; `emulator`: the device for `pmabench emulate`.
 
 Sources: Alicat, manual of standard flow and pressure devices, 02/2023 (Modbus registers, special commands, status bits;
 ASCII commands); Apex/Alicat PC manual, page 22 (set-points, data frame). The list of columns is parsed in the format
@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     Link: TypeAlias = AsciiLink | ModbusLink
 
 ASCII, MODBUS = "ascii", "modbus"
-PCD, MCD = "PCD", "MCD"
-KEYS = ("protocol", "unit_id", "baud", "unit", "valves", "rate", "timeout", "slowest", "emulate")
+KEYS = ("protocol", "unit_id", "baud", "unit", "valves", "rate", "timeout", "slowest")
 BAUDS = (19200, 38400, 57600, 115200)
 """Supported baud rates; slower lines cannot list the columns within the time limit of opening."""
 INPUTS = ("pressure", "set_point")
@@ -88,8 +87,6 @@ class Options:
     """Longest wait for an answer."""
     slowest: float = 0.5
     """How long after a request the device may still answer it."""
-    emulate: str = PCD
-    """Device that `pmabench emulate` serves over ASCII: a pressure controller, or a mass flow controller."""
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
@@ -118,7 +115,6 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 500.0),
         timeout=reader.quantity(given, "timeout", place, "time", base.timeout, 0.01, 0.1),
         slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
-        emulate=reader.choice(given, "emulate", place, (PCD, MCD), PCD),
     )
 
 

@@ -38,8 +38,8 @@ ROOM = 0.02
 class CanBus(Driver):
     """Drives, transducers and DBC-described sensors on one bus, which only one program uses.
 
-    Inputs are `NODE.position` (drive: count; transducer: um), `NODE.demand` (drive, count), `NODE.velocity`
-    (transducer, mm/s) and `MESSAGE.SIGNAL` (in the unit of the DBC file); outputs `NODE.position` of drives (count).
+    Inputs are `NODE.position` (drive: count; transducer: um), `NODE.demand` (drive, count) and `MESSAGE.SIGNAL` (in the
+    unit of the DBC file); outputs `NODE.position` of drives (count).
     """
 
     verified = "emulator only"
@@ -97,7 +97,6 @@ class CanBus(Driver):
                 wanted |= set(node.mapped)
             self._rows = Rows(wanted, self._row, round(self._options.sync / 2 * 1e9))
             self._refuse_narrow_limits(deadline)
-            self._refuse_missing_velocity()
             return self._identity()
 
     def close(self) -> None:
@@ -136,13 +135,6 @@ class CanBus(Driver):
                     f"its software limits (607Dh) are {limits[0]} to {limits[1]} counts, and the bench may send it to"
                 )
                 raise drive.error(f"{message} {ends[0]:g} to {ends[1]:g}: change one of them")
-
-    def _refuse_missing_velocity(self) -> None:
-        for channel in self._device.channels:
-            name, _, what = channel.input.partition(".")
-            node = self._nodes.get(name)
-            if isinstance(node, Transducer) and what == "velocity" and not node.has_velocity:
-                raise node.error("sends no velocity (60300110h) in its first PDO")
 
     # -- received frames ------------------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from pmabench.base.errors import UsageError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord, Scale
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus import node as t
-from pmabench_drivers.canbus.emulated_drive import STEP, EmulatedDrive, encoder_objects
+from pmabench_drivers.canbus.emulated_drive import STATUS, STEP, VELOCITY, EmulatedDrive, encoder_objects
 from pmabench_drivers.canbus.emulated_node import EmulatedNode
 from pmabench_drivers.canbus.frames import Frame
 from pmabench_drivers.canbus.link import TCP, line_of, read_line
@@ -143,12 +143,12 @@ class Hub:
         if line[:1] in COMMANDS:
             self._write(link, SERIAL if line[:1] == b"N" else b"V1010\r" if line[:1] == b"V" else b"\r")
             return
-        if (frame := read_line(line) or _asked(line)) is None:
+        if (frame := read_line(line)) is None:
             self._write(link, b"\x07" if line else b"")
             return
         self._write(link, b"Z\r" if frame.extended else b"z\r")
         for other in [other for other in self._rests if other is not link]:
-            self._write(other, line + b"\r" if frame.remote else line_of(frame))
+            self._write(other, line_of(frame))
         if self.faults.peek().kind != "silence":
             self._take(frame)
 
@@ -169,16 +169,6 @@ class Hub:
         if self._rests.pop(link, None) is not None:
             self._selector.unregister(link)
             link.close()
-
-
-def _asked(line: bytes) -> Frame | None:
-    """The remote frame in a line; None for anything else."""
-    if line[:1] != b"r" or not line[1:5].isalnum():
-        return None
-    try:
-        return Frame(int(line[1:4], 16), remote=True)
-    except ValueError:
-        return None
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: wire_faults.CommandLog) -> EmulatedBus:
@@ -262,11 +252,10 @@ class EmulatedBus(Hub):
             return round(float(channel.calibrated.to_raw(place)) * 1000 / STEP)
 
         node.objects |= encoder_objects(node, position)
-        for sub, entry in enumerate((t.POSITIONS[0], t.VELOCITY, t.STATUS), 1):
+        for sub, entry in enumerate((t.POSITIONS[0], VELOCITY, STATUS), 1):
             node.preset(f.TPDO_MAPPING, sub, entry)
         node.preset(f.TPDO_MAPPING, 0, 3)
         node.preset(f.TPDO_PARAMETER, 1, f.TPDO[0] + number)
-        node.preset(f.TPDO_PARAMETER, 5, 1)
         return node
 
     # -- the hub's thread ---------------------------------------------------------------------------------------------

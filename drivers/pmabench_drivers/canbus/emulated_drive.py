@@ -1,7 +1,7 @@
 """Emulated CANopen devices: a CiA 402 drive that moves the free end of the plant, and a CiA 406 linear encoder.
 
-Objects of the encoder, their types, access and values at power-on: device properties according to CiA DS 406 in the
-operation manual of the Temposonics E-Series CANopen (table 17); position 6004h and preset 6003h: CiA 406, class C2.
+Objects of the encoder, their types and access: device properties according to CiA DS 406 in the operation manual of the
+Temposonics E-Series CANopen (table 17); position 6004h: CiA 406, class C2.
 """
 
 from __future__ import annotations
@@ -19,34 +19,13 @@ LINEAR_ENCODER = 406 | 8 << 16
 """Device type: the profile, and an absolute linear encoder."""
 STEP = 1000
 """Measuring step: 1 um, in units of 0.001 um."""
-SPEED_STEP = 10
-"""Step of the velocity: 0.1 mm/s, in units of 0.01 mm/s."""
-STROKE = 300_000
-"""Measuring range [steps]."""
-CYCLE = 1
-"""Interval between two positions that it sends by itself [ms]."""
-MISSING_MAGNET = 1
-WARNINGS = 0x7000
-PROFILE_VERSION = 0x0302_0001
-"""Version of the profile, and of the software."""
-UNKNOWN_TIME = 0xFFFF_FFFF
-"""Operating time of a device that does not count it."""
+VELOCITY, STATUS = f.mapping(0x6030, 1, 16), f.mapping(0x6400, 1, 8)
+"""What the encoder sends behind its position."""
 WORDS = {state: value for _mask, value, state in f.STATES}
 FOLLOWING_ERROR = 0x8611
-VELOCITY, AVERAGED = 0x606C, 0.02
-"""Object of the actual velocity, and its averaging time [s]."""
 SERVO_DRIVE = 402 | 2 << 16
 """Device type: the profile, and the kind of drive."""
 CONNECTION_LOST = 0x8100
-ON_EVENT = 255
-"""Transmission type of a PDO that is sent, or takes effect, when its content changes."""
-DEFAULT_PDOS = (
-    (((f.STATUSWORD, 16),), ((f.CONTROLWORD, 16),)),
-    (((f.STATUSWORD, 16), (f.MODE_SHOWN, 8)), ((f.CONTROLWORD, 16), (f.MODE, 8))),
-)
-"""Default mapping of its first PDOs, transmitted and received (CiA 402-3): objects and bits."""
-ACCELERATIONS = (0x6083, 0x6084, 0x6085)
-"""Profile acceleration, deceleration, quick stop deceleration: stored but without effect, as its profile has none."""
 OPTION_STAYS = 5
 """Smallest quick stop option code with which a drive stays in quick stop active."""
 
@@ -54,35 +33,13 @@ OPTION_STAYS = 5
 def encoder_objects(node: EmulatedNode, position: Callable[[], int]) -> dict[tuple[int, int], Entry]:
     """Objects of the profile; `position` [steps] returns the present position of the magnet."""
     node.preset(f.DEVICE_TYPE, 0, LINEAR_ENCODER)
-    timer = node.objects[f.TPDO_PARAMETER, 5]
-
-    def cycle(period: int) -> None:
-        """Cyclic timer and event timer of the first PDO are the same."""
-        timer.value = period
-
     objects = {
-        (0x6000, 0): Entry("H", 0, writable=True),
-        (0x6002, 0): Entry("I", STROKE, writable=True),
         (0x6004, 0): Entry("i", read=position),
         (0x6005, 1): Entry("I", STEP),
-        (0x6005, 2): Entry("I", SPEED_STEP),
         (0x6020, 1): Entry("i", read=position),
         (0x6030, 1): Entry("h", 0),
-        (0x6200, 0): Entry("H", CYCLE, writable=True, read=lambda: node.get(f.TPDO_PARAMETER, 5), written=cycle),
         (0x6400, 1): Entry("B", 0),
-        (0x6500, 0): Entry("H", 0),
-        (0x6501, 0): Entry("I", STEP),
         (0x6503, 0): Entry("H", 0),
-        (0x6504, 0): Entry("H", MISSING_MAGNET),
-        (0x6505, 0): Entry("H", 0),
-        (0x6506, 0): Entry("H", WARNINGS),
-        (0x6507, 0): Entry("I", PROFILE_VERSION),
-        (0x6508, 0): Entry("I", UNKNOWN_TIME),
-        (0x6509, 0): Entry("i", 0),
-        (0x650A, 1): Entry("i", 0),
-        (0x650A, 2): Entry("i", 0),
-        (0x650A, 3): Entry("i", STROKE),
-        (0x650B, 0): Entry("I", node.get(f.IDENTITY, 4)),
     }
     counts = {index: max(sub for at, sub in objects if at == index) for index, _sub in objects}
     return objects | {(index, 0): Entry("B", count) for index, count in counts.items() if count}
@@ -121,10 +78,8 @@ class EmulatedDrive(EmulatedNode):
             (f.MODE_SHOWN, 0): Entry("b", 0),
             (f.TARGET, 0): Entry("i", self._actual(), writable=True),
             (f.ACTUAL, 0): Entry("i", read=self._actual),
-            (VELOCITY, 0): Entry("i", read=self._velocity),
             (f.DEMAND, 0): Entry("i", read=self._demand),
             (f.PROFILE_VELOCITY, 0): Entry("I", 1000, writable=True),
-            **{(index, 0): Entry("I", 1_000_000, writable=True) for index in ACCELERATIONS},
             (f.LIMITS, 0): Entry("B", 2),
             (f.LIMITS, 1): Entry("i", stroke[0], writable=True),
             (f.LIMITS, 2): Entry("i", stroke[1], writable=True),
@@ -139,23 +94,10 @@ class EmulatedDrive(EmulatedNode):
             (f.WINDOW_TIME, 0): Entry("H", 100, writable=True),
         }
 
-        for place, (shown, commanded) in enumerate(DEFAULT_PDOS):
-            for parameter, entries in ((f.TPDO_PARAMETER, shown), (f.RPDO_PARAMETER, commanded)):
-                for sub, (index, bits) in enumerate(entries, 1):
-                    self.preset(parameter + 0x200 + place, sub, f.mapping(index, 0, bits))
-                self.preset(parameter + 0x200 + place, 0, len(entries))
-                self.preset(parameter + place, 1, self.get(parameter + place, 1) & ~f.INVALID)
-                self.preset(parameter + place, 2, ON_EVENT)
-
     # -- position -----------------------------------------------------------------------------------------------------
 
     def _actual(self) -> int:
         return round(float(self._scale.to_raw(self._plant.at(self.now)["displacement"])))
-
-    def _velocity(self) -> int:
-        """Velocity [count/s], averaged over `AVERAGED`."""
-        before, after = (self._plant.at(self.now - back)["displacement"] for back in (AVERAGED, 0.0))
-        return round(float(self._scale.to_raw(after) - self._scale.to_raw(before)) / AVERAGED)
 
     def _demand(self) -> int:
         return round(float(self._scale.to_raw(self._plant.at(self.now)["displacement_command"])))
@@ -299,14 +241,13 @@ class EmulatedDrive(EmulatedNode):
             self._late_since = 0.0
             self.fault(FOLLOWING_ERROR)
 
-    def reset(self, *, everything: bool = True) -> None:
+    def reset(self) -> None:
         """Restart without power, at rest at the present position."""
         if self.drive_state is not State.DISABLED:
             self._enter(State.DISABLED)
         self._word, self._limited, self._late_since = 0, False, 0.0
-        super().reset(everything=everything)
-        if everything:
-            self.objects[f.TARGET, 0].value = self._actual()
+        super().reset()
+        self.objects[f.TARGET, 0].value = self._actual()
 
 
 def _follows(state: State, word: int, *, stays: bool) -> State:

@@ -17,17 +17,11 @@ TOGGLE, COMMAND = 0x05030000, 0x05040001
 READ_ONLY, NO_OBJECT, NO_SUB = 0x06010002, 0x06020000, 0x06090011
 UNMAPPABLE, TOO_MUCH = 0x06040041, 0x06040042
 LONG, SHORT, VALUE = 0x06070012, 0x06070013, 0x06090030
-STATE, NO_DATA = 0x08000022, 0x08000024
+STATE = 0x08000022
 """SDO abort codes."""
 LOST_HEARTBEAT = 0x8130
-ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE = 0x1003, 0x1005, 0x1006, 0x1009
-GUARD_TIME, LIFE_FACTOR, EMCY_ID = 0x100C, 0x100D, 0x1014
 BOOTING = 0.05
 """Time from a reset to the boot-up message [s]."""
-KEPT = 4
-"""Number of past errors that are kept."""
-COMMUNICATION = range(0x1000, 0x2000)
-"""Objects that a communication reset sets to their power-on values; a node reset sets all."""
 SEGMENT = 7
 PDOS = 2
 
@@ -86,25 +80,11 @@ class EmulatedNode:
         """Rest of a long object to be sent; None: no upload in progress."""
         self._toggle = 0
         self._waiting: dict[int, bytes] = {}
-        self._event_due = [0.0] * PDOS
-        self._event_sent: list[bytes | None] = [None] * PDOS
-        self._errors: list[int] = []
-        """Past errors, the newest first."""
-        self._guarded, self._guard_toggle = 0.0, 0
-        """When its state was last requested [s, monotonic]; 0: never, so nothing can be missed."""
         self.objects: dict[tuple[int, int], Entry] = {
             (f.DEVICE_TYPE, 0): Entry("I", profile),
             (f.ERROR_REGISTER, 0): Entry("B", 0),
             (f.DEVICE_NAME, 0): Entry("s", model.encode()),
-            (ERRORS, 0): Entry("B", read=lambda: len(self._errors), writable=True, written=self._forget_errors),
-            **{(ERRORS, sub): Entry("I", read=self._error(sub)) for sub in range(1, KEPT + 1)},
-            (SYNC_ID, 0): Entry("I", f.SYNC, writable=True),
-            (SYNC_PERIOD, 0): Entry("I", 0, writable=True),
-            (HARDWARE, 0): Entry("s", b"1"),
             (f.SOFTWARE, 0): Entry("s", b"1"),
-            (GUARD_TIME, 0): Entry("H", 0, writable=True),
-            (LIFE_FACTOR, 0): Entry("B", 0, writable=True),
-            (EMCY_ID, 0): Entry("I", f.EMCY + number, writable=True),
             (f.CONSUMER, 0): Entry("B", 1),
             (f.CONSUMER, 1): Entry("I", 0, writable=True, written=self._consume),
             (f.PRODUCER, 0): Entry("H", 0, writable=True, written=self._produce),
@@ -119,11 +99,9 @@ class EmulatedNode:
         at = parameter + 0x200
         used = f.INVALID | identifier | (f.NO_REMOTE if parameter >= f.TPDO_PARAMETER else 0)
         self.objects |= {
-            (parameter, 0): Entry("B", 5),
+            (parameter, 0): Entry("B", 2),
             (parameter, 1): Entry("I", used, writable=True, written=lambda value: self._identify(at, value)),
             (parameter, 2): Entry("B", 254, writable=True),
-            (parameter, 3): Entry("H", 0, writable=True),
-            (parameter, 5): Entry("H", 0, writable=True),
             (at, 0): Entry("B", 0, writable=True, written=lambda count: self._map(parameter, count)),
         }
         for sub in range(1, 9):
@@ -134,13 +112,11 @@ class EmulatedNode:
         self.state, self._beat_due = f.PREOP, 0.0
         self._send(Frame(f.HEARTBEAT + self.number, bytes([f.BOOT])))
 
-    def reset(self, *, everything: bool = True) -> None:
-        """Restart, with power-on values of all objects, or only of the communication objects."""
-        for (index, _sub), entry in self.objects.items():
-            if everything or index in COMMUNICATION:
-                entry.value = entry.power_on
+    def reset(self) -> None:
+        """Restart, with power-on values of all objects."""
+        for entry in self.objects.values():
+            entry.value = entry.power_on
         self._consumer, self._missed, self._segments = _Consumer(), False, None
-        self._guarded, self._guard_toggle = 0.0, 0
         self._waiting.clear()
         self.state, self._boots = f.BOOT, self.now + BOOTING
 
@@ -194,25 +170,10 @@ class EmulatedNode:
     def emergency(self, code: int, register: int = 1) -> None:
         """Send an emergency, unless the node is stopped; code 0 ends the error."""
         self.objects[f.ERROR_REGISTER, 0].value = register
-        if code:
-            self._errors = [code, *self._errors[: KEPT - 1]]
         if self.state == f.STOPPED:
             return
         data = code.to_bytes(2, "little") + bytes([register]) + bytes(5)
-        self._send(Frame(self.get(EMCY_ID) & 0x7FF, data))
-
-    def _error(self, sub: int) -> Callable[[], int]:
-        def read() -> int:
-            if sub > len(self._errors):
-                raise Abort(NO_DATA)
-            return self._errors[sub - 1]
-
-        return read
-
-    def _forget_errors(self, count: int) -> None:
-        if count:
-            raise Abort(VALUE)
-        self._errors = []
+        self._send(Frame(f.EMCY + self.number, data))
 
     # -- frames -------------------------------------------------------------------------------------------------------
 
@@ -222,12 +183,9 @@ class EmulatedNode:
         if frame.extended or self.state == f.BOOT:
             return
         identifier, data = frame.identifier, frame.data
-        if frame.remote:
-            if identifier == f.HEARTBEAT + self.number:
-                self._answer_guard()
-        elif identifier == f.NMT and len(data) == 2 and data[1] in {0, self.number}:
+        if identifier == f.NMT and len(data) == 2 and data[1] in {0, self.number}:
             self._manage(data[0])
-        elif identifier == self.get(SYNC_ID) & 0x7FF:
+        elif identifier == f.SYNC:
             self._synchronise()
         elif identifier == f.SDO_QUESTION + self.number and len(data) == 8 and self.state != f.STOPPED:
             if answer := self._answer(data):
@@ -239,7 +197,7 @@ class EmulatedNode:
             self._receive(identifier, data)
 
     def turn(self, now: float) -> None:
-        """Do what is due at `now` [s, monotonic]: boot, heartbeats, lost heartbeats, event-driven PDOs."""
+        """Do what is due at `now` [s, monotonic]: boot, heartbeats, lost heartbeats."""
         self.now = now
         if self.state == f.BOOT:
             if now >= self._boots:
@@ -254,24 +212,11 @@ class EmulatedNode:
             consumer.heard, consumer.expired, self._missed = 0.0, False, True
             self.emergency(LOST_HEARTBEAT, 0x11)
             self.lost_heartbeat()
-        life = self.get(GUARD_TIME) * self.get(LIFE_FACTOR) * 1e-3
-        if life and self._guarded and now - self._guarded > life:
-            self._guarded = 0.0
-            self.emergency(LOST_HEARTBEAT, f.COMMUNICATION_ERROR | 1)
-            self.lost_heartbeat()
-        for index in range(PDOS):
-            self._on_event(index)
-
-    def _answer_guard(self) -> None:
-        """Node guarding: send its state with the toggle bit."""
-        self._guarded = self.now
-        self._send(Frame(f.HEARTBEAT + self.number, bytes([self.state | self._guard_toggle])))
-        self._guard_toggle ^= 0x80
 
     def _manage(self, command: int) -> None:
         known = {f.START: f.OPERATIONAL, f.STOP: f.STOPPED, f.PREOPERATIONAL: f.PREOP}
-        if command in {f.RESET_NODE, f.RESET_COMMUNICATION}:
-            self.reset(everything=command == f.RESET_NODE)
+        if command == f.RESET_NODE:
+            self.reset()
         elif command in known:
             before, self.state = self.state, known[command]
             if self.state == f.STOPPED != before:
@@ -365,28 +310,11 @@ class EmulatedNode:
             if 1 <= self.get(f.TPDO_PARAMETER + index, 2) <= 240:
                 self._transmit(index)
 
-    def _on_event(self, index: int) -> None:
-        """Asynchronous TPDO: sent by its event timer, or without one when its content has changed."""
-        parameter = f.TPDO_PARAMETER + index
-        if self.state != f.OPERATIONAL:
-            self._event_sent[index] = None
-            return
-        if self.get(parameter, 2) < 254 or self.get(parameter, 1) & f.INVALID or self.now < self._event_due[index]:
-            return
-        period = self.get(parameter, 5) * 1e-3
-        data = self._content(index)
-        if period or data != self._event_sent[index]:
-            self._event_due[index] = self.now + (period or self.get(parameter, 3) * 1e-4)
-            self._event_sent[index] = data
-            self._transmit(index)
-
-    def _content(self, index: int) -> bytes:
-        return b"".join(self.objects[key].bytes() for key in self._entries(f.TPDO_MAPPING + index))
-
     def _transmit(self, index: int) -> None:
         identifier = self.get(f.TPDO_PARAMETER + index, 1)
         if not identifier & f.INVALID:
-            self._send(Frame(identifier & 0x7FF, self._content(index)))
+            content = b"".join(self.objects[key].bytes() for key in self._entries(f.TPDO_MAPPING + index))
+            self._send(Frame(identifier & 0x7FF, content))
 
     def _receive(self, identifier: int, data: bytes) -> None:
         for index in range(PDOS):
@@ -395,8 +323,6 @@ class EmulatedNode:
                 continue
             if self.get(f.RPDO_PARAMETER + index, 2) <= 240:
                 self._waiting[index] = data
-            else:
-                self._apply(index, data)
 
     def _apply(self, index: int, data: bytes) -> None:
         at = 0

@@ -14,7 +14,7 @@ NMT, SYNC, EMCY, SDO_ANSWER, SDO_QUESTION, HEARTBEAT = 0x000, 0x080, 0x080, 0x58
 """Identifiers; the node's number is added to the last four."""
 TPDO, RPDO = (0x180, 0x280), (0x200, 0x300)
 """Default identifiers of the first PDOs of a node."""
-START, STOP, PREOPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
+START, STOP, PREOPERATIONAL, RESET_NODE = 0x01, 0x02, 0x80, 0x81
 BOOT, STOPPED, OPERATIONAL, PREOP = 0x00, 0x04, 0x05, 0x7F
 """States of a node in its heartbeat."""
 NODE_STATES = {BOOT: "starting", STOPPED: "stopped", OPERATIONAL: "operational", PREOP: "pre-operational"}
@@ -93,12 +93,11 @@ TARGET_REACHED, INTERNAL_LIMIT, ACKNOWLEDGE = 1 << 10, 1 << 11, 1 << 12
 
 @dataclass(frozen=True)
 class Frame:
-    """A data frame, or a request for one (`remote`)."""
+    """A data frame."""
 
     identifier: int
     data: bytes = b""
     extended: bool = False
-    remote: bool = False
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ _CYCLE = re.compile(r'^BA_ "GenMsgCycleTime" BO_ (\d+) (\d+) *;')
 PROFILES = (402, 406)
 OWN_NODE = 127
 """Node number under which the program itself sends its heartbeat."""
-DRIVE, TRANSDUCER = ("position", "demand"), ("position", "velocity")
+DRIVE, TRANSDUCER = ("position", "demand"), ("position",)
 """Inputs of a drive and of a transducer, after its name and a dot."""
 READY = "ready"
 """Digital input of a drive: high while it has no fault."""

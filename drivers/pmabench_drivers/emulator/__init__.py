@@ -1,9 +1,8 @@
 """The plant of the mock behind real wires: Modbus TCP on 127.0.0.1, Modbus RTU and serial text on pseudo-terminals.
 
-`plant`: the muscle in real time, and the wiring of a device; `truth`: the actual wiring, and its errors;
-`modbus_server`: Modbus devices; `ports`: addresses of emulated devices; `faults`: faults, and the log. Each emulated
-device is next to its driver. Here: the devices of a bench, each on its own wire, served from one plant; and a control
-socket for loads, faults and the log.
+`plant`: the muscle in real time, and the wiring of a device; `modbus_server`: Modbus devices; `ports`: addresses of
+emulated devices; `faults`: faults, and the log. Each emulated device is next to its driver. Here: the devices of a
+bench, each on its own wire, served from one plant; and a control socket for loads, faults and the log.
 
 The socket on 127.0.0.1 takes one JSON object per line:
 `{"load": {"force": 58.86, "mass": 6}}`, `{"device": "regulator", "fault": "delay", "value": 0.3, "count": 5}`,
@@ -18,6 +17,7 @@ import json
 import socket
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,6 @@ from pmabench.bench.interface import DeviceRecord, Truth
 from pmabench_drivers.emulator.faults import EVENTS, CommandLog, Kind
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import accepted, hang_up, refuse_others
-from pmabench_drivers.emulator.truth import Errors, apply, wired
 from pmabench_drivers.mock.options import ARM
 
 LONGEST = 10_000
@@ -37,6 +36,26 @@ NOTHING_TO_SERVE = (
 )
 PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
 """Possible faults of the plant."""
+PLACES = ("server", "stream_port")
+"""Options with addresses for listening; they come from the bench file, as the address does."""
+
+
+def wired(devices: Iterable[DeviceRecord], truth: Truth | None) -> list[DeviceRecord]:
+    """The devices of a bench as described by `truth`; without it, by the bench, which proves nothing about it.
+
+    With a truth, only names, addresses and watchdog times are taken from the bench's records.
+    """
+    if truth is None:
+        return list(devices)
+    found = []
+    for device in devices:
+        if device.name not in truth.devices:
+            hint = did_you_mean(device.name, truth.devices)
+            raise UsageError(f'{truth.path}: says nothing of the device "{device.name}" of the bench{hint}')
+        real = truth.devices[device.name]
+        options = {**real.options, **{name: device.options[name] for name in PLACES if name in device.options}}
+        found.append(replace(real, address=device.address, options=options, watchdog=device.watchdog))
+    return found
 
 
 class Control:
@@ -88,8 +107,7 @@ class Emulator:
     """The devices whose drivers have an emulator, at their addresses in the bench.
 
     `truth` is the actual wiring and scales, from `pmabench.bench.truth.read_truth`; the bench then only gives the
-    addresses. Without it everything is derived from the bench, and no scale is `proven`. `wrong` lists deviations from
-    either, as "scale:force=0.5" or "swap:pressure=force", values in SI (`pmabench_drivers.emulator.truth`).
+    addresses. Without it everything is derived from the bench, and no scale is `proven`.
     """
 
     def __init__(
@@ -97,7 +115,6 @@ class Emulator:
         devices: Iterable[DeviceRecord],
         *,
         truth: Truth | None = None,
-        wrong: Iterable[str] = (),
         plant: str | Mapping[str, Any] = "paper0",
         preset: str = "bench",
         seed: int = 1,
@@ -106,9 +123,7 @@ class Emulator:
         expose: bool = False,
     ) -> None:
         self.proven = truth is not None
-        rig = [item for item in wired(devices, truth) if server_of(item.record.driver)]
-        rig, errors, self.wrong = apply(rig, wrong)
-        if not (served := [item.record for item in rig]):
+        if not (served := [device for device in wired(devices, truth) if server_of(device.driver)]):
             raise UsageError(NOTHING_TO_SERVE)
         if not expose:
             for device in served:
@@ -123,8 +138,8 @@ class Emulator:
         self.devices: dict[str, Any] = {}
         """Each emulated device, with `address`, `faults`, `start`, `close`, and methods for its events."""
         try:
-            for device, error in zip(served, errors, strict=True):
-                self.devices[device.name] = self._serve(device, error)
+            for device in served:
+                self.devices[device.name] = self._serve(device)
             self.control = Control(self.act, control)
         except (OSError, UsageError) as error:
             self.close()
@@ -148,8 +163,8 @@ class Emulator:
         """One line for each served device, with its address."""
         return [f"{name}: {device.address}" for name, device in self.devices.items()]
 
-    def _serve(self, device: DeviceRecord, errors: Errors) -> Any:
-        seen = self.plant.seen(errors, proven=self.proven)
+    def _serve(self, device: DeviceRecord) -> Any:
+        seen = self.plant.seen(proven=self.proven)
         served = import_module(server_of(device.driver)).serve(device, seen, self.log)
         seen.faults = served.faults
         return served

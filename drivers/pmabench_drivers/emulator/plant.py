@@ -14,7 +14,6 @@ from typing import Any
 from pmabench.base.clock import RealClock
 from pmabench.bench import interface as b
 from pmabench_drivers.emulator.faults import CommandLog, Faults
-from pmabench_drivers.emulator.truth import Errors
 from pmabench_drivers.mock import MockBench
 from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
 from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
@@ -121,9 +120,9 @@ class RealPlant:
             with self._lock:
                 self._mock.rest()
 
-    def seen(self, errors: Errors | None = None, *, proven: bool = True) -> RealPlant:
+    def seen(self, *, proven: bool = True) -> RealPlant:
         """The same plant as seen by another device; `proven`: its scales do not come from the bench under test."""
-        return _Seen(self, errors or Errors(), proven=proven)
+        return _Seen(self, proven=proven)
 
     def model(self, name: str) -> str:
         """Name that an emulated device in front of it reports over its wire."""
@@ -206,11 +205,11 @@ class RealPlant:
 
 
 class _Seen(RealPlant):
-    """The plant as seen by one device: constant with its fault `stuck`, and with its wiring errors."""
+    """The plant as seen by one device: constant with its fault `stuck`."""
 
-    def __init__(self, plant: RealPlant, errors: Errors, *, proven: bool) -> None:
+    def __init__(self, plant: RealPlant, *, proven: bool) -> None:
         self.__dict__.update(plant.__dict__)
-        self._plant, self._errors, self._stuck = plant, errors, dict[str, float]()
+        self._plant, self._stuck = plant, dict[str, float]()
         self.proven = proven
 
     def quantities(self) -> dict[str, float]:
@@ -221,29 +220,7 @@ class _Seen(RealPlant):
         """As from the plant, unless the device is stuck."""
         return self._shown(self._plant.at(moment))
 
-    def command(self, pressure: float) -> None:
-        """Set the regulator's set-point [Pa]."""
-        self._plant.command(self._done("pressure", pressure))
-
-    def drive(self, position: float, speed: float = 0.0, origin: float | None = None) -> None:
-        """Send the actuator to a position [m of contraction]: at once, or at `speed` [m/s] from `origin`."""
-        slope = abs(self._errors.done["displacement"].slope) if "displacement" in self._errors.done else 1.0
-        begin = None if origin is None else self._done("displacement", origin)
-        self._plant.drive(self._done("displacement", position), speed * slope, begin)
-
-    def stop_drive(self) -> float:
-        """Stop the actuator at its present position, which is returned [m of contraction]."""
-        place, error = self._plant.stop_drive(), self._errors.done.get("displacement")
-        return place if error is None else float(error.to_raw(place))
-
-    def _done(self, what: str, value: float) -> float:
-        error = self._errors.done.get(what)
-        return value if error is None else float(error.to_si(value))
-
     def _shown(self, found: dict[str, float]) -> dict[str, float]:
-        for what, error in self._errors.shown.items():
-            if what in found:
-                found[what] = float(error.to_si(found[what]))
         if self.faults.peek().kind != "stuck":
             self._stuck = {}
             return found

@@ -1,7 +1,7 @@
 """Festo CMMT-AS and CMMT-ST servo drives over Modbus TCP, telegram 111: a driven free end.
 
 `telegram`: words of telegram 111, registers, parameters, the pieces of a sine, and options; `link`: the connection;
-here: the device interface; `emulated`, `emulated_motion`: the device for `pmabench emulate`.
+here: the device interface; `emulated`: the device for `pmabench emulate`.
 
 One thread exchanges process data from `open` to `close`, as the drive expects it. It writes nothing before the first
 command, so that `open` takes control from no other program. It only ever sends the newest command: a command of the

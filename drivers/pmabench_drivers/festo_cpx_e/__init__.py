@@ -145,24 +145,15 @@ class FestoCpxE(ModbusDevice):
                 message = 'gives linear scaled values: set its data format to "sign + 15 bit"'
                 raise DeviceError(name, message, f"module {module.position} ({module.name})")
         for channel, wanted in self._terminal.ranges.items():
-            self._compare_range(line, channel, wanted, until, protected=bool(status & t.PROTECTED))
+            self._compare_range(line, channel, wanted, until)
 
-    def _compare_range(self, line: Line, channel: str, wanted: int, until: float, *, protected: bool) -> None:
+    def _compare_range(self, line: Line, channel: str, wanted: int, until: float) -> None:
         number, shift = self._range_at(channel)
         held = self._setting(line, number, until)
         if held >> shift & 0xF == wanted:
             return
         found = f"is set to {_range(held >> shift)} and the bench file says {_range(wanted)}"
-        if not (self._terminal.set_ranges and self._compared):
-            raise self._error(f"{found}: set it at the terminal, or let it be set with set_ranges: true", channel)
-        if protected:
-            raise self._error(f"{found}, and the terminal is write-protected", channel)
-        if channel in self._map.outputs and self._get(self._map.outputs[channel], until) != 0:
-            raise self._error(f"{found}, and it puts out something: bring it to 0 first", channel)
-        line.write(16, t.VALUE_IN, [held & ~(0xF << shift) | wanted << shift], until, channel)
-        self._ask_table(line, t.ASK | t.WRITE | number, until)
-        if self._setting(line, number, until) >> shift & 0xF != wanted:
-            raise self._error(f"did not take the range {_range(wanted)}", channel)
+        raise self._error(f"{found}: set it at the terminal", channel)
 
     def held(self) -> dict[str, float | str]:
         """Its time-out [s], modules, those with faults, whether anything is forced, identity, ranges and formats.

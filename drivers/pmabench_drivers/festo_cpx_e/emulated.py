@@ -56,7 +56,7 @@ class EmulatedTerminal(frames.NamedRegisters):
         for module in terminal.modules:
             for number, value in DEFAULTS[module.name].items():
                 self.parameters[module.parameter(number)] = value
-        self._words = {t.CONTROL: 0, t.VALUE_IN: 0}
+        self._words = {t.CONTROL: 0}
         self._words.update({register.address: 0 for register in self._written.values()})
         self._shown = dict.fromkeys(self._words, (0, 0, 0.0))
         self._read = 0
@@ -108,15 +108,12 @@ class EmulatedTerminal(frames.NamedRegisters):
                 continue
             self._put(address, word)
             if address == t.CONTROL and word & t.DONE:
-                self._table(word & 0x1FFF, write=bool(word & t.WRITE))
+                self._table(word & 0x1FFF)
             elif address >= t.FIRST_OUTPUT:
                 self._put_out(address, connection)
 
-    def _table(self, number: int, *, write: bool) -> None:
-        if write:
-            self.parameters[number] = self._words[t.VALUE_IN] & 0xFF
-        else:
-            self._read = self.parameters.get(number, 0)
+    def _table(self, number: int) -> None:
+        self._read = self.parameters.get(number, 0)
 
     def _put(self, address: int, word: int) -> None:
         self._shown[address] = (self._show(address), word, monotonic() + CYCLE)

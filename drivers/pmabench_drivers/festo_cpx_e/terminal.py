@@ -16,8 +16,8 @@ from pmabench_drivers.shared.options import Reader
 
 HERE = ("options",)
 
-CONTROL, VALUE_IN = 40001, 40002
-"""Data system table: the request, and the value to write."""
+CONTROL = 40001
+"""Data system table: the request."""
 FIRST_OUTPUT = 40003
 PRESENT, FAULTS, STATUS = 45367, 45383, 45391
 """Bits of the modules present (three registers), of those with a fault (three registers), and of the terminal."""
@@ -28,9 +28,9 @@ TIMEOUT = Register("watchdog time", "holding", 46100)
 """Milliseconds without any communication after which the terminal acts by itself; 0: never."""
 SHORTEST, LONGEST = 0.1, 65.535
 """Limits of the time-out [s]."""
-DONE, ASK, WRITE = 1 << 15, 1 << 15, 1 << 13
-FORCED, PROTECTED = 1 << 15, 1 << 11
-"""Bits of `STATUS`: outputs or inputs are forced by hand; parameters cannot be written."""
+DONE = ASK = 1 << 15
+FORCED = 1 << 15
+"""Bit of `STATUS`: outputs or inputs are forced by hand."""
 MOST_MODULES = 25
 """Largest number of modules: their inputs are read in one transaction of at most 125 registers."""
 RANGES = {"0..10 V": 1, "-10..10 V": 2, "-5..5 V": 3, "1..5 V": 4, "0..20 mA": 5, "4..20 mA": 6, "-20..20 mA": 7}
@@ -92,7 +92,6 @@ class Terminal:
     modules: tuple[Module, ...] = ()
     ranges: Mapping[str, int] = field(default_factory=dict)
     """Analogue channel -> code of its range."""
-    set_ranges: bool = False
 
     @property
     def width(self) -> int:
@@ -143,7 +142,7 @@ class CpxOptions(Options):
 
 def read_options(device: DeviceRecord, reader: Reader) -> CpxOptions:
     """Options of a device; also checks the names that its channels, outputs, valves and interlocks use."""
-    given = reader.keys(device.options, HERE, ("modules", "ranges", "set_ranges", "rate"), ("modules",))
+    given = reader.keys(device.options, HERE, ("modules", "ranges", "rate"), ("modules",))
     reader.host(device, "192.168.1.1:502")
     names = reader.texts(given, "modules", HERE)
     wrong = [name for name in names if name not in KINDS]
@@ -152,8 +151,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> CpxOptions:
     if not names or len(names) > MOST_MODULES:
         reader.fault((*HERE, "modules"), f"1 to {MOST_MODULES} modules are expected, in order from the bus module")
     modules = build(names) if names and not wrong else ()
-    set_ranges = reader.flag(given, "set_ranges", HERE, default=False)
-    terminal = Terminal(modules, _ranges(given, modules, reader), set_ranges)
+    terminal = Terminal(modules, _ranges(given, modules, reader))
     if modules:
         _used(device, terminal, reader)
     reader.watchdog(device, "a CPX-E", SHORTEST, LONGEST)

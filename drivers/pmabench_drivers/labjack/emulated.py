@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import struct
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from math import isfinite
 from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WATCHDOG_OFF, CommandLog, Fault, Faults
+from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WATCHDOG_OFF, CommandLog, Faults
 from pmabench_drivers.emulator.modbus_server import ADDRESS, FUNCTION, KINDS, VALUE, Refused, Request, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.emulator.ports import host_of
@@ -32,32 +30,7 @@ FLASHED = (r.WATCHDOG_ENABLE, r.WATCHDOG_ENABLE + 100)
 """Registers that keep their value at power-on."""
 POWER_ON = 1
 """Bit 0 of the cause of the last restart."""
-HARDWARE, FIRMWARE = 1.3, 1.0331
-CORE = 40e6
-"""Half of the core's frequency [Hz]."""
-REBOOT = 0x4C4A
-"""Required upper word of the register `REBOOT`; the lower one is a delay in steps of 50 ms."""
-GROUPS = ((0, 8), (8, 8), (16, 4), (20, 3))
-"""First line and number of lines of FIO, EIO, CIO and MIO."""
-
-
-@dataclass(frozen=True)
-class Lines:
-    """Digital lines in one register."""
-
-    first: int
-    count: int
-    directions: bool = False
-
-
-BITS = {
-    **{r.STATES + i: Lines(*group) for i, group in enumerate(GROUPS)},
-    **{r.DIRECTIONS + i: Lines(*group, directions=True) for i, group in enumerate(GROUPS)},
-    **{r.STATES_OF_TWO + i: Lines(first, count) for i, (first, count) in enumerate(((0, 16), (8, 12), (16, 7)))},
-    r.DIO_STATE: Lines(0, 23),
-    r.DIO_DIRECTION: Lines(0, 23, directions=True),
-}
-"""Registers of several lines."""
+FIRMWARE = 1.0331
 
 
 def constants() -> list[float]:
@@ -125,19 +98,6 @@ class EmulatedT7(TcpDevice):
         super().close()
         self.stream.close()
 
-    def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
-        """The answer to a request; for function 76, all reads in order."""
-        if pdu[0] != m.FEEDBACK:
-            return super().reply(pdu, connection, fault)
-        words: list[int] = []
-        for number, request in enumerate(m.feedback(pdu)):
-            try:
-                words += self.values(request, connection, fault)
-            except Refused:
-                self.t7.failed_frame = number
-                raise
-        return bytes([m.FEEDBACK]) + struct.pack(f">{len(words)}H", *words)
-
 
 class T7:
     """Registers of a model, stored as words by address."""
@@ -157,7 +117,7 @@ class T7:
         self._words: dict[int, int] = {}
         self._values = m.values_of(options.model)
         self._shown = self._show()
-        self._last_error = self.failed_frame = 0
+        self._last_error = 0
         self._levels = self._directions = 0
         self._cleared, self._started, self._fired = monotonic(), monotonic(), False
         self.sample: Callable[[int], list[int]] | None = None
@@ -169,7 +129,6 @@ class T7:
         for address, value in self._values.items():
             self._store(address, value.words)
         self._store(r.PRODUCT_ID, r.f32(self._model.product))
-        self._store(r.HARDWARE_VERSION, r.f32(HARDWARE))
         self._store(r.FIRMWARE_VERSION, r.f32(FIRMWARE))
         self._store(r.SERIAL_NUMBER, r.u32(r.EMULATED if self._plant.proven else r.UNPROVEN))
         self._store(r.RESET_CAUSE, r.u32(POWER_ON))
@@ -226,31 +185,13 @@ class T7:
 
     def _show(self) -> dict[int, Callable[[], list[int]]]:
         """Registers that are computed when read: address -> function that returns their words."""
-
-        def uptime() -> float:
-            return monotonic() - self._started
-
-        shown: dict[int, Callable[[], list[int]]] = {
+        return {
             r.LAST_ERR_DETAIL: lambda: [self._last_error],
-            r.LAST_ERR_FRAME: lambda: [self.failed_frame],
-            r.LAST_MB_ERR: lambda: [FAILED if self._last_error else 0],
             r.STREAM_SCANRATE: lambda: r.f32(self._actual_rate()),
-            r.RTC_TIME: lambda: r.u32(int(uptime())),
-            r.COUNTER_10KHZ: lambda: r.u32(int(uptime() % 1.0 * 1e4)),
-            r.CORE_TIMER: lambda: r.u32(int(uptime() * CORE) & 0xFFFFFFFF),
+            r.RTC_TIME: lambda: r.u32(int(monotonic() - self._started)),
+            r.DIO_STATE: lambda: r.u32(sum(self._terminal(line) << line for line in range(len(r.LINES)))),
+            r.DIO_DIRECTION: lambda: r.u32(self._directions),
         }
-        for address, lines in BITS.items():
-            shown[address] = lambda address=address, lines=lines: self._bits(address, lines)  # type: ignore[misc]
-        return shown
-
-    def _bits(self, address: int, lines: Lines) -> list[int]:
-        """Levels or directions of some lines, the first in the lowest bit."""
-        if lines.directions:
-            found = self._directions
-        else:
-            found = sum(self._terminal(line) << line for line in range(len(r.LINES)))
-        found = found >> lines.first & (1 << lines.count) - 1
-        return r.u32(found) if m.WORDS[self._values[address].type] == 2 else [found]
 
     def _read_inputs(self) -> None:
         """Store the volts of all inputs; a model that captures takes all of them at this moment."""
@@ -283,14 +224,12 @@ class T7:
         for at, part in given.items():
             if self._u32(r.WATCHDOG_ENABLE) and r.WATCHDOG_ENABLE < at < FLASHED[1] and at != r.WATCHDOG_CLEAR:
                 self._refuse(2671)
-            if self._stream.running and (r.STREAM_SCANRATE <= at < r.STREAM_ENABLE or r.AIN_RANGE <= at < 42100):
+            if self._stream.running and (r.STREAM_SCANRATE <= at < r.STREAM_ENABLE or r.AIN_RANGE <= at < 41100):
                 self._refuse(2605)
-            if self._values[at].type == m.F32 and at != r.TEST_FLOAT and not isfinite(r.from_f32(part)[0]):
+            if self._values[at].type == m.F32 and not isfinite(r.from_f32(part)[0]):
                 raise Refused(VALUE)
             if at == r.WATCHDOG_ENABLE and part[1] and self._u32(r.WATCHDOG_TIMEOUT) < 1:
                 self._refuse(2670)
-            if at == r.REBOOT and part[0] != REBOOT:
-                self._refuse(2402)
             self._refuse_wrong_input(at, part)
 
     def _refuse_wrong_input(self, at: int, part: list[int]) -> None:
@@ -303,10 +242,6 @@ class T7:
         number = at - r.AIN_NEGATIVE
         if 0 <= number < count and part[0] != r.SINGLE_ENDED and (number % 2 or part[0] != number + 1):
             self._refuse(2373)
-        if r.AIN_RESOLUTION <= at < r.AIN_RESOLUTION + count and part[0] > self._model.finest:
-            self._refuse(2375)
-        if r.AIN_SETTLING <= at < r.AIN_SETTLING + 2 * count and not 0 <= r.from_f32(part)[0] <= 50_000:
-            self._refuse(2371)
 
     def _take(self, at: int, part: list[int], connection: int) -> None:
         """Carry out the write of one value."""
@@ -317,12 +252,8 @@ class T7:
                 self._cleared, self._fired = monotonic(), False
         elif at == r.STREAM_ENABLE:
             self._enable_stream(on=part[1] != 0)
-        elif at == r.REBOOT:
-            threading.Timer(0.05 * part[1], self.restart).start()
         elif at in {r.DAC, r.DAC + 2}:
             self._set_dac(at, r.from_f32(part)[0], connection)
-        elif at in BITS:
-            self._set_bits(at, part, connection)
         else:
             self._store(at, part)
         if at == r.WATCHDOG_ENABLE:
@@ -343,23 +274,6 @@ class T7:
         self._directions |= 1 << line
         self._levels = self._levels | 1 << line if high else self._levels & ~(1 << line)
         self._valve_follows(line, connection)
-
-    def _set_bits(self, at: int, part: list[int], connection: int) -> None:
-        """Set levels or directions of several lines at once, except for inhibited ones."""
-        lines = BITS[at]
-        if len(part) == 2:
-            value, inhibited = r.from_u32(part)[0], self._u32(r.DIO_INHIBIT)
-        else:
-            value, inhibited = part[0], part[0] >> 8 if lines.count <= 8 else 0
-        mask = ((1 << lines.count) - 1) & ~inhibited
-        value, mask = (value & mask) << lines.first, mask << lines.first
-        if lines.directions:
-            self._directions = self._directions & ~mask | value
-        else:
-            self._levels = self._levels & ~mask | value
-        for line in self._valves:
-            if line is not None and mask >> line & 1:
-                self._valve_follows(line, connection)
 
     def _valve_follows(self, line: int, connection: int = 0) -> None:
         """Switch a valve's relay, energised while the line is an output and high; `connection` 0: not commanded."""

@@ -1,8 +1,7 @@
-"""Registers of an emulated T7, T8 or T4, which of them form one value, function 76, and the stream.
+"""Registers of an emulated T7, T8 or T4, which of them form one value, and the stream.
 
 Source of addresses, types, access and defaults: LabJack's public register table (LabJack/ljm_constants, 2025.12.18).
-According to it only the test register can be read by single words; every other value is read and written as a whole.
-Function 76: LabJack, Protocol Details (Direct Modbus TCP), Modbus Feedback.
+Every value is read and written as a whole.
 
 The stream has scans at absolute times, a buffer of limited size, and packets on a separate connection. It is written
 from the packet's description and separately from the driver's parser, so that each checks the other.
@@ -21,16 +20,11 @@ from dataclasses import dataclass
 from time import monotonic, sleep
 
 from pmabench_drivers.emulator.faults import CommandLog, DeviceClock, Faults, Kind
-from pmabench_drivers.emulator.modbus_server import VALUE, Refused, Request
 from pmabench_drivers.emulator.ports import accepted, hang_up, listen
 from pmabench_drivers.labjack import registers as r
 
-U16, U32, I32, F32 = "H", "I", "i", "f"
-WORDS = {U16: 1, U32: 2, I32: 2, F32: 2}
-FEEDBACK = 76
-"""Function code: several reads and writes in one packet."""
-MOST_BYTES = 1040
-"""Largest packet over Ethernet [bytes]."""
+U16, U32, F32 = "H", "I", "f"
+WORDS = {U16: 1, U32: 2, F32: 2}
 
 
 @dataclass(frozen=True)
@@ -51,28 +45,18 @@ class Value:
 ROWS: tuple[tuple[int, int, Value], ...] = (
     (r.DAC, 2, Value(F32)),
     (r.DIO, len(r.LINES), Value(U16)),
-    (r.STATES, 4, Value(U16)),
-    (r.STATES_OF_TWO, 3, Value(U16)),
-    (r.DIRECTIONS, 4, Value(U16)),
-    (r.DIO_STATE, 1, Value(U32)),
-    (r.DIO_DIRECTION, 1, Value(U32)),
-    (r.DIO_INHIBIT, 1, Value(U32)),
+    (r.DIO_STATE, 1, Value(U32, "R")),
+    (r.DIO_DIRECTION, 1, Value(U32, "R")),
     (r.STREAM_SCANRATE, 14, Value(U32)),
     (r.STREAM_SCANLIST, 128, Value(U32)),
     (r.STREAM_ENABLE, 1, Value(U32)),
-    (r.LAST_ERR_DETAIL, 4, Value(U16, "R")),
+    (r.LAST_ERR_DETAIL, 1, Value(U16, "R")),
     (r.TEST, 1, Value(U32, "R", r.TEST_VALUE)),
-    (55110, 1, Value(U16, default=17)),
-    (55120, 1, Value(U32, default=r.TEST_VALUE)),
-    (55122, 1, Value(I32, default=-2003195205)),
-    (r.TEST_FLOAT, 1, Value(F32, default=-9999.0)),
-    (60000, 5, Value(F32, "R")),
-    (60010, 1, Value(U32, "R")),
+    (r.PRODUCT_ID, 1, Value(F32, "R")),
+    (r.FIRMWARE_VERSION, 1, Value(F32, "R")),
     (r.RESET_CAUSE, 1, Value(U32, "R")),
     (r.SERIAL_NUMBER, 1, Value(U32, "R")),
     (r.RTC_TIME, 1, Value(U32, "R")),
-    (r.COUNTER_10KHZ, 1, Value(U32, "R")),
-    (r.CORE_TIMER, 1, Value(U32, "R")),
     (r.WATCHDOG_ENABLE, 4, Value(U32)),
     (r.WATCHDOG_STRICT, 2, Value(U32)),
     (r.WATCHDOG_CLEAR, 1, Value(U32, "W")),
@@ -81,7 +65,6 @@ ROWS: tuple[tuple[int, int, Value], ...] = (
     *((first, 2, Value(U32)) for first in r.WATCHDOG_DAC_ENABLE),
     (r.FLASH_POINTER, 1, Value(U32)),
     (r.FLASH_READ, 13, Value(U32, "R")),
-    (r.REBOOT, 1, Value(U32, "W")),
 )
 """First address, number of consecutive values, and their description."""
 
@@ -93,8 +76,6 @@ def values_of(model: r.Model) -> dict[int, Value]:
         (0, count, Value(F32, "R")),
         (r.AIN_RANGE, count, Value(F32)),
         (r.AIN_NEGATIVE, count, Value(U16, default=r.SINGLE_ENDED)),
-        (r.AIN_RESOLUTION, count, Value(U16)),
-        (r.AIN_SETTLING, count, Value(F32)),
         *([(r.CAPTURE, count, Value(F32, "R"))] if model.captures else []),
     ]
     return {
@@ -112,8 +93,6 @@ class Cut(Exception):
 
 def whole(values: dict[int, Value], address: int, count: int, access: str) -> Iterator[tuple[int, Value]]:
     """The values in the registers from an address on; raises `Unknown`, or `Cut` for a part of a value."""
-    if access == "R" and (address, count) in {(r.TEST, 1), (r.TEST + 1, 1)}:
-        return
     at, end = address, address + count
     while at < end:
         if (value := values.get(at)) is None:
@@ -125,23 +104,6 @@ def whole(values: dict[int, Value], address: int, count: int, access: str) -> It
             raise Cut
         yield at, value
         at += WORDS[value.type]
-
-
-def feedback(pdu: bytes) -> list[Request]:
-    """The reads and writes of a request of function 76, in order; raises `Refused` if it is malformed."""
-    found: list[Request] = []
-    rest = pdu[1:]
-    while rest:
-        if len(rest) < 4 or rest[0] > 1 or not rest[3]:
-            raise Refused(VALUE)
-        kind, address, count = struct.unpack(">BHB", rest[:4])
-        data, rest = (rest[4 : 4 + 2 * count], rest[4 + 2 * count :]) if kind else (b"", rest[4:])
-        if len(data) != 2 * count * kind:
-            raise Refused(VALUE)
-        found.append(Request(16 if kind else 3, address, count, struct.unpack(f">{len(data) // 2}H", data)))
-    if not found:
-        raise Refused(VALUE)
-    return found
 
 
 SHORTEST, LONGEST = 0.001, 0.01

@@ -15,15 +15,13 @@ from pmabench_drivers.modbus import registers as modbus
 from pmabench_drivers.modbus.registers import Register, RegisterMap
 from pmabench_drivers.shared.options import Reader
 
-TEST, TEST_VALUE, TEST_FLOAT = 55100, 0x00112233, 55124
-PRODUCT_ID, HARDWARE_VERSION, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60002, 60004, 60028
+TEST, TEST_VALUE = 55100, 0x00112233
+PRODUCT_ID, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60004, 60028
 EMULATED, UNPROVEN = 0, 1
 """Serial numbers of emulated devices: with a truth file of wiring and scales, and without."""
-LAST_ERR_DETAIL, LAST_MB_ERR, LAST_ERR_FRAME = 55000, 55001, 55002
+LAST_ERR_DETAIL = 55000
 RESET_CAUSE, RTC_TIME = 60014, 61500
 """Cause of the last restart, as bits; clock [s], from power-on or of the day."""
-COUNTER_10KHZ, CORE_TIMER, REBOOT = 61502, 61520, 61998
-"""The clock's fraction of a second in 0.1 ms; a timer of half the core's frequency; 0x4C4Axxxx: restart."""
 TIME_OF_DAY = 1_000_000_000
 """A clock beyond this counts from 1970: no device has been on for 30 years."""
 
@@ -33,10 +31,8 @@ DACS = ("DAC0", "DAC1")
 
 DIO = 2000
 """FIO0, one register per line: writing makes it an output, reading an input."""
-DIO_STATE, DIO_DIRECTION, DIO_INHIBIT = 2800, 2850, 2900
+DIO_STATE, DIO_DIRECTION = 2800, 2850
 """Present state of all lines as bits; reading changes nothing."""
-STATES, STATES_OF_TWO, DIRECTIONS = 2500, 2580, 2600
-"""Of each of FIO, EIO, CIO, MIO; of FIO with EIO, EIO with CIO, CIO with MIO."""
 LINES = {
     **{f"FIO{i}": i for i in range(8)},
     **{f"EIO{i}": 8 + i for i in range(8)},
@@ -49,7 +45,7 @@ LINES_BY_NAME = LINES | {f"DIO{i}": i for i in range(len(LINES))}
 ALL_LINES = (1 << 23) - 1
 
 AINS = {f"AIN{i}": i for i in range(14)}
-AIN_RANGE, AIN_NEGATIVE, AIN_RESOLUTION, AIN_SETTLING = 40000, 41000, 41500, 42000
+AIN_RANGE, AIN_NEGATIVE = 40000, 41000
 SINGLE_ENDED = 199
 CAPTURE = 650
 """T8: AIN0 when any input was last read [V]; the next input is two registers on."""
@@ -77,23 +73,11 @@ WATCHDOG_DIO_ENABLE, WATCHDOG_DIO_STATE, WATCHDOG_DIO_DIRECTION, WATCHDOG_DIO_IN
 WATCHDOG_DAC_ENABLE, WATCHDOG_DAC = (61640, 61650), (61642, 61652)
 FLASH_POINTER, FLASH_READ = 61810, 61812
 ERRORS = {
-    2313: "a wrong number of registers",
-    2315: "an even number of registers is needed",
-    2402: "the code of the restart is wrong",
     2370: "this range of an analogue input does not exist",
-    2371: "this settling time is too long",
     2373: "this negative channel does not exist",
     2375: "this resolution index does not exist",
-    2600: "a stream needs a channel",
-    2603: "the stream sends by itself and is not asked",
     2605: "not while a stream runs",
-    2606: "the stream is not configured as a whole",
-    2607: "the list of channels is wrong",
     2608: "the scan rate is out of range",
-    2611: "the data type is wrong",
-    2612: "the stream has no target",
-    2615: "the buffer size is wrong",
-    2618: "the number of samples a packet is wrong",
     2620: "no stream runs",
     2621: "the settling time is wrong",
     2625: "a channel cannot be streamed",
@@ -103,7 +87,7 @@ ERRORS = {
     2673: "the watchdog's DAC0 is set wrong",
     2674: "the watchdog's DAC1 is set wrong",
 }
-"""LabJack's own error code -> meaning."""
+"""LabJack's own error code -> meaning, for those that what is written here may meet."""
 HERE = ("options",)
 TIMEOUT = 0.15
 """Longest wait for an answer [s]."""
@@ -128,8 +112,6 @@ class Model:
     """Lowest firmware version that reports the cause of its last restart."""
     streams: bool = False
     """Whether it is read by its stream, or for each sample."""
-    finest: int = 16
-    """Highest resolution index."""
     captures: bool = False
     """Whether reading one input captures all of them at that moment."""
 
@@ -140,8 +122,8 @@ class Model:
 
 
 MODELS = {
-    "T4": Model(4.0, 5.0, 10, {f"AIN{i}": i for i in range(12)}, restart_cause_from=1.0023, finest=5),
-    "T7": Model(7.0, 5.0, 12, AINS, RANGES, restart_cause_from=1.0281, streams=True, finest=8),
+    "T4": Model(4.0, 5.0, 10, {f"AIN{i}": i for i in range(12)}, restart_cause_from=1.0023),
+    "T7": Model(7.0, 5.0, 12, AINS, RANGES, restart_cause_from=1.0281, streams=True),
     "T8": Model(
         8.0, 10.0, 16, {f"AIN{i}": i for i in range(8)}, {f"{v:g} V": (0, float(v)) for v in T8_SPANS}, captures=True
     ),

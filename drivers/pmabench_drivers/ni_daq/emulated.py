@@ -23,16 +23,14 @@ LINKS = {name: f.LINK[name] for name in f.LINK if name not in {"late", "stale", 
 ATTACH, INITIALIZE = 2, 1
 VERSION = {0x1272: 24, 0x1923: 5, 0x2F22: 0}
 """Attributes of the system: major, minor, update."""
-ALL_LINES, FINITE, CONTINUOUS = 1, 10178, 10123
-"""One channel for all lines; kinds of timing."""
+CONTINUOUS = 10123
+"""The kind of timing that is supported."""
 WORKERS = 16
 """Largest number of simultaneous calls."""
 GIVE_UP = 10.0
 """Longest wait for a client to give up [s]."""
 
 Answer = dict[str, Any]
-KINDS = {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}
-VOLTAGE = 10322
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: f.CommandLog) -> EmulatedServer:
@@ -129,7 +127,8 @@ class EmulatedServer:
         if fault.kind == "exception":
             _refuse(grpc, context, Refused(int(fault.value), "An error that was asked for."))
         try:
-            self.wait(name, request, context)
+            if name == "ReadAnalogF64":
+                self.wait(request, context)
             with self.board.lock:
                 fields = CALLS[name](self, request, context, fault)
         except Refused as refused:
@@ -169,76 +168,34 @@ class EmulatedServer:
         """Set the one output of a task."""
         task = self.board.task(request.task.name)
         if fault.kind != "ignore":
-            self.board.set_outputs(task, [[request.value]], self.connection(context), start=request.auto_start)
+            self.board.set_output(task, request.value, self.connection(context), start=request.auto_start)
         return {}
 
-    def write_many(self, request: Any, context: Any, fault: f.Fault) -> Answer:
-        """Set the outputs of a task; the values are grouped by channel."""
-        task, size = self.board.task(request.task.name), request.num_samps_per_chan
-        rows = [request.write_array[first : first + size] for first in range(0, len(request.write_array), size)]
+    def write_line(self, request: Any, context: Any, fault: f.Fault) -> Answer:
+        """Set the one line of a task."""
+        task, high = self.board.task(request.task.name), bool(request.write_array[-1])
         if fault.kind != "ignore":
-            self.board.set_outputs(task, rows, self.connection(context), start=request.auto_start)
-        return {"samps_per_chan_written": size}
-
-    def write_lines(self, request: Any, context: Any, fault: f.Fault) -> Answer:
-        """Set the lines of a task; of several samples the last one stays."""
-        task, size = self.board.task(request.task.name), request.num_samps_per_chan
-        place, values = 0, []
-        for channel in task.channels:
-            lines = len(channel.terminals)
-            last = request.write_array[place + (size - 1) * lines : place + size * lines]
-            levels = dict(zip(channel.terminals, last, strict=True))
-            values.append(channel.bits(lambda name, levels=levels: bool(levels[name])))  # type: ignore[misc]
-            place += size * lines
-        if fault.kind != "ignore":
-            self.board.set_lines(task, values, self.connection(context), start=request.auto_start)
-        return {"samps_per_chan_written": size}
-
-    def write_ports(self, request: Any, context: Any, fault: f.Fault) -> Answer:
-        """Set the lines of a task by whole ports; of several samples the last one stays."""
-        task, size = self.board.task(request.task.name), request.num_samps_per_chan
-        if fault.kind != "ignore":
-            values = list(request.write_array[size - 1 :: size])
-            self.board.set_lines(task, values, self.connection(context), start=request.auto_start)
-        return {"samps_per_chan_written": size}
+            self.board.set_line(task, self.connection(context), high=high, start=request.auto_start)
+        return {"samps_per_chan_written": 1}
 
     def read(self, request: Any) -> Answer:
         """Samples of a task."""
         data = self.board.fetch(self.board.task(request.task.name), request.num_samps_per_chan)
         return {"read_array": data, "samps_per_chan_read": request.num_samps_per_chan}
 
-    def read_lines(self, request: Any) -> Answer:
-        """The levels of the lines of a task; the samples are grouped by channel."""
-        task, size = self.board.task(request.task.name), request.num_samps_per_chan
-        levels = [[self.board.level(name) for name in channel.terminals] * size for channel in task.channels]
-        data = bytes(level for channel in levels for level in channel)
-        most = max(len(channel.terminals) for channel in task.channels)
-        return {"read_array": data, "samps_per_chan_read": size, "num_bytes_per_samp": most}
+    def read_line(self, request: Any) -> Answer:
+        """The level of the one line of a task."""
+        levels = bytes(self.board.level(name) for name in self.board.task(request.task.name).names)
+        return {"read_array": levels, "samps_per_chan_read": 1, "num_bytes_per_samp": 1}
 
-    def read_ports(self, request: Any) -> Answer:
-        """The levels of the lines of a task, each at its bit of the port."""
-        task, size = self.board.task(request.task.name), request.num_samps_per_chan
-        data = [bits for channel in task.channels for bits in [channel.bits(self.board.level)] * size]
-        return {"read_array": data, "samps_per_chan_read": size}
-
-    def wait(self, name: str, request: Any, context: Any) -> None:
+    def wait(self, request: Any, context: Any) -> None:
         """Wait until the requested samples are available, or the time of the request is over."""
-        if name == "ReadAnalogF64":
-            within = request.timeout
-        elif name == "WaitUntilTaskDone":
-            within = request.time_to_wait
-        else:
-            return
-        until = time.monotonic() + (within if within >= 0 else GIVE_UP)
+        until = time.monotonic() + (request.timeout if request.timeout >= 0 else GIVE_UP)
         while context.is_active():
             with self.board.lock:
-                task = self.board.task(request.task.name)
-                if name == "ReadAnalogF64":
-                    there = self.board.ready(task, request.num_samps_per_chan)
-                else:
-                    there = self.board.waiting(task) >= 0 and task.done
-                if there or time.monotonic() >= until:
-                    return
+                there = self.board.waiting(self.board.task(request.task.name)) >= request.num_samps_per_chan
+            if there or time.monotonic() >= until:
+                return
             time.sleep(0.002)
 
 
@@ -281,23 +238,15 @@ def _of_task(act: Callable[[Board, Task, Any], object]) -> Callable[..., Answer]
     return call
 
 
-def _add(kind: str, known: tuple[str, ...]) -> Callable[..., Answer]:
-    def add(board: Board, task: Task, request: Any) -> None:
-        together = request.line_grouping_raw == ALL_LINES
-        board.add(task, kind, request.lines, known, request.name_to_assign_to_lines, one=together)
-
-    return _of_task(add)
-
-
 def _add_output(board: Board, task: Task, request: Any) -> None:
-    added = board.add(task, "ao", request.physical_channel, AO, request.name_to_assign_to_channel)
-    task.spans += [(request.min_val, request.max_val)] * added
+    board.add(task, "ao", request.physical_channel, AO)
+    task.spans.append((request.min_val, request.max_val))
 
 
-def _not_done(_board: Board, task: Task, _request: Any) -> None:
-    """Refuse if the wait has ended without success."""
-    if not task.done:
-        raise Refused(-200560, "Wait Until Done did not indicate that the task was done within the specified timeout.")
+def _configure(board: Board, task: Task, request: Any) -> None:
+    if request.sample_mode_raw != CONTINUOUS:
+        raise Refused(-200077, "Requested value is not a supported value for this property.")
+    board.configure(task, request.rate, request.samps_per_chan)
 
 
 def _stop(_board: Board, task: Task, _request: Any) -> None:
@@ -318,21 +267,6 @@ def _list(names: tuple[str, ...]) -> Callable[[Board, Any], str]:
     return lambda board, _request: ", ".join(f"{board.device.address}/{name}" for name in names)
 
 
-def _lines(task: Task) -> int:
-    return max((len(channel.terminals) for channel in task.channels), default=0)
-
-
-def _names(task: Task) -> str:
-    return ", ".join(channel.name for channel in task.channels)
-
-
-def _terminals(_board: Board, request: Any) -> int:
-    """Terminal configurations of an input, as bits: to ground, to AI SENSE, to the input eight higher."""
-    if (name := request.physical_channel.partition("/")[2]) not in AI:
-        raise Refused(-200170, "Physical channel specified does not exist on this device.")
-    return 7 if name in AI[:8] else 3
-
-
 ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
     **{("SystemInfo UInt32", key): _always(part) for key, part in VERSION.items()},
     ("SystemInfo String", 0x193B): lambda board, _r: board.device.address,
@@ -344,22 +278,11 @@ ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
     ("Device DoubleArray", 0x2990): lambda _b, _r: [end for span in SPANS for end in (-span, span)],
     ("Device DoubleArray", 0x299B): _always([-10.0, 10.0]),
     ("Task String", 0x1276): lambda _b, request: request.task.name,
-    ("Task String", 0x1273): _task(_names),
-    ("Task UInt32", 0x2181): _task(lambda task: len(task.channels)),
+    ("Task UInt32", 0x2181): _task(lambda task: len(task.names)),
     ("Chan Double", 0x182C): _always(float(BITS)),
-    ("Chan Int32", 0x187F): _task(lambda task: KINDS[task.kind]),
-    ("Chan Int32", 0x0695): _always(VOLTAGE),
     ("Timing Double", 0x1344): _task(lambda task: task.rate),
-    ("Timing Int32", 0x1300): _task(lambda task: FINITE if task.finite else CONTINUOUS),
-    ("Timing UInt64", 0x1310): _task(lambda task: task.finite or task.buffer),
     ("Read UInt32", 0x1223): lambda board, request: board.waiting(board.task(request.task.name)),
-    ("Read UInt32", 0x31E8): lambda board, request: board.default(board.task(request.task.name)),
-    ("Read UInt32", 0x217C): _task(_lines),
     ("Read UInt64", 0x1221): _task(lambda task: task.read),
-    ("Read String", 0x1823): _task(_names),
-    ("Read Bool", 0x1215): _always(False),
-    ("Write UInt32", 0x217F): _task(_lines),
-    ("PhysicalChan Int32", 0x2342): _terminals,
 }
 """Attributes: object and type, as in the name of the call, and number."""
 CALLS: dict[str, Callable[..., Answer]] = {
@@ -370,24 +293,16 @@ CALLS: dict[str, Callable[..., Answer]] = {
     "StopTask": _of_task(_stop),
     "TaskControl": _of_task(lambda board, task, request: board.control(task, request.action_raw)),
     "CreateAIVoltageChan": _of_task(
-        lambda b, t, r: b.add_input(
-            t, r.physical_channel, r.name_to_assign_to_channel, r.terminal_config_raw, r.min_val, r.max_val
-        )
+        lambda b, t, r: b.add_input(t, r.physical_channel, r.terminal_config_raw, r.min_val, r.max_val)
     ),
     "CreateAOVoltageChan": _of_task(_add_output),
-    "CreateDIChan": _add("di", DI),
-    "CreateDOChan": _add("do", DO),
-    "CfgSampClkTiming": _of_task(
-        lambda board, task, r: board.configure(task, r.rate, r.samps_per_chan, finite=r.sample_mode_raw == FINITE)
-    ),
+    "CreateDIChan": _of_task(lambda board, task, request: board.add(task, "di", request.lines, DI)),
+    "CreateDOChan": _of_task(lambda board, task, request: board.add(task, "do", request.lines, DO)),
+    "CfgSampClkTiming": _of_task(_configure),
     "ReadAnalogF64": lambda server, request, _context, _fault: server.read(request),
-    "ReadDigitalLines": lambda server, request, _context, _fault: server.read_lines(request),
-    "ReadDigitalU32": lambda server, request, _context, _fault: server.read_ports(request),
+    "ReadDigitalLines": lambda server, request, _context, _fault: server.read_line(request),
     "IsTaskDone": lambda server, request, _c, _f: {"is_task_done": server.board.task(request.task.name).done},
-    "WaitUntilTaskDone": _of_task(_not_done),
-    "WriteAnalogF64": EmulatedServer.write_many,
-    "WriteDigitalU32": EmulatedServer.write_ports,
     "WriteAnalogScalarF64": EmulatedServer.write,
-    "WriteDigitalLines": EmulatedServer.write_lines,
+    "WriteDigitalLines": EmulatedServer.write_line,
 }
 """The supported calls; any other is refused as unknown."""

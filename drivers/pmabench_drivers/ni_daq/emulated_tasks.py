@@ -6,10 +6,9 @@ connection.
 
 from __future__ import annotations
 
-import re
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import floor
 from time import monotonic
@@ -38,19 +37,6 @@ BUFFERS = ((100.0, 1_000), (10e3, 10_000), (1e6, 100_000))
 """Highest rate [Hz] for a buffer of a number of samples, for a continuous task, unless more are requested."""
 
 
-def listed(text: str) -> list[str]:
-    """Each physical channel of a list such as `Dev1/ai0:3, Dev1/ai7`."""
-    found = []
-    for part in text.split(","):
-        if (span := re.fullmatch(r"(.*?)(\d+):(\d+)", part.strip())) is None:
-            found.append(part.strip())
-            continue
-        first, last = int(span[2]), int(span[3])
-        step = 1 if last >= first else -1
-        found += [f"{span[1]}{number}" for number in range(first, last + step, step)]
-    return found
-
-
 class Refused(Exception):
     """An error of NI-DAQmx."""
 
@@ -59,32 +45,16 @@ class Refused(Exception):
         self.code = code
 
 
-@dataclass(frozen=True)
-class Virtual:
-    """A virtual channel: its name, and its terminals; several only for digital lines."""
-
-    name: str
-    terminals: tuple[str, ...]
-
-    def bits(self, levels: Callable[[str], bool]) -> int:
-        """The levels of its lines, each at its bit of the port."""
-        return sum(levels(name) << int(name.rpartition("line")[2]) for name in self.terminals)
-
-
 @dataclass
 class Task:
     """A task as the server stores it."""
 
     kind: str = ""
     """`ai`, `ao`, `di`, `do`."""
-    channels: list[Virtual] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     spans: list[tuple[float, float]] = field(default_factory=list)
-    terminals: list[int] = field(default_factory=list)
     rate: float = 0.0
-    """Rate of its sample clock [Hz]; 0: on demand, when it is read or written."""
-    finite: int = 0
-    """Number of samples after which it is done; 0: continuous."""
+    """Rate of its sample clock [Hz]."""
     buffer: int = 0
     state: str = "verified"
     start: float = 0.0
@@ -97,7 +67,7 @@ class Task:
     @property
     def done(self) -> bool:
         """Whether it has ended."""
-        return self.state != "running" or bool(self.finite and self.taken >= self.finite)
+        return self.state != "running"
 
 
 class Board:
@@ -126,42 +96,29 @@ class Board:
             raise Refused(-200088, "Task specified is invalid or does not exist.")
         return self.tasks[name]
 
-    def add(self, task: Task, kind: str, text: str, known: Sequence[str], title: str = "", *, one: bool = False) -> int:
-        """Add physical channels to a task, each as a virtual one or all as `one`; returns their number."""
-        names: list[str] = []
-        for physical in listed(text):
-            device, _, name = physical.partition("/")
-            if device != self.device.address:
-                raise Refused(-200220, "Device identifier is invalid.")
-            if name not in known:
-                raise Refused(-200170, "Physical channel specified does not exist on this device.")
-            if task.kind not in {"", kind}:
-                raise Refused(-200559, "Specified channels cannot be added to the task: they are of another type.")
-            if name in (*task.names, *names):
-                raise Refused(-200489, "Specified channel cannot be added to the task more than once.")
-            names.append(name)
+    def add(self, task: Task, kind: str, physical: str, known: Sequence[str]) -> str:
+        """Add a physical channel to a task; returns its name."""
+        device, _, name = physical.partition("/")
+        if device != self.device.address:
+            raise Refused(-200220, "Device identifier is invalid.")
+        if name not in known:
+            raise Refused(-200170, "Physical channel specified does not exist on this device.")
+        if task.kind not in {"", kind}:
+            raise Refused(-200559, "Specified channels cannot be added to the task: they are of another type.")
+        if name in task.names:
+            raise Refused(-200489, "Specified channel cannot be added to the task more than once.")
         task.kind = kind
-        task.names += names
-        device = self.device.address
-        if one:
-            shown = f"{device}/{names[0]}{'...' if len(names) > 1 else ''}"
-            task.channels.append(Virtual(title or shown, tuple(names)))
-        else:
-            titles = [
-                f"{title}{i if len(names) > 1 else ''}" if title else f"{device}/{n}" for i, n in enumerate(names)
-            ]
-            task.channels += [Virtual(shown, (name,)) for shown, name in zip(titles, names, strict=True)]
-        return len(names)
+        task.names.append(name)
+        return name
 
-    def add_input(self, task: Task, text: str, title: str, terminal: int, low: float, high: float) -> None:
-        """Add analogue inputs, with the narrowest range that includes `low` to `high`."""
+    def add_input(self, task: Task, physical: str, terminal: int, low: float, high: float) -> None:
+        """Add an analogue input, with the narrowest range that includes `low` to `high`."""
         fitting = [span for span in SPANS if span >= max(abs(low), abs(high))]
-        upper = any(name.partition("/")[2] in AI[8:] for name in listed(text))
+        upper = physical.partition("/")[2] in AI[8:]
         if not fitting or terminal not in {USUAL, RSE, NRSE, DIFF} or (terminal == DIFF and upper):
             raise Refused(-200077, "Requested value is not a supported value for this property.")
-        for _ in range(self.add(task, "ai", text, AI, title)):
-            task.spans.append((-fitting[0], fitting[0]))
-            task.terminals.append(terminal)
+        self.add(task, "ai", physical, AI)
+        task.spans.append((-fitting[0], fitting[0]))
 
     def reserve(self, task: Task) -> None:
         """Reserve the resources of a task, or refuse."""
@@ -180,14 +137,14 @@ class Board:
         else:
             raise Refused(-200077, "Requested value is not a supported value for this property.")
 
-    def configure(self, task: Task, rate: float, samples: int, *, finite: bool) -> None:
+    def configure(self, task: Task, rate: float, samples: int) -> None:
         """Set the sample clock to the lowest possible rate from `rate` up; the buffer is at least NI-DAQmx's own."""
         if task.kind != "ai" or not rate > 0:
             raise Refused(-200077, "Requested value is not a supported value for this property.")
         if rate * len(task.names) > FASTEST:
             raise Refused(-200081, "Sample rate exceeds the maximum sample rate for the number of channels specified.")
-        task.rate, task.finite = TIMEBASE / floor(TIMEBASE / rate), samples if finite else 0
-        task.buffer = samples if finite else max(samples, next(size for most, size in BUFFERS if rate <= most))
+        task.rate = TIMEBASE / floor(TIMEBASE / rate)
+        task.buffer = max(samples, next(size for most, size in BUFFERS if rate <= most))
 
     def start(self, task: Task) -> None:
         """Start a task."""
@@ -228,7 +185,6 @@ class Board:
         if task.kind != "ai" or task.state != "running":
             return
         due = floor((monotonic() - task.start) * task.rate)
-        due = min(due, task.finite) if task.finite else due
         while task.taken < due and not task.overwritten:
             if len(task.waiting) >= task.buffer:
                 task.overwritten = True
@@ -252,24 +208,8 @@ class Board:
             raise Refused(-200279, "The application is not able to keep up with the hardware acquisition.")
         return len(task.waiting)
 
-    def default(self, task: Task) -> int:
-        """Number of samples read if all available ones are requested."""
-        return (task.finite or self.waiting(task)) if task.rate else 1
-
-    def ready(self, task: Task, count: int) -> bool:
-        """Whether `count` samples can be read without waiting; reading starts a task with a clock."""
-        if not task.rate or task.kind != "ai":
-            return True
-        if task.state != "running":
-            self.start(task)
-        return self.waiting(task) >= count
-
     def fetch(self, task: Task, count: int) -> list[float]:
         """Read `count` samples, grouped by channel."""
-        if task.kind == "ai" and not task.rate:
-            self.reserve(task)
-            quantities, pairs = self._plant.quantities(), zip(task.names, task.spans, strict=True)
-            return [volts for name, span in pairs for volts in [self._volts(name, span[1], quantities)] * count]
         if self.waiting(task) < count:
             raise Refused(-200284, "Some or all of the samples requested have not yet been acquired.")
         rows = [task.waiting.popleft() for _ in range(count)]
@@ -278,22 +218,22 @@ class Board:
 
     # -- outputs and lines -------------------------------------------------------------------------------------------
 
-    def set_outputs(self, task: Task, rows: Sequence[Sequence[float]], connection: int, *, start: bool) -> None:
-        """Set the outputs of a task on demand: a row for each, with its values in order."""
-        self._begin_writing(task, len(rows), start=start)
-        for (low, high), row in zip(task.spans, rows, strict=True):
-            if not all(low <= volts <= high for volts in row):
-                raise Refused(-200561, "Attempted writing analog data that is too large or too small.")
-        for moment in zip(*rows, strict=True):
-            for name, volts in zip(task.names, moment, strict=True):
-                self._wiring.set(name, volts, reached=self._reached(name, volts), connection=connection)
+    def set_output(self, task: Task, volts: float, connection: int, *, start: bool) -> None:
+        """Set the output of a task on demand."""
+        name = self._written(task, start=start)
+        low, high = task.spans[0]
+        if not low <= volts <= high:
+            raise Refused(-200561, "Attempted writing analog data that is too large or too small.")
+        self._wiring.set(name, volts, reached=self._reached(name, volts), connection=connection)
 
-    def _begin_writing(self, task: Task, rows: int, *, start: bool) -> None:
+    def _written(self, task: Task, *, start: bool) -> str:
+        """The one channel of a task that is written to."""
         self.reserve(task)
-        if rows != len(task.channels):
+        if len(task.names) != 1:
             raise Refused(-200524, "Write cannot be performed: the number of channels in the data is another.")
         if not start and task.state != "running":
             raise Refused(-200846, "Write cannot be performed when auto start is false and the task is not running.")
+        return task.names[0]
 
     def _reached(self, name: str, volts: float) -> float:
         """The nearest voltage that an output can give, to which it is set."""
@@ -301,13 +241,11 @@ class Board:
         self.volts[name] = round(volts / step) * step
         return self.volts[name]
 
-    def set_lines(self, task: Task, values: Sequence[int], connection: int, *, start: bool) -> None:
-        """Set the lines of a task: for each virtual channel, its lines at their bits of the port."""
-        self._begin_writing(task, len(values), start=start)
-        for channel, value in zip(task.channels, values, strict=True):
-            for name in channel.terminals:
-                high = self._levels[name] = bool(value >> int(name.rpartition("line")[2]) & 1)
-                self._wiring.switch(name, on=high, connection=connection)
+    def set_line(self, task: Task, connection: int, *, high: bool, start: bool) -> None:
+        """Set the line of a task."""
+        name = self._written(task, start=start)
+        self._levels[name] = high
+        self._wiring.switch(name, on=high, connection=connection)
 
     def level(self, name: str) -> bool:
         """The level of a line; an input that is not wired is low."""

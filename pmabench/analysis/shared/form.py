@@ -149,7 +149,7 @@ def cut_off(half: Mapping[str, float], changes: Mapping[str, float]) -> Doubt:
     return Doubt(CUT_OFF, "method", hypot(*(half.get(name, 0.0) * change for name, change in changes.items())), False)
 
 
-OF_THE_LOOP = ("F_c", "H", "h_1", "W", "W_c", "eta", "phi")
+OF_THE_LOOP = ("F_c", "H", "W", "W_c", "eta", "phi")
 """Symbols that depend on the gap between both branches."""
 
 

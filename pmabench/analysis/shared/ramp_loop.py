@@ -14,11 +14,10 @@ it falls while the angle rises, as the force does while the muscle contracts (`j
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -343,9 +342,9 @@ def _late(
     return Doubt(LATE, "method", max(known, most), seen, reason)
 
 
-def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Loop:
-    """`measure` with `discard` and `turn` of `options`, else of the plan, else the defaults."""
-    settings = settings_of(run, options)
+def measure_as_planned(run: RunData, trial: TrialData) -> Loop:
+    """`measure` with `discard` and `turn` of the plan, else the defaults."""
+    settings = settings_of(run)
     stroke = trial.point.get("upper", 0.0) - trial.point.get("lower", 0.0)
     return measure(run, trial, int(settings.get("discard", 1)), float(settings.get("turn", TURN * stroke)))
 
@@ -406,5 +405,5 @@ def on_grid(grid: Array, x: Array, F: Array) -> Array:
 
 def stiffness_of(run: RunData, trial: TrialData) -> float:
     """Stiffness [N/m]: negative slope of the mean curve of one trial; raises `NotUsable`."""
-    loop = measure_as_planned(run, trial, {})
+    loop = measure_as_planned(run, trial)
     return -float(np.polyfit(loop.x, loop.mean.mean(axis=0), 1)[0])

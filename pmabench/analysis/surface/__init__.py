@@ -4,5 +4,4 @@
 - `muscle`: the terms, their memory of the past of a trial, and the fitted muscle
 - `fit`: bounded least squares of all trials
 - `choice`: choice of terms by cross-validation, and intervals of values
-- `replay`: measured trials compared with a fitted muscle and with straight lines
 """

@@ -93,8 +93,8 @@ class Axis:
         return np.asarray(third(0.5 * (knots[1:] + knots[:-1])) * np.diff(knots)[:, None] ** 3)
 
     def _knots(self) -> Array:
-        inner = self.low + self.span * np.array(self.shares)
-        return np.concatenate([[self.low] * DEGREE, inner, [self.high] * DEGREE])
+        inner = self.low + self.span * np.array(self.shares[1:-1])  # not the ends, which rounding would put beside them
+        return np.concatenate([[self.low] * (DEGREE + 1), inner, [self.high] * (DEGREE + 1)])
 
 
 @dataclass(frozen=True)

@@ -7,33 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, inf
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.base.quantities import QUANTITIES, show
-from pmabench.store.analyses.results import Analysis, Curve, Estimate
+from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import RunData, is_number
 
 MEASURES = {
     "relative_interval": ("±", "+-", ""),
     "of_specimen": ("±", "+-", " of the specimen file"),
-    "of_static": ("±", "+-", " of static F_ce"),
-    "of_static_by": ("±", "+-", " of static F_ce"),
-    "static_E_n": ("≤", "at most ", " against static F_ce"),
     "at_most": ("≤", "at most ", ""),
-    "at_least": ("≥", "at least ", ""),
 }
 """Kind of limit -> its sign in a list, its sign in a sentence, and the reference as named in a list."""
-Pairs = Mapping[float, tuple[Estimate, Estimate]]
-"""Pressure [Pa] -> F_ce of a test and of static load."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """One limit: of a coefficient, a check or R2."""
+    """One limit: of a coefficient or a check."""
 
     what: str
     measure: str
@@ -56,30 +49,20 @@ class Limit:
     def short(self) -> str:
         """The limit for a list: `K ± 2 %`, `repeat spread ≤ 3 %`."""
         sign, _, of = MEASURES[self.measure]
-        what = f"E_n of {self.what}" if self.measure == "static_E_n" else self.what
-        return f"{what.replace('_', ' ') if self.measure == 'at_most' else what} {sign} {self.size}{of}"
+        return f"{self.what.replace('_', ' ') if self.measure == 'at_most' else self.what} {sign} {self.size}{of}"
 
     @property
     def size(self) -> str:
         """The limit as a number with its unit."""
-        if self.measure == "of_static_by":
-            return show(self.limit, "force", 4)
-        return f"{self.limit:g}" if self.measure in ("at_least", "static_E_n") else f"{100 * self.limit:g} %"
+        return f"{100 * self.limit:g} %"
 
 
 def limits_of(run: RunData) -> list[Limit]:
-    """Limits in a run's plan; older plans only have the widest interval of each coefficient."""
+    """Limits in a run's plan."""
     limits = run.plan.get("accept")
     if not isinstance(limits, Mapping):
         return []
-    found = [limit for entry in _list(limits.get("limits")) if (limit := _limit(entry)) is not None]
-    known = {limit.what for limit in found if limit.measure == "relative_interval"}
-    found += [
-        Limit(str(name), "relative_interval", float(widest), "")
-        for name, widest in limits.items()
-        if name not in known and is_number(widest)
-    ]
-    return found
+    return [limit for entry in _list(limits.get("limits")) if (limit := _limit(entry)) is not None]
 
 
 def _list(value: Any) -> Iterable[Any]:
@@ -113,21 +96,15 @@ def not_accepted_as_form(
             yield from _of_coefficient(analysis, limit, named)
 
 
-def not_accepted(
-    runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str], static: Pairs | None = None
-) -> Iterator[str]:
+def not_accepted(runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str]) -> Iterator[str]:
     """One sentence for each limit of the analysis' runs that is exceeded; `named` returns the name of a coefficient.
 
     Coefficients are those of the first method that gives them; where the specimen file expects no value they are not
-    compared with it. `static` holds F_ce of this test and of the specimen's static-load test; None without that.
+    compared with it.
     """
     for limit in _limits(runs, analysis):
         if limit.measure in ("relative_interval", "of_specimen"):
             yield from _of_coefficient(analysis, limit, named)
-        elif limit.measure in ("of_static", "of_static_by", "static_E_n"):
-            yield from _against_static(static, limit, named)
-        elif limit.measure == "at_least":
-            yield from _r2(analysis, limit, _primary(analysis))
         elif why := _check(analysis, limit):
             yield why
 
@@ -136,19 +113,9 @@ def _limits(runs: Sequence[RunData], analysis: Analysis) -> list[Limit]:
     return list(dict.fromkeys(limit for run in runs if run.id in analysis.runs for limit in limits_of(run)))
 
 
-def _primary(analysis: Analysis) -> dict[str, str]:
-    """Symbol -> first method that gives it."""
-    primary: dict[str, str] = {}
-    for estimate in analysis.estimates:
-        primary.setdefault(estimate.symbol, estimate.method)
-    return primary
-
-
 def _of_coefficient(analysis: Analysis, limit: Limit, named: Callable[[Estimate], str]) -> Iterator[str]:
-    primary = _primary(analysis)
-    mine = [
-        e for e in analysis.estimates if e.symbol == limit.what and e.method == primary[e.symbol] and not e.withheld
-    ]
+    every = [e for e in analysis.estimates if e.symbol == limit.what]
+    mine = [e for e in every if e.method == every[0].method and not e.withheld]
     judge = _interval if limit.measure == "relative_interval" else _of_specimen
     known = any(e.value is not None for e in mine)
     for estimate in mine:
@@ -189,53 +156,6 @@ def _expected(limit: Limit, pressure: float | None) -> float | None:
     if pressure is None or not P[0] - 1.0 <= pressure <= P[-1] + 1.0:
         return None
     return float(np.interp(pressure, P, values))
-
-
-def _against_static(pairs: Pairs | None, limit: Limit, named: Callable[[Estimate], str]) -> Iterator[str]:
-    """Limits of F_ce against static load, at every common pressure."""
-    lack = ""
-    if pairs is None:
-        lack = f"no static-load test of this specimen to compare with, {limit.asked}; process both runs together"
-    elif not pairs:
-        lack = f"the two tests give F_ce at no pressure in common, {limit.asked}; "
-        lack += "loads of the static test around F_ce at the tested pressures would"
-    if lack:
-        yield f"F_ce against static load: {lack}"
-    for mine, theirs in (pairs or {}).values():
-        if why := _apart(mine, theirs, limit):
-            yield f"{named(mine)}: {why}"
-
-
-def _apart(mine: Estimate, theirs: Estimate, limit: Limit) -> str:
-    value, reference = mine.value or 0.0, theirs.value or 0.0
-    off, halves = value - reference, [e.parts.combined for e in (mine, theirs)]
-    compared = f"{show(value, 'force', 4)} against {show(reference, 'force', 4)} of static load"
-    if limit.measure == "static_E_n":
-        if halves[0] is None or halves[1] is None:
-            which = "neither has an" if halves == [None, None] else "one has no"
-            return f"{compared}: {which} interval, E_n {limit.asked}"
-        half = hypot(halves[0], halves[1])
-        score = abs(off) / half if half else (0.0 if off == 0 else inf)
-        return "" if score <= limit.limit else f"{compared}: E_n {score:.3g}, {limit.asked}"
-    relative = limit.measure == "of_static"
-    if abs(off) <= limit.limit * (abs(reference) if relative else 1.0):
-        return ""
-    far = f"{100 * abs(off / reference):.3g} %" if relative and reference else show(abs(off), "force", 3)
-    return f"{compared}: {far} {'above' if off > 0 else 'below'}, {limit.asked}"
-
-
-def _r2(analysis: Analysis, limit: Limit, primary: Mapping[str, str]) -> Iterator[str]:
-    """Limit of R2 over pressure, for the best curve of each coefficient."""
-    best: dict[str, Curve] = {}
-    for curve in analysis.curves:
-        before = best.get(curve.symbol)
-        if curve.method == primary.get(curve.symbol, curve.method) and not (before and before.r2 >= curve.r2):
-            best[curve.symbol] = curve
-    if not best:
-        yield f"R2: there is no curve over pressure, {limit.asked}"
-    for symbol, curve in best.items():
-        if not curve.r2 >= limit.limit:
-            yield f"R2 of {symbol} over pressure ({curve.form}): {curve.r2:.4g}, {limit.asked}"
 
 
 def _check(analysis: Analysis, limit: Limit) -> str:

@@ -316,17 +316,6 @@ def _order(place: Place) -> tuple[float, bool, float]:
     return inf if isnan(P) else P, x is None, x or 0.0
 
 
-def against_static(mine: Sequence[Offer], static: Sequence[Offer]) -> dict[float, tuple[Estimate, Estimate]]:
-    """Common pressure [Pa] -> F_ce of a test by its primary method, and of static load."""
-    points = {place: e for o in mine if o.symbol == "F" and not o.words for place, e in o.points.items()}
-    found = {}
-    for place, e in sorted(points.items(), key=lambda one: (one[0][0], one[0][1] or 0.0)):
-        other = next((known for o in static if o.symbol == "F" and (known := o.at(place)) is not None), None)
-        if place[1] == 0.0 and other is not None:
-            found[place[0]] = (e, other)
-    return found
-
-
 def _sentence(group: Sequence[Comparison], count: int) -> Finding:
     """Finding about a quantity of two kinds of test, from the place with the largest difference."""
     worst = max(group, key=lambda one: one.score / one.limit(count))

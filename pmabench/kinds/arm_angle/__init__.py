@@ -1,10 +1,10 @@
 """The bending angle of an arm of muscles over pressure and load.
 
-- `reduction`, on the rests and creep of `stairs` and the error sources of `departures`
+- `reduction`, on the rests of `stairs`
 - protocol files: `protocol`; sentences, figures and one trial on the display: `figures`
 """
 
-from pmabench.base.kind import Imported, Kind, Result
+from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("alpha_0", "bending angle at the preload", "angle"),
@@ -21,9 +21,8 @@ METHODS = {
     ),
     "logistic-up": (
         "α = a + b / [1 + (p/c)^d] (paper 2, second eqs. 10) by least squares through the way up, as paper 2 does; "
-        "intervals by the profile of the sum of squares, if α has this form."
+        "without intervals, and only where the angles have this form."
     ),
-    "logistic-mean": "The same through the mean of both ways.",
     "logistic-loads": (
         "The same with a, b, c, d as powers of the load up to the fourth, through the ways up of all loads at once: "
         "paper 2's 20 numbers."
@@ -43,5 +42,4 @@ KIND = Kind(
     figures={
         "arm-angle": "pmabench.kinds.arm_angle.figures:angles",
     },
-    imported=Imported(),
 )

@@ -11,13 +11,11 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle.departures import POWERS, zero_off
 from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.kinds.arm_angle.stairs import measure as stair_of
 from pmabench.model.library import MODELS
@@ -74,7 +72,7 @@ def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Findi
         found.append(Finding("note", f"{text}, where paper 2 calls it straight: creep, or a zero that is off"))
     found += _gaps(loads)
     if (worst := max(loads, key=lambda one: abs(one.zero))).zero:
-        found.append(Finding("doubt", zero_off(worst)))
+        found.append(Finding("doubt", worst.zero_off))
     if (worst := max(loads, key=lambda one: abs(one.apart))).apart:
         text = f"with {worst.mass:g} kg the displacement gives {show(worst.apart, 'angle', 2)} more than the angle"
         text += " at all pressures alike: one of their zeros is off. Zero both with the arm straight"
@@ -133,42 +131,13 @@ def of_fits(fits: Sequence[Fitted]) -> list[Finding]:
 
 
 def of_matrix(fit: ModelFit | None, why: str, fits: Sequence[Fitted]) -> list[Finding]:
-    """How well the powers of the load fit at the tested loads, and how well they interpolate between them."""
+    """How well the powers of the load fit at the tested loads."""
     if fit is None:
         return [Finding("note", why)] if fits else []
     off = float(np.abs(fit.computed - fit.measured).max())
-    found = [Finding("note", f"a to d as powers of the load (paper 2's 20 numbers): within {show(off, 'angle', 2)}")]
     if not fit.converged:
-        found = [Finding("doubt", "a to d as powers of the load: the fit does not converge")]
-    if (omitted := left_out([one for one in fits if one.up is not None])) is not None:
-        powers, cubics = (show(value, "angle", 2) for value in omitted)
-        text = f"each inner load left out: the powers of the load miss its angles by up to {powers}"
-        found.append(Finding("note", f"{text}, monotone cubics from load to load by up to {cubics}"))
-    return found
-
-
-def left_out(fits: Sequence[Fitted]) -> tuple[float, float] | None:
-    """Largest errors [rad] at inner loads that are left out: by a to d as powers of the load, and by interpolation.
-
-    The interpolation over the load is by monotone cubics through the angles at the same commanded pressure. None for
-    fewer than six loads.
-    """
-    if len(fits) < POWERS + 1:
-        return None
-    w = np.array([one.of.mass for one in fits])
-    known = np.array([[u.value for u in one.up.unknowns] for one in fits if one.up is not None])
-    angles = [dict(zip(one.of.sets, one.of.up.mean(axis=0).tolist(), strict=True)) for one in fits]
-    shared = [P for P in fits[0].of.sets if all(P in one for one in angles)]
-    by_powers, by_cubics = [0.0], [0.0]
-    for i in range(1, len(fits) - 1):
-        rest, one = np.arange(len(fits)) != i, fits[i].of
-        a, b, c, d = np.polyval(np.polyfit(w[rest], known[rest], POWERS - 1), w[i]).tolist()
-        miss = a + b / (1 + (one.pressure / c) ** d) - one.up.mean(axis=0) if c > 0 and d > 0 else np.inf
-        by_powers.append(float(np.abs(miss).max()))
-        at_shared = np.array([[angle[P] for P in shared] for angle in angles])
-        cubics = PchipInterpolator(w[rest], at_shared[rest])(w[i])
-        by_cubics.append(float(np.abs(cubics - at_shared[i]).max(initial=0.0)))
-    return max(by_powers), max(by_cubics)
+        return [Finding("doubt", "a to d as powers of the load: the fit does not converge")]
+    return [Finding("note", f"a to d as powers of the load (paper 2's 20 numbers): within {show(off, 'angle', 2)}")]
 
 
 def paper_angle(P: Array, mass: float) -> Array:

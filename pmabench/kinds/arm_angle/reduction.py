@@ -1,37 +1,53 @@
 """Reduction of an arm's bending angle: both branches over pressure at each load, and paper 2's formula fitted to them.
 
-Works on the rests of each staircase of pressure (`stairs`); sentences and figure are in `figures`.
+Works on the rests of each staircase of pressure (`stairs`); sentences and figure are in `figures`. Angles at rest are
+widened for motion at the end of a hold, a cable that slips, zero errors and coarse steps of the angle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.model_fit import ModelFit, fit_model
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import weighed
-from pmabench.analysis.shared.samples import settings_of
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.samples import Left, settings_of
 from pmabench.analysis.shared.trials import mean_of_trials
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle import RESULTS, departures, figures
+from pmabench.kinds.arm_angle import RESULTS, figures
 from pmabench.kinds.arm_angle.stairs import Loaded, channel_of, flat_from, loads_of
 from pmabench.model.library import MODELS
 from pmabench.store.analyses.results import Analysis, Estimate, Parts, withhold
 from pmabench.store.records import Array, RunData
 
 KIND = "arm-angle"
-REST, UP, MEAN, MATRIX = "angle-at-rest", "logistic-up", "logistic-mean", "logistic-loads"
-"""Methods: the rests alone; paper 2's form fitted to the way up, to the mean of both branches, or over all loads."""
+REST, UP, MATRIX = "angle-at-rest", "logistic-up", "logistic-loads"
+"""Methods: the rests alone; paper 2's form fitted to the way up, or over all loads."""
 FORM, FORM_LOADS = "arm-angle-at-load", "arm-angle-coefficients"
 """Models of the library."""
 UNKNOWN = ("a", "b", "c", "d")
 UNITS = {"angle": "rad", "pressure": "Pa", "count": "1"}
 ONCE = "no repeats part: one repeat only"
-RESIDUALS = "repeats part: residuals of the fit, or the scatter of the trials where that is larger"
+TOGETHER = "no repeats part, no method part, no calibration part: of the form, the angles at rest have the intervals"
+LATE = 0.25
+"""Share of the gap between both branches; a significant effect above it withholds the gap, a smaller one only widens
+the interval.
+"""
+OFF = 3.0
+"""Largest rms misfit of the form, in standard errors of a mean angle."""
+POWERS = 5
+"""Powers of the load, from 0 on: the form goes through this many loads exactly; only more loads can test it."""
+LEAST = 0.003
+"""Misfit, as a share of the largest angle, that is too small to count against the form."""
+ANOTHER = "the angles lie {} (rms) off this form, {:.0f} of their errors: it is another curve. Take the angles at rest"
+NO_POWERS = (
+    "the angles of all loads lie {} (rms) off the powers of the load, {:.0f} of their errors: take the coefficients of "
+    "each load"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +56,6 @@ class Fitted:
 
     of: Loaded
     up: ModelFit | None
-    mean: ModelFit | None
     why: str = ""
 
 
@@ -48,8 +63,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """Bending angle [rad] at the preload and at most, its hysteresis, and a, b [rad], c [Pa], d [1] at each load [kg].
 
     As in the paper: alpha = a + b / (1 + (p / c)^d) fitted to the way up, its coefficients as powers of the load. Also
-    both branches separately, their difference, and the same form fitted to their mean. `options`: `angle`, `radius` [m]
-    and `compare`, in place of the plan's settings.
+    both branches separately and their difference. `options`: `angle`, `radius` [m] and `compare`, in place of the
+    plan's settings.
     """
     settings = settings_of(runs[0], options) if runs else dict(options or {})
     compare = settings.get("compare") == "paper-2"
@@ -57,9 +72,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     fits = [_fitted(one) for one in loads]
     matrix, why = _matrix(fits)
     estimates = [estimate for one in fits for estimate in _of_load(one)]
-    powers = _coefficients(matrix, why, MATRIX, {}, [one.of for one in fits if one.up is not None])
+    used = [one.of for one in fits if one.up is not None]
     other = next((e.note for e in estimates if e.withheld and e.method == UP), "")
-    estimates += [withhold(e, other) if other and e.value is not None else e for e in powers]
+    other = other or (_misses(matrix, used, NO_POWERS) if len(used) > POWERS else "")
+    estimates += _without(_coefficients(matrix, why, MATRIX, {}, used), other)
     findings = [
         *figures.of_rests(loads, settings),
         *figures.of_fits(fits),
@@ -96,7 +112,7 @@ def _of_load(fitted: Fitted) -> list[Estimate]:
         values, by_pressure = one.up[:, place], float(slope[place])
         gains = {channel: float(values.mean()), "pressure": by_pressure * float(one.pressure[place])}
         e = made(symbol, values, method, gains, {channel: one.per_offset, "pressure": by_pressure}, exact)
-        return weighed(e, departures.at_rest(one, place, by_pressure), largest)
+        return weighed(e, _at_rest(one, place, by_pressure), largest)
 
     top, widest = int(np.argmax(one.up.mean(axis=0))), one.widest
     side = 0.0 if widest is None else 0.5 * float(np.abs(one.gaps[:, widest].mean()))
@@ -109,13 +125,14 @@ def _of_load(fitted: Fitted) -> list[Estimate]:
     else:
         value, coarse = float(np.mean(each)), 0.1 * float(np.diff(P).max()) / 2
         e = made("P_flat", np.array(each), coarse, {"pressure": value}, {"pressure": 1.0}, kind=flat)
-        found.append(weighed(e, departures.of_flat(one, top, value)))
+        found.append(weighed(e, _of_flat(one, top, value)))
     if widest is not None:
         gap = float(one.gaps[:, widest].mean())
         e = made("alpha_H", one.gaps[:, widest], 0.0, {channel: gap})
-        found.append(weighed(e, departures.of_gap(one, widest, gap)))
-    found += _coefficients(fitted.up, fitted.why, UP, at, [one])
-    return found + (_coefficients(fitted.mean, fitted.why, MEAN, at, [one]) if one.both else [])
+        found.append(weighed(e, _of_gap(one, widest, gap)))
+    contradicted = next((e.note for e in found if e.withheld), "") or (one.zero_off if one.zero < 0 else "")
+    contradicted = contradicted or _misses(fitted.up, [one], ANOTHER)
+    return [*found, *_without(_coefficients(fitted.up, fitted.why, UP, at, [one]), contradicted)]
 
 
 def _slopes(P: Array, angle: Array) -> Array:
@@ -131,14 +148,13 @@ def _slopes(P: Array, angle: Array) -> Array:
 def _fitted(one: Loaded) -> Fitted:
     """Paper 2's form at one load, with coefficients fitted to it."""
     if len(one.pressure) <= len(UNKNOWN):
-        return Fitted(one, None, None, f"no fit: {len(one.pressure)} pressures for {len(UNKNOWN)} coefficients")
+        return Fitted(one, None, f"no fit: {len(one.pressure)} pressures for {len(UNKNOWN)} coefficients")
     if one.pressure[-1] > figures.BARELY * figures.HIGHEST:
-        return Fitted(one, None, None, f"no fit: the form holds up to {show(figures.HIGHEST, 'pressure')}")
+        return Fitted(one, None, f"no fit: the form holds up to {show(figures.HIGHEST, 'pressure')}")
     try:
-        up = _fit(one.pressure, one.up.mean(axis=0))
-        return Fitted(one, up, _fit(one.pressure, one.mean) if one.both else None)
+        return Fitted(one, _fit(one.pressure, one.up.mean(axis=0)))
     except ValueError:
-        return Fitted(one, None, None, "no fit: no curve of this form comes near these angles")
+        return Fitted(one, None, "no fit: no curve of this form comes near these angles")
 
 
 def _fit(P: Array, angle: Array) -> ModelFit:
@@ -154,8 +170,8 @@ def _fit(P: Array, angle: Array) -> ModelFit:
 def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
     """Paper 2's 20 numbers: the coefficients as powers of the load, fitted to the ways up of all loads at once."""
     used = [(one.of, one.up) for one in fits if one.up is not None]
-    if len(used) < departures.POWERS:
-        return None, f"no powers of the load: {len(used)} loads with a fit, {departures.POWERS} are needed"
+    if len(used) < POWERS:
+        return None, f"no powers of the load: {len(used)} loads with a fit, {POWERS} are needed"
     model = MODELS[FORM_LOADS]
     w = np.array([one.mass for one, _ in used])
     most = next(p.high for p in model.parameters if p.name == "load")
@@ -163,7 +179,7 @@ def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
         return None, f"no powers of the load: they hold up to {most:g} kg"
     start: dict[str, float] = {}
     for i, row in enumerate(UNKNOWN):
-        powers = np.polynomial.polynomial.polyfit(w, [up.unknowns[i].value for _, up in used], departures.POWERS - 1)
+        powers = np.polynomial.polynomial.polyfit(w, [up.unknowns[i].value for _, up in used], POWERS - 1)
         start |= {f"{row}_{n}": float(power) for n, power in enumerate(powers)}
     columns = {
         "pressure": np.concatenate([np.clip(one.pressure, 0.0, figures.HIGHEST) for one, _ in used]),
@@ -179,41 +195,105 @@ def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
 def _coefficients(
     fit: ModelFit | None, why: str, method: str, at: Mapping[str, float], loads: Sequence[Loaded]
 ) -> list[Estimate]:
-    """The coefficients of a fit, those without an interval as not identifiable."""
+    """The coefficients of a fit, without intervals: they mean something together only."""
     model = MODELS[FORM_LOADS if method == MATRIX else FORM]
     quantities = {p.name: p.quantity for p in model.parameters}
     names = tuple(stair.trial.name for one in loads for stair in one.stairs)
-    by_scales = dict.fromkeys(model.fitted) if fit is None else _by_scales(fit, loads)
     found = []
     for name in model.fitted:
         unit = UNITS[quantities[name]]
         power = name.partition("_")[2]
         per = f"per kg{power if power != '1' else ''}" if power not in {"", "0"} else ""
-        value, half, note = (None, None, why) if fit is None else fit.identified(name, unit)
-        if half is not None:
-            note = sentences(per, note, RESIDUALS, "no method part" if method == MATRIX else "")
-        parts = Parts(repeats=half, calibration=None if half is None else by_scales[name])
+        value, _, note = (None, None, why) if fit is None else fit.identified(name, unit)
+        note = note if value is None else sentences(per, TOGETHER)
         found.append(
-            Estimate("alpha_b", value, unit, quantities[name], method, at, parts, len(names), note=note,
+            Estimate("alpha_b", value, unit, quantities[name], method, at, Parts(), len(names), note=note,
                      trials=names, coordinate=name)
         )  # fmt: skip
-    if fit is None:
-        return found
-    if method == MATRIX:
-        return departures.of_loads(found, loads)
-    return departures.of_fit(found, loads[0], [u.value for u in fit.unknowns], both=method == MEAN)
-
-
-def _by_scales(fit: ModelFit, loads: Sequence[Loaded]) -> dict[str, float | None]:
-    """Calibration part of each coefficient.
-
-    The gain of the angle scales a and b, its zero shifts a; the gain of the pressure scales c, its zero changes all.
-    """
-    values = {u.name: u.value for u in fit.unknowns}
-    _, shifts = departures.linearized(loads, np.reshape(list(values.values()), (len(UNKNOWN), -1)))
-    found, channel = {}, loads[0].channel
-    for (name, value), shift in zip(values.items(), shifts.tolist(), strict=True):
-        gains = {channel: value if name[0] in "ab" else 0.0, "pressure": value if name[0] == "c" else 0.0}
-        lifted = loads[0].per_offset if name in ("a", "a_0") else 0.0
-        found[name] = loads[0].scales.part(gains, {channel: lifted, "pressure": shift})
     return found
+
+
+def _without(estimates: Sequence[Estimate], why: str) -> list[Estimate]:
+    """The coefficients, withheld if there is a reason."""
+    return [withhold(e, why) if why and e.value is not None else e for e in estimates]
+
+
+def _misses(fit: ModelFit | None, loads: Sequence[Loaded], text: str) -> str:
+    """Reason to withhold the coefficients of a fit whose rms misfit [rad] is too large; else empty."""
+    if fit is None:
+        return ""
+    off = fit.computed - fit.measured
+    miss = float(np.sqrt(off @ off / max(1, len(off) - len(fit.unknowns))))
+    error = float(np.sqrt(np.mean([_error(one) ** 2 for one in loads])))
+    if miss <= max(OFF * error, LEAST * max(float(np.abs(one.mean).max()) for one in loads)):
+        return ""
+    return text.format(show(miss, "angle", 2), miss / max(error, 1e-12))
+
+
+def _error(one: Loaded) -> float:
+    """Standard error of a mean angle at rest on the way up [rad], without the common shift of each trial."""
+    rows = one.up
+    within = np.sqrt(np.mean(np.var(rows - rows.mean(axis=1, keepdims=True), axis=0, ddof=min(1, len(rows) - 1))))
+    return max(float(within), one.noise) / float(np.sqrt(len(rows)))
+
+
+# -- what the rests leave open -------------------------------------------------------------------------------------
+
+
+def _moving(one: Loaded, place: int, side: int) -> tuple[Left, str]:
+    found = one.motion(place, side)
+    where = f"{show(one.sets[place], 'pressure')}, {one.mass:g} kg"
+    text = f"the angle is not at rest: after the hold it may still change by {show(found.most, 'angle', 2)} ({where})"
+    return found, f"{text}. Hold longer"
+
+
+def _slips(one: Loaded, share: float = 1.0) -> Doubt:
+    size, seen = one.slip
+    text = f"with {one.mass:g} kg one trial comes back to the preload {show(size, 'angle', 2)} off the others"
+    reason = f"{text}: a cable or a mount slips. Fasten it, and do the load again"
+    return Doubt("slip", "drift", share * size if seen else 0.0, seen, reason)
+
+
+def _zero(one: Loaded, slope: float) -> Doubt:
+    """Effect of the gauge's zero error on a value that changes by `slope` per pascal of reading."""
+    return Doubt("zero of the pressure", "calibration", abs(slope * one.zero), one.zero < 0, one.zero_off)
+
+
+def _apart(one: Loaded, share: float = 1.0) -> Doubt:
+    """Effect of the angle's zero error on a value that changes by `share` per radian of reading."""
+    return Doubt("zero of the angle against the displacement", "calibration", abs(share * one.apart), seen=False)
+
+
+def _steps(half: float) -> Doubt:
+    return Doubt("steps of the angle", "method", half, seen=False)
+
+
+def _at_rest(one: Loaded, place: int, slope: float) -> list[Doubt]:
+    """Effects on an angle of the way up; `slope` is d(angle)/d(pressure) there [rad/Pa]."""
+    further, reason = _moving(one, place, -1)
+    moving = Doubt("motion after the hold", "method", further.most, further.seen, reason)
+    return [moving, _slips(one), _zero(one, slope), _apart(one), _steps(one.coarse)]
+
+
+def _of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
+    """Effects on the gap between both branches, which unfinished motion would close."""
+    found = [_moving(one, place, side) for side in (-1, 1)]
+    half, seen = sum(further.most for further, _ in found), any(further.seen for further, _ in found)
+    reason = next((text for further, text in found if further.seen), "")
+    slip = _slips(one, 1 / len(one.stairs))
+    doubts = [Doubt("motion after the hold", "method", half, seen, reason), slip, _steps(2**0.5 * one.coarse)]
+    doubts.append(Doubt("hysteresis of the angle", "method", one.hysteresis, seen=False))
+    return [one if one.half > LATE * abs(value) else replace(one, reason="") for one in doubts]
+
+
+def _of_flat(one: Loaded, top: int, value: float) -> list[Doubt]:
+    """Effects on the pressure where the angle becomes flat, which shifts with the largest angle."""
+    further, reason = _moving(one, top, -1)
+    P, angles = one.pressure[: top + 1], one.up.mean(axis=0)[: top + 1]
+
+    def by(more: float) -> float:
+        moved = [flat_from(P, np.append(angles[:-1], angles[-1] + way * more)) for way in (-1, 1)]
+        return max((abs(other - value) for other in moved if other is not None), default=0.0)
+
+    moving = Doubt("motion after the hold", "method", by(further.most), further.seen, reason)
+    return [moving, _zero(one, 1.0), _steps(by(2**0.5 * one.coarse))]

@@ -201,6 +201,13 @@ class Loaded:
         alike = all(read * least > 0 for read in reads)
         return least if alike and abs(least) > self.scales.offsets.get("pressure", 0.0) else 0.0
 
+    @property
+    def zero_off(self) -> str:
+        """Message that the vented gauge does not read 0. A reading above 0 may also be air left in the muscle."""
+        text = f"with {self.mass:g} kg the pressure reads {show(self.zero, 'pressure', 2)} when it is vented, more than"
+        other = "" if self.zero < 0 else ", or let out what the valve leaves in the muscle"
+        return f"{text} its calibration allows: zero the gauge{other}"
+
     @cached_property
     def apart(self) -> float:
         """Zero difference of angle from displacement and measured angle beyond the calibrations [rad]; else 0."""

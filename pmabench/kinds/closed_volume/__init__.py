@@ -4,7 +4,7 @@
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
-from pmabench.base.kind import Imported, Kind, Result
+from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("V", "volume inside the muscle", "volume", headline=True),
@@ -37,5 +37,4 @@ KIND = Kind(
     figures={
         "volume": "pmabench.kinds.closed_volume.figures:volumes",
     },
-    imported=Imported(),
 )

@@ -5,8 +5,6 @@
 - whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
   its words and overlays: `checks`
 - the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`, by the pressure of `gauge`
-- sessions that do not fit one muscle: `days`
-- where asked for: chosen forms over pressure in `joint`; output error in `output_error`
 - by paper 1: `paper1`, made of `paper1_steps`
 - further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`
@@ -37,16 +35,6 @@ METHODS = {
         " + F_c sign x′ = F_ce(P) − F_L, driven by the pressure that was measured. K, B_c, B_r and F_ce are values at "
         "the tested pressures with straight lines between."
     ),
-    "joint": (
-        "The same least-squares fit with the forms over pressure that were asked for (constant, line, polynomial of a "
-        "given or chosen order) from the lowest tested pressure up; its residual, compared with that of straight "
-        "lines between pressures, shows whether the forms are enough."
-    ),
-    "output-error": (
-        "The coefficients of measured-pressure polished: each stroke is simulated with them under the measured pressure"
-        " and force, and the error of the contraction, whitened for its serial correlation, is made least (Gauss-"
-        "Newton)."
-    ),
     "regulator-response": (
         "Dead time and one lag, or two where the corrected Akaike criterion asks for them, fitted to the mean step of "
         "the measured pressure at each pressure, over the time since the command. A lag as long as that of the gauge, "
@@ -56,11 +44,6 @@ METHODS = {
         "Where the gain from the pressure command to small contractions first falls by 3 dB: the regulator's lags, "
         "fitted to the steps of the measured pressure, and K, (B_c + B_r)/2 and the moving mass M. The interval holds "
         "those of K, B and the lags, and half of what B_c and B_r alone would make; no friction."
-    ),
-    "bandwidth, by steps": (
-        "The same from recorded steps without a model: the gain is that of the step's own Fourier integral, G = 1 − jω "
-        "∫ (1 − y) e^(−jωt) dt, with y the contraction from its start to its rest. Such steps are larger than small "
-        "signals and relax only."
     ),
     "step-exponential": (
         "The way of papers 0 and 1: K and F_ce from final contractions over loads, B = K τ with τ from an exponential "
@@ -120,15 +103,14 @@ KIND = Kind(
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:offers",
     methods=METHODS,
-    options=("forms", "bootstrap", "regulator", "polish"),
+    options=("regulator",),
     parts={
         "intervals of a plan": "pmabench.kinds.contraction_relaxation.predicted:intervals_of_plan",
-        "check options": "pmabench.kinds.contraction_relaxation.joint:check",
         "slow rows": "pmabench.analysis.surface.trials:hanging",
         "next trial": "pmabench.kinds.contraction_relaxation.next_trial:Chooser",
     },
     also=(PAPER_1,),
-    figures={"overlay": "pmabench.plotting.motion:motions"},
+    figures={"overlay": "pmabench.plotting.motion:overlays"},
     front={"overlay": "pmabench.plotting.motion:overlays"},
     imported=Imported(
         Commanded(

@@ -10,34 +10,27 @@ muscle (dead time changes only the phase):
 
     |G|^2 = 1 / prod(1 + (omega T_i)^2)  K^2 / ((K - M omega^2)^2 + (B omega)^2),  B = (B_c + B_r)/2
 
-From a step of the command to the contraction y(t), 0 to 1 from its start to its rest, without a model:
-
-    G(j omega) = 1 - j omega integral of (1 - y(t)) exp(-j omega t) dt
-
-The bandwidth is where |G| first falls to 1/sqrt(2). Neither includes friction, which blocks small motions.
+The bandwidth is where |G| first falls to 1/sqrt(2). It does not include friction, which blocks small motions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, inf, log, pi, sqrt
+from math import hypot, log, pi, sqrt
 
 import numpy as np
 
 from pmabench.analysis.shared import skew
-from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.samples import UNDECLARED
-from pmabench.analysis.shared.student import half_width, mean_with_half
-from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.verdict.agreement import weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.gauge import Late
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
+from pmabench.kinds.contraction_relaxation.segments import Campaign
 from pmabench.kinds.contraction_relaxation.values import aicc
 from pmabench.store.analyses.results import Estimate, Finding, Parts
-from pmabench.store.records import Array, TrialData
+from pmabench.store.records import Array
 
 METHOD = "regulator-response"
 BEFORE, AFTER = 0.1, 2.0
@@ -273,42 +266,12 @@ def _estimate(
     )
 
 
-MODEL, STEP = "bandwidth, by coefficients", "bandwidth, by steps"
+MODEL = "bandwidth, by coefficients"
 LOWEST, HIGHEST = 0.01, 200.0
 """Range in which a bandwidth is searched [Hz]."""
-LEVEL = sqrt(0.5)
 EXACT = 1e-9
-"""Tolerance of the bandwidth, relative, and of the gain, absolute [1]."""
-LEAST_STEP = 1e-3
-"""Smallest step that a bandwidth is computed from [m]."""
-NEAR_REST = 0.03
-"""Largest motion in the last fifth of a hold, as a share of the step, that counts as rest."""
+"""Largest imaginary part of a root that counts as real, relative to its size."""
 SHIFT = 1e-3
-TOGETHER = 0.01
-"""Samples of a step within this time [s] are averaged; this changes the gain at 0.5 Hz by 4e-5."""
-
-
-def crossing(gain: Callable[[Array], Array]) -> float | None:
-    """Lowest frequency [Hz] at which |G| falls below 1/sqrt(2); None if outside the search range."""
-    f = np.geomspace(LOWEST, HIGHEST, 120)
-    for first in range(0, len(f), 12):
-        below = first + np.flatnonzero(gain(f[first : first + 12]) < LEVEL)
-        if len(below):
-            break
-    if not len(below) or below[0] == 0:
-        return None
-    low, high = float(f[below[0] - 1]), float(f[below[0]])
-    over, under = (float(g) - LEVEL for g in gain(np.array([low, high])))
-    for _ in range(60):  # regula falsi, Illinois variant: an end kept twice has its value halved
-        middle = high - under * (high - low) / (under - over)
-        off = float(gain(np.array([middle]))[0]) - LEVEL
-        if abs(off) < EXACT or high - low < EXACT * low:
-            return middle
-        if off < 0:
-            high, under, over = middle, off, 0.5 * over
-        else:
-            low, over, under = middle, off, 0.5 * under
-    return sqrt(low * high)
 
 
 def of_model(K: float, B: float, M: float, lags: Sequence[float]) -> float | None:
@@ -327,34 +290,17 @@ def of_model(K: float, B: float, M: float, lags: Sequence[float]) -> float | Non
     return float(f.min()) if len(f) and LOWEST < f.min() < HIGHEST else None
 
 
-def of_step(t: Array, y: Array) -> float | None:
-    """Bandwidth [Hz] of a step response y (n,), from 0 to 1 and at rest at its end; t (n,) since the command [s]."""
-    weights = np.gradient(t)
-    weights[[0, -1]] *= 0.5
-    left = (1 - y) * weights
-    begins = np.arange(0, len(t), max(1, int(TOGETHER * (len(t) - 1) / (t[-1] - t[0]))))
-    left, t = np.add.reduceat(left, begins), np.add.reduceat(t, begins) / np.diff([*begins, len(t)])
-
-    def gain(f: Array) -> Array:
-        omega = 2 * pi * f
-        turn = np.outer(omega, t)  # 1 - i omega (sum of left exp(-i turn)), in real numbers for speed
-        return np.asarray(np.hypot(1 - omega * (np.sin(turn) @ left), omega * (np.cos(turn) @ left)))
-
-    return crossing(gain)
-
-
 def estimates(campaign: Campaign, found: Sequence[Estimate], responses: dict[float, Response]) -> list[Estimate]:
-    """f_b [Hz] at each tested pressure with the least and the largest load, from the coefficients and from steps.
+    """f_b [Hz] at each tested pressure with the least and the largest load.
 
-    `found` are the primary method's estimates. Method part from coefficients: half the difference between the
-    bandwidths with B_c and with B_r, and the method parts of K and B; from steps: half the difference between the
-    bandwidths with and without the last fifth of the hold.
+    `found` are the primary method's estimates. Method part: half the difference between the bandwidths with B_c and
+    with B_r, and the method parts of K and B.
     """
     loads = sorted({sample.load for sample in campaign.samples})
     chosen = list(dict.fromkeys((loads[0], loads[-1])))
     by = {(e.symbol, e.at["pressure"]): e for e in found if set(e.at) == {"pressure"} and e.value is not None}
     made = (_by_coefficients(campaign, P, load, by, responses.get(P)) for P in campaign.tested for load in chosen)
-    return [*(e for e in made if e is not None), *(e for load in chosen for e in _by_steps(campaign, load))]
+    return [e for e in made if e is not None]
 
 
 def _by_coefficients(
@@ -391,83 +337,15 @@ def _by_coefficients(
     return Estimate("f_b", value, "Hz", "frequency", MODEL, at, parts, len(names), note=note, trials=names)
 
 
-def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
-    """At the targets of partial steps, from all trials with this load [N]."""
-    groups: dict[float, list[tuple[str, float, float, float]]] = {}
-    for number, sample in enumerate(campaign.samples):
-        if sample.load != load:
-            continue
-        trial = campaign.trials[number]
-        for target, by, t, y in _steps(campaign, number, trial):
-            value, short = of_step(t, y), of_step(t[: -len(t) // 5], y[: -len(t) // 5])
-            if value is not None and short is not None:
-                groups.setdefault(target, []).append((campaign.name(number), by, value, abs(value - short) / 2))
-    made = []
-    common, freedom = _scatter(groups)
-    for target, rows in sorted(groups.items()):
-        mean, own = mean_with_half([row[2] for row in rows])
-        pooled = half_width(common * mean / sqrt(len(rows)), freedom)
-        half = max((one for one in (own, pooled) if one is not None), default=None)
-        steps = sorted({round(row[1], -2) for row in rows})
-        size = " and ".join(show(abs(by), "pressure", 3) for by in steps)
-        note = sentences("" if half is not None else "no repeats part: no step was repeated", f"relaxing by {size}")
-        parts = Parts(half, float(np.mean([row[3] for row in rows])), 0.0)
-        names = tuple(dict.fromkeys(row[0] for row in rows))
-        at = {"pressure": target, "load": load}
-        made.append(Estimate("f_b", mean, "Hz", "frequency", STEP, at, parts, len(rows), note=note, trials=names))
-    return made
-
-
-def _scatter(groups: Mapping[float, Sequence[tuple[str, float, float, float]]]) -> tuple[float, int]:
-    """Relative standard deviation of equal steps, pooled over all targets, and its degrees of freedom.
-
-    Two repeats may agree by chance; all groups of a campaign together rarely do.
-    """
-    steps = [(target, round(by, -2), value) for target, rows in groups.items() for _, by, value, _ in rows]
-    like = [np.array([value for *_, value in alike]) for alike in grouped(steps, lambda one: one[:2]).values()]
-    off = [values / values.mean() - 1 for values in like]
-    freedom = sum(len(one) - 1 for one in off)
-    return (sqrt(sum(float(one @ one) for one in off) / freedom) if freedom else 0.0), freedom
-
-
-def _steps(campaign: Campaign, number: int, trial: TrialData) -> list[tuple[float, float, Array, Array]]:
-    """Target and size [Pa], time since the command [s] and share of the contraction, of each step that ends lifted."""
-    samples = campaign.samples[number]
-    commands = sorted((c for c in trial.commands if c.output == "pressure"), key=lambda c: c.t)
-    ends = [*(c.t for c in commands[1:]), inf]
-    found = []
-    for command, end in zip(commands, ends, strict=True):
-        rows = np.flatnonzero((samples.t >= command.t - 1e-9) & (samples.t < end - 1e-9))
-        before = (samples.t < command.t - 1e-9) & (samples.t > command.t - 0.2) & samples.ok
-        timed = command.phase == "relax" and command.kind == "set" and command.recorded
-        if not timed or len(rows) < 100 or not before.any():
-            continue
-        if not samples.ok[rows].all():
-            continue
-        t, x = samples.t[rows] - command.t, samples.x[rows]
-        start, rest = float(samples.x[before].mean()), float(x[-len(x) // 20 :].mean())
-        creeps = abs(float(x[-len(x) // 5 : -len(x) // 10].mean()) - rest)
-        if abs(rest - start) < LEAST_STEP or rest < Gate.lift or creeps > NEAR_REST * abs(rest - start):
-            continue
-        found.append((command.value, command.value - command.before, t, (x - start) / (rest - start)))
-    return found
-
-
 def findings(estimates: Sequence[Estimate]) -> list[Finding]:
-    """Range of the bandwidths, and how both ways agree at the same pressure and load."""
-    model = {tuple(e.at.values()): e for e in estimates if e.method == MODEL}
-    steps = {tuple(e.at.values()): e for e in estimates if e.method == STEP}
-    if not model:
+    """Range of the bandwidths."""
+    if not estimates:
         return []
-    low, high = (min(model.values(), key=_value), max(model.values(), key=_value))
+    low, high = min(estimates, key=_value), max(estimates, key=_value)
     text = (
         f"small-signal bandwidth of contraction under commanded pressure, -3 dB: {_value(low):.2g} Hz at "
         f"{_where(low)} to {_value(high):.2g} Hz at {_where(high)}, by the coefficients"
     )
-    both = [(_value(steps[key]) / _value(model[key])) for key in model if key in steps]
-    if both:
-        ends = [min(both), max(both)] if len(both) > 1 else both
-        text += f"; recorded steps give {' to '.join(f'{one:.2f}' for one in ends)} times that"
     return [Finding("note", text)]
 
 

@@ -25,7 +25,7 @@ from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.shared.trials import grouped, thinned
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled, bootstrap
+from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import (
     SYMBOLS,
     inverse_of,
@@ -424,38 +424,6 @@ def _polled(campaign: Campaign, level: str) -> Iterator[Finding]:
                 f" {1e3 / campaign.rate:.3g} ms, and is taken on straight lines in between: what happens within"
                 " that time is lost; read it as often as the others",
             )
-
-
-def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:
-    """Half widths by a bootstrap of `count` draws, next to the repeats part of each estimate that has a pressure."""
-    if not count:
-        return {}
-    draws = bootstrap(pooled.segments, pooled.fit, campaign.cells, count, pooled.trust.within)
-    known = [e for e in estimates if e.value is not None and "pressure" in e.at]
-    return {
-        "draws": count,
-        "within_cells": pooled.trust.within,
-        "half_widths": [
-            {
-                "symbol": e.symbol,
-                "pressure": e.at["pressure"],
-                "bootstrap": draws.half(pooled.fit.row(e.symbol, e.at["pressure"])),
-                "repeats": e.parts.repeats,
-            }
-            for e in known
-        ],
-    }
-
-
-def resampled_finding(found: dict[str, Any]) -> Finding:
-    """Comparison of the bootstrap with the repeats part, over all coefficients."""
-    ratios = [one["bootstrap"] / one["repeats"] for one in found["half_widths"] if one["repeats"]]
-    middle, (low, high) = float(np.median(ratios)), np.percentile(ratios, [10, 90])
-    text = (
-        f"bootstrap over trials, {found['draws']} draws: half widths {middle:.2g} times the repeats part"
-        f" ({low:.2g} to {high:.2g} for most coefficients)"
-    )
-    return Finding("note", text)
 
 
 def overlays(campaign: Campaign, runs: Sequence[FreeRun]) -> tuple[Trace, ...]:

@@ -1,4 +1,4 @@
-"""Uncertainty of the coefficients of a pooled fit by cause, and the bootstrap over its trials.
+"""Uncertainty of the coefficients of a pooled fit by cause.
 
 *Repeats*: covariance of least squares with the observed noise, checked by replays and widened where trials scatter
 more. *Method*: bias found by replays of the fitted muscle. *Calibration*: the fit repeated with each channel off by its
@@ -6,14 +6,11 @@ uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: of the
 a zero from the check at the end of a run and from readings at rest before each trial. Where the stroke of a specimen
 drifted, its compliance or its force may have changed; a zero may have drifted at any time. Such a cause is fitted both
 ways, and the larger change counts. Each is a `Source`; together they make the parts.
-
-The bootstrap checks the repeats part, which is its limit for many draws. Of n trials n - 1 are drawn with weight n / (n
-- 1); otherwise a draw from two would scatter by a half too little (Rao and Wu 1988, J. Am. Stat. Assoc. 83, 231).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import TYPE_CHECKING
@@ -309,8 +306,6 @@ class Pooled:
     noise: Array
     """Standard deviation of each segment by the noise of the channels [N]; shape (n,)."""
     trust: Trust
-    trust_of: Callable[[Fit, NDArray[np.bool_], Array], Trust]
-    """Uncertainty of another fit to some rows of the segments, with the noise of these rows [N]."""
     diagnosis: Diagnosis
     """Whether the data have the form of the fit, and what was corrected."""
 
@@ -368,6 +363,7 @@ def assess(
             Cause("scatter of the replays", "method", np.diag(unsure), "", np.ones(len(unsure)), kind="A"),
             Cause("straight lines between pressures", "method", fit.bends(segments, expected)[None], seen=True),
             *_calibration(segments, fit, expected, Scales.of(campaign.runs)),
+            *_zero_by_session(campaign, segments, fit, expected),
             *causes,
         ),
         skews=skews,
@@ -435,48 +431,19 @@ def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) 
             yield Cause(f"calibration of {channel}", "calibration", None, NO_UNCERTAINTY)
 
 
+def _zero_by_session(campaign: Campaign, segments: Segments, fit: Fit, expected: float) -> Iterator[Cause]:
+    """Effect of a zero that is another one in each session, anywhere within its uncertainty: it does not cancel where
+    a load or a pressure was tested in one session only.
+    """
+    day = campaign.sessions[segments.trial]
+    for channel, by in Scales.of(campaign.runs).offsets.items() if day.max(initial=0) > 0 else ():
+        if channel in CHANNELS and by:
+            ways = [_off(segments, fit, channel, 0.0, by * (day == one), expected) for one in np.unique(day)]
+            own = np.array(ways) - fit.theta
+            yield Cause(f"zero of {channel} from session to session", "calibration", own, likely=np.ones(len(own)))
+
+
 def _off(segments: Segments, fit: Fit, channel: str, gain: float, offset: float | Array, expected: float) -> Array:
     """Theta of the fit where a channel reads (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
     begun = fit.followed(gain, float(np.mean(offset))) if channel == "pressure" else fit
     return begun.again(segments.shifted(channel, gain, offset), expected).theta
-
-
-@dataclass(frozen=True, eq=False)
-class Draws:
-    """Theta of each draw, shape (count, p)."""
-
-    theta: Array
-
-    def half(self, combination: Array) -> float:
-        """Half the width between the percentiles 2.5 and 97.5 of a linear combination (p,)."""
-        low, high = np.percentile(self.theta @ combination, [2.5, 97.5])
-        return float(high - low) / 2
-
-
-def bootstrap(segments: Segments, fit: Fit, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
-    """`count` fits to trials drawn with replacement, within their cells or among all.
-
-    `cells` holds the cell of each trial number in `segments.trial`. Every draw keeps the prior of the fit. The random
-    numbers are the same each time.
-    """
-    trials, rows = np.unique(segments.trial, return_inverse=True)
-    normal = np.array([design.T @ design for design in (fit.design[rows == i] for i in range(len(trials)))])
-    right = np.zeros((len(trials), fit.design.shape[1]))
-    np.add.at(right, rows, fit.design * segments.force[:, None])
-    prior = np.linalg.inv(fit.inverse) - normal.sum(axis=0)
-    groups = [np.flatnonzero(cells[trials] == cell) for cell in np.unique(cells[trials])]
-    groups = groups if within else [np.arange(len(trials))]
-    chance = np.random.default_rng(0)
-    drawn = np.empty((count, len(fit.theta)))
-    for draw in range(count):
-        weight = np.zeros(len(trials))
-        for group in groups:
-            n = len(group)
-            if n == 1:
-                weight[group] = 1.0
-            else:
-                np.add.at(weight, chance.choice(group, n - 1), n / (n - 1))
-        total = np.tensordot(weight, normal, 1) + prior
-        scale = np.sqrt(np.diag(total))
-        drawn[draw] = np.linalg.solve(total / np.outer(scale, scale), (weight @ right) / scale) / scale
-    return Draws(drawn)

@@ -8,7 +8,7 @@ Linear in all unknowns.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -44,36 +44,6 @@ largest: it changes forces by less than `FLOOR`.
 """
 
 
-@dataclass(frozen=True)
-class Powers:
-    """A coefficient over pressure as powers of z = (P - centre) / scale, from the constant up."""
-
-    order: int
-    centre: float
-    """[Pa]"""
-    scale: float
-    """[Pa]"""
-
-    @property
-    def name(self) -> str:
-        """Name of the form for reports."""
-        return ("constant", "a line")[self.order] if self.order < 2 else f"a polynomial of order {self.order}"
-
-    def powers(self, P: Array) -> Array:
-        """The powers of z at pressures P [Pa] of any shape; shape (*P.shape, order + 1)."""
-        return ((P[..., None] - self.centre) / self.scale) ** np.arange(self.order + 1)
-
-    def sums(self, P: Array, by: Array) -> Array:
-        """Sums over the second axis of by (n, w) times the powers of z at P (n, w) [Pa]; shape (n, order + 1)."""
-        z, columns = (P - self.centre) / self.scale, []
-        for _ in range(self.order + 1):
-            columns.append(by.sum(axis=1))
-            by = by * z
-        return np.column_stack(columns)
-
-
-POLYGONS: Mapping[str, Powers] = {}
-"""Forms of a fit in which every coefficient is piecewise linear between the knots."""
 NONE = np.empty(0)
 
 
@@ -82,7 +52,7 @@ class Fit:
     """Solution of the least squares over segments.
 
     `theta` (p,) holds the unknowns of F_ce [N], K [N/m], B_c, B_r [N.s/m], then F_c [N]: of each coefficient its values
-    at the `knots`, or the terms of its polynomial.
+    at the `knots`.
     """
 
     theta: Array
@@ -99,24 +69,17 @@ class Fit:
     """The knots [Pa] that only halve a stretch."""
     added: Array = field(default_factory=lambda: NONE)
     """The knots [Pa] that were added because of the residual."""
-    forms: Mapping[str, Powers] = field(default_factory=dict)
-    """Coefficients that are polynomials; the others are straight lines between the knots."""
-    least: float = 0.0
-    """Lowest pressure [Pa] for which the forms hold: segments below it are left out."""
 
     def columns(self, symbol: str) -> slice:
         """Slice of `theta` with the unknowns of one of `SYMBOLS` or F_c."""
-        sizes = [self.forms[name].order + 1 if name in self.forms else len(self.knots) for name in SYMBOLS]
-        place = (*SYMBOLS, symbol).index(symbol)
-        start = sum(sizes[:place])
-        return slice(start, start + [*sizes, 1][place])
+        k = len(self.knots)
+        start = (*SYMBOLS, symbol).index(symbol) * k
+        return slice(start, start + (k if symbol in SYMBOLS else 1))
 
     def row(self, symbol: str, P: float) -> Array:
         """Row (p,) whose product with theta is a coefficient at P [Pa]."""
         found, mine = np.zeros(len(self.theta)), self.columns(symbol)
-        if symbol in self.forms:
-            found[mine] = self.forms[symbol].powers(np.array(P))
-        elif symbol in SYMBOLS:
+        if symbol in SYMBOLS:
             left, share = place(np.array([P]), self.knots)
             found[mine][left[0] : left[0] + 2] = 1 - share[0], share[0]
         else:
@@ -130,8 +93,6 @@ class Fit:
     def values(self, symbol: str, P: Array) -> Array:
         """A coefficient [SI] at pressures P [Pa] of any shape."""
         values = self.theta[self.columns(symbol)]
-        if symbol in self.forms:
-            return np.asarray(self.forms[symbol].powers(P) @ values)
         left, share = place(P, self.knots)
         return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
 
@@ -142,7 +103,7 @@ class Fit:
 
     def prior(self, segments: Segments, noise: float) -> Array:
         """See `prior_of`."""
-        return prior_of(segments, self.knots, noise, self.forms)
+        return prior_of(segments, self.knots, noise)
 
     def pulled(self, by: Array) -> Fit:
         """The fit to the same segments with `by` (n,) [N] added to F_L."""
@@ -151,10 +112,7 @@ class Fit:
 
     def again(self, segments: Segments, noise: float) -> Fit:
         """The same fit to other segments, with expected noise [N]."""
-        if self.least:
-            segments = segments.where(above(segments, self.least))
-        found = solve(segments, self.knots, noise, self.forms)
-        return replace(found, halves=self.halves, added=self.added, least=self.least)
+        return replace(solve(segments, self.knots, noise), halves=self.halves, added=self.added)
 
     def followed(self, gain: float, offset: float) -> Fit:
         """The same for a pressure that reads (1 + gain) times as much plus `offset` [Pa]: added knots move, since the
@@ -171,16 +129,12 @@ class Fit:
         kept = np.setdiff1d(self.knots, self.halves)
         if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
             return np.zeros(len(self.theta))
-        coarse = self.coarser(segments, kept, noise)
+        coarse = solve(segments, kept, noise)
         return np.asarray((coarse.at_knots(self.knots) - self.theta) / 3.0)
 
     def at_knots(self, knots: Array) -> Array:
         """The unknowns of the same polygons at other knots [Pa]."""
         return np.concatenate((*(self.values(symbol, knots) for symbol in SYMBOLS), [self.theta[-1]]))
-
-    def coarser(self, segments: Segments, knots: Array, noise: float) -> Fit:
-        """The same fit with fewer knots [Pa]."""
-        return solve(segments, knots, noise)
 
     def change(self, columns: Array) -> Array:
         """Change of theta by additional forces [N] at the segments; (n, m) gives (p, m)."""
@@ -215,11 +169,6 @@ def levers(design: Array, inverse: Array) -> Array:
     return np.asarray(np.sum(design @ inverse * design, axis=1))
 
 
-def above(segments: Segments, least: float) -> NDArray[np.bool_]:
-    """Which segments lie entirely above a pressure [Pa], shape (n,)."""
-    return np.asarray(segments.P.min(axis=1) >= least)
-
-
 def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
     """Index of the knot to the left, and fraction of the way to the next; the end lines continue beyond the knots."""
     left = np.searchsorted(knots[1:-1], P, side="right")
@@ -246,29 +195,24 @@ def sums_of(segments: Segments, knots: Array) -> dict[str, Array]:
     }  # fmt: skip
 
 
-def design_of(segments: Segments, knots: Array, forms: Mapping[str, Powers] = POLYGONS) -> Array:
+def design_of(segments: Segments, knots: Array) -> Array:
     """Regressors, shape (n, p), in the order of `Fit.theta`."""
-    of = sums_of(segments, knots) if len(forms) < len(SYMBOLS) else {}
-    for symbol, form in forms.items():
-        P, by = segments.P_mid, segments.v / segments.v.shape[1]
-        if symbol in ("F_ce", "K"):
-            P, by = segments.P, segments.weights * (segments.x if symbol == "K" else np.ones(segments.x.shape))
-        of[symbol] = form.sums(P, by)
+    of = sums_of(segments, knots)
     way = segments.way[:, None]
     up = way > 0
     return np.hstack([of["F_ce"], -of["K"], -np.where(up, of["B_c"], 0.0), -np.where(up, 0.0, of["B_r"]), -way])
 
 
-def solve(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Fit:
+def solve(segments: Segments, knots: Array, noise: float) -> Fit:
     """Least squares with the weak prior; `noise` [N] is the expected noise of a segment."""
-    design = design_of(segments, knots, forms)
+    design = design_of(segments, knots)
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
     if not friction:
         design[:, -1] = 0.0
-    prior = prior_of(segments, knots, noise, forms)
+    prior = prior_of(segments, knots, noise)
     inverse = inverse_of(design.T @ design + prior.T @ prior)
     theta = inverse @ (design.T @ segments.force)
-    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots, forms=forms)
+    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots)
 
 
 def least_squares(design: Array, force: Array, prior: Array) -> Array:
@@ -303,17 +247,15 @@ def inverse_of(normal: Array) -> Array:
     return np.asarray(inverse / np.outer(scale, scale))
 
 
-def prior_of(segments: Segments, knots: Array, noise: float, forms: Mapping[str, Powers] = POLYGONS) -> Array:
+def prior_of(segments: Segments, knots: Array, noise: float) -> Array:
     """Prior rows: each knot weakly to the line between its neighbours, and every unknown very weakly to 0."""
-    sizes, bends = sizes_of(segments), bent(knots) if len(forms) < len(SYMBOLS) else NONE
+    sizes, bends, k = sizes_of(segments), bent(knots), len(knots)
     noise = max(noise, FLOOR * sizes[0])
-    counts = [forms[symbol].order + 1 if symbol in forms else len(knots) for symbol in SYMBOLS]
-    rows = [np.diag(noise / (1e3 * np.repeat((*sizes, sizes[0]), (*counts, 1))))]
-    for symbol, size, begin in zip(SYMBOLS, sizes, np.cumsum([0, *counts[:-1]]), strict=True):
-        if symbol not in forms:
-            bend = np.zeros((len(knots) - 2, len(rows[0])))
-            bend[:, begin : begin + len(knots)] = bends * (noise / (BEND * size))
-            rows.append(bend)
+    rows = [np.diag(noise / (1e3 * np.array([*np.repeat(sizes, k), sizes[0]])))]
+    for number, size in enumerate(sizes):
+        bend = np.zeros((k - 2, len(rows[0])))
+        bend[:, number * k : (number + 1) * k] = bends * (noise / (BEND * size))
+        rows.append(bend)
     return np.vstack(rows)
 
 

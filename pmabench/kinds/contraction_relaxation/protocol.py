@@ -92,7 +92,6 @@ class ContractionRelaxation(ProtocolHead):
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
     gives: ClassVar[tuple[str, ...]] = ("F_ce", "K", "B_c", "B_r", "F_c")
     checks: ClassVar[tuple[str, ...]] = (*OF_TRIALS, *OF_FIT)
-    with_static: ClassVar[bool] = True
     kind: Literal["contraction-relaxation"]
     sweep: Sweep[ContractionAxes]
     reference_trial: ReferenceTrial | None = None

@@ -12,13 +12,12 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared import simulated, skew
 from pmabench.analysis.shared.samples import NotUsable, Samples
-from pmabench.analysis.shared.trials import grouped, reference_findings, session_of
+from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, checks, days, exponentials, output_error
+from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
@@ -29,12 +28,9 @@ from pmabench.kinds.contraction_relaxation.intervals import (
     Cause,
     Pooled,
     Rest,
-    Trust,
     assess,
     causes_of,
 )
-from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
-from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
     FLOOR,
     SYMBOLS,
@@ -45,7 +41,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     rms_of,
 )
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Gate, Segments, cut, gather, moved, strokes
-from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, curve, values
+from pmabench.kinds.contraction_relaxation.values import FEWEST, FORMS, METHOD, Solution, compare_orders, curve, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold, without_value
 from pmabench.store.records import Array, RunData
 
@@ -57,6 +53,7 @@ AFTER = 0.15
 OF_THE_FORM = (*SYMBOLS, "F_c", "f_b")
 """Symbols whose values depend on the form of the model; times are read directly from the samples."""
 ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
+"""Orders of curves over pressure that are always given; in addition that which the Akaike criterion chooses."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -66,9 +63,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     segments with the measured pressure; for comparison K by regression over loads and B = K tau of an exponential.
 
     `options`: `speed` (least speed of the segments [m/s]), `replays` (number), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `forms` = ["K=line", ...] as in `joint`;
-    `bootstrap`, number of draws over trials; `regulator`: dead time and lags of the pressure [s]; `polish`: also output
-    error.
+    [N/Pa]}, F_ce of a static-load study, for K as the only unknown; `regulator`: dead time and lags of the pressure.
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -83,30 +78,24 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     recorded, late = gathered(campaign, pooled.diagnosis)
     campaign, diagnosis = pooled.campaign, pooled.diagnosis
     estimates, curves = estimates_of(campaign, pooled)
-    joint = compare(campaign, pooled, options)
-    polished = output_error.compare(campaign, pooled, estimates, options)
     stepwise = exponentials.compare(campaign, (recorded, late), pooled, estimates, options)
     dropped += _unmoved(campaign, pooled)
-    resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(recorded, *late.values()) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
-    asked = (("joint", joint.facts), ("output_error", polished.facts), ("bootstrap", resampled))
-    others = (joint, polished, stepwise)
-    every = (*estimates, *(e for other in others for e in other.estimates))
+    every = (*estimates, *stepwise.estimates)
     reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
-    analysis = Analysis.of(
+    return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
         estimates=(*reported, *response),
-        curves=[c for c in (*curves, *(c for other in others for c in other.curves)) if c.symbol not in gone],
+        curves=[c for c in (*curves, *stepwise.curves) if c.symbol not in gone],
         dropped=dropped,
         findings=(
             *checks.findings(campaign, pooled, estimates),
             *skew.findings(runs, campaign.channels, campaign.skew, every),
-            *([checks.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
-            *(finding for other in others for finding in other.findings),
+            *stepwise.findings,
             *described,
             *reference_findings(runs),
         ),
@@ -115,13 +104,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             **facts,
             **checks.facts(campaign, pooled, simulated),
             **stepwise.facts,
-            **{name: found for name, found in asked if found},
         },
         refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
-    sessions = list(grouped(runs, session_of).values()) if diagnosis.reason else []
-    alone = [reduce(one, options) for one in sessions] if len(sessions) > 1 else []
-    return days.of_each(analysis, alone, ORDERS) or analysis
 
 
 def _without_fit(
@@ -143,7 +128,7 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
     uncorrected = next((one for one in diagnosis.of_fit if one.of_muscle), None)
     result = []
     for place, e in enumerate(estimates):
-        key, corrected = (e.symbol, e.at.get("pressure")), e.method in (METHOD, JOINT)
+        key, corrected = (e.symbol, e.at.get("pressure")), e.method == METHOD
         why = diagnosis.reason or reasons.get(key) or hidden.get(place, "")
         if e.symbol in OF_THE_FORM and e.value is not None:
             if why:
@@ -190,7 +175,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     if len(as_recorded) < 2 * FEWEST:
         return None
     diagnosis = examined(recorded, knots, segments_of, as_recorded)
-    spread, test = diagnosis.spread, diagnosis.reported.test
+    test = diagnosis.reported.test
     campaign, segments, solved = test.campaign, test.segments, test.fit
     noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
     slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # its correction covers that
@@ -199,46 +184,32 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     stepless = replace(campaign, samples=_stepless(campaign))
     work = simulated.stretches(_moving(stepless, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
-    def first(late: Segments) -> Array:
-        """Theta of a fit that starts at the first knots: shifted clocks may need added knots elsewhere."""
-        return fit(late, knots, campaign.noise)[0].at_knots(solved.knots)
+    def again(samples: Sequence[Samples]) -> Array:
+        """Theta of a fit to these samples from the first knots on: shifted clocks may need added knots elsewhere."""
+        other = diagnosis.corrected(segments_of(samples))
+        return fit(other, knots, campaign.noise)[0].at_knots(solved.knots)
 
-    def trusted(
-        other: Fit, rows: NDArray[np.bool_], seen: Array, unit: float, again: Callable[[Segments], Array]
-    ) -> Trust:
-        """Uncertainty of a fit to these rows of the segments; `seen` [N] is the noise of each row, `unit` [N] that for
-        repeating the correction; `again` fits shifted segments.
-        """
-        mine = segments.where(rows)
-        again_seen = _replays(campaign, segments_of, work, other, int(options.get("replays", REPLAYS)))
-        replays = [other.again(one, rms_of(seen)).theta for one in again_seen]
-        skews = _skews(campaign, lambda late: diagnosis.corrected(segments_of(late)), again, other)
-        causes = list(causes_of(campaign, mine, other, rms_of(seen), rests))
-        if campaign.pressure_step:
-            between = again(diagnosis.corrected(segments_of(stepless.samples))) - other.theta
-            causes.append(Cause("where the pressure is between its steps", "method", between[None]))
-        trust = assess(campaign, mine, other, seen, replays, skews, causes)
-        return trust if spread is None else replace(trust, correction=spread.of(other, rows, unit))
+    def replays(count: int) -> Iterator[Segments]:
+        return _replays(campaign, segments_of, work, solved, count)
 
-    every = np.ones(len(segments), bool)
-    alone = trusted(solved, every, noise, test.expected, first)
+    expected = rms_of(noise)
+    thetas = [solved.again(one, expected).theta for one in replays(int(options.get("replays", REPLAYS)))]
+    skews = _skews(campaign, again, solved)
+    causes = list(causes_of(campaign, segments, solved, expected, rests))
+    if campaign.pressure_step:
+        between = again(stepless.samples) - solved.theta
+        causes.append(Cause("where the pressure is between its steps", "method", between[None]))
+    trust = assess(campaign, segments, solved, noise, thetas, skews, causes)
+    if diagnosis.spread is not None:
+        trust = replace(trust, correction=diagnosis.spread.correction())
 
     def tests_of_noise(count: int) -> list[Test]:
-        found = _replays(campaign, segments_of, work, solved, count)
-        return [Test.of(campaign, one, solved.again(one, test.expected), test.expected) for one in found]
+        return [Test.of(campaign, one, solved.again(one, test.expected), test.expected) for one in replays(count)]
 
-    departures = hidden(test, diagnosis.search.followed, diagnosis.weighed, alone, tests_of_noise)
-    diagnosis = replace(diagnosis, hidden=departures)
-
-    def with_hidden(other: Fit, rows: NDArray[np.bool_], trust: Trust) -> Trust:
-        sensors = of_the_sensors(campaign, diagnosis.weighed, segments.where(rows), other)
-        return replace(trust, causes=(*trust.causes, *diagnosis.hidden.lines(other, rows), *sensors))
-
-    def trust_of(other: Fit, rows: NDArray[np.bool_], seen: Array) -> Trust:
-        unit = rms_of(seen)
-        return with_hidden(other, rows, trusted(other, rows, seen, unit, lambda late: other.again(late, unit).theta))
-
-    return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, diagnosis)
+    departures = hidden(test, diagnosis.search.followed, diagnosis.weighed, trust, tests_of_noise)
+    sensors = of_the_sensors(campaign, diagnosis.weighed, segments, solved)
+    trust = replace(trust, causes=(*trust.causes, *departures.lines(solved), *sensors))
+    return Pooled(campaign, segments, solved, noise, trust, replace(diagnosis, hidden=departures))
 
 
 def _stepless(campaign: Campaign) -> tuple[Samples, ...]:
@@ -252,12 +223,12 @@ def _stepless(campaign: Campaign) -> tuple[Samples, ...]:
     return tuple(found)
 
 
-def _skews(campaign: Campaign, segments_of: Cut, again: Callable[[Segments], Array], solved: Fit) -> Array:
+def _skews(campaign: Campaign, again: Callable[[Sequence[Samples]], Array], solved: Fit) -> Array:
     """Change of theta by the clock of each stream at its bound, with both signs; shape (clocks, courses, p)."""
 
     def changed(channels: tuple[str, ...], by: Array) -> Array:
         late = [moved(samples, channels, float(one)) for samples, one in zip(campaign.samples, by, strict=True)]
-        return again(segments_of(late)) - solved.theta
+        return again(late) - solved.theta
 
     clocks = skew.causes(campaign.runs, campaign.channels)
     courses = [way * course for course in skew.courses(campaign.trials) for way in (1.0, -1.0)]
@@ -282,15 +253,16 @@ def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice
 def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
     """The primary method's coefficients at the tested pressures, and curves through them."""
     found = pooled.diagnosis
-    solution = Solution(
-        campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD, found.note, found.stiffness_is
-    )
+    solution = Solution(campaign, pooled.segments, pooled.fit, pooled.trust, METHOD, found.note, found.stiffness_is)
     estimates = values(solution)
     curves = []
     for symbol, orders in ORDERS.items():
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]
         places = [pooled.fit.columns(symbol).start + pooled.fit.at(e.at["pressure"]) for e in known]
-        curves += [curve(known, order, pooled.trust, places) for order in orders]
+        scores = compare_orders(np.array([e.at["pressure"] for e in known]), np.array([e.value for e in known], float))
+        best = min(scores, key=lambda order: scores[order][0], default=1)
+        for order in sorted({*orders, best}):
+            curves.append(curve(known, order, pooled.trust, places, normalised=order > max(FORMS)))
     return estimates, [through for through in curves if through is not None]
 
 

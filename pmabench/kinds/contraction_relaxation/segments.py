@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import Noise, Samples, between_new, noise_of
 from pmabench.analysis.shared.skew import STAMPED, apart
+from pmabench.analysis.shared.trials import session_of
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -426,6 +427,12 @@ class Campaign:
     def skew(self) -> float:
         """Bound of the time between any two of these channels [s]."""
         return apart(self.runs, self.channels)
+
+    @property
+    def sessions(self) -> NDArray[np.intp]:
+        """Number of the session of each trial, from 0; shape (trials,)."""
+        names = {run.id: session_of(run) for run in self.runs}
+        return np.unique([names[trial.run] for trial in self.trials], return_inverse=True)[1].astype(np.intp)
 
     @property
     def tested(self) -> tuple[float, ...]:

@@ -60,8 +60,6 @@ class Solution:
     campaign: Campaign
     segments: Segments
     fit: Fit
-    knots: Array
-    """Pressures [Pa], including tested ones; samples near one of them reach half way to the next."""
     trust: Trust
     method: str
     note: str = ""
@@ -149,7 +147,7 @@ def _given(solution: Solution, blank: Estimate, row: Array, known: tuple[Parts, 
 def _at(solution: Solution, symbol: str, P: float) -> Estimate:
     """One coefficient at one pressure [Pa]; without a value and with a note where it is not identifiable."""
     solved = solution.fit
-    rows = near(solution.segments, solution.knots, symbol, P)
+    rows = near(solution.segments, solved.knots, symbol, P)
     blank = _blank(solution, symbol, rows, {"pressure": P})
     moving = {"B_c": "contracting", "B_r": "relaxing"}.get(symbol, "moving")
     if rows.sum() < FEWEST:
@@ -157,18 +155,14 @@ def _at(solution: Solution, symbol: str, P: float) -> Estimate:
     row = solved.row(symbol, P)
     value = float(row @ solved.theta)
     known = solution.trust.budget(row, NUMERICS * abs(value))
-    size = float(np.median(np.abs(solved.values(symbol, solution.knots))))
+    size = float(np.median(np.abs(solved.values(symbol, solved.knots))))
     if (known[0].repeats or 0.0) > WIDE * max(abs(value), size):
         return replace(blank, note=f"not identifiable: the {moving} samples near this pressure leave it open")
     return _given(solution, blank, row, known)
 
 
-ASKED = {METHOD: "", "joint": "joint fit", "output-error": "output-error fit"}
-"""Method -> name in sentences; all but the first exist only on request."""
-
-
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """Offers by the primary method and those on request; B is the mean of both directions, as in other tests.
+    """Offers by the primary method; B is the mean of both directions, as in other tests.
 
     With a bent force-contraction curve, K holds at one contraction only, and no straight line gives the force.
     """
@@ -180,20 +174,19 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
         if step["phase"] == "contract":
             reached[P] = max(step["x_inf"], reached.get(P, 0.0))
             unloaded |= {P} if step["load"] <= 0 else set()
-    for method, words in ASKED.items():
-        F_ce, K, B_c, B_r = (at_pressures(analysis, symbol, method) for symbol in ("F_ce", "K", "B_c", "B_r"))
-        B = {P: weighted([(one, 0.5), (B_r[P], 0.5)], "B") for P, one in B_c.items() if P in B_r}
-        x = {P: _without_load(one, K[P]) for P, one in F_ce.items() if P in K and round(P) in unloaded}
-        if places:
-            yield exactly("F", {(P, 0.0): one for P, one in F_ce.items()}, words)
-            yield replace(exactly("K", {(P, places.get(P)): one for P, one in K.items()}, words), bent=True)
-        else:
-            yield straight(F_ce, K, lambda P: reached.get(round(P), 0.0), words)
-            yield from (everywhere(symbol, known, words) for symbol, known in (("K", K), ("x", x)))
-        yield everywhere("B", B, words)
-        for e in analysis.estimates:
-            if (e.symbol, e.method, dict(e.at)) == ("F_c", method, {}) and e.value is not None:
-                yield anywhere("F_c", e, words)
+    F_ce, K, B_c, B_r = (at_pressures(analysis, symbol, METHOD) for symbol in ("F_ce", "K", "B_c", "B_r"))
+    B = {P: weighted([(one, 0.5), (B_r[P], 0.5)], "B") for P, one in B_c.items() if P in B_r}
+    x = {P: _without_load(one, K[P]) for P, one in F_ce.items() if P in K and round(P) in unloaded}
+    if places:
+        yield exactly("F", {(P, 0.0): one for P, one in F_ce.items()})
+        yield replace(exactly("K", {(P, places.get(P)): one for P, one in K.items()}), bent=True)
+    else:
+        yield straight(F_ce, K, lambda P: reached.get(round(P), 0.0))
+        yield from (everywhere(symbol, known) for symbol, known in (("K", K), ("x", x)))
+    yield everywhere("B", B)
+    for e in analysis.estimates:
+        if (e.symbol, e.method, dict(e.at)) == ("F_c", METHOD, {}) and e.value is not None:
+            yield anywhere("F_c", e)
 
 
 def _without_load(F_ce: Estimate, K: Estimate) -> Estimate:
@@ -268,7 +261,7 @@ def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
 
     Orders from 1 to `MOST_ORDER` for which the criterion is defined: at least order + 4 points.
     """
-    floor = EXACT * float(np.max(np.abs(y)))
+    floor = EXACT * float(np.max(np.abs(y), initial=0.0))
     n, even = len(P), np.zeros(len(P))
     found = {}
     for order in range(1, min(MOST_ORDER, n - 4) + 1):

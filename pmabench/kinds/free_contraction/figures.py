@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
-from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of, one_way
+from pmabench.kinds.free_contraction.points import CLEAR, Point, curve_of
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
 from pmabench.plotting.plots import BLUE, BROWN, CROSSES, HALF, INK, Panel, blank, few_ticks, grid
@@ -27,8 +27,6 @@ DRIFTS = 0.002
 """Change still to come after a hold, as a share of the largest contraction, from which on it is a doubt."""
 LEFT = 0.005
 """Contraction remaining at rest without pressure, as a share of the largest one, from which on it is a doubt."""
-LARGEST = 0.35
-"""Largest contraction in paper 2 [1]."""
 BARELY = 1.01
 """A measured pressure above a formula's range by at most this factor is evaluated at its end."""
 CM = 1e-2
@@ -90,14 +88,6 @@ def of_points(points: Sequence[Point]) -> list[Finding]:
     else:
         text = "every pressure was reached from one side: what friction in the muscle makes of the lengths is not seen"
         found.append(Finding("doubt", f"{text}, and in no interval. Take both (`approach: from-both-sides`)"))
-    short = one_way(points)
-    if short[0]:
-        size = show(-2 * float(short[0]), "length", 2)
-        text = f"vented from a pressure, {size} of contraction are left, half of which is in the interval of L there"
-        found.append(Finding("note", text))
-    if short[-1]:
-        text = f"{show(points[-1].set, 'pressure')} was reached from below both times: friction shows at the pressure"
-        found.append(Finding("doubt", f"{text} next to it, and keeps this contraction short; nothing is above it"))
     return found
 
 
@@ -117,24 +107,15 @@ def of_fit(fit: ModelFit | None, why: str, other: str) -> list[Finding]:
 def of_paper(points: Sequence[Point], length: float) -> list[Finding]:
     """Comparison with paper 2's formula for this nominal length: of the shape, not of millimetres."""
     P, x = curve_of(points)
-    grid = _grid(P)
-    paper, along = paper_length(P, length), paper_length(grid, length)
-    if paper is None or along is None:
+    paper = paper_length(P, length)
+    if paper is None:
         return [Finding("note", "paper 2's formula does not hold for this length or these pressures: not compared")]
     off = length - x - paper
     at = int(np.argmax(np.abs(off)))
     where = show(float(P[at]), "pressure", 3)
     text = f"measured less paper 2's formula: up to {show(float(off[at]), 'length', 2)} at {where}"
     rounded = f"rounding of its printed coefficients alone is worth {show(rounding(length), 'length', 2)}"
-    found = [Finding("note", f"{text}; {rounded}")]
-    mine, theirs = half_pressure(P, x), half_pressure(grid, length - along)
-    if mine is not None and theirs is not None:
-        text = f"half of the largest contraction is reached at {show(mine, 'pressure', 3)}"
-        found.append(Finding("note", f"{text}, by paper 2's formula at {show(theirs, 'pressure', 3)}"))
-    largest = float(x.max()) / length
-    if largest > LARGEST:
-        found.append(Finding("doubt", f"it contracts by {largest:.1%}; paper 2 takes 35 % for the most"))
-    return found
+    return [Finding("note", f"{text}; {rounded}")]
 
 
 def rounding(length: float) -> float:

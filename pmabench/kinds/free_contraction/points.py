@@ -16,10 +16,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit
-from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import (
     FINE,
-    OF_TWO,
     Held,
     Left,
     NotUsable,
@@ -359,27 +357,17 @@ def through(points: Sequence[Point], fit: ModelFit | None) -> Shape:
 
 
 def one_way(points: Sequence[Point]) -> Array:
-    """Contraction that friction holds back at each point (n,) where both sides were approached from one direction [m].
+    """Contraction that friction may hold back at each point (n,) where both sides were approached from one direction
+    [m].
 
-    No pressure is above the highest: where friction shows at the next lower pressure and not there, both sides were
-    reached from below. No pressure is below vented: the remaining contraction is not a mean of both directions.
+    Nothing is above the highest pressure: friction there is taken as half the gap at the next lower one. Nothing is
+    below vented: half the remaining contraction.
     """
     short = np.zeros(len(points))
-    if len(points) < 2 or not all(len(point.gaps) for point in (points[0], *points[-2:])):
-        return short
-    gaps = [abs(float(point.gaps.mean())) for point in (points[0], *points[-2:])]
-    if gaps[2] <= 0.5 * gaps[1] and gaps[1] > _clear(points[-2]):
-        short[-1] = 0.5 * gaps[1]
-    if points[0].set <= NOTHING and gaps[0] > _clear(points[0]):
-        short[0] = -0.5 * gaps[0]
+    if len(points) > 1 and all(len(point.gaps) for point in (points[0], points[-2])):
+        short[-1] = 0.5 * abs(float(points[-2].gaps.mean()))
+        short[0] = -0.5 * abs(float(points[0].gaps.mean())) * (points[0].set <= NOTHING)
     return short
-
-
-def _clear(point: Point) -> float:
-    """Gap between both sides of a point that may have other causes than friction [m]."""
-    noise = CLEAR * max(rest.noise for rest in point.rests)
-    starts = float(np.ptp([rest.start for rest in point.rests]))
-    return max(noise, spread(point.gaps) or 0.0, OF_TWO * point.coarse, point.apart.most, starts)
 
 
 def zero_of(points: Sequence[Point]) -> float:

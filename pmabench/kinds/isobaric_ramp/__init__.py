@@ -1,6 +1,6 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
-- `reduction`, with the rubber, and the first loop of a rested muscle
+- `reduction`, with the rubber
 - `cell`: one pressure and stroke; `coefficients`: its values and doubts about them; `creep`: the most creep that its
   cycles allow
 - protocol files: `protocol`; figures and one trial on the display: `figures`
@@ -15,7 +15,6 @@ RESULTS = (
     Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
     Result("F", "force", "force", headline=True),
     Result("H", "loop width", "force"),
-    Result("h_1", "wider first loop after a rest, as a share of the loop width", "ratio"),
     Result("W", "loop area, energy lost per cycle", "work", positive=True),
     Result("W_c", "work given while contracting", "work"),
     Result("eta", "work given back, of the work taken up", "ratio", positive=True),
@@ -40,8 +39,7 @@ METHODS = {
         "Force while expanding minus force while contracting at mid stroke, above 0 where the contracting branch is the"
         " lower one: 2 F_c + (B_c + B_r) v, a straight line over the speed v. What is left at speed 0 is true "
         "hysteresis. W is the area of the loop, W_c the work given while contracting, eta its share of what is taken up"
-        " while expanding; air is not measured, so eta is no efficiency of the drive. h_1 is the gap of the first loop "
-        "after a long rest minus that of the loops that count, over H at speed 0."
+        " while expanding; air is not measured, so eta is no efficiency of the drive."
     ),
     "loop-gap, mean over the stroke": "As loop-gap, the mean of the gap over the stroke.",
     "loop-gap, open loop": (

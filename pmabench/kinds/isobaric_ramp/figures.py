@@ -113,7 +113,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     """K of the mean curve, the gap of its branches at mid stroke, and the pressure."""
     P, speed = trial.point.get("pressure"), trial.point.get("speed", 0.0)
     try:
-        loop = measure_as_planned(run, trial, {})
+        loop = measure_as_planned(run, trial)
     except NotUsable as reason:
         return [Measured("K", "stiffness", None), Measured("H", "force", None)], [str(reason)]
     gap = float(loop.middle_gap.mean())

@@ -1,8 +1,5 @@
 """Reduction of isobaric ramps: mean curve, K, F_ce, loop gap and work; at 0 kPa the rubber's force.
 
-The first loop of a rested muscle has more hysteresis than later ones: gap of the first cycle minus that of the cycles
-that count, divided by the gap at speed 0; damping is in both gaps and cancels.
-
 A, B1 and B2 of the rubber can be separated only where data come close to the pole at -B2; the curve itself needs less.
 
 Uses the samples and the protocol's settings. One trial is evaluated in `ramp_loop`.
@@ -12,137 +9,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import hypot
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.shared import skew, student
-from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import without_negative_friction
 from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.ramp_loop import Loop, measure_as_planned
-from pmabench.analysis.shared.samples import NotUsable, settings_of
-from pmabench.analysis.shared.student import half_of_trials
+from pmabench.analysis.shared.ramp_loop import measure_as_planned
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
-from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, ONE_SPEED, Cell, Member, is_bent
-from pmabench.kinds.isobaric_ramp.coefficients import CYCLES, judged, of_curve, of_gap
+from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, Cell, Member, is_bent
+from pmabench.kinds.isobaric_ramp.coefficients import judged, of_curve, of_gap
 from pmabench.kinds.isobaric_ramp.creep import creeps_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, RunData
 
-SYMBOL = "h_1"
-LONG = 600.0
-"""Shortest rest [s] of a rested muscle; no published data on the recovery time are known."""
-FEWEST_LATER = 3
-"""Fewest later cycles for the comparison with the first one."""
-MIDDLE = 0.05
-"""Half width of the middle of the stroke, as a share of it."""
-FADED = 0.25
-"""Largest change of the later gaps, as a share of the excess of the first; and largest half width of H, as a share of
-it.
-"""
 ONE_CYCLE = (
     "one cycle does not show whether the muscle creeps, and K holds what does: count two cycles and more"
     " (trial.cycles, `discard`)"
 )
-NO_HYSTERESIS = "the gap at speed 0, which it is a share of, is not known well enough"
-
-
-@dataclass(frozen=True)
-class Wider:
-    """The first loop of one trial; half widths 95 %, all [N]."""
-
-    trial: str
-    rest: float
-    """Rest before the trial [s]."""
-    gap: float
-    """Excess of its gap over the later ones."""
-    scatter: float
-    open: float
-    """Different drift and creep in the first cycle, and the remaining change of the later cycles."""
-
-
-def first_cycle(runs: Sequence[RunData], cells: Sequence[Cell], options: Mapping[str, Any]) -> Iterator[Estimate]:
-    """The estimate for each cell that has a first loop of a run; none where no rest before it is recorded."""
-
-    def begin(trial: TrialData) -> float:
-        return float(trial.t[0]) if len(trial.t) else np.inf
-
-    firsts = {min(run.trials, key=begin).name for run in runs if run.trials and _rest(run)}
-    for cell in cells:
-        if cell.upside_down or not (members := [m for m in cell.members if m.trial.name in firsts]):
-            continue
-        found = [_wider(member, options) for member in members]
-        known = [one for one in found if isinstance(one, Wider)]
-        # whether the gap at speed 0 is certain enough as a reference
-        sure = cell.gap.half_start is not None and cell.gap.half_start < FADED * cell.gap.start
-        lacks = ONE_SPEED if cell.one_speed else "" if sure else NO_HYSTERESIS
-        if len(known) < len(found) or lacks:
-            why = next((one for one in found if isinstance(one, str)), lacks)
-            trials = tuple(m.trial.name for m in members)
-            yield Estimate(SYMBOL, None, "1", "ratio", GAP, dict(cell.at), n=len(found), note=why, trials=trials)
-        else:
-            yield _estimate(cell, known)
-
-
-def _rest(run: RunData) -> float:
-    """How long the vented muscle rested before the first trial [s]."""
-    return float(settings_of(run).get("rest", 0.0))
-
-
-def _wider(member: Member, options: Mapping[str, Any]) -> Wider | str:
-    """Excess of the first gap of a trial, or the reason why it is unknown."""
-    run = member.run
-    rest, first = _rest(run), int(settings_of(run, options).get("discard", 1))
-    if rest < LONG:
-        return f"the muscle rested for {show(rest, 'time')} only: let it rest for {show(LONG, 'time')} or more"
-    try:
-        loop = measure_as_planned(run, member.trial, {**options, "discard": 0})
-    except NotUsable as reason:
-        return f"of all cycles: {reason}"
-    gaps, grown = _at_middle(loop)
-    later = gaps[first:]
-    if first < 1 or len(later) < FEWEST_LATER:
-        return f"it needs `discard` of 1 or more cycles, and {FEWEST_LATER} after them; there are {len(later)}"
-    gap, fades = float(gaps[0] - later.mean()), float(np.ptp(later))
-    scatter = float(student.ppf(0.975, len(later) - 1) * later.std(ddof=1) * sqrt(1 + 1 / len(later)))
-    if fades > FADED * abs(gap) and fades > 2 * loop.noise:
-        change = f"{show(fades, 'force', 2)} of {show(gap, 'force', 2)}"
-        return f"the loops after `discard` still change by {change}: more cycles, and a larger `discard`"
-    return Wider(member.trial.name, rest, gap, scatter, hypot(fades, grown))
-
-
-def _at_middle(loop: Loop) -> tuple[Array, float]:
-    """The gap of each cycle at mid stroke, and its correction for drift or creep in the first one [N].
-
-    The correction is half the increase of the mean of both branches until the next cycle. In the first cycle part of
-    that is friction that still changes, so all of it counts as uncertain. The ends of a first stroke are no reference,
-    since the direction of friction there is not yet defined.
-    """
-    near = np.abs(loop.x - 0.5 * (loop.ends[0] + loop.ends[1])) <= MIDDLE * (loop.ends[1] - loop.ends[0])
-    contracting, expanding = (branch[:, near].mean(axis=1) for branch in (loop.contracting, loop.expanding))
-    grown = 0.5 * np.gradient(0.5 * (contracting + expanding))
-    return expanding - contracting - grown, abs(float(grown[0]))
-
-
-def _estimate(cell: Cell, known: Sequence[Wider]) -> Estimate:
-    gaps, line, n = [one.gap for one in known], cell.gap, len(known)
-    value, half = float(np.mean(gaps)) / line.start, half_of_trials(gaps, [one.scatter for one in known])
-    repeats = hypot((half or 0.0) / line.start, value * (line.half_start or 0.0) / line.start)
-    parts = Parts(repeats, max(one.open for one in known) / line.start, 0.0)
-    note = sentences(
-        CYCLES if n == 1 else "",
-        f"after a rest of {show(min(one.rest for one in known), 'time')}; H holds the gap that creep makes",
-    )
-    trials = tuple(one.trial for one in known)
-    return Estimate(SYMBOL, value, "1", "ratio", GAP, dict(cell.at), parts, n, note=note, trials=trials)
-
-
 METHOD = "rubber term"
 KINDS: Mapping[str, tuple[str, str]] = {"A": ("N", "force"), "B1": ("1", "ratio"), "B2": ("1", "ratio")}
 NORMAL = 1.96
@@ -275,13 +166,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     The mean of both branches is extrapolated to speed 0 in the same way; K is minus its slope. At 0 kPa it is the
     rubber's force, to which F_e = A eps (eps - B1)/(eps + B2) is fitted (paper 3 eq. 8).
 
-    `options`: `discard` (cycles at the start; else the plan's setting, else 1), `turn` [m] (left out at both ends; else
-    the plan's setting, else a twentieth of the stroke).
+    The plan's settings, or the map's, have `discard` (cycles at the start; else 1) and `turn` [m] (left out at both
+    ends; else a twentieth of the stroke).
     """
-    options = options or {}
-    members, dropped = measured_trials(
-        runs, lambda run, trial: Member(run, trial, measure_as_planned(run, trial, options))
-    )
+    members, dropped = measured_trials(runs, lambda run, trial: Member(run, trial, measure_as_planned(run, trial)))
     scales = Scales.of(runs)
     cells = _cells(members)
     estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
@@ -292,7 +180,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if creep is None:
             findings.append(Finding("doubt", f"at {show(cell.pressure, 'pressure')}, {ONE_CYCLE}"))
         traces += cell.traces()
-    estimates += first_cycle(runs, cells, options)
     for cell in (one for one in cells if one.pressure <= UNPRESSED):
         more = rubber(cell, scales)
         estimates, findings, traces = estimates + more[0], findings + more[1], traces + more[2]
@@ -300,8 +187,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates = without_negative_friction(estimates)
     findings += skew.findings(runs, CHANNELS, max((cell.skew for cell in cells), default=0.0), estimates)
     findings += scales.findings(estimates, ("force", "displacement"))
-    facts = {"options": dict(options), "trials": len(members), "cells": len(cells)}
-    facts["loops"] = [cell.facts() for cell in cells]
+    facts = {"trials": len(members), "cells": len(cells), "loops": [cell.facts() for cell in cells]}
     estimates.sort(key=lambda e: e.method != CURVE)
     return Analysis.of(
         KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts

@@ -1,6 +1,6 @@
 """Isometric tests of other programs: the line F = m P + c at each contraction.
 
-- `reduction`; `form` (late sensors, unevenly sampled branches, drift)
+- `reduction`; `form` (late sensors, drift, unevenly sampled branches)
 """
 
 from dataclasses import replace

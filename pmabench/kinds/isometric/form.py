@@ -1,4 +1,4 @@
-"""Departures of isometric samples from one line: late sensors, unevenly sampled branches, a drifting cell.
+"""Departures of isometric samples from one line: late sensors, a drifting cell, unevenly sampled branches.
 
 Each is estimated without the line, as a force that it adds to the samples; gives no estimate.
 """
@@ -33,16 +33,11 @@ WITHOUT = 0.02
 """Share of the highest pressure below which the muscle counts as vented."""
 SETTLING = 0.3
 """Share of the rest after the ramps in which a muscle may still settle."""
-SURE = 6.0
-"""Standard errors at the end of a line from which on its change is significant."""
-UNEVEN = 0.005
-"""Change of the line, as a share of the highest force, from which on uneven sampling of the branches is reported."""
 BEYOND = 1.1
 """Factor on the change of the line by the branches, since turns extend further than the part left out."""
 STRETCHED = 1e-4
 """Length above the nominal one from which on a muscle has tension without pressure [m]."""
 LATE, DRIFT = "time between force and pressure", "drift of the force cell"
-BRANCHES = "rising and falling pressure sampled unlike each other"
 Terms = tuple[float, float]
 """Slope m [N/Pa] and intercept c [N]."""
 
@@ -59,10 +54,6 @@ class Departures:
     """Change of the cell's reading at rest from before to after the ramps [N], mean of the tests."""
     noise: float
     """Noise of the force [N]."""
-    even: Terms
-    """Change of the line if rising and falling branch had equal weight; 0 where there is one branch only."""
-    uneven: float
-    """Largest size of that change along the line, as a share of the highest force; 0 within noise."""
 
     @property
     def seen(self) -> bool:
@@ -70,39 +61,28 @@ class Departures:
         return abs(self.gone) > self.noise
 
     def doubts(self, e: Estimate) -> list[Doubt]:
-        """Effects on m or c, beyond what its method part already covers."""
+        """Effects on m or c."""
         of = "mc".index(e.symbol)
-        beyond = max(0.0, BEYOND * abs(self.even[of]) - (e.parts.method or 0.0))
         return [
             Doubt(LATE, "method", abs(self.late[of]), seen=False),
             Doubt(DRIFT, "drift", abs(self.drift[of]), self.seen),
-            Doubt(BRANCHES, "method", beyond, self.uneven > 0),
         ]
 
     def lines(self, line: Terms) -> list[Terms]:
         """Alternative lines, one per departure."""
         m, c = line
-        return [(m + more, c + higher) for more, higher in (self.late, self.drift, self.even)]
+        return [(m + more, c + higher) for more, higher in (self.late, self.drift)]
 
-    def findings(self, where: str, m: float) -> list[Finding]:
-        """A significant drift, and a slope other than `m` [N/Pa] if both branches had equal weight."""
-        found = []
-        if self.seen:
-            text = (
-                f"{where}: the force cell drifts: at rest it reads {show(abs(self.gone), 'force', 2)} "
-                f"{'more' if self.gone > 0 else 'less'} after the ramps than before; the intervals of slope and "
-                "intercept hold it. Let the cell warm up, and measure again"
-            )
-            found.append(Finding("doubt", text))
-        if self.uneven > UNEVEN:
-            slopes = [show(one, "force per pressure", 3) for one in (m, m + self.even[0])]
-            text = (
-                f"{where}: rising and falling pressure are not sampled alike: the line through all samples has "
-                f"{slopes[0]}, the mean of a line through each {slopes[1]}; the intervals hold both. Ramp both ways at "
-                "one rate"
-            )
-            found.append(Finding("note", text))
-        return found
+    def findings(self, where: str) -> list[Finding]:
+        """A significant drift."""
+        if not self.seen:
+            return []
+        text = (
+            f"{where}: the force cell drifts: at rest it reads {show(abs(self.gone), 'force', 2)} "
+            f"{'more' if self.gone > 0 else 'less'} after the ramps than before; the intervals of slope and "
+            "intercept hold it. Let the cell warm up, and measure again"
+        )
+        return [Finding("doubt", text)]
 
 
 def departures(tests: Sequence[Test], used: Used, line: Terms) -> Departures:
@@ -119,7 +99,6 @@ def departures(tests: Sequence[Test], used: Used, line: Terms) -> Departures:
         _change(parts, drift),
         float(np.mean([one[0] for one in gone if one is not None] or [0.0])),
         max(noise_of(test.F) for test in tests),
-        *_even(parts, line),
     )
 
 
@@ -166,22 +145,20 @@ def legs(test: Test) -> Array:
     return found
 
 
-def _even(parts: Sequence[tuple[Test, Mask]], line: Terms) -> tuple[Terms, float]:
-    """Mean of the lines through all rising and all falling samples, minus `line`; and its largest share of the force.
+def even(tests: Sequence[Test], used: Used, line: Terms) -> Terms:
+    """Mean of the lines through all rising and all falling samples; `line` where there is one branch only.
 
     This weights both branches equally. The line through all samples leans towards the branch with more of them.
     """
-    P, F = (np.concatenate([getattr(test, name)[mask] for test, mask in parts]) for name in ("P", "F"))
-    way = np.concatenate([legs(test)[mask] for test, mask in parts])
+    P, F, way = (
+        np.concatenate([of(test)[used(test)] for test in tests]) for of in (lambda one: one.P, lambda one: one.F, legs)
+    )
     sides = [way > 0, way < 0]
-    fewest = min(int(rows.sum()) for rows in sides)
-    if fewest < FEWEST or any(np.ptp(P[rows]) == 0 for rows in sides):
-        return (0.0, 0.0), 0.0
-    fits = [np.polyfit(P[rows], F[rows], 1) for rows in sides]
-    rest = max(float(np.std(F[rows] - np.polyval(fit, P[rows]))) for fit, rows in zip(fits, sides, strict=True))
-    m, c = (np.mean(fits, axis=0) - line).tolist()
-    size = max(abs(m * P.min() + c), abs(m * P.max() + c))
-    return (m, c), float(size / F.max()) if size > SURE * rest / sqrt(fewest) else 0.0
+    if any(rows.sum() < FEWEST or np.ptp(P[rows]) == 0 for rows in sides):
+        return line
+    mean = np.mean([np.polyfit(P[rows], F[rows], 1) for rows in sides], axis=0)
+    m, c = (line + BEYOND * (mean - line)).tolist()
+    return m, c
 
 
 def gone_since(test: Test) -> tuple[float, float, float] | None:

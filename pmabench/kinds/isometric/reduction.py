@@ -21,7 +21,7 @@ from pmabench.analysis.shared.trials import ONE_SESSION, session_of, thinned
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric import RESULTS
-from pmabench.kinds.isometric.form import departures
+from pmabench.kinds.isometric.form import departures, even
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
 
@@ -67,8 +67,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         fits = _fits(tests, above, asked)
         first = fits[above]
         at = {"contraction": contraction}
-        found = departures(tests, lambda test: test.F > above, (first.line.m, first.line.c))
-        lines = [first.mean, *((pooled.line.m, pooled.line.c) for pooled in fits.values())]
+        whole = lambda test: test.F > above, (first.line.m, first.line.c)
+        found = departures(tests, *whole)
+        lines = [first.mean, *((pooled.line.m, pooled.line.c) for pooled in fits.values()), even(tests, *whole)]
         half = half_steps([(test.run, test.trial) for test in tests], ("force", "pressure"))
         level = {"c": cut_off(half, {"force": 1.0, "pressure": first.line.m})}
         m, c = (
@@ -82,7 +83,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         line = first.line
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
         by_phase = isometric_lines.branches(tests, lambda test: test.F > above, phases)
-        findings += [*_sentences(contraction, fits, above, by_phase), *found.findings(_where(contraction), line.m)]
+        findings += [*_sentences(contraction, fits, above), *found.findings(_where(contraction))]
         forces = isometric_lines.forces_of(first, tests, [*lines, *found.lines((line.m, line.c))])
         cells.append({**_facts(contraction, tests, fits, above), "forces": forces, "slopes_of_phases": by_phase})
         traces.append(_trace(contraction, tests, line, above))
@@ -154,24 +155,14 @@ def _where(contraction: float) -> str:
     return f"contraction {show(contraction, 'length', 3)}"
 
 
-def _sentences(
-    contraction: float, fits: Mapping[float, Pooled], above: float, by_phase: Mapping[str, float]
-) -> list[Finding]:
-    where = _where(contraction)
+def _sentences(contraction: float, fits: Mapping[float, Pooled], above: float) -> list[Finding]:
     slopes = {threshold: pooled.line.m for threshold, pooled in sorted(fits.items())}
-    lines = []
-    if len(slopes) > 1:
-        others = ", ".join(f"{show(m, 'force per pressure', 3)} above {show(f, 'force')}" for f, m in slopes.items())
-        change = (max(slopes.values()) - min(slopes.values())) / abs(slopes[above])
-        level = "doubt" if change > SENSITIVE else "note"
-        lines.append(Finding(level, f"{where}: the slope depends on the threshold by {change:.1%}: {others}"))
-    if len(by_phase) > 1:
-        others = ", ".join(f"{show(m, 'force per pressure', 3)} in {name}" for name, m in by_phase.items())
-        text = f"{where}: slope of each branch alone {others}"
-        if not min(by_phase.values()) <= slopes[above] <= max(by_phase.values()):
-            text += "; the line through both lies outside these, for they are apart and not evenly sampled"
-        lines.append(Finding("note", text))
-    return lines
+    if len(slopes) < 2:
+        return []
+    others = ", ".join(f"{show(m, 'force per pressure', 3)} above {show(f, 'force')}" for f, m in slopes.items())
+    change = (max(slopes.values()) - min(slopes.values())) / abs(slopes[above])
+    text = f"{_where(contraction)}: the slope depends on the threshold by {change:.1%}: {others}"
+    return [Finding("doubt" if change > SENSITIVE else "note", text)]
 
 
 def _trace(contraction: float, tests: Sequence[Test], line: Line, above: float) -> Trace:

@@ -54,10 +54,6 @@ METHODS = {
         "its mean before and after both ramps, is taken off."
     ),
     "mass flow, mean while filling": "Mean of the measured flow from 15 to 95 % of the ramp up, its zero taken off.",
-    "corrected-force": (
-        "F = π r0² (p − p0) [a (1 − q ε)² − b], q = 1 + e^(−p/bar), with p0 by least squares over all contractions, D0 "
-        "and θ0 of the specimen (paper 2)."
-    ),
 }
 PHASES = (("up to the highest", "fill"), ("down from the highest", "empty"), ("any", "rest"))
 """Command of an import -> name of its phase; the last entry is for all other commands."""

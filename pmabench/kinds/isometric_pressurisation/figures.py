@@ -13,7 +13,7 @@ from pmabench.analysis.shared.trials import thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
 from pmabench.kinds.isometric_pressurisation.curve import PHASES, REST, WITHIN, Cell, pulling
-from pmabench.kinds.isometric_pressurisation.sections import Across, Corrected
+from pmabench.kinds.isometric_pressurisation.sections import Across
 from pmabench.plotting.chart import Series, of_points
 from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
 from pmabench.plotting.plots import BLUE
@@ -133,19 +133,6 @@ def of_across(found: Sequence[Across]) -> list[Finding]:
     between = f"{show(low, 'stiffness', 3)} to {show(high, 'stiffness', 3)}"
     text += f": -dF/dx between neighbours is {between}; F_ce and K are those of a straight line through that"
     return [Finding("doubt", text)]
-
-
-def of_corrected(force: Corrected | None, given: Mapping[str, Any]) -> list[Finding]:
-    """Fit of paper 2's corrected force with the specimen's geometry."""
-    if force is None:
-        lacks = [name for name in ("inner_diameter", "braid_angle") if name not in given]
-        if not lacks:
-            return []
-        text = f"the corrected force of paper 2 is not compared: the specimen tells no {' and no '.join(lacks)}"
-        return [Finding("note", text)]
-    residual = f"residual {show(force.rms, 'force', 3)} rms with q(p), {show(force.rms_without_q, 'force', 3)} without"
-    found = f"p_0 {show(force.p_0, 'pressure', 4)}" if force.holds else "does not fit"
-    return [Finding("note", f"corrected force with D_0 and theta_0 of the specimen: {found}, {residual}")]
 
 
 def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:

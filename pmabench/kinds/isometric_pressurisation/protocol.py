@@ -142,7 +142,6 @@ class IsometricPressurisation(ProtocolHead):
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
     gives: ClassVar[tuple[str, ...]] = ("F_ce", "K")
     checks: ClassVar[tuple[str, ...]] = OF_TRIALS
-    with_static: ClassVar[bool] = True
     kind: Literal["isometric-pressurisation"]
     sweep: Sweep[IsometricAxes]
     trial: IsometricTrial

@@ -16,7 +16,7 @@ import numpy as np
 from pmabench.analysis.shared import isometric_lines, skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
-from pmabench.analysis.shared.isometric_lines import METHOD, Groups, Test, as_test, by_repeat, spread
+from pmabench.analysis.shared.isometric_lines import METHOD, Groups, Test, as_test, by_repeat
 from pmabench.analysis.shared.samples import noise_of, on_time_run
 from pmabench.analysis.shared.trials import mean_of_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
@@ -30,7 +30,7 @@ from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, 
 from pmabench.store.records import RunData, TrialData
 
 KIND = "isometric-pressurisation"
-SECTIONS, SIDES, CORRECTED = "isometric-sections", "isometric-sides", "corrected-force"
+SECTIONS, SIDES = "isometric-sections", "isometric-sides"
 TURN = "turn of the loop"
 CHANNELS = ("pressure", "force")
 ONE_REPEAT = "no repeats part: one repeat only"
@@ -66,10 +66,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     volumes, words, volume_traces, without = by_flow(runs, scales)
     estimates += volumes
     findings = [
-        *figures.of_threshold([e for e in estimates if e.symbol == "p_0" and e.method != CORRECTED], given),
+        *figures.of_threshold([e for e in estimates if e.symbol == "p_0"], given),
         *figures.of_sections(found.through, given),
         *figures.of_across(found.across),
-        *figures.of_corrected(found.corrected, given),
         *figures.of_cells(cells),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
         *zeros,
@@ -105,7 +104,6 @@ class _Found:
     cells: Sequence[Cell]
     across: Sequence[sections.Across]
     through: Mapping[str, Section]
-    corrected: sections.Corrected | None
     estimates: Sequence[Estimate]
 
 
@@ -123,13 +121,10 @@ def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
         estimates += [m, c, _width(cell, scales)]
     estimates = _placed(estimates, cells, scales)
     over = sections.across(cells)
-    lengths: list[Any] = [given.get(name) for name in ("nominal_length", "inner_diameter", "braid_angle")]
     through = sections_of(cells, given)
-    force = None if None in lengths else sections.corrected(cells, *lengths)
     estimates += [*begun, *_sides(cells), *sections.blocked_estimates(cells, given, scales)]
     estimates += [*_three_elements(over, scales), *section_estimates(through, scales, given)]
-    estimates += _corrected_estimate(force, scales)
-    return _Found(cells, over, through, force, estimates)
+    return _Found(cells, over, through, estimates)
 
 
 def _placed(estimates: Sequence[Estimate], cells: Sequence[Cell], scales: Scales) -> list[Estimate]:
@@ -317,17 +312,6 @@ def _three_elements(found: Sequence[sections.Across], scales: Scales) -> list[Es
         estimates.append(Estimate("F_ce", F_ce, "N", "force", SECTIONS, at, of_F, **how))
         estimates.append(Estimate("K", K, "N/m", "stiffness", SECTIONS, at, of_K, **how))
     return estimates
-
-
-def _corrected_estimate(force: sections.Corrected | None, scales: Scales) -> list[Estimate]:
-    if force is None:
-        return []
-    value, parts, note = None, Parts(), f"the corrected force does not fit: residual {show(force.rms, 'force', 2)} rms"
-    if force.holds:
-        value, note = force.p_0, "" if len(force.repeats) > 1 else ONE_REPEAT
-        parts = Parts(spread(force.repeats), calibration=scales.part({"pressure": value}, {"pressure": 1.0}))
-    n = max(1, len(force.repeats))
-    return [Estimate("p_0", value, "Pa", "pressure", CORRECTED, {}, parts, n, note=note)]
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:

@@ -1,4 +1,4 @@
-"""Isometric tests of several contractions together: F_ce and K at a pressure, blocked force, corrected threshold.
+"""Isometric tests of several contractions together: F_ce and K at a pressure, blocked force.
 
 Works on the mean curves (of filling and emptying) at each contraction.
 """
@@ -11,7 +11,6 @@ from itertools import pairwise
 from math import hypot, sqrt
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -23,7 +22,6 @@ from pmabench.analysis.shared.trials import session_of
 from pmabench.analysis.verdict.agreement import side_by_side
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import BEYOND, Cell
-from pmabench.model.library.contractor import corrected_force
 from pmabench.store.analyses.results import Estimate, Parts, Trace
 from pmabench.store.records import Array
 
@@ -35,11 +33,6 @@ APART = 1e-5
 """Contractions closer than this cannot make a line [m]."""
 CLEAR = 4.0
 """Standard errors from which on a bend is significant."""
-FURTHEST_THRESHOLD = 2e5
-UNLIKE = 0.02
-"""Residual of the corrected force, as a share of the largest force, from which on the muscle does not follow it."""
-CORRECTED_TO = 5e5
-"""Highest pressure of the corrected force [Pa] (paper 2)."""
 
 
 @dataclass(frozen=True)
@@ -137,66 +130,6 @@ def _wider(line: Line, x: Array, F: Array, sessions: Sequence[str]) -> Line:
         return line
     slope, start = (mean_with_half([float(one[i]) for one in each])[1] or 0.0 for i in (0, 1))
     return replace(line, half_start=max(line.half_start or 0.0, start), half_slope=max(line.half_slope or 0.0, slope))
-
-
-@dataclass(frozen=True)
-class Corrected:
-    """Paper 2's force with a fitted dead band; other parameters from the specimen."""
-
-    p_0: float
-    """[Pa]."""
-    repeats: tuple[float, ...]
-    """The same for each repeat alone; empty with one repeat."""
-    rms: float
-    """Residual [N]."""
-    rms_without_q: float
-    """Residual with q = 1 and a dead band fitted for that case [N]."""
-    largest: float
-    """Largest mean force [N]."""
-
-    @property
-    def holds(self) -> bool:
-        """Whether the residual is small enough for p_0 to mean the dead band."""
-        return self.rms <= UNLIKE * self.largest
-
-
-def corrected(cells: Sequence[Cell], length: float, diameter: float, braid_angle: float) -> Corrected | None:
-    """F = pi r0^2 (p - p0) [a (1 - q eps)^2 - b] (paper 2 eqs. 8-9) with p0 by least squares; None without data.
-
-    Contractions below 0 and pressures above 5 bar are outside the model and left out.
-    """
-    rows = []
-    for cell in cells:
-        for x, F, test in zip(cell.place, cell.mean.each, cell.tests, strict=True):
-            use = np.isfinite(F) & (cell.mean.P >= 0) & (cell.mean.P <= CORRECTED_TO)
-            if cell.contraction >= 0 and x <= length and np.count_nonzero(use) > 1:
-                eps = np.full(int(use.sum()), max(x, 0.0) / length)
-                rows.append((test.trial.repeat, cell.mean.P[use], eps, F[use]))
-    if not rows:
-        return None
-
-    def model(P: Array, eps: Array, p_0: float, *, plain: bool) -> Array:
-        # With q = 1 a contraction eps has the effect of eps / q in the model.
-        acting = eps / (1 + np.exp(-P / 1e5)) if plain else eps
-        radius, angle, threshold = np.array([diameter / 2, braid_angle, p_0])
-        return corrected_force(P, acting, radius, angle, threshold)["force"]
-
-    def best(chosen: Sequence[tuple[int, Array, Array, Array]], *, plain: bool = False) -> tuple[float, float]:
-        P, eps, F = (np.concatenate([row[i] for row in chosen]) for i in (1, 2, 3))
-
-        def power(p_0: float) -> float:
-            return float(np.mean((model(P, eps, p_0, plain=plain) - F) ** 2))
-
-        grid = np.linspace(0.0, FURTHEST_THRESHOLD, 41)
-        at = int(np.argmin([power(float(p)) for p in grid]))
-        bounds = (float(grid[max(0, at - 1)]), float(grid[min(40, at + 1)]))
-        found = minimize_scalar(power, bounds=bounds, method="bounded", options={"xatol": 1e-2})
-        return float(found.x), float(np.sqrt(found.fun))
-
-    p_0, rms = best(rows)
-    repeats = sorted({row[0] for row in rows})
-    alone = tuple(best([row for row in rows if row[0] == repeat])[0] for repeat in repeats) if len(repeats) > 1 else ()
-    return Corrected(p_0, alone, rms, best(rows, plain=True)[1], max(float(row[3].max()) for row in rows))
 
 
 def given_of(specimen: object) -> Mapping[str, float]:

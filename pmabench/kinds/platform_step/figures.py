@@ -1,4 +1,4 @@
-"""Figures of steps of a platform: attitude with its reference, the three pressures, and the open times of the valves.
+"""Figures of steps of a platform: attitude with its reference, and the three pressures.
 
 `measure`: the values of one trial, for the display.
 """
@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.kinds.platform_step import MUSCLES, VALVES
+from pmabench.kinds.platform_step import MUSCLES
 from pmabench.kinds.platform_step.reduction import course_of
 from pmabench.plotting.pictures import Picture, bound, has, head, how_many, label, numbers, panel, picture, spread
 from pmabench.plotting.plots import (
     BLUE,
     BROWN,
     FULL,
-    GREEN,
     INK,
     PALETTE,
     Panel,
@@ -32,13 +31,11 @@ from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 DASHED = (0, (4, 3))
 COLUMNS, MOST = 3, 6
-UPWARDS = VALVES[::-1]
-SHOWN = ("t", "phi", "psi", "reference_phi", "reference_psi", *MUSCLES, "wanted_1", "wanted_2", "wanted_3", *UPWARDS)
+SHOWN = ("t", "phi", "psi", "reference_phi", "reference_psi", *MUSCLES, "wanted_1", "wanted_2", "wanted_3")
 
 
 def attitudes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -51,10 +48,10 @@ def attitudes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     labels = {"t": label(chosen[0], "t"), "angle": "phi, psi [deg]", "pressure": "pressure [kPa]"}
     caption = (
         "Above: attitude from the accelerometer without what its height adds, and the reference that it is to follow "
-        "(dashed). Middle: pressures of muscles 1 to 3, and what was wanted (dashed). Below: when each valve is "
-        f"commanded open. The step is at 0 s.{how_many(chosen, able)}"
+        "(dashed). Below: pressures of muscles 1 to 3, and what was wanted (dashed). The step is at 0 s."
+        f"{how_many(chosen, able)}"
     )
-    alt = f"Attitude, pressures and openings of valves over time: {'; '.join(one.title for one in panels)}."
+    alt = f"Attitude and pressures over time: {'; '.join(one.title for one in panels)}."
     table = numbers([(head(trace), trace) for trace in chosen], SHOWN[:8])
     draw = bound(_drawn, panels, labels)
     return [picture(draw, "Attitude of the platform", caption, alt, table, wide=True, simulated=analysis.simulated)]
@@ -63,46 +60,31 @@ def attitudes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 def _drawn(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     columns = min(COLUMNS, len(panels))
     rows = ceil(len(panels) / columns)
-    figure = blank(FULL, 0.55 + 3.5 * rows)
+    figure = blank(FULL, 0.55 + 2.7 * rows)
     outer = grid(figure, rows, columns, top=0.5, left=0.75, across=0.5, down=0.6)
     for i, one in enumerate(panels):
-        inner = outer[i].subgridspec(3, 1, height_ratios=(1.6, 1.2, 1), hspace=0.14)
-        upper, middle, lower = (figure.add_subplot(inner[place]) for place in range(3))
+        inner = outer[i].subgridspec(2, 1, height_ratios=(1.6, 1.2), hspace=0.14)
+        upper, lower = (figure.add_subplot(inner[place]) for place in range(2))
         t, first = one.columns["t"], i % columns == 0
         for axis, color in (("phi", BLUE), ("psi", BROWN)):
             upper.plot(t, one.columns[axis], color=color, linewidth=1.0, label=axis)
             upper.plot(t, one.columns[f"reference_{axis}"], color=INK, linewidth=0.7, linestyle=DASHED)
         for number, name in enumerate(MUSCLES, start=1):
             color = PALETTE[number - 1]
-            middle.plot(t, one.columns[name], color=color, linewidth=0.8)
-            middle.plot(t, one.columns[f"wanted_{number}"], color=color, linewidth=0.5, linestyle=DASHED)
-        _openings(lower, one, names=first)
+            lower.plot(t, one.columns[name], color=color, linewidth=0.8)
+            lower.plot(t, one.columns[f"wanted_{number}"], color=color, linewidth=0.5, linestyle=DASHED)
         upper.set_title(one.title)
-        for axes in (upper, middle):
-            axes.tick_params(labelbottom=False)
+        upper.tick_params(labelbottom=False)
+        for axes in (upper, lower):
             few_ticks(axes, y=4)
-        for axes in (upper, middle, lower):
             axes.set_xlim(float(t[0]), float(t[-1]))
         if first:
             upper.set_ylabel(labels["angle"])
-            middle.set_ylabel(labels["pressure"])
-            figure.align_ylabels([upper, middle])
+            lower.set_ylabel(labels["pressure"])
+            figure.align_ylabels([upper, lower])
         lower.set_xlabel(labels["t"])
     legend_above(figure, 2)
     return figure
-
-
-def _openings(axes: Axes, one: Panel, *, names: bool) -> None:
-    """A row for each valve, marked while it is open."""
-    t = one.columns["t"]
-    for row, valve in enumerate(UPWARDS):
-        color = GREEN if valve.startswith("fill") else BROWN
-        axes.fill_between(t, row - 0.4, row + 0.4, where=one.columns[valve] > 0, color=color, linewidth=0, step="post")
-    axes.set_ylim(-0.6, len(UPWARDS) - 0.4)
-    axes.set_yticks(
-        range(len(UPWARDS)), [valve.replace("_", " ") for valve in UPWARDS] if names else [""] * len(UPWARDS)
-    )
-    axes.tick_params(axis="y", labelsize=5.5, length=0)
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -35,8 +35,6 @@ LATE = 15e-3
 """Delays between axes below this [s] only widen the interval: a sound accelerometer may show up to 12 ms."""
 KNOWN, UNSEEN = 0.2, 2e-3
 """Uncertainty of the accelerometer's height, relative and absolute [m]; its effects are in the intervals."""
-PASSES = 4
-"""Most iterations of the search for the height."""
 
 
 def _wobble(one: Course) -> float:
@@ -112,30 +110,17 @@ def _between_axes(courses: Sequence[Course]) -> Doubt:
     return Doubt("time between the axes", "method", max(open_, 1.5 * late), seen, reason)
 
 
-def _heights(courses: Sequence[Course]) -> tuple[tuple[float, float], list[Finding]]:
-    """Range of the accelerometer's height relative to the declared one [m], and a finding if it differs.
-
-    The course depends on the height that it is to show, so a different height is searched again with the course that
-    follows from it.
-    """
-    declared = max(map(_height, (one.run for one in courses)))
-    wide, found = KNOWN * declared, declared
-    for _ in range(PASSES):
-        terms, errors = _motion(courses)
-        before, found, error = found, max(0.0, float(terms[1])), SURE * float(errors[1])
-        shows = 0 < error <= wide + UNSEEN  # not with noise, or without motion
-        if not shows or abs(found - before) <= 0.5 * wide + error:
-            break
-        courses = [course_of(one.run, one.trial, found - declared) for one in courses]
-    if not shows or abs(found - declared) <= wide + UNSEEN + error:
-        return (-wide, wide), []
-    text = (
-        f"while it tilts, the readings are those of an accelerometer {show(found, 'length', 2)} above the joint, and "
-        f"{show(declared, 'length', 2)} are declared: measure it (platform.accelerometer in the bench file), and look "
-        "whether the frame shakes; the intervals hold both"
+def _elsewhere(courses: Sequence[Course]) -> str:
+    """Why the accelerometer is not where it is declared, by |f| during the motion; empty where it may be there."""
+    terms, errors = _motion(courses)
+    declared, shown, error = _height(courses[0].run), max(0.0, float(terms[1])), SURE * float(errors[1])
+    wide = KNOWN * declared + UNSEEN
+    if not 0 < error <= wide or abs(shown - declared) <= 0.5 * wide + error:  # noise, or no motion
+        return ""
+    return (
+        f"while it tilts, it does not read as an accelerometer {show(declared, 'length', 2)} above the joint does: "
+        "measure where it sits (platform.accelerometer in the bench file), and look whether the frame shakes"
     )
-    higher, open_ = found - declared, KNOWN * found + error
-    return (min(-wide, higher - open_), max(wide, higher + open_)), [Finding("doubt", text)]
 
 
 G = 9.81
@@ -287,11 +272,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     courses, dropped = measured_trials(runs, course_of)
     estimates, traces = list[Estimate](), list[Trace]()
     cells = grouped(courses, lambda one: (str(one.law["chain"]), round(one.goal[0], 9), round(one.goal[1], 9)))
-    higher, findings = _heights(courses) if courses else ((), [])
     for (chain, phi, psi), members in cells.items():
-        estimates += _estimates(f"chain {chain}", {"phi": phi, "psi": psi}, members, courses, scales, higher)
+        estimates += _estimates(f"chain {chain}", {"phi": phi, "psi": psi}, members, courses, scales)
         traces.append(_trace(chain, members[-1]))
-    findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
+    findings = [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
     for one in (one for one in courses if one.law["saturated"] > 0):
         share = show(float(one.law["saturated"]), "ratio", 2)
         text = f"{one.trial.name}: in {share} of the periods limits of pressures forbade the wanted moment"
@@ -304,14 +288,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _estimates(
-    method: str, at: Mapping[str, float], members: Sequence[Course], courses: Sequence[Course], scales: Scales,
-    higher: Sequence[float],
-) -> Iterator[Estimate]:  # fmt: skip
-    """All estimates of one cell; errors of the accelerometer come from all `courses`, which share it.
-
-    `higher`: how far it may be lower, and higher, than declared [m].
-    """
-    others = [[course_of(one.run, one.trial, more) for one in members] for more in higher]
+    method: str, at: Mapping[str, float], members: Sequence[Course], courses: Sequence[Course], scales: Scales
+) -> Iterator[Estimate]:
+    """All estimates of one cell; errors of the accelerometer come from all `courses`, which share it."""
+    others = [[course_of(one.run, one.trial, way * KNOWN * _height(one.run)) for one in members] for way in (-1, 1)]
+    elsewhere = _elsewhere(courses)
     offset = max(scales.offsets.get(name, 0.0) for name in ACCELERATIONS) / G
     attitude, wobble = _attitude(courses), max(map(_wobble, courses))
     noise, size = max(one.noise for one in members), math.hypot(*at.values())
@@ -325,13 +306,14 @@ def _estimates(
 
     times, by_height, by_band, why = _time(members, others, math.hypot(offset, attitude.half, wobble))
     t_1 = made("t_1", ("s", "time"), times, by_height, by_band)
+    why = elsewhere or why
     if not why and t_1.value is not None and attitude.seen and attitude.half > MOST_HIDDEN * size:
         why = attitude.reason
     yield withhold(t_1, why) if why else weighed(t_1, [_between_axes(courses)])
     pairs = [(one, other) for several in others for one, other in zip(members, several, strict=True)]
     shape = math.hypot(max(abs(other.overshoot - one.overshoot) for one, other in pairs), PEAK * noise, wobble)
     OS_q = made("OS_q", ("rad", "angle"), [one.overshoot for one in members], shape, offset or None)
-    yield weighed(OS_q, [attitude], size)
+    yield withhold(OS_q, elsewhere) if elsewhere else weighed(OS_q, [attitude], size)
     misses = [math.hypot(*one.ends()) for one in members]
     drifts = max(math.dist(one.ends(LAST, 0.5 * LAST), one.ends(0.5 * LAST)) / 2 for one in members)
     e_q = made("e_q", ("rad", "angle"), misses, math.hypot(drifts, noise, wobble), offset or None)
@@ -370,9 +352,7 @@ def _trace(chain: str, one: Course) -> Trace:
     angles = {"phi": one.phi, "psi": one.psi, "reference_phi": reference[0], "reference_psi": reference[1]}
     pressures = {name: np.asarray(one.trial.channels[name]) for name in MUSCLES} | _wanted(one)
     thin = {name: values[::stride] for name, values in ({"t": one.t} | angles | pressures).items()}
-    thin |= {valve: _open_share(one, valve, thin["t"], stride / one.run.rate) for valve in VALVES}
     quantities = {"t": "time", **dict.fromkeys(angles, "angle"), **dict.fromkeys(pressures, "pressure")}
-    quantities |= dict.fromkeys(VALVES, "ratio")
     phi, psi = (show(angle, "angle", 4) for angle in one.goal)
     marks = {"phi": one.goal[0], "psi": one.goal[1], "hold": one.hold}
     name = f"attitude-{chain}-{one.trial.number}"
@@ -389,12 +369,3 @@ def _reference(one: Course) -> Array:
         goal = next((at for begin, at in reversed(goals) if t - start >= begin - 1e-9), goals[0][1])
         rows.append(lags.update(float(h), goal))
     return np.array(rows).T
-
-
-def _open_share(one: Course, valve: str, t: Array, step: float) -> Array:
-    """Share of each interval of `step` [s] from `t` on in which a valve is commanded open."""
-    share = np.zeros(len(t))
-    for begin, name, seconds in one.pulses:
-        if name == valve:
-            share += np.clip(np.minimum(begin + seconds, t + step) - np.maximum(begin, t), 0.0, step) / step
-    return np.minimum(share, 1.0)

@@ -4,7 +4,7 @@
 - protocol files: `protocol`, with `controller`: its gains; figures and one trial on the display: `figures`
 """
 
-from pmabench.base.kind import Imported, Kind, Result
+from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("e_ss", "steady-state error", "ratio", headline=True),
@@ -56,6 +56,5 @@ KIND = Kind(
     methods=METHODS,
     figures=FIGURES,
     front=FIGURES,
-    imported=Imported(),
     loop=True,
 )

@@ -45,14 +45,10 @@ class GainsAt(Gains):
 
 
 class Ultimate(Strict):
-    """Ultimate gain and period, to which the controller's rule is applied; SIMC also needs the times."""
+    """Ultimate gain and period, to which the controller's rule is applied."""
 
     K_u: Gain
     T_u: Time
-    dead_time: Time | None = None
-    """Dead time of the loop, including half a sample period."""
-    lags: Annotated[list[Time], Field(min_length=1, max_length=10)] | None = None
-    """First-order lags of the loop."""
 
 
 MODEL = "model"
@@ -116,10 +112,8 @@ def schedule(c: Compilation, controller: Controller) -> list[tuple[float, Settin
         c.positive(given.T_u, (*PLACE, "T_u"))
         if c.problems:
             return []
-        with c.noting(PLACE):
-            loop = _given_loop(given)
-            with c.noting(RULE):
-                return [(float("nan"), _by_rule(controller, given.K_u, given.T_u, loop))]
+        with c.noting(RULE):
+            return [(float("nan"), _by_rule(controller, given.K_u, given.T_u, None))]
         return []
     if "rule" in controller.model_fields_set:
         c.fault(RULE, "these gains are taken as they stand; a rule is for {K_u, T_u}, an analysis, or model")
@@ -199,20 +193,6 @@ def of_model(
     return {}
 
 
-def _given_loop(given: Ultimate) -> Loop | None:
-    """The loop with the given times that oscillates at the given gain; ValueError with a message without one."""
-    from pmabench.analysis.tuning import loop_of
-
-    if given.dead_time is None and given.lags is None:
-        return None
-    if given.dead_time is None or given.lags is None:
-        raise ValueError("dead_time and lags of a loop go together; give both, or neither")
-    loop, finding = loop_of(given.K_u, given.T_u, given.dead_time, given.lags)
-    if loop is None:
-        raise ValueError(finding.text)
-    return loop
-
-
 def _by_rule(controller: Controller, K_u: float, T_u: float, loop: Loop | None) -> Settings:
     """The gains by the controller's rule; raises ValueError with a message."""
     rule = rules.find(controller.rule, controller.form)
@@ -220,9 +200,8 @@ def _by_rule(controller: Controller, K_u: float, T_u: float, loop: Loop | None) 
         raise ValueError(f"{controller.rule} has no rule for a {controller.form} controller")
     if rule.from_loop and loop is None:
         raise ValueError(
-            f"{controller.rule} needs the dead time and the lags of the loop: give them with K_u and T_u "
-            '("dead_time: 41 ms, lags: [95 ms, 0.27 s]"), or "gains: model" and a "model", or an analysis of '
-            "relays or steps"
+            f'{controller.rule} needs the dead time and the lags of the loop: give "gains: model" and a "model", or an '
+            "analysis of relays or steps"
         )
     found = rule.settings(K_u, T_u, loop)
     integral = {"T_i": found.T_i} if isfinite(found.T_i) else {}

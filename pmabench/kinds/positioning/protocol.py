@@ -5,7 +5,6 @@ Also paths for the controller to follow, and the feed-forward pressure by a surf
 
 from __future__ import annotations
 
-from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -156,8 +155,6 @@ class Positioning(ProtocolHead):
                 Hold("vent", trial.rest),
             ]
         settings: dict[str, Any] = {"window": list(trial.window), "band": trial.band, "form": controller.form}
-        if len(table) == 1 and isfinite(table[0][0]):
-            settings["gains_of"] = table[0][0]
         settings |= {"model": model} if model is not None else {}
         return c.plan("positioning", settings)
 

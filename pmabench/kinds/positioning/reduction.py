@@ -6,7 +6,7 @@ a path are reduced by `paths`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
@@ -51,6 +51,7 @@ MEASURES = {
 NOT_RISEN = "it does not come to 90 % of the set-point"
 NONE = {"t_s": "it does not stay in the band"}
 """Why there is no value of a measure."""
+NEAR_ULTIMATE = "; the gain is near or above the ultimate one"
 CYCLE = ("x_pp", "T_c")
 """Measures that only a limit cycle has."""
 
@@ -75,7 +76,6 @@ class Hold:
     x: Array
     simulated: Array | None
     """Contraction of the simulated loop [m], shape (n,) as `t` [s from the step]."""
-    simulated_response: Response | None
 
     @property
     def setpoint(self) -> float:
@@ -88,8 +88,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     t_r (10 to 90 %), settling time t_s, integral of the absolute error IAE, and peak to peak x_pp and period T_c of
     the limit cycle of every set-point (paper 0, control).
 
-    Where the plan carries a model, the same loop is simulated around it (method `closed-loop, simulated`), and e_sim is
-    the rms difference of the two contractions [m]. Trials along a path are reduced by `along_paths`.
+    Where the plan carries a model, the same loop is simulated around it, and e_sim is the rms difference of the two
+    contractions [m]. Trials along a path are reduced by `along_paths`.
     """
     runs, spikes = without_spikes(runs)
     models = {run.id: model_of(run) for run in runs}
@@ -156,11 +156,8 @@ def _held(run: RunData, trial: TrialData, law: Mapping[str, Any], model: Describ
     # e_ss: only motion in the window, which is evaluated for all trials together
     seen = {symbol: getattr(response.unsure, field) for symbol, (_, field) in MEASURES.items()} | {"e_ss": 0.0}
     unsure = {symbol: hypot(seen[symbol], in_time[symbol]) for symbol in MEASURES}
-    simulated = simulated_response = None
-    if model is not None:
-        simulated = closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
-        simulated_response = respond_to(simulated, 0.0)
-    return Hold(run, trial, law, response, values, unsure, calibration, origin, t, x, simulated, simulated_response)
+    simulated = None if model is None else closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
+    return Hold(run, trial, law, response, values, unsure, calibration, origin, t, x, simulated)
 
 
 def _resolution(run: RunData, trial: TrialData) -> float:
@@ -220,10 +217,6 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
     rms = [float(np.sqrt(np.mean(each**2))) for each in apart]
     if rms:
         found.append(Estimate("e_sim", float(np.mean(rms)), "m", "length", SIMULATION, at, n=len(rms), trials=names))
-    simulated = next((h.simulated_response for h in members if h.simulated_response is not None), None)
-    for symbol, value in (_values(simulated, at["setpoint"]) if simulated is not None else {}).items():
-        if value is not None:
-            found.append(Estimate(symbol, value, *MEASURES[symbol][0], SIMULATION, at, n=1, note="a simulation"))
     return found
 
 
@@ -243,14 +236,11 @@ def _findings(runs: Sequence[RunData], holds: Sequence[Hold], model: Described |
         f"{show(worst.setpoint, 'length')} ({show(worst.response.error, 'length', 3)} is the "
         f"mean {averaged}, and what moves in it is added)"
     )
-    lines = [Finding("note", text), *_cycles(holds), *_rests(holds), *_sticking(holds)]
+    lines = [Finding("note", text), *_cycles(holds), *_rests(holds)]
     unsettled = [hold for hold in holds if hold.response.settling is None]
     if unsettled:
         band = 100 * float(settings.get("band", BAND))
         lines.append(Finding("doubt", f"not settled within {band:g} % of the step at {_places(unsettled)}"))
-    if "gains_of" in settings:
-        one = show(float(settings["gains_of"]), "length")
-        lines.append(Finding("doubt", f"the gains were found at {one} alone, and used at all set-points"))
     if model is not None:
         friction = model.muscle.friction
         text = f"simulated with: {model.source}, friction {friction.F_s:g} N at rest and {friction.F_c:g} N moving"
@@ -279,16 +269,6 @@ def _rests(holds: Sequence[Hold]) -> list[Finding]:
     return [Finding("note", f"{text} IAE. Vent it, wait, and take the zero again to tell")]
 
 
-def _sticking(holds: Sequence[Hold]) -> list[Finding]:
-    """A doubt if the reading sticks: its sensor then has hysteresis."""
-    found = [hold for hold in holds if sticks(hold.x)]
-    if not found:
-        return []
-    text = f"in {len(found)} of {len(holds)} trials the displacement often stays as it was and then moves by more than"
-    text += " one step: its sensor has hysteresis, or leaves small changes out. A third of its uncertainty is in the"
-    return [Finding("doubt", f"{text} intervals; move it to and fro by hand to see more")]
-
-
 def _cycles(holds: Sequence[Hold]) -> list[Finding]:
     """Limit cycles, their absence, and windows that are too short to decide."""
     lines = []
@@ -296,11 +276,10 @@ def _cycles(holds: Sequence[Hold]) -> list[Finding]:
     for stuck, what in ((True, "stick-slip limit cycle"), (False, "sustained oscillation that does not stick")):
         mine = [hold for hold in hunting if hold.response.cycle is not None and hold.response.cycle.sticks == stuck]
         if mine:
-            text = f"{what} at {_places(mine)}: {_in_words(hold.response for hold in mine)}"
-            compared = [hold.simulated_response for hold in mine if hold.simulated_response is not None]
-            if compared:
-                text += f"; simulated: {_in_words(compared)}"
-            lines.append(Finding("doubt", text + ("" if stuck else "; the gain is near or above the ultimate one")))
+            cycles = [cycle for hold in mine if (cycle := hold.response.cycle) is not None]
+            size, period = max(one.size for one in cycles), max(one.period for one in cycles)
+            most = f"{show(size, 'length', 3)} peak to peak, period {show(period, 'time', 3)} at most"
+            lines.append(Finding("doubt", f"{what} at {_places(mine)}: {most}{'' if stuck else NEAR_ULTIMATE}"))
     still = [hold for hold in holds if hold.response.cycle is None]
     slow = [hold for hold in still if hold.response.wander > hold.response.smallest]
     quiet = [hold for hold in still if hold not in slow]
@@ -320,22 +299,6 @@ def _places(holds: Sequence[Hold]) -> str:
     if len(points) <= 4:
         return ", ".join(show(x, "length") for x in points)
     return f"{len(points)} set-points from {show(points[0], 'length')} to {show(points[-1], 'length')}"
-
-
-def _in_words(responses: Iterable[Response]) -> str:
-    """Size and period of the cycles, smallest to largest."""
-    cycles = [response.cycle for response in responses if response.cycle is not None]
-    if not cycles:
-        return "none"
-    sizes, periods = sorted(c.size * 1e3 for c in cycles), sorted(c.period for c in cycles)
-    rest = sorted(100 * c.at_rest for c in cycles)
-    size, period = _range(sizes, ".3g", "mm peak to peak"), _range(periods, ".3g", "s")
-    return f"{size}, period {period}, {_range(rest, '.0f', '%')} of the time at rest"
-
-
-def _range(values: Sequence[float], form: str, unit: str) -> str:
-    """First to last of ascending values; a single one if they read the same."""
-    return f"{' to '.join(dict.fromkeys(format(value, form) for value in (values[0], values[-1])))} {unit}"
 
 
 def _trace(hold: Hold) -> Trace:

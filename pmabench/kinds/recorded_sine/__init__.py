@@ -32,6 +32,7 @@ KIND = Kind(
     reduction="pmabench.kinds.recorded_sine.reduction:reduce",
     methods=METHODS,
     figures={"pressure-loop": "pmabench.plotting.loops:loops"},
+    front={"pressure-loop": "pmabench.plotting.loops:loops"},
     parts={"slow rows": "pmabench.analysis.surface.trials:hanging"},
     imported=Imported(recording=True, follows="displacement", point=("frequency",), shown="sine"),
 )

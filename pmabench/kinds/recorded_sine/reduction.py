@@ -114,14 +114,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     Repeats are sines of one frequency and one amplitude. Three-parameter sine fits (IEEE 1057) at the known frequency,
     over whole cycles after the first second. `phi_x` is the phase of x against the measured pressure, `phi_P` that of
     the pressure against its command, both negative for a lag. H = 2 |x| |sin phi_x| is the width of the ellipse at mean
-    pressure. The pressure may be older than its stamps (`late_by` of the map, or option [[least, most] in s]): phases
-    are corrected by the middle of that range, and half of it is the `method` part. Lags of sensors (`sensor_lag`, first
-    order) are corrected: amplitudes are multiplied by 1 + j omega tau, with an uncertainty of a fifth of tau, or of
-    `UNDECLARED` where none is declared. The bandwidth is that of `bandwidth`. K and B do not follow from x and P alone,
-    since F_ce(P) is between them.
+    pressure. The pressure may be older than its stamps (`late_by` of the map): phases are corrected by the middle of
+    that range, and half of it is the `method` part. Lags of sensors (`sensor_lag`, first order) are corrected:
+    amplitudes are multiplied by 1 + j omega tau, with an uncertainty of a fifth of tau, or of `UNDECLARED` where none
+    is declared. The bandwidth is that of `bandwidth`. K and B do not follow from x and P alone, since F_ce(P) is
+    between them.
     """
-    options = options or {}
-    sines, dropped, read_off = measured(runs, options, measure)
+    sines, dropped, read_off = measured(runs, measure)
     groups: dict[float, list[list[tuple[RunData, Sine]]]] = {}
     for run, sine in sorted(sines, key=lambda one: one[1].drive):
         alike = groups.setdefault(round(sine.frequency, 6), [])
@@ -157,7 +156,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings = [*import_findings(runs), *findings]
     traces = [_loop(sine) for sine in first] + ([_bode(first)] if first else [])
     facts = {
-        "options": dict(options),
         "trials": len(sines),
         "frequencies": sorted(groups),
         "flagged": flagged_counts(runs),

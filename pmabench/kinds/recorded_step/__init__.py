@@ -1,7 +1,7 @@
-"""Steps of pressure recorded by other programs: dead time, rise, stroke, and K and B from ringing or loads.
+"""Steps of pressure recorded by other programs: dead time, rise, stroke, and K and B from ringing.
 
 - `reduction` of the result of `step`, with `motion`: `ringing` (K and B with a known mass, B/K, dead time) with the
-  forms of `delayed`; `loads` (K from two loads, or from a force channel)
+  forms of `delayed`
 """
 
 from pmabench.base.kind import Imported, Kind, Result
@@ -9,8 +9,6 @@ from pmabench.base.kind import Imported, Kind, Result
 RESULTS = (
     Result("K", "stiffness", "stiffness", headline=True, positive=True),
     Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
-    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping", positive=True),
-    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping", positive=True),
     Result("t_d", "dead time", "time", headline=True, plot="Dead times t_d", positive=True),
     Result("tau_c", "time constant, contracting", "time", headline=True, plot="Time constants", positive=True),
     Result("tau_r", "time constant, relaxing", "time", headline=True, plot="Time constants", positive=True),
@@ -19,15 +17,6 @@ RESULTS = (
     Result("dP/dx", "pressure per contraction", "gain", headline=True),
 )
 METHODS = {
-    "cell-and-spring": (
-        "F = c + s P − K x − B x′ by least squares over all steps with a column of force that a spring or other loads "
-        "move independently of the contraction; the noise of x′ is taken off its square. Half widths by leaving out "
-        "one step after another, with a filter of the cell of 5 ms, or a longer one that the rows show."
-    ),
-    "secant-of-loads": (
-        "Steps between the same pressures under two known loads or more: K = ΔW/Δx between the places of rest, "
-        "and B from it and B/K."
-    ),
     "driven-delay": (
         "M x″ + B x′ + K x driven by the measured pressure and by the square of its change, which takes up that K and "
         "B change along the step; B/K, the mass and the delay behind the pressure are free."
@@ -47,7 +36,7 @@ KIND = Kind(
     word="recorded step",
     offers="pmabench.kinds.recorded_step.reduction:offers",
     methods=METHODS,
-    figures={"overlay": "pmabench.plotting.motion:motions"},
+    figures={"overlay": "pmabench.plotting.motion:overlays"},
     front={"overlay": "pmabench.plotting.motion:overlays"},
     parts={"slow rows": "pmabench.analysis.surface.trials:hanging"},
     imported=Imported(recording=True, follows="displacement", timed=True, shown="steps"),

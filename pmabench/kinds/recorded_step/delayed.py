@@ -60,27 +60,26 @@ class Delayed:
         return abs(self.delay) + self.half_delay < BOUND * FREE
 
 
-def fit_delayed(t: Array, P: Array, x: Array, start: Motion, w: float | None = None) -> Delayed:
+def fit_delayed(t: Array, P: Array, x: Array, start: Motion) -> Delayed:
     """Least squares of the driven motion over natural frequency, damping ratio and delay behind the pressure.
 
-    t [s], P [Pa], x [m], shapes (n,). `w` is the natural frequency sqrt(K/M) [rad/s], if stiffness and moving mass are
-    known. K and B may change with pressure along the step, or dry friction may act, and a motion without ringing does
-    not show which. The result is that with a second column, driven by the square of the pressure's change; the change
-    by that column widens the interval, which also covers the other forms that fit equally well. Intervals include the
-    serial correlation of the residual, and half the sample period, since a sample may show any moment since the
-    previous one.
+    t [s], P [Pa], x [m], shapes (n,). K and B may change with pressure along the step, or dry friction may act, and a
+    motion without ringing does not show which. The result is that with a second column, driven by the square of the
+    pressure's change; the change by that column widens the interval, which also covers the other forms that fit equally
+    well. Intervals include the serial correlation of the residual, and half the sample period, since a sample may show
+    any moment since the previous one.
     """
     period = float(np.median(np.diff(t)))
-    first = place_of(start, w)
-    one = _delayed(t, P, x, first, w, ())
-    two = min((_delayed(t, P, x, begin, w, (SQUARE,)) for begin in (first, one.place)), key=lambda found: found.rms)
+    first = place_of(start)
+    one = _delayed(t, P, x, first)
+    two = min((_delayed(t, P, x, begin, (SQUARE,)) for begin in (first, one.place)), key=lambda found: found.rms)
     two = replace(
         two,
         half_tau=hypot(two.half_tau, REMAINS * (two.tau - one.tau)),
         half_delay=hypot(two.half_delay, REMAINS * (two.delay - one.delay)),
     )
-    others = [(STIFFNESS, DAMPED), (STIFFNESS if w is None else SQUARE, FRICTION)]
-    forms = alike([two, *(_delayed(t, P, x, two.place, w, terms) for terms in others)])
+    others = [(STIFFNESS, DAMPED), (STIFFNESS, FRICTION)]
+    forms = alike([two, *(_delayed(t, P, x, two.place, terms) for terms in others)])
     return replace(
         two,
         half_tau=max(abs(form.tau - two.tau) + form.half_tau for form in forms),
@@ -103,10 +102,10 @@ def fit_swings(t: Array, P: Array, x: Array, first: Array, worst: float = np.inf
     included in all. Frequency and damping are those at the pressure at the end of the step. Empty where the first form
     has a residual above `worst` [m].
     """
-    plain = _delayed(t, P, x, first, None, (START, STIFFNESS))
+    plain = _delayed(t, P, x, first, (START, STIFFNESS))
     if plain.rms > worst:
         return []
-    more = [_delayed(t, P, x, plain.place, None, (START, STIFFNESS, one)) for one in (DAMPED, FRICTION)]
+    more = [_delayed(t, P, x, plain.place, (START, STIFFNESS, one)) for one in (DAMPED, FRICTION)]
     return [plain, *(_wider(one, plain) for one in more)]
 
 
@@ -116,10 +115,9 @@ def _wider(one: Delayed, plain: Delayed) -> Delayed:
     return replace(one, half_K=half_K, half_B=half_B)
 
 
-def place_of(start: Motion, w: float | None = None) -> Array:
+def place_of(start: Motion) -> Array:
     """Start of a fit: delay over `FREE`, logarithms of damping ratio and natural frequency."""
-    damping = start.D * (1.0 if w is None else w / start.w)
-    return np.array([-start.late / FREE, np.log(damping), np.log(start.w)])
+    return np.array([-start.late / FREE, np.log(start.D), np.log(start.w)])
 
 
 SQUARE, STIFFNESS, DAMPED, FRICTION, START = "square", "stiffness", "damping", "friction", "start"
@@ -166,7 +164,9 @@ def _columns(t: Array, P: Array, w: float, D: float, delay: float, terms: tuple[
     return np.column_stack(found)
 
 
-def _delayed(t: Array, P: Array, x: Array, first: Array, w: float | None, terms: tuple[str, ...]) -> Delayed:
+def _delayed(
+    t: Array, P: Array, x: Array, first: Array, terms: tuple[str, ...] = (), w: float | None = None
+) -> Delayed:
     scale = max(float(np.ptp(x)), 1e-9)
 
     def misfit(p: Array) -> Array:
@@ -184,7 +184,7 @@ def _delayed(t: Array, P: Array, x: Array, first: Array, w: float | None, terms:
     if w is None and fast < 0.5 * float(np.median(np.diff(t))):
         massless = FREQUENCY[1]
         heavy = solved.x[1] + np.log(massless / frequency)
-        found = _delayed(t, P, x, np.array([solved.x[0], heavy, np.log(massless)]), massless, terms)
+        found = _delayed(t, P, x, np.array([solved.x[0], heavy, np.log(massless)]), terms, massless)
         halves = (float(np.hypot(half, FASTEST)) for half in (found.half_tau, found.half_delay))
         return replace(found, half_tau=next(halves), half_delay=next(halves))
     rest = solved.fun

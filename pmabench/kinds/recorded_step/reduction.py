@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.imported import flagged_counts, import_findings, late_by, measured
+from pmabench.analysis.imported import flagged_counts, import_findings, measured
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import OF_TWO, STEPS, Held, left
@@ -21,8 +21,7 @@ from pmabench.analysis.shared.trials import grouped
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
-from pmabench.kinds.recorded_step.loads import SECANT, Pair, by_cell, of_loads, rests_of, secant
-from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, TO_MOTION, check, ringing, times
+from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, ringing, times
 from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step, measure
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
@@ -49,29 +48,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     equally well, and are withheld where it is wider than +-15 %. Lags of sensors (`sensor_lag`, first order) are
     corrected, with an uncertainty of a fifth.
 
-    Repeats are trials with the same load and commanded pressures before and after. `options`: `mass` [kg] and `late_by`
-    [[least, most] in s], in place of the record's.
+    Repeats are trials with the same load and commanded pressures before and after.
     """
-    options = options or {}
-    steps, dropped, read_off = measured(runs, options, measure)
+    steps, dropped, read_off = measured(runs, measure)
     loads = len({_load(step) for _, step in steps}) > 1
     groups = grouped(steps, lambda one: (*_pair(one[1]), *(_load(one[1]) if loads else ())))
-    pairs = grouped(steps, lambda one: _pair(one[1]))
     commanded = [step for _, step in steps if not step.found]
     late = 0.0 if read_off else UNTOLD
     estimates: list[Estimate] = [_dead_time(commanded, late)] if commanded else []
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
-        pair = key[0], key[1]
-        K = secant(pair, rests_of([step for _, step in pairs[pair]]), Scales({}, {}))
-        estimates += _at(at, group, options, late, None if K is None else K.value)
-        here = [step for _, step in group]
-        findings += _sentences(at, here)
-        findings += [one for e in estimates if e.coordinate == TO_MOTION and e.at == at for one in check(at, here, e)]
-    estimates += of_loads(pairs, estimates)
-    of_cell, why_not = by_cell(steps, (-UNTOLD, UNTOLD) if not read_off else _lateness(runs, options))
-    estimates, findings = estimates + of_cell, findings + why_not
+        estimates += _at(at, group, late)
+        findings += _sentences(at, [step for _, step in group])
     findings += _of_all(steps, estimates, read_off=read_off)
     return Analysis.of(
         KIND,
@@ -82,7 +71,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings=(*import_findings(runs), *findings),
         traces=(_trace(group[0][1], by_load=loads) for _, group in sorted(groups.items())),
         facts={
-            "options": dict(options),
             "trials": len(steps),
             "cells": len(groups),
             "flagged": flagged_counts(runs),
@@ -98,21 +86,14 @@ def _of_all(steps: Sequence[tuple[RunData, Step]], estimates: Sequence[Estimate]
     if found:
         findings.append(Finding("note", f"{found} steps were found in the measured pressure: they tell no dead time"))
     if steps and not read_off:
-        of = "t_d, and K and B by the cell," if any("force" in s.trial.channels for _, s in steps) else "the dead times"
-        findings.append(Finding("doubt", f"{UNKNOWN}: {of} assume at most {show(UNTOLD, 'time')}"))
+        findings.append(Finding("doubt", f"{UNKNOWN}: the dead times assume at most {show(UNTOLD, 'time')}"))
     if any(e.method == RINGING and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))
     return findings
 
 
-def _lateness(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[float, float]:
-    """Smallest and largest delay of the pressure behind its stamps [s]."""
-    known = [options["late_by"]] if "late_by" in options else [late_by(run, "pressure") or (0.0, 0.0) for run in runs]
-    return min(low for low, _ in known), max(high for _, high in known)
-
-
-def _pair(step: Step) -> Pair:
+def _pair(step: Step) -> tuple[float, float]:
     """Commanded pressures before and after [Pa]."""
     return round(step.trial.point["from"], -2), round(step.trial.point["pressure"], -2)
 
@@ -129,7 +110,7 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
     """
     pairs = [_pair(step) for step in steps]
     mean, half, _ = mean_over([step.dead for step in steps], [sorted(set(pairs)).index(pair) for pair in pairs])
-    method = hypot(late + max(step.dead_half for step in steps), _slower(steps, 0))
+    method = late + max(step.dead_half for step in steps)
     parts = Parts(repeats=half, method=method, calibration=0.0)
     parents = tuple(step.name for step in steps)
     resolved = "command to pressure, all steps; the log resolves no less than the method part"
@@ -137,14 +118,10 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
     return Estimate("t_d", mean, "s", "time", STEP, {}, parts, len(steps), note=note, trials=parents)
 
 
-def _at(
-    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], late: float,
-    stiffness: float | None,
-) -> list[Estimate]:  # fmt: skip
+def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], late: float) -> list[Estimate]:
     """All estimates at one pair of commanded pressures.
 
-    `late` [s]: assumed delay of the pressure where the record gives none; `stiffness` [N/m] from two loads, if there
-    are.
+    `late` [s]: assumed delay of the pressure where the record gives none.
     """
     steps = [step for _, step in group]
     parents = tuple(step.name for step in steps)
@@ -163,9 +140,9 @@ def _at(
     seconds = ("s", "time")
     found: list[Estimate] = []
     if not any(step.found for step in steps):
-        half = hypot(late + max(step.dead_half for step in steps), _slower(steps, 0))
+        half = late + max(step.dead_half for step in steps)
         found.append(estimate("t_d", seconds, [step.dead for step in steps], half, note="to pressure"))
-    half = hypot(max(step.rise_half for step in steps), _slower(steps, 1))
+    half = max(step.rise_half for step in steps)
     found.append(estimate("tau_P", seconds, [step.rise for step in steps], half, note="63 %"))
     strokes = [step.stroke for step in steps]
     found.append(
@@ -179,12 +156,7 @@ def _at(
     note = "at rest, includes friction"
     doubts = [*_unsettled(moved), _of_steps(moved, "pressure")]
     found.append(estimate("dP/dx", ("Pa/m", "gain"), ratios, 0.0, scaled, note, doubts))
-    return [*times(at, moved, stiffness, late), *found, *ringing(at, moved, options)]
-
-
-def _slower(steps: Sequence[Step], place: int) -> float:
-    """Change of a time [s] by a filter of the gauge that is undeclared, or declared but a delay; mean of all steps."""
-    return float(np.mean([step.slower[place] for step in steps]))
+    return [*times(at, moved, late), *found, *ringing(at, moved)]
 
 
 def _of_steps(steps: Sequence[Step], other: str = "") -> Doubt:
@@ -262,8 +234,6 @@ def _trace(step: Step, *, by_load: bool) -> Trace:
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """K and B from ringing and K from two loads, at the pressure at the end of the step; each step separately."""
-    for e in values_of(analysis, "K", SECANT):
-        yield everywhere("K", {e.at["pressure"]: e}, "secant between loads")
+    """K and B from ringing, at the pressure at the end of the step; each step separately."""
     for symbol in ("K", "B"):
         yield from (everywhere(symbol, {e.at["pressure"]: e}) for e in values_of(analysis, symbol, RINGING))

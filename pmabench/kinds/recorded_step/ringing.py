@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import hypot, sqrt
-from typing import Any
 
 import numpy as np
 
@@ -19,8 +18,8 @@ from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import delayed, motion
 from pmabench.kinds.recorded_step.delayed import Delayed, fit_delayed, fit_swings
-from pmabench.kinds.recorded_step.step import SEEN, Step
-from pmabench.store.analyses.results import Estimate, Finding, Parts, withhold
+from pmabench.kinds.recorded_step.step import Step
+from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
 
 RINGING = "ringing-of-known-mass"
@@ -40,10 +39,10 @@ STOPPED = 0.3
 """Ratio of observed to expected amplitude below which friction has stopped the oscillation."""
 
 
-def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any]) -> list[Estimate]:
+def ringing(at: Mapping[str, float], steps: Sequence[Step]) -> list[Estimate]:
     """K and B where the motion rings, or the reason why not; they follow from times and a mass, without any scale."""
     parents = tuple(step.name for step in steps)
-    masses = [float(options.get("mass", step.trial.point.get("mass", 0.0))) for step in steps]
+    masses = [step.trial.point.get("mass", 0.0) for step in steps]
     known = all(masses)
     unknown = "pressure and displacement at one load give ratios only; `point: {mass: ...}` gives the moving mass"
     why = "" if known else unknown
@@ -179,22 +178,18 @@ def _unlike(step: Step, possible: Sequence[Delayed]) -> str:
 
 DRIVEN = "driven-delay"
 TO_MOTION = "command-to-motion"
-SHARES = (0.002, 0.01)
-"""Shares of the stroke at which the root rule takes its times."""
-ROOT = 8e-3
-"""Error of the root rule with a mass of up to 26 kg and noise [s]."""
 WIDEST = 0.5
 """B/K is given if it lies within this share of its value for all motions that fit equally well."""
 LONGEST = 0.02
 """A dead time with a wider interval than +- this [s] is withheld."""
 
 
-def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | None, late: float) -> list[Estimate]:
+def times(at: Mapping[str, float], steps: Sequence[Step], late: float) -> list[Estimate]:
     """B/K [s] at the pressure at the end of the steps, and the time from command to motion [s].
 
-    `stiffness` [N/m] from two loads, else None; `late` [s]: assumed time between pressure and position where the record
-    gives none. The delay behind the measured pressure is free, so B/K does not depend on the pressure's stamps; the
-    time from command to motion includes the error of the position's stamps, as far as it is known.
+    `late` [s]: assumed time between pressure and position where the record gives none. The delay behind the measured
+    pressure is free, so B/K does not depend on the pressure's stamps; the time from command to motion includes the
+    error of the position's stamps, as far as it is known.
     """
     names = tuple(step.name for step in steps)
     rises = at["pressure"] > at["from"]
@@ -202,9 +197,7 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
     B_K = Estimate(symbol, None, "s", "time", DRIVEN, at, n=len(steps), trials=names)
     if why := _of_another_kind(steps):
         return [replace(B_K, note=why)]
-    mass = float(np.mean([step.trial.point.get("mass", 0.0) for step in steps]))
-    w = sqrt(stiffness / mass) if stiffness is not None and mass > 0 else None
-    found = [fit_delayed(*step.driven, step.best, w) for step in steps]
+    found = [fit_delayed(*step.driven, step.best) for step in steps]
     if why := _no_time(steps, found):
         return [replace(B_K, note=why)]
     tau, of_tau = mean_with_half([one.tau for one in found])
@@ -236,7 +229,7 @@ def _to_motion(
     value: float | None = dead
     if half > LONGEST:
         note = f"a delay of {show(dead, 'time', 2)} and the lag of the mass cannot be distinguished"
-        note = f"{note} (+- {show(half, 'time', 2)}): steps at two known loads give K, and with it that lag"
+        note = f"{note} (+- {show(half, 'time', 2)}): step under a lighter load, whose lag is shorter"
         value, parts = None, Parts()
     n = len(names)
     return Estimate("t_d", value, "s", "time", DRIVEN, at, parts, n, note=note, trials=names, coordinate=TO_MOTION)
@@ -263,41 +256,3 @@ def _no_time(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
                 f"pressure (trial {step.name}), as far as was looked: see to the clocks of both channels"
             )
     return ""
-
-
-def root_rule(t: Array, x: Array, stroke: float, noise: float) -> float | None:
-    """Start [s] of a motion that rises like t^2, extrapolated from the times t1, t2 of two shares of the stroke by
-    their roots.
-
-    t [s] from the command and x [m] from its rest, shapes (n,). None where the noise hides the smaller share.
-    """
-    low, high = SHARES
-    if SEEN * noise > low * abs(stroke):
-        return None
-    gone = x / stroke
-    crossed = []
-    for share in SHARES:
-        above = np.flatnonzero((gone >= share) & (t > 0))
-        if not len(above) or above[0] == 0:
-            return None
-        n = int(above[0])
-        part = (share - gone[n - 1]) / (gone[n] - gone[n - 1])
-        crossed.append(float(t[n - 1] + part * (t[n] - t[n - 1])))
-    return (crossed[0] * sqrt(high) - crossed[1] * sqrt(low)) / (sqrt(high) - sqrt(low))
-
-
-def check(at: Mapping[str, float], steps: Sequence[Step], t_d: Estimate) -> list[Finding]:
-    """The root rule compared with the time from command to motion of the driven motion."""
-    if t_d.value is None:
-        return []
-    begun = [root_rule(step.t, step.x - np.median(step.x[step.t < 0]), step.stroke, step.noise) for step in steps]
-    by_root = [one for one in begun if one is not None]
-    if not by_root:
-        return []
-    mean, value = float(np.mean(by_root)), t_d.value
-    where = f"{show(at['from'], 'pressure')} to {show(at['pressure'], 'pressure')}"
-    text = f"{where}: command to motion {show(value, 'time', 3)}, by the root rule {show(mean, 'time', 3)}"
-    apart = abs(mean - value) - (t_d.parts.combined or 0.0)
-    if apart <= ROOT:
-        return [Finding("note", text)]
-    return [Finding("doubt", f"{text}: further apart than a mass explains; look at how the motion begins")]

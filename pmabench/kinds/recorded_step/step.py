@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class Step:
     stamps.
     """
     dead_half: float
-    """Half width of `dead` from these intervals [s]."""
+    """Half width of `dead` [s], with what an undeclared filter of the gauge or a declared one that is a delay adds."""
     stamped: float
     """Command to pressure by their stamps [s]."""
     onset_half: float
@@ -57,7 +58,7 @@ class Step:
     rise: float
     """Time from the onset to 63 % of the change of pressure [s]."""
     rise_half: float
-    """Half width of `rise` from the distance of samples at onset and 63 % [s]."""
+    """Half width of `rise` from the distance of samples at onset and 63 %, and from such a filter [s]."""
     driven: tuple[Array, Array, Array]
     """Time [s], pressure [Pa] and contraction [m] that the fit of the motion uses."""
     motions: tuple[Motion, ...]
@@ -65,10 +66,6 @@ class Step:
     """Pressure and contraction for that fit, with shortest and longest possible lags of the sensors."""
     noise: float
     """Noise of the displacement at rest before the step, as recorded [m]."""
-    slower: tuple[float, float]
-    """Change of the times to the onset and from it to 63 % [s] by an undeclared filter of the gauge, or if a declared
-    one is a delay.
-    """
     declared: bool
     """Whether the sensor of the displacement has a declared lag."""
     unresolved: dict[str, float]
@@ -146,11 +143,11 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     if risen is None:
         return "no onset of the pressure is seen"
     begins, doubt, crossed = risen
-    slower = _as_delay(t, read, P, lag, over, within, risen) if lag else _slower(t, P, new, size, noise, within, risen)
     unsure = over / 2 + LAG_KNOWN * lag
+    other = (lag if _starts_with_jump(t, P, begins, over) else 0.0) if lag else UNDECLARED
     dead = begins + within / 2 - (late[0] + late[1]) / 2
-    dead_half = doubt + within / 2 + (late[1] - late[0]) / 2 + unsure
-    rise_half = doubt + float(np.ptp(crossed)) / 2 + unsure
+    dead_half = hypot(doubt + within / 2 + (late[1] - late[0]) / 2 + unsure, other)
+    rise_half = hypot(doubt + float(np.ptp(crossed)) / 2 + unsure, other)
     driven = t[(t >= -BEFORE) & (t <= AFTER)], *_driving(t, read, x, (slow, lag))
     shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
     motions = tuple(fit_motion(*driven, float(shift)) for shift in shifts)
@@ -161,7 +158,7 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     return Step(
         trial, t, *alike, size, stroke, dead, dead_half, begins + within / 2, doubt + within / 2 + unsure,
         float(crossed.mean()) - begins, rise_half, driven, motions, others, noise_of(x[t < 0]),
-        slower, slow > 0, _unresolved(trial, good, (before, settled)),
+        slow > 0, _unresolved(trial, good, (before, settled)),
     )  # fmt: skip
 
 
@@ -178,42 +175,16 @@ def _rise(t: Array, rise: Array, size: float, noise: float, within: float) -> Ri
     return *_onset(t, rise, int(begun[0]), within), t[max(0, most[0] - 1) : most[0] + 1]
 
 
-def _slower(
-    t: Array, P: Array, new: NDArray[np.bool_], size: float, noise: float, within: float, risen: Rise
-) -> tuple[float, float]:
-    """Change of the times to the onset and from it to 63 % [s] by an additional filter of the gauge."""
-    later = behind(t, P, UNDECLARED)
-    rest = np.median(later[(t >= -BEFORE) & (t < -within)])
-    return _moved(_rise(t[new], ((later - rest) * np.sign(size))[new], abs(size), noise, within), risen)
-
-
-def _moved(again: Rise | None, risen: Rise, later: float = 0.0) -> tuple[float, float]:
-    """Differences to another rise, `later` by a known time, in the times to the onset and from it to 63 % [s]."""
-    if again is None:
-        return 0.0, 0.0
-    delay = again[0] - later - risen[0]
-    return abs(delay), abs(float(again[2].mean() - risen[2].mean()) - later - delay)
-
-
 JUMPS = 2.5
 """Ratio of the rise in the first averaging time to that in the next from which on the pressure starts with a jump."""
 
 
-def _as_delay(
-    t: Array, read: Array, P: Array, lag: float, over: float, within: float, risen: Rise
-) -> tuple[float, float]:
-    """Change of the times to the onset and from it to 63 % [s] if the declared lag of the gauge is a delay; 0 if it is
-    not.
-
-    It is a delay if P, corrected for a filter and averaged over the time `over` [s], starts with a jump.
+def _starts_with_jump(t: Array, P: Array, begins: float, over: float) -> bool:
+    """Whether a pressure, corrected for a filter and averaged over the time `over` [s], starts with a jump at `begins`
+    [s]: its declared lag may then be a delay.
     """
-    first = np.interp(risen[0] + over * np.arange(3), t, P)
-    if abs(first[1] - first[0]) <= JUMPS * abs(first[2] - first[1]):
-        return 0.0, 0.0
-    rest, end = read[(t >= -BEFORE) & (t < -within)], float(read[t > t[-1] - 1.0].mean())
-    size = end - float(np.median(rest))
-    rise = (read - np.median(rest)) * np.sign(size)
-    return _moved(_rise(t, rise, abs(size), float(rest.std()), within), risen, lag)
+    first = np.interp(begins + over * np.arange(3), t, P)
+    return bool(abs(first[1] - first[0]) > JUMPS * abs(first[2] - first[1]))
 
 
 def _unresolved(trial: TrialData, good: NDArray[np.bool_], rests: Sequence[NDArray[np.bool_]]) -> dict[str, float]:

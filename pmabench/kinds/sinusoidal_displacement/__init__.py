@@ -38,10 +38,6 @@ METHODS = {
         "the line rises by (B_r − B_c)/π. How far it is from the middle of the branches at mid stroke is in the method "
         "part. F_ce only where the stroke holds x = 0."
     ),
-    "sine-centres": (
-        "Sines about three means or more, x = 0 in the stroke of one: its cubic at x = 0, with the distance of a cubic "
-        "through force and stiffness at all means in the method part."
-    ),
     "loop-work": (
         "Work along the measured loop: W_c is the integral of F dx while contracting, eta its share of what is taken up"
         " while expanding, W_c + W. At held pressure the air takes part in both; what it carries in and out is not "
@@ -77,6 +73,7 @@ KIND = Kind(
         "bode": "pmabench.plotting.loops:bode",
         "sine-pressure": "pmabench.kinds.sinusoidal_displacement.pressure:sine_pressure",
     },
+    front={"loop": "pmabench.plotting.loops:loops"},
     published={"loop": ("displacement", "force", "pressure")},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(

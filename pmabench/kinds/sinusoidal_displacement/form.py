@@ -60,7 +60,7 @@ TURNS = 2.0
 """Ratio of h2 to the shift of mean force minus h2, for a friction that differs near the turns in one direction."""
 BUILDS_UP = "friction that builds up on the way"
 BETTER = "an isobaric ramp (isobaric-ramp) measures the curve itself"
-CENTRES = "sines at three means or more, one of them with x = 0 in its stroke, or static load, give F_ce"
+AT_0 = "static load gives F_ce"
 
 
 @dataclass(frozen=True)
@@ -139,10 +139,10 @@ class Form:
         if not self.holds_0:
             far = f"x = 0 lies {abs(self.reach):.2g} amplitudes from the mean of these sines, beyond what they measured"
             bent = f"; along them the force over contraction is bent ({self.shares})" if self.bent else ""
-            return f"{far}{bent}; {CENTRES}; {BETTER}", self.bent
+            return f"{far}{bent}; {AT_0}; {BETTER}", self.bent
         if abs(self.h2) > self._least(STRAIGHT):
             bent = f"the force over contraction is bent along these sines ({self.shares}; {STRAIGHT:.0%} is accepted)"
-            return f"{bent}; {CENTRES}; {BETTER}", True
+            return f"{bent}; {AT_0}; {BETTER}", True
         return "", False
 
     def why_no_tangent(self) -> str:

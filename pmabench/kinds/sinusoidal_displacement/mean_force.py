@@ -7,15 +7,13 @@ B_r differ, it increases by (B_r - B_c)/pi per unit of the speed amplitude omega
     W_c = integral of F dx while x rises,  W_c + W = -integral of F dx while x falls,  eta = W_c / (W_c + W)
 
 with W the area of the loop. At constant pressure the air exchanges work, too, which is not measured, so eta is not an
-efficiency of the drive. F_ce from sines about several means: the force over contraction is most curved near x = 0, so
-values at a mean cannot be extrapolated far. If one of the strokes includes x = 0, the cubic by that sine's harmonics is
-evaluated there, and its distance from a cubic through force and stiffness at all means bounds the error of both.
+efficiency of the drive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import hypot, isfinite, nan, pi
 
 import numpy as np
@@ -26,7 +24,6 @@ from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import RECOVERED, Sine
 from pmabench.analysis.shared.skew import settled
 from pmabench.analysis.shared.trials import Point
-from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import (
     BETWEEN,
     CYCLES,
@@ -37,7 +34,7 @@ from pmabench.kinds.sinusoidal_displacement.fit import (
     of_cycles,
     of_like_motion,
 )
-from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, TURNS, Form, rows_of_cycles
+from pmabench.kinds.sinusoidal_displacement.form import REMAINS, Form, rows_of_cycles
 from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
 
@@ -203,97 +200,3 @@ def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: S
             one = of_cycles(symbol, (unit, quantity), LOOP_WORK, where, names, means, values, parts, note)
             found.append(settled(weighed(one, drift_of(mine, by_force)), BETWEEN, skew))
     return found
-
-
-SINE_CENTRES = "sine-centres"
-FEWEST = 3
-"""Means that a cubic needs, with force and stiffness at each: six values for four terms."""
-APART = 1e-6
-"""Means closer than this count as one [m]."""
-AGREE = 0.05
-"""Largest difference of both cubics, as a share of F_ce, at which it is given."""
-
-
-@dataclass(frozen=True)
-class Centre:
-    """Result of the sines of one pressure, mean and amplitude at their mean."""
-
-    F: Estimate
-    K: Estimate
-    form: Form
-
-    @property
-    def mean(self) -> float:
-        """Mean contraction [m]."""
-        return self.form.mean
-
-    @property
-    def at_0(self) -> float:
-        """Value at x = 0 of the cubic with this sine's harmonics [N]."""
-        r = self.form.reach
-        bent = 2 * self.form.h2 * r**2 - 4 * self.form.h3 * r**3
-        return (self.F.value or 0.0) + (self.K.value or 0.0) * self.mean + bent
-
-    def part(self, name: str) -> float | None:
-        """A part of the half width of `at_0` [N]; None without one."""
-        force, stiffness = (getattr(e.parts, name) for e in (self.F, self.K))
-        if force is None or stiffness is None:
-            return None if force is None else float(force)
-        return hypot(force, stiffness * self.mean)
-
-    @property
-    def harmonics(self) -> float:
-        """Half width of `at_0` because of the harmonics [N]."""
-        h2, h3, _ = self.form.half
-        h2 = hypot(h2, TURNS * self.form.apart)
-        return hypot(2 * h2 * self.form.reach**2, 4 * h3 * self.form.reach**3)
-
-
-def centre_of(found: Sequence[Estimate], form: Form) -> Centre | None:
-    """From the estimates of one cell; None where force or stiffness at its mean has no value."""
-    known = {e.symbol: e for e in found if e.value is not None and not e.coordinate and "frequency" not in e.at}
-    return Centre(known["F"], known["K"], form) if {"F", "K"} <= set(known) else None
-
-
-def through_centres(at: Mapping[str, float], centres: Sequence[Centre]) -> Estimate | None:
-    """F_ce [N] at the pressure of `at`; None with too few means, or without a stroke that includes x = 0."""
-    means = np.unique(np.round([one.mean for one in centres], 6))
-    near = [one for one in centres if one.form.holds_0]
-    if len(means) < FEWEST or not near or np.ptp(means) < APART:
-        return None
-    nearest = min(near, key=lambda one: abs(one.mean))
-    through = _cubic_at_0(centres)
-    value, apart = nearest.at_0, abs(nearest.at_0 - through)
-    method = hypot(nearest.part("method") or 0.0, apart, nearest.harmonics)
-    parts = Parts(nearest.part("repeats"), method, nearest.part("calibration"), nearest.part("skew") or 0.0)
-    note = sentences(
-        f"{len(means)} means: those about {show(nearest.mean, 'length', 3)} carried to x = 0 ({nearest.form.shares})"
-        f", {show(apart, 'force', 2)} from the cubic through all",
-        nearest.F.note,
-    )
-    names = tuple(name for one in centres for name in one.F.trials)
-    F_ce = Estimate("F_ce", value, "N", "force", SINE_CENTRES, dict(at), parts, len(names), note=note, trials=names)
-    if apart <= AGREE * abs(value):
-        return F_ce
-    return withhold(
-        F_ce,
-        f"a cubic through the sines about {len(means)} means gives {show(through, 'force', 4)} at x = 0, the harmonics "
-        f"of the nearest {show(value, 'force', 4)}: the curve is no cubic; {BETTER}",
-    )
-
-
-def _cubic_at_0(centres: Sequence[Centre]) -> float:
-    """At x = 0 the cubic through force and stiffness at all means [N], each weighted by its half width."""
-    rows, values, weights = [], [], []
-    for one in centres:
-        x = one.mean
-        for row, e, sign in (([1.0, x, x**2, x**3], one.F, 1.0), ([0.0, 1.0, 2 * x, 3 * x**2], one.K, -1.0)):
-            size = abs(e.value or 0.0)
-            rows.append(row)
-            values.append(sign * (e.value or 0.0))
-            weights.append(1 / max(e.parts.combined or 0.0, 1e-3 * size, 1e-9))
-    weight = np.array(weights)
-    scale = np.array([1.0, 1e-2, 1e-4, 1e-6])
-    design = np.array(rows) / scale * weight[:, None]
-    fitted = np.linalg.lstsq(design, np.array(values) * weight, rcond=None)[0]
-    return float(fitted[0])

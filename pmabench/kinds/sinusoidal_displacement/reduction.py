@@ -48,8 +48,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A + 4
     F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 if the directions differ. The width of the loop at mid
     stroke is 2 B omega A + 2 F_c: the value at 0 Hz is static hysteresis, the rest is phase lag. F_ce comes from the
-    mean force if the stroke includes x = 0 (`mean_force`), or from sines about several means. The higher harmonics of
-    the force correct K and F to those at the mean, and withhold what they contradict (`form`).
+    mean force if the stroke includes x = 0 (`mean_force`). The higher harmonics of the force correct K and F to those
+    at the mean, and withhold what they contradict (`form`).
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound of the time
     between displacement and force, to which that of their streams' clocks is added; else the plan's setting; without
@@ -64,14 +64,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates, traces, lines = list[Estimate](), list[Trace](), list[dict[str, Any]]()
     fits, stated = _fits(members, options)
     rising, changing = mean_force.force_slopes(fits), _over_pressure(fits)
-    centres: dict[float, list[mean_force.Centre]] = {}
     for key, fitted in fits.items():
         at, form, slopes = dict(key), fitted.form, changing.get(key)
         cell = Cell(at, scales, slopes, rising.get(key), form)
         found = _with_sensors(cell.estimates(fitted, form), fitted, cell, late=stated[key] == 0)
         estimates += found
-        if (centre := mean_force.centre_of(found, form)) is not None and "pressure" in at:
-            centres.setdefault(at["pressure"], []).append(centre)
         findings += [*fitted.findings(at), *form.findings(at)]
         lines.append({"at": at, **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
         symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == at and e.value is not None}
@@ -79,7 +76,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if slopes is None:
             text = "is not in the calibration parts: one pressure does not show how K, B and F_c change over it"
             findings.append(Finding("note", f"at {pressure_of(at)}: what an error of the pressure adds {text}"))
-    estimates = without_negative_friction(_with_centres(estimates, centres))
+    estimates = without_negative_friction(estimates)
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
     pressed = pressure_and_force(members, muscles, scales)
     estimates, findings, traces = estimates + pressed[0], findings + pressed[1], traces + pressed[2]
@@ -134,16 +131,6 @@ def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[P
     }
     clocks = {key: skew.apart([one.run for one in group], CHANNELS) for key, group in cells}
     return {key: Fitted.of(group, stated[key] + clocks[key]) for key, group in cells}, stated
-
-
-def _with_centres(
-    estimates: Sequence[Estimate], centres: Mapping[float, Sequence[mean_force.Centre]]
-) -> list[Estimate]:
-    """The estimates with F_ce from sines about several means in place of empty ones."""
-    of_all = {P: mean_force.through_centres({"pressure": P}, of) for P, of in sorted(centres.items())}
-    given = {P: F_ce for P, F_ce in of_all.items() if F_ce is not None}
-    empty = [e for e in estimates if e.symbol == "F_ce" and e.value is None and e.at.get("pressure") in given]
-    return [*(e for e in estimates if e not in empty), *given.values()]
 
 
 def _over_pressure(fits: Mapping[Point, Fitted]) -> dict[Point, Muscle]:
@@ -363,8 +350,6 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     for symbol in ("F_ce", "F"):
         for e in values_of(analysis, symbol, mean_force.SINE_MEAN):
             yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})
-    for e in values_of(analysis, "F_ce", mean_force.SINE_CENTRES):
-        yield exactly("F", {(e.at["pressure"], 0.0): e})
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

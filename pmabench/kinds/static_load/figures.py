@@ -43,21 +43,13 @@ def of_place(mean: Mean) -> Finding:
     if not mean.carried:
         text = "a lifted load hangs above its support when it breaks away again, and half of K x there is still in F_ce"
         text += " (within the method part): lift it by 2 mm and more, and record its way down"
-        return Finding("note", f"{text}; or process a test of K together, which takes it off")
+        return Finding("note", text)
     text = f"set-down broke away at a contraction of {show(points.place, 'length', 2)} on average"
     if mean.kept is not None:
         return Finding("note", f"{text}: lift and set-down are carried to x = 0")
     middle = float(np.nanmean(0.5 * (points.lift + points.set_down)))
     off = show(mean.line(middle) - mean.before(middle), "force", 2)
     return Finding("note", f"{text}: lift and set-down are carried to x = 0, {off} at {show(middle, 'pressure', 3)}")
-
-
-def of_reversal(mean: Mean) -> Finding:
-    """Loads that set down at a higher pressure than they lifted."""
-    size, force = show(mean.reversed, "pressure", 2), show(0.5 * mean.reversed * mean.line.s, "force", 2)
-    text = f"a load sets down at a pressure up to {size} above that at which it lifts, which no friction does:"
-    text += " it swings, or its support gives way. Let it come to rest before"
-    return Finding("doubt", f"{text}; the interval of F_ce holds {force} of it")
 
 
 def of_hysteresis(mean: Mean) -> Finding:

@@ -21,16 +21,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import noise_of
-from pmabench.kinds.static_load.points import (
-    MEAN,
-    Carried,
-    Points,
-    Stiffness,
-    along_ways,
-    by_stiffness,
-    smoothed,
-    times_of,
-)
+from pmabench.kinds.static_load.points import MEAN, Points, along_ways, smoothed, times_of
 from pmabench.store.records import Array, RunData, TrialData
 
 
@@ -142,8 +133,6 @@ STILL = 0.5
 """Friction counts as dry if the load does not move over this share of the difference from lift to set-down ..."""
 CLEAR = 5.0
 """... and if that difference exceeds this many times the noise of the pressure."""
-LEAST_REVERSED, NEARLY = 1e3, 0.1e-3
-"""A load whose set-down is this much above its lift [Pa], within NEARLY of x = 0 [m], is moved by something else."""
 
 
 @dataclass(frozen=True)
@@ -298,8 +287,6 @@ class Mean:
     """Whether the loads were raised, so that hysteresis would show."""
     why: str = ""
     """Why F_ce is withheld; empty where it is not."""
-    reversed: float = 0.0
-    """Largest excess of a load's set-down pressure over its lift pressure [Pa]; 0 if not significant."""
 
     @property
     def friction(self) -> float | None:
@@ -307,6 +294,13 @@ class Mean:
         apart = 0.5 * (self.points.lift - self.points.set_down)
         apart = apart[np.isfinite(apart)]
         return float(np.mean(apart)) * self.line.s if len(apart) else None
+
+    @property
+    def reversed(self) -> float:
+        """Largest half difference of a load that sets down at more pressure than it lifts [N]; else 0."""
+        load, half = self.points.load, 0.5 * (self.points.set_down - self.points.lift) * self.line.s
+        known = np.isfinite(half)
+        return max([0.0, *(float(half[known & (load == one)].mean()) for one in np.unique(load[known]))])
 
     def off(self, row: Array) -> float:
         """Half width [N] of the mean's systematic error, for `row` @ (a, s); for s as if the error were proportional to
@@ -316,22 +310,21 @@ class Mean:
         friction = share * abs(self.friction or 0.0)
         place = 0.5 * self.points.uncertain * self.line.s if self.carried else 0.0
         loop = 0.0 if self.kept is None else float(np.nanmax(self.kept.half))
-        whole = hypot(friction, place, loop, 0.5 * self.reversed * self.line.s)
+        whole = hypot(friction, place, loop, self.reversed)
         return whole if row[0] else whole / float(np.nanmean(self.points.side(MEAN)))
 
 
-def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Stiffness | None) -> Mean | None:
+def mean_of(runs: Sequence[RunData], plain: Points) -> Mean | None:
     """The line through the means of both directions, corrected for K x and hysteresis where the record shows them."""
     trials = {trial.name: trial for run in runs for trial in run.trials}
     own = [trials[name] for name in plain.names]
     before = fit_side(plain, MEAN)
-    moved = _carried(own, plain, slope, stiffness)
+    moved = _carried(own, plain)
     points = plain if moved is None else moved
     if before is None or (line := fit_side(points, MEAN)) is None:
         return None
     times = [times_of(trial) for trial in own]
     gap = plain.lift - plain.set_down
-    back = _reversed(own, points, carried=moved is not None)
     loops = [loop_of(trial, when) for trial, when in zip(own, times, strict=True)]
     held = kept(loops, plain.load, gap, before.s)
     if held is not None:
@@ -339,51 +332,23 @@ def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Sti
         without = fit_side(points, MEAN)
         if without is None:
             return None
-        return Mean(points, without, before, moved is not None, held, reversed=back)
+        return Mean(points, without, before, moved is not None, held)
     seen = [still for trial, when, one in zip(own, times, gap, strict=True)
             if (still := rests(trial, when, one)) is not None]  # fmt: skip
     raised = sum(loop is not None for loop in loops) > 0.5 * len(loops)
     why = YIELDS if seen and not raised and np.mean(seen) < 0.5 else ""
-    return Mean(points, line, before, moved is not None, None, raised, why, back)
+    return Mean(points, line, before, moved is not None, None, raised, why)
 
 
-def _reversed(trials: Sequence[TrialData], points: Points, *, carried: bool) -> float:
-    """Largest excess of a load's mean set-down pressure over its lift pressure [Pa]; 0 if not significant.
-
-    Friction, damping and hysteresis act the other way; so does K x where a load that hangs higher than `NEARLY` was not
-    corrected to x = 0, which is left out.
+def _carried(trials: Sequence[TrialData], points: Points) -> Points | None:
+    """The points of `trials` with lift and set-down corrected to x = 0; None where a way is too short, or where the
+    corrections do not improve the result.
     """
-    places = [float((one.found.get("set-down") or {}).get("displacement") or 0.0) for one in trials]
-    gap = points.lift - points.set_down
-    rows = np.isfinite(gap) & (carried | (np.abs(places) < NEARLY))
-    load = points.load
-    worst = max((-float(gap[rows & (load == one)].mean()) for one in np.unique(load[rows])), default=0.0)
-    noise = [noise_of(one.channels["pressure"][one.usable]) for one in trials if "pressure" in one.channels]
-    return worst if worst > max(LEAST_REVERSED, points.step, CLEAR * max(noise, default=0.0)) else 0.0
-
-
-def _carried(trials: Sequence[TrialData], points: Points, slope: float, stiffness: Stiffness | None) -> Points | None:
-    """The points of `trials` with lift and set-down corrected to x = 0; None where no method improves all of them.
-
-    K of another test is used only where the load's own motion is too short or too uneven, since it may apply to another
-    contraction.
-    """
-    rows = zip(trials, points.lift, points.set_down, strict=True)
-    found = [(trial, {"lift": lift, "set-down": down}) for trial, lift, down in rows]
-    ways: list[list[Carried | None]] = [[along_ways(*one) for one in found]]
-    if stiffness is not None:
-        ways.append([by_stiffness(*one, slope, stiffness) for one in found])
-    return next((moved for way in ways if (moved := _moved(points, way)) is not None), None)
-
-
-def _moved(points: Points, way: Sequence[Carried | None]) -> Points | None:
-    """The points with the corrections; None where a set-down has none, or where they do not improve the result."""
-    if None in way:
+    found = [along_ways(trial, down) for trial, down in zip(trials, points.set_down.tolist(), strict=True)]
+    if None in found:
         return None
-    lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in way if one]).T
-    if not np.isfinite(place[np.isfinite(points.set_down)]).all():
-        return None
+    lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in found if one]).T
     taken = 0.5 * float(np.nanmean(points.lift + points.set_down - lift - down))
     if 0.5 * float(half.mean()) > ADDS * abs(taken):
         return None
-    return replace(points, lift=lift, set_down=down, uncertain=float(half.mean()), place=float(np.nanmean(place)))
+    return replace(points, lift=lift, set_down=down, uncertain=float(half.mean()), place=float(place.mean()))

@@ -23,7 +23,6 @@ from pmabench.kinds.static_load.points import (
     MEAN,
     SET_DOWN,
     Points,
-    Stiffness,
     on_time_run,
     points_of,
     step_in,
@@ -37,6 +36,8 @@ HALF = "static-half-difference"
 OF_ONE_SIDE = f"bias: against {MEAN}, the friction of one direction"
 GRID = 50e3
 """F_ce is given at whole multiples of this pressure, as in paper 0 [Pa]."""
+REVERSED = 0.5e3
+"""Half of what set-down lies above lift from which on it is a doubt [Pa]."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -47,9 +48,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the error is in P.
 
     A lifted load hangs above its support when it breaks away again: the mean is of pressures corrected to x = 0 along
-    the load's own way down, or with the option `stiffness` (K over pressure from another test of the specimen,
-    `points.option_of`) where that is too short; lines by lift or set-down alone are the paper's, uncorrected.
-    Hysteresis that a raised load shows is subtracted, otherwise the interval covers it (`line`).
+    the load's own way down; lines by lift or set-down alone are the paper's, uncorrected. Hysteresis that a raised load
+    shows is subtracted, otherwise the interval covers it (`line`).
     """
     step = step_in(runs)
     runs = [on_time_run(run) for run in runs]
@@ -57,8 +57,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     plain = replace(plain, step=step, zero=zero_moved(runs))
     estimates, curves, findings = list[Estimate](), list[Curve](), list[Finding]()
     sides = {method: line for method in (LIFT, SET_DOWN) if (line := fit_side(plain, method)) is not None}
-    stiffness = Stiffness.of((options or {}).get("stiffness"))
-    mean = mean_of(runs, plain, sides[SET_DOWN].s, stiffness) if SET_DOWN in sides else None
+    mean = mean_of(runs, plain) if SET_DOWN in sides else None
     lines: dict[str, Line] = ({} if mean is None else {MEAN: mean.line}) | sides
     points = plain if mean is None else mean.points
     scales = Scales.of(runs)
@@ -108,8 +107,9 @@ def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None, zero: float) -> 
     if lines and zero:
         text = f"vented before each trial, the gauge reads up to {show(zero, 'pressure', 2)} apart: its zero drifts"
         findings.append(Finding("doubt", f"{text}, which is in the intervals; zero it, or let it warm up"))
-    if mean is not None and mean.reversed:
-        findings.append(figures.of_reversal(mean))
+    if mean is not None and mean.reversed > max(REVERSED, mean.points.step) * mean.line.s:
+        text = "a load sets down at a higher pressure than it lifts, which no friction does: it swings, or hangs above"
+        findings.append(Finding("doubt", f"{text} its support; half the difference is in the interval of F_ce"))
     return findings
 
 

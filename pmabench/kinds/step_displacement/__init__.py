@@ -1,6 +1,6 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
-- `reduction` of all steps of a cell: `step` (one, there or back, and forces at the pressure of the cell)
+- `reduction` of all steps of a cell: `step` (one, there or back)
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -16,10 +16,10 @@ RESULTS = (
 METHODS = {
     "step, relaxed": (
         "Forces and measured contraction at rest, before a step of displacement and at the end of the rest after it: K "
-        "= −ΔF/Δx; above 0 the step contracts. Forces are those at the pressure of the operating point: what the "
-        "measured one is off is taken off by dF/dP, from the same rest at another pressure or from the way back. "
-        "Friction f between the rests is in them: K is at least that of the muscle, up to 2 f/Δx more, and F is above "
-        "the mean of both directions after a stretch, below it after a contraction."
+        "= −ΔF/Δx; above 0 the step contracts. Where the regulator rests at other pressures, what a force twice as "
+        "steep as a proportional one makes of that is in the interval, or the value is withheld. Friction f between "
+        "the rests is in them: K is at least that of the muscle, up to 2 f/Δx more, and F is above the mean of both "
+        "directions after a stretch, below it after a contraction."
     ),
     "step, peak": (
         "As step, relaxed, with the forces as measured and the peak in place of the relaxed one: damping, the pressure "

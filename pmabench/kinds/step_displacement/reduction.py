@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from math import hypot
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from pmabench.analysis.shared.trials import grouped, measured_trials, point_by, 
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
-from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Slopes, Steps, measure, shift, slopes_of
+from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Steps, measure
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import RunData, TrialData
 
@@ -51,9 +51,13 @@ UNTURNED = 0.05
 """Share of the friction between two rests that a small step may not have reversed."""
 RUBS = "friction between the two rests is in it"
 AT_LEAST = f"{RUBS}, as twice its size over the step: it is at least K"
-CLEAR = 1.5
-"""Difference of K between two sizes of step, in half widths of the repeats, from which on it is reported."""
 RUBBED = "friction between the rests"
+LIKELY = 2.0
+"""Upper bound of dF/dP, as a multiple of that of a force proportional to the pressure at the rest length."""
+CERTAIN = 5.0
+"""Standard errors from which on two pressures differ."""
+FEW = 25
+"""Assumed number of independent samples in a rest, as a lower bound."""
 SEEN = 3.0
 """Standard deviations of noise from which on a higher force on return to the start is significant."""
 
@@ -73,21 +77,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     traces: list[Trace] = []
-    slopes = {(key, back): slopes_of(key, cells, back=back) for key in cells for back in (False, True)}
     rubbed: dict[tuple[float, float], float] = {}
     for key, group in cells.items():
-        most = max(_rubbed(one, slopes[key, False]) for one in group)
+        most = max(map(_rubbed, group))
         rubbed[_place(dict(key))] = max(most, rubbed.get(_place(dict(key)), 0.0))
     for key, group in sorted(cells.items()):
         at = dict(key)
         for back in (False, True):
             here = {**at, "step": (-1.0 if back else 1.0) * at.get("step", 0.0)}
             each = [member.back if back else member.there for member in group]
-            way = Way(here, group, each, scales, slopes[key, back], rubbed[_place(at)])
+            way = Way(here, group, each, scales, rubbed[_place(at)])
             estimates += [*way.forces(), *way.times()]
         findings += _findings(group)
         traces.append(_trace(at, group[0]))
-    findings += _sizes(estimates)
     if estimates and (lack := scales.lack(("force", "displacement"))):
         findings.append(Finding("note", lack))
     return Analysis.of(
@@ -112,15 +114,14 @@ def _place(at: Mapping[str, float]) -> tuple[float, float]:
     return at.get("pressure", 0.0), at.get("start", 0.0)
 
 
-def _rubbed(steps: Steps, slopes: Slopes) -> float:
+def _rubbed(steps: Steps) -> float:
     """Increase of the force at the start over that before the first step [N]; 0 if not significant.
 
-    The first rest follows a contraction and later ones a stretch, so the difference is twice the friction, at one
-    pressure. It also contains initial creep.
+    The first rest follows a contraction and later ones a stretch, so the difference is twice the friction. It also
+    contains initial creep, and what the pressure differs.
     """
-    first, last, slope = steps.first, steps.there[-1], slopes[0]
-    gone = slope.value * (last.pressures[0] - first.pressures[0])
-    rise = last.before - first.before - (gone if np.isfinite(gone) and slope.half is not None else 0.0)
+    first = steps.first
+    rise = steps.there[-1].before - first.before
     return rise if rise > SEEN * max(first.noise, *first.unresolved.values()) else 0.0
 
 
@@ -133,7 +134,6 @@ class Way:
     each: Sequence[tuple[Relaxation, ...]]
     """The steps of each trial."""
     scales: Scales
-    slopes: Slopes
     rubbed: float
     """Twice the friction between two rests, as far as it is significant [N]."""
 
@@ -182,21 +182,18 @@ class Way:
         def over(*doubts: Doubt) -> list[Doubt]:
             return [replace(one, half=one.half / moved) for one in doubts]
 
-        off = shift(every, self.slopes, self.at.get("pressure", 0.0), (-1, 1))
-        at_rest = np.array(static) + off.known / float(np.mean([one.moved for one in every]))
+        at_rest = over(before, after, self.off_pressure((-1, 1)), rub, self.of_steps(float(np.mean(static))))
         found = [
-            self.estimate("K", stiffness, RELAXED, list(at_rest), slope, note=AT_LEAST,
-                          doubts=over(before, after, off.left, rub, self.of_steps(float(np.mean(static))))),
+            self.estimate("K", stiffness, RELAXED, static, slope, note=AT_LEAST, doubts=at_rest),
             self.estimate("K", stiffness, PEAK, peak, slope, extreme / moved, note=RUBS,
                           doubts=over(before, replace(blunt, most=BLUNT), self.of_steps(float(np.mean(peak))))),
         ]  # fmt: skip
         once, half_rub = self.of_steps(0.0, 1.0), replace(rub, half=rub.half / 2)
         for name, rests, doubt in (("before", (1, 0), before), ("relaxed", (0, 1), after)):
-            off = shift(every, self.slopes, self.at.get("pressure", 0.0), rests)
-            values = np.array([getattr(one, name) for one in every]) - off.known
-            doubts = (doubt, off.left, half_rub, once)
+            values = [getattr(one, name) for one in every]
+            doubts = (doubt, self.off_pressure(rests), half_rub, once)
             found.append(
-                self.estimate("F", newton, RELAXED, list(values), {"force": 1}, 0.0, name, doubts, "friction is in it")
+                self.estimate("F", newton, RELAXED, values, {"force": 1}, 0.0, name, doubts, "friction is in it")
             )
         peaks = [one.peak for one in every]
         found.append(self.estimate("F", newton, PEAK, peaks, {"force": 1}, extreme, "peak", (blunt, once)))
@@ -215,6 +212,28 @@ class Way:
         often = f"the {channel} is new every {show(time, 'time', 2)}, which is longer than the step takes, and held in"
         return withhold(e, f"{often} between: its peak may lie there. Read it more often, or step more slowly")
 
+    @property
+    def steep(self) -> float:
+        """Upper bound of dF/dP [N/Pa]; 0 without a pressure."""
+        start, size, pressure = (abs(self.at.get(name, 0.0)) for name in ("start", "step", "pressure"))
+        each = [max(abs(one.before), abs(one.relaxed)) + abs(one.static) * (start + size) for one in self.every]
+        return LIKELY * float(np.mean(each)) / pressure if pressure > 0 else 0.0
+
+    def off_pressure(self, rests: tuple[int, int]) -> Doubt:
+        """Effect of pressures at rest that are not that of the operating point, on a force [N] that is the one before
+        times `rests[0]` plus the one after times `rests[1]`.
+        """
+        off = np.array([one.pressures for one in self.every]) - self.at.get("pressure", 0.0)
+        known = bool(np.isfinite(off).all())
+        each = off @ rests if known else np.zeros(len(off))
+        apart = abs(float(each.mean()))
+        noise = max(one.pressure_noise for one in self.every) / sqrt(FEW)
+        error = hypot(noise, float(each.std())) / sqrt(len(each))
+        where = "rests at other pressures before and after the steps" if all(rests) else "rests off its set-point"
+        text = f"the regulator {where}, by {show(apart, 'pressure', 2)}, which may be worth"
+        reason = f"{text} {show(self.steep * apart, 'force', 2)}: hold longer, or use a finer regulator"
+        return Doubt("pressure at rest", "method", self.steep * apart, apart > CERTAIN * error, reason)
+
     def read(self, channel: str) -> float:
         """Error of the mean of a rest because the channel is read in steps [SI]."""
         return max(one.unresolved.get(channel, 0.0) for one in self.every)
@@ -223,8 +242,7 @@ class Way:
         """Error of a rest's force, or of the force between two rests with a stiffness, because the channels are read in
         steps [N].
         """
-        pressed = max((slope.value for slope in self.slopes if slope.half is not None), default=0.0)
-        each = (self.read("force"), K * self.read("displacement"), pressed * self.read("pressure"))
+        each = (self.read("force"), K * self.read("displacement"), self.steep * self.read("pressure"))
         return Doubt(STEPS, "method", rests * float(np.linalg.norm(each)), seen=False)
 
     def times(self) -> Iterator[Estimate]:
@@ -281,22 +299,6 @@ def _still_moving(rests: Sequence[Held]) -> Doubt:
     further = left(rests)
     text = f"the force is not at rest: after the hold it may still change by {show(further.most, 'force', 2)}"
     return Doubt("motion of the force after the rest", "method", further.most, further.seen, f"{text}. Hold longer")
-
-
-def _sizes(estimates: Sequence[Estimate]) -> Iterator[Finding]:
-    """Friction from steps of two sizes from one start."""
-    known = [e for e in estimates if (e.symbol, e.method) == ("K", RELAXED) and e.value is not None]
-    away = [e for e in known if e.at.get("step", 0.0) > 0]
-    for (P, *_), steps in sorted(grouped(away, _start).items()):
-        for one, two in pairwise(sorted(steps, key=lambda e: e.at["step"])):
-            (s_1, K_1), (s_2, K_2) = ((e.at["step"], e.value or 0.0) for e in (one, two))
-            if K_1 - K_2 > CLEAR * hypot(one.parts.repeats or 0.0, two.parts.repeats or 0.0):
-                friction = (K_1 - K_2) * s_1 * s_2 / (s_2 - s_1) / 2
-                text = f"at {show(P, 'pressure')} steps of {show(s_1, 'length')} give a K that is larger by"
-                text += f" {show(K_1 - K_2, 'stiffness', 2)} than steps of {show(s_2, 'length')}: friction of"
-                text += f" {show(friction, 'force', 2)} between the rests, or a K that changes along the contraction;"
-                K = (K_2 * s_2 - K_1 * s_1) / (s_2 - s_1)
-                yield Finding("note", f"{text} without friction it is {show(K, 'stiffness', 3)} between their ends")
 
 
 def _findings(group: Sequence[Steps]) -> Iterator[Finding]:

@@ -1,16 +1,12 @@
 """One step of displacement at constant pressure: force and pressure before, at the peak, relaxed, and their recovery.
 
-Also forces at the pressure of the operating point instead of the one that the regulator left at rest: a regulator with
-dead band rests on one side after a contraction and on the other after a stretch, and the pressure difference would look
-like stiffness. dF/dP comes from the same rest at another pressure, else from the recovery, where the length is constant
-and the pressure changes. Uses trials and their samples; gives no coefficient.
+Uses trials and their samples; gives no coefficient.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -18,10 +14,8 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from pmabench.analysis.shared import samples
-from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.lines import left_by
 from pmabench.analysis.shared.samples import UNDECLARED, Held, NotUsable, ends, lags_of, noise_of
-from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 LAST = 0.2
@@ -36,8 +30,6 @@ LAGS = 6.0
 """Lags of a sensor after which its effect has decayed, and up to which a recovery may be caused by it."""
 SAME = 0.4
 """Largest relative difference of the time constants of force and pressure if one causes the other."""
-BLOCK = 0.02
-"""Averaging time for comparing force and pressure of the recovery [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +73,6 @@ class Relaxation:
     """Noise of the force [N]."""
     pressures: tuple[float, float]
     """Mean pressure of the rests before and after [Pa]; nan where it is not recorded."""
-    together: tuple[Array, Array]
-    """Pressure [Pa] and force [N] of the recovery as means minus their mean: x is constant, so their ratio is dF/dP."""
     unresolved: Mapping[str, float]
     """Channel -> error of a rest's mean because it is read in steps [SI]."""
     missed: Mapping[str, float]
@@ -210,7 +200,6 @@ def _one(
         pressure_back=recovery(on_way, P[still]) if known else None,
         noise=noise_of(F[rest]),
         pressures=(float(P[before].mean()), float(P[after].mean())),
-        together=_together(on_way, P[still], F[still]),
         unresolved={
             name: max(samples.unresolved(trial.channels[name][rows], step) for rows in (before, after))
             for name, step in steps.items()
@@ -218,17 +207,6 @@ def _one(
         missed={},
     )
     return replace(one, blunted=_blunted(t[moving], away, moved, max(one.filter, one.fast)))
-
-
-def _together(since: Array, P: Array, F: Array) -> tuple[Array, Array]:
-    """Pressure and force of the recovery, shape (n,), as means over `BLOCK` minus their mean, without its beginning."""
-    width = max(1, round(BLOCK / float(np.median(np.diff(since)))))
-    rows = np.flatnonzero(since > LAGS * UNDECLARED)
-    rows = rows[: len(rows) // width * width]
-    if len(rows) < 2 * width:
-        return np.zeros(0), np.zeros(0)
-    p, f = (values[rows].reshape(-1, width).mean(axis=1) for values in (P, F))
-    return p - p.mean(), f - f.mean()
 
 
 def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:
@@ -271,117 +249,3 @@ def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
         lambda s: left(np.array([s]))[0], bounds=(low, high), method="bounded", options={"xatol": 1e-5}
     )
     return float(np.exp(found.x)), best not in (0, len(grid) - 1)
-
-
-Cell = tuple[tuple[str, float], ...]
-"""A cell: names and values of its point."""
-APART = 0.05
-"""Smallest relative difference of two pressures for dF/dP."""
-KNOWN = 0.15
-"""Relative uncertainty of dF/dP: it is bent between two pressures, and a filter delays force and pressure."""
-LEFT = 0.3
-"""Residual of the recovery's force over pressure, as a share, above which something else changes the force, too."""
-SHOWN = 5.0
-"""Smallest change of the pressure in a recovery for dF/dP, in standard deviations of its noise."""
-LIKELY = 2.0
-"""Upper bound of dF/dP, as a multiple of that of a force proportional to the pressure at the rest length."""
-CERTAIN = 5.0
-"""Standard errors from which on a pressure differs from the nominal one."""
-NAME = "pressure at rest"
-FEW = 25
-"""Assumed number of independent samples in a rest, as a lower bound."""
-
-
-@dataclass(frozen=True)
-class Shift:
-    """Effect of the pressures at rest on a force [N]: `known` is to be subtracted, `left` is the remaining doubt."""
-
-    known: float
-    left: Doubt
-
-
-@dataclass(frozen=True)
-class Slope:
-    """dF/dP of one rest [N/Pa]; `half` is None where the value is only a likely upper bound."""
-
-    value: float
-    half: float | None
-
-
-Slopes = tuple[Slope, Slope]
-"""For the rest before a step and for that after it."""
-
-
-def shift(steps: Sequence[Relaxation], slopes: Slopes, pressure: float, rests: tuple[int, int]) -> Shift:
-    """Effect of the pressures at rest on a force [N] that is the one before times `rests[0]` plus the one after times
-    `rests[1]`.
-
-    It is known if dF/dP is, else a doubt if the pressure differs significantly.
-    """
-    off = np.array([one.pressures for one in steps]) - pressure
-    if not np.isfinite(off).all():
-        return Shift(0.0, Doubt(NAME, "method", 0.0, seen=False))
-    mean = off.mean(axis=0) * rests
-    worth = float(mean @ [slope.value for slope in slopes])
-    if all(slope.half is not None for slope, part in zip(slopes, rests, strict=True) if part):
-        open_ = mean * [slope.half or 0.0 for slope in slopes]
-        half = max(float(np.linalg.norm(open_)), abs(float(open_.sum())))
-        return Shift(worth, Doubt(NAME, "method", half, seen=False))
-    size, apart = abs(worth), abs(float(mean.sum()))
-    noise = max(one.pressure_noise for one in steps) / sqrt(FEW)
-    error = hypot(noise, float(np.std(off @ rests))) / sqrt(len(steps))
-    where = "before and after the steps" if all(rests) else "at rest and that of the operating point"
-    text = f"the pressures {where} differ by {show(apart, 'pressure', 2)}, which may be worth {show(size, 'force', 2)}"
-    reason = f"{text}: the record gives no dF/dP. Do the steps at two pressures, or with a finer regulator"
-    return Shift(0.0, Doubt(NAME, "method", size, apart > CERTAIN * error and size > 0, reason))
-
-
-def slopes_of(key: Cell, cells: Mapping[Cell, Sequence[Steps]], back: bool) -> Slopes:
-    """dF/dP around the steps of a cell, away from the start or `back`."""
-
-    def of(group: Sequence[Steps], other: bool) -> list[Relaxation]:
-        return [one for steps in group for one in (steps.back if other != back else steps.there)]
-
-    at, mine = dict(key), of(cells[key], False)
-    pressure, rest = at.get("pressure", 0.0), [(n, v) for n, v in key if n != "pressure"]
-    others = {
-        dict(cell)["pressure"]: of(group, False)
-        for cell, group in cells.items()
-        if "pressure" in dict(cell) and [(n, v) for n, v in cell if n != "pressure"] == rest
-    }
-    apart = [P for P in others if abs(P - pressure) > APART * max(P, pressure)]
-    nearest = others[min(apart, key=lambda P: abs(P - pressure))] if apart else None
-
-    def slope(side: int, still: Sequence[Relaxation]) -> Slope:
-        place = at.get("start", 0.0) + (at.get("step", 0.0) if (side == 1) != back else 0.0)
-        here = _rest(mine, side)
-        K = abs(float(np.mean([one.static for one in mine])))
-        most = LIKELY * (abs(here[1]) + K * abs(place)) / pressure if pressure > 0 else 0.0
-        chord = None if nearest is None else _chord(here, _rest(nearest, side))
-        return next((one for one in (chord, _on_the_way(still)) if one and 0 < one.value < most), Slope(most, None))
-
-    return slope(0, of(cells[key], True)), slope(1, mine)
-
-
-def _rest(steps: Sequence[Relaxation], side: int) -> tuple[float, float]:
-    """Mean pressure [Pa] and force [N] of the rests before (0) or after (1) steps."""
-    forces = [(one.before, one.relaxed)[side] for one in steps]
-    return float(np.mean([one.pressures[side] for one in steps])), float(np.mean(forces))
-
-
-def _chord(here: tuple[float, float], there: tuple[float, float]) -> Slope:
-    value = (there[1] - here[1]) / (there[0] - here[0])
-    return Slope(value, KNOWN * abs(value))
-
-
-def _on_the_way(steps: Sequence[Relaxation]) -> Slope | None:
-    """dF/dP from recoveries at one length; None where the pressure changes too little, or something else acts."""
-    if not steps:
-        return None
-    p, f = (np.concatenate([one.together[i] for one in steps]) for i in (0, 1))
-    swing = float(np.std(p)) if len(p) > 2 else 0.0
-    if swing <= SHOWN * max(noise_of(one.together[0]) for one in steps):
-        return None
-    value = float(p @ f) / float(p @ p)
-    off = float(np.std(f - value * p)) / (abs(value) * swing or 1.0)
-    return Slope(value, float(np.hypot(KNOWN, off)) * abs(value)) if off < LEFT else None

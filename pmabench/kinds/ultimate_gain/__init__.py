@@ -5,7 +5,7 @@
 - protocol files: `protocol`; one trial on the display: `reduction`
 """
 
-from pmabench.base.kind import Imported, Kind, Result
+from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("K_u", "ultimate gain", "gain", headline=True, positive=True),
@@ -53,7 +53,6 @@ KIND = Kind(
         "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
     },
     figures={"oscillation": "pmabench.plotting.loops:oscillations", "growth": "pmabench.plotting.loops:oscillations"},
-    front={"growth": "pmabench.plotting.loops:growth_alone"},
-    imported=Imported(),
+    front={"growth": "pmabench.plotting.loops:oscillation"},
     loop=True,
 )

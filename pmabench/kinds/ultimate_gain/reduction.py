@@ -36,7 +36,6 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "ultimate-gain"
 NO_LEVELS = "no levels of gain are recorded"
-ELSEWHERE = f"{NO_LEVELS}: no column holds them, but run.json of an exported run does"
 METHOD = "gain-steps"
 USED = ("finished", "failed")
 """Statuses of trials that are evaluated; a search that found nothing is a failed trial, and its reason is reported."""
@@ -127,11 +126,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ln(ratio) of successive swings is fitted against K_p by a line over the last levels; K_u is its zero, T_u the period
     by a line at the same gain (Ziegler and Nichols 1942). The bias of the line is found by replay with the loop
     identified from the levels, and subtracted.
-
-    `options`: `loop` = {"gain" [m/Pa], "dead_time" [s], "lags" [s, ...]}, a linear model from elsewhere with which K_u
-    and T_u are compared.
     """
-    options = options or {}
     cells, dropped = _cells(runs)
     estimates: list[Estimate] = []
     findings: list[Finding] = []
@@ -147,10 +142,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             fact = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": gain_ways.plain_lags(loop), "skew": apart}
             loops.append({"at": dict(K_u.at), **fact})
         settings.extend(tuning.facts(tuning.tune(K_u, T_u, loop=loop), K_u.at))
-        if "loop" in options:
-            given = options["loop"]
-            model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
-            findings.append(tuning.plausibility(T_u.value, model, K_u.value))
 
     every = [cell for mine in cells.values() for cell in mine]
     for cell in every:
@@ -159,7 +150,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces += cell.traces()
         dropped += cell.dropped
         settle(cell.estimates[0], cell.estimates[1], cell.loop, cell.apart)
-    findings += gain_ways.findings(estimates, loops)
+    findings += gain_ways.findings(estimates)
     return Analysis.of(
         KIND,
         runs,
@@ -169,7 +160,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings=findings,
         traces=traces,
         facts={
-            "options": dict(options),
             "trials": sum(len(cell.good) for cell in every),
             "cells": len(every),
             "loops": loops,
@@ -207,7 +197,7 @@ def _cells(runs: Sequence[RunData]) -> tuple[dict[str, list[GainCell[Any]]], lis
         if trial.status not in USED:
             why = f"the trial is {trial.status}"
         if why:
-            dropped.append(Dropped(trial.name, trial.point, ELSEWHERE if why == NO_LEVELS else why))
+            dropped.append(Dropped(trial.name, trial.point, why))
         else:
             ways[way].append((run, trial))
     return {way: cell.all_of(ways[way], look) for way, (cell, look) in WAYS.items()}, dropped

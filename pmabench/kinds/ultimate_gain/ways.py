@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
-from pmabench.analysis import tuning
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, listed, sentences
 from pmabench.analysis.shared.isometric_lines import spread
@@ -266,20 +265,9 @@ APART = {"K_u": 0.25, "T_u": 0.1}
 """Largest relative difference between open-loop steps, relay and rising gain without friction; with friction 30 % to
 300 %.
 """
-SCHEDULE = 1.3
-"""Ratio of K_u between set-points above which a single set of gains is not enough."""
 
 
-def findings(estimates: Sequence[Estimate], loops: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """Differences between the methods, each method compared with the fitted loop of its operating point, and K_u over
-    set-points.
-
-    `loops` are the fitted ones: `at` [SI], `gain` [m/Pa], `dead_time` [s], `lags` [s].
-    """
-    return [*_spread(estimates), *_against_loops(estimates, loops), *_schedule(estimates)]
-
-
-def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
+def findings(estimates: Sequence[Estimate]) -> list[Finding]:
     """Differences of the methods for K_u and T_u at one operating point.
 
     The describing function is reported but not counted: even without friction its K_u is too low by a fifth or more.
@@ -303,34 +291,3 @@ def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
                 text += ", more than without friction: stiction, or a muscle that bends within the swings"
             lines.append(Finding("doubt" if apart > APART[symbol] else "note", text))
     return lines
-
-
-def _against_loops(estimates: Sequence[Estimate], loops: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """K_u and T_u of other methods compared with the loop fitted at the same operating point."""
-    lines = []
-    for entry in loops:
-        lags = [complex(*lag) if isinstance(lag, list) else lag for lag in entry["lags"]]
-        here = [e for e in estimates if e.value and dict(e.at) == entry["at"] and e.method != DESCRIBED]
-        if not here:
-            continue
-        loop = Loop(entry["gain"], entry["dead_time"], tuple(lags))
-        for method in list(dict.fromkeys(e.method for e in here))[1:]:  # the first is the loop's own
-            pair = {e.symbol: e.value for e in here if e.method == method}
-            if pair.get("T_u"):
-                said = tuning.plausibility(pair["T_u"] or 0.0, loop, pair.get("K_u"))
-                lines.append(replace(said, text=f"{method} against the loop of {here[0].method}: {said.text}"))
-    return lines
-
-
-def _schedule(estimates: Sequence[Estimate]) -> list[Finding]:
-    """A finding if K_u differs much between set-points."""
-    known = [e for e in estimates if e.symbol == "K_u" and e.value and "setpoint" in e.at]
-    known = [e for e in known if e.method == known[0].method]
-    if len({e.at["setpoint"] for e in known}) < 2:
-        return []
-    low, high = min(known, key=lambda e: e.value or 0.0), max(known, key=lambda e: e.value or 0.0)
-    ratio = (high.value or 0.0) / (low.value or 1.0)
-    if ratio < SCHEDULE:
-        return []
-    ends = f"{show(low.at['setpoint'], 'length')} and {show(high.at['setpoint'], 'length')}"
-    return [Finding("note", f"K_u changes {ratio:.2g}-fold between {ends}: settings hold for their own set-point only")]

@@ -1,7 +1,6 @@
 """Pressure steps without load, compared with the contraction by a model.
 
 - `reduction`, with the figure and one trial on the display; protocol files: `protocol`
-- `sensors`: zeros, steps and filters of the channels of one step
 """
 
 from pmabench.base.kind import Imported, Kind, Result
@@ -19,10 +18,6 @@ METHODS = {
     "measured pressure": (
         "As with the commanded pressure, but the model gets the pressure that was measured, so that the regulator's "
         "errors are none of the model's."
-    ),
-    "measured pressure, straight lines": (
-        "Where the model is a muscle as a surface: F_ce - K x - B x' - F_c sign x', fitted to the same tests as the "
-        "surface, and driven by the measured pressure, for comparison."
     ),
 }
 FIGURES = {"validation": "pmabench.kinds.validation.reduction:validations"}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -15,28 +15,18 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.samples import lag_open, noise_of
+from pmabench.analysis.shared.samples import between_new, count_of, fresh, lags_of, noise_of, unresolved
 from pmabench.analysis.shared.signals import smooth
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, point_of, thinned
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
-from pmabench.kinds.validation.sensors import (
-    CHANNELS,
-    SURE,
-    apart,
-    coarse,
-    followed,
-    off_zero,
-    off_zero_findings,
-    step_of_pressure,
-)
 from pmabench.model.presets import Described
 from pmabench.plotting.motion import overlays
 from pmabench.plotting.pictures import Picture
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, Command, RunData, TrialData
 
 KIND = "validation"
 COMMANDED = "commanded pressure"
@@ -45,16 +35,19 @@ MEASURED = "measured pressure"
 """The input of the simulation is the measured pressure, so that errors of the regulator are not attributed to the
 model.
 """
-STRAIGHT = "measured pressure, straight lines"
-"""For a surface model of the muscle: the straight form fitted to the same tests, for comparison."""
-METHODS = (COMMANDED, MEASURED, STRAIGHT)
+METHODS = (COMMANDED, MEASURED)
 ALONE = "one run: no repeats part"
 NO_MODEL = "the plan holds no model to compare with"
-LAGS = "time constants of the sensors"
 ZEROS = "zeros and steps of the channels"
-NOISE = "noise of the displacement"
-OF_SIM = {LAGS: "lag", ZEROS: "zero"}
-"""Line of the budget of e_sim -> end of the names of its causes."""
+NO_INTERVAL = "no interval: noise and errors of the channels are in it like those of the model"
+CHANNELS = {"displacement": "length", "pressure": "pressure"}
+"""Channel -> its quantity."""
+SURE = 5.0
+"""Standard errors from which on a reading at rest, or a motion in the window, is significant."""
+WHY = {
+    "displacement": "its zero is off, or friction, creep or a load hold the muscle. Vent, wait and take the zero",
+    "pressure": "its zero is off, or the regulator does not vent. Vent the muscle and take the zero of the gauge",
+}
 MOVES = 5e-4
 """Motion in the window, as a share of the contraction, from which on it is reported."""
 FEWEST = 8
@@ -74,17 +67,12 @@ class _Step:
     """Mean in the window [m]."""
     window: Mapping[str, float]
     """Mean of each simulation in the window [m]."""
-    open: Mapping[str, Array]
-    """Channel and `gain`, `offset`, `zero` or `lag` of it -> possible change of simulated minus measured contraction
-    [m].
+    moved: Mapping[str, float]
+    """Possible change of simulated minus measured contraction in the window [m] by the zero of each channel, and by
+    gain and offset of the pressure.
     """
     zeros: Mapping[str, float]
     """Channel -> reading before the step [SI]; 0 within calibration and noise."""
-
-    def moved(self, name: str) -> float:
-        """Mean in the window of one entry of `open` [m]."""
-        low, high = _window(self.run)
-        return float(self.open[name][(self.t >= low) & (self.t <= high)].mean())
 
     def error(self, method: str) -> float:
         """Simulated minus measured contraction in the window [m]."""
@@ -96,8 +84,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     e_ss = (simulated - measured) / measured; e_fs is the same difference relative to the largest measured contraction
     of the runs; e_sim is the rms difference over the whole hold [m], including the rise. Windows come from the plan.
-    Lags of sensors (`sensor_lag`, first order) are corrected; a fifth of them, or a filter of `UNDECLARED`, remains as
-    uncertainty.
+    Lags of sensors (`sensor_lag`, first order) are corrected.
     """
     dropped: list[Dropped] = []
     found: list[_Step] = []
@@ -142,8 +129,12 @@ def _window(run: RunData) -> tuple[float, float]:
 
 def _begin(trial: TrialData) -> float | None:
     """When the pressure was commanded [s]."""
-    command = step_of_pressure(trial)
+    command = _step_of_pressure(trial)
     return None if command is None else command.t
+
+
+def _step_of_pressure(trial: TrialData) -> Command | None:
+    return next((c for c in trial.commands if c.output == "pressure" and c.phase == "step"), None)
 
 
 def inside_window(run: RunData, trial: TrialData) -> NDArray[np.bool_]:
@@ -179,51 +170,79 @@ def _rest(trial: TrialData) -> float:
     return float(trial.channels["displacement"][before].mean()) if before.any() else 0.0
 
 
+def _followed(run: RunData, trial: TrialData) -> TrialData:
+    """The trial with the declared filters of its channels undone: for a reading y the input is y + lag y'.
+
+    If they are read less often than recorded, the pressure is interpolated between new values, and the displacement is
+    nan where it is not new.
+    """
+    channels, lags = dict(trial.channels), lags_of(run, trial)
+    x = trial.channels["displacement"]
+    channels["displacement"] = np.where(fresh(x), x, np.nan)
+    channels["pressure"] = between_new(trial.t, trial.channels["pressure"])[0]
+    for name in CHANNELS:
+        if lags[name] > 0:
+            y = channels[name].copy()
+            ok = trial.usable & np.isfinite(y)
+            y[ok] += smooth(trial.t[ok], y[ok], lags[name]).y - smooth(trial.t[ok], y[ok]).y
+            channels[name] = y
+    return replace(trial, channels=channels)
+
+
+def _off_zero(run: RunData, trial: TrialData, channel: str) -> float:
+    """Reading of a channel before a step from 0, if it exceeds calibration and noise [SI]; else 0."""
+    command = _step_of_pressure(trial)
+    if command is None or command.before > 0:
+        return 0.0
+    values = trial.channels[channel]
+    new = trial.usable & np.isfinite(values) & fresh(values)
+    y = values[new & (trial.t < command.t)]
+    if not len(y):
+        return 0.0
+    by_noise = SURE * max(noise_of(values[new]), float(y.std())) / sqrt(len(y))
+    size = float(y.mean())
+    return size if abs(size) > max(Scales.of([run]).offsets.get(channel, 0.0), by_noise) else 0.0
+
+
+def _coarse(run: RunData, trial: TrialData, channel: str, inside: NDArray[np.bool_]) -> float:
+    """Error of a mean over the rows `inside` because a channel is read in steps [SI].
+
+    Noise much smaller than a step does not average it out; and a converter that truncates reads half a step too low,
+    unless it was calibrated to better than that.
+    """
+    step = count_of(run, trial, channel)
+    if not 0 < step < inf:
+        return 0.0
+    cut = 0.5 * step if 0.5 * step > Scales.of([run]).offsets.get(channel, 0.0) else 0.0
+    return cut + unresolved(trial.channels[channel][inside], step)
+
+
 def _steps(run: RunData, recorded: Sequence[TrialData], model: Described) -> list[_Step]:
     """Usable trials with their simulations."""
     found = []
-    trials = [followed(run, trial) for trial in recorded]
+    trials = [_followed(run, trial) for trial in recorded]
     origins = [_rest(trial) for trial in trials]
     driven = from_measured_pressure(model, trials, 1.0 / run.rate, origins)
-    zeros = [{name: off_zero(run, trial, name) for name in CHANNELS} for trial in recorded]
+    zeros = [{name: _off_zero(run, trial, name) for name in CHANNELS} for trial in recorded]
     unsure = [_unsure(run, *pair) for pair in zip(recorded, zeros, strict=True)]
-    scaled = _by_pressure(run, trials, model, origins, [one["pressure"] for one in unsure])
-    form = replace(model, surface=None)
-    lines = from_measured_pressure(form, trials, 1.0 / run.rate, origins) if model.surface else None
+    changed = _by_pressure(run, trials, model, origins, [one["pressure"] for one in unsure])
     for place, (trial, by_measured, origin) in enumerate(zip(trials, driven, origins, strict=True)):
         ok, inside = _usable(trial), inside_window(run, trial)
         simulated = {COMMANDED: from_commanded_pressure(model, trial, origin), MEASURED: by_measured}
-        if lines is not None:
-            simulated[STRAIGHT] = lines[place]
         means = {method: float(values[inside].mean()) for method, values in simulated.items()}
         x = trial.channels["displacement"]
         t = trial.t - (_begin(trial) or 0.0)
         models = {method: values[ok] for method, values in simulated.items()}
-        open_ = {name: (values[place] - by_measured)[ok] for name, values in scaled.items()}
-        open_ |= _open(run, t[ok], x[ok], by_measured[ok], apart(recorded[place]))
-        open_["displacement zero"] = np.full(ok.sum(), unsure[place]["displacement"])
-        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means, open_, zeros[place]))
+        moved = {name: float(values[place][inside].mean()) - means[MEASURED] for name, values in changed.items()}
+        moved["displacement zero"] = unsure[place]["displacement"]
+        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means, moved, zeros[place]))
     return found
 
 
 def _unsure(run: RunData, trial: TrialData, zeros: Mapping[str, float]) -> dict[str, float]:
     """Error of each channel's mean in the window [SI] because of its zero, and because it is read in steps."""
     inside = inside_window(run, trial)
-    return {name: max(abs(zeros[name]), coarse(run, trial, name, inside)) for name in CHANNELS}
-
-
-def _open(run: RunData, t: Array, x: Array, simulated: Array, between: float) -> dict[str, Array]:
-    """Uncertainty of simulated minus measured contraction because of the displacement, and of the lag of the pressure.
-
-    A model with an earlier pressure contracts earlier. A polled pressure may be early or late by half the time
-    `between` two new values [s]. Arrays of shape (n,), as in `_Step.open`.
-    """
-    scales = Scales.of([run])
-    found = {"displacement gain": scales.gains.get("displacement", 0.0) * x}
-    found["displacement offset"] = np.full(len(x), scales.offsets.get("displacement", 0.0))
-    for channel, y, more in (("displacement", smooth(t, x).y, 0.0), ("pressure", simulated, 0.5 * between)):
-        found[f"{channel} lag"] = np.interp(t + lag_open(run, channel) + more, t, y) - y
-    return found
+    return {name: max(abs(zeros[name]), _coarse(run, trial, name, inside)) for name in CHANNELS}
 
 
 def _by_pressure(
@@ -231,7 +250,7 @@ def _by_pressure(
 ) -> dict[str, list[Array]]:
     """Simulations with the measured pressure, with its gain, offset or zero changed by its uncertainty.
 
-    Keys as in `_Step.open`; causes without any uncertainty are left out.
+    Keys as in `_Step.moved`; causes without any uncertainty are left out.
     """
     scales = Scales.of([run])
     gain, offset = scales.gains.get("pressure", 0.0), scales.offsets.get("pressure", 0.0)
@@ -252,64 +271,33 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
     scales = Scales.of([step.run for step in members])
     names = tuple(step.trial.name for step in members)
     channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
-    causes = [n for n in members[0].open if n.startswith(channels) and all(n in step.open for step in members)]
+    causes = [n for n in members[0].moved if n.startswith(channels) and all(n in step.moved for step in members)]
+    lacking = scales.lack(channels, channels)
 
-    def estimate(symbol: str, kind: tuple[str, str], values: list[float], part: float | None) -> Estimate:
-        lacking = scales.lack(channels, channels)
-        return mean_of_trials(symbol, kind, method, at, names, values, None, part, ALONE, lacking)
-
-    def of_mean(by: float) -> float | None:
-        """Calibration part of an error in the window; `by`: its change per offset of the displacement [1/m]."""
+    def share(symbol: str, values: list[float], by: float) -> Estimate:
+        """An error in the window; `by`: its change per offset of the displacement [1/m]."""
         part = scales.part({"displacement": 1.0}, {"displacement": by})
         scaled = [name for name in ("pressure gain", "pressure offset") if name in causes]
-        others = [by * max(abs(step.moved(name)) for step in members) for name in scaled]
-        return part if part is None else hypot(part, *others)
-
-    def zeros(by: float) -> list[Doubt]:
-        """Effect of zeros and steps of the channels on an error in the window; `by` as for `of_mean`."""
-        each = [max(abs(step.moved(name)) for step in members) for name in causes if name.endswith("zero")]
-        return [Doubt(ZEROS, "method", by * hypot(*each), seen=False)]
-
-    def grows(end: str) -> float:
-        """Uncertainty of e_sim by the causes whose names end like that [m], each with the sign that increases it.
-
-        An rms is convex, so the opposite sign decreases it by no more than that.
-        """
-        usual = _mean_rms(members, method)
-        found = [name for name in causes if name.endswith(end)]
-        return hypot(*(max(_mean_rms(members, method, name, way) for way in (-1, 1)) - usual for name in found))
+        others = [by * max(abs(step.moved[name]) for step in members) for name in scaled]
+        part = part if part is None else hypot(part, *others)
+        each = [max(abs(step.moved[name]) for step in members) for name in causes if name.endswith("zero")]
+        e = mean_of_trials(symbol, ("1", "ratio"), method, at, names, values, None, part, ALONE, lacking)
+        return weighed(e, [Doubt(ZEROS, "method", by * hypot(*each), seen=False)])
 
     x = float(np.mean([step.measured for step in members]))
-    known = any(name in scales.gains or name in scales.offsets for name in channels)
-    scaled = hypot(grows("gain"), grows("offset")) if known else None
-    e_sim = estimate("e_sim", ("m", "length"), [_rms(step, method) for step in members], scaled)
-    noise = Doubt(NOISE, "method", max(_by_noise(step, method) for step in members), seen=False)
-    share = ("1", "ratio")
+    e_sim = float(np.mean([_rms(step, method) for step in members]))
     return [
-        weighed(estimate("e_ss", share, [s.error(method) / s.measured for s in members], of_mean(1 / x)), zeros(1 / x)),
-        weighed(estimate("e_fs", share, [s.error(method) / full for s in members], of_mean(1 / full)), zeros(1 / full)),
-        weighed(e_sim, [*(Doubt(name, "method", grows(end), seen=False) for name, end in OF_SIM.items()), noise]),
+        share("e_ss", [step.error(method) / step.measured for step in members], 1 / x),
+        share("e_fs", [step.error(method) / full for step in members], 1 / full),
+        Estimate("e_sim", e_sim, "m", "length", method, at, n=len(members), note=NO_INTERVAL, trials=names),
     ]
 
 
-def _rms(step: _Step, method: str, cause: str = "", way: int = 0) -> float:
-    """Rms difference after the step, corrected for noise [m], with the largest effect of a cause added (`way` 1) or
-    subtracted (-1).
-    """
-    after, off = step.t >= 0, step.simulated[method] - step.x
-    off = off + way * step.open[cause] if cause else off
-    return sqrt(max(0.0, float(np.mean(off[after] ** 2)) - noise_of(step.x[after]) ** 2))
-
-
-def _by_noise(step: _Step, method: str) -> float:
-    """Uncertainty of `_rms` by noise [m]: the mean square of n samples is known to sqrt(2 / n) of it."""
-    after, rms = step.t >= 0, _rms(step, method)
-    return sqrt(rms**2 + 2 * noise_of(step.x[after]) ** 2 * sqrt(2 / after.sum())) - rms
-
-
-def _mean_rms(members: Sequence[_Step], method: str, cause: str = "", way: int = 0) -> float:
-    """Mean of `_rms` over the tests at one pressure [m]."""
-    return float(np.mean([_rms(step, method, cause, way) for step in members]))
+def _rms(step: _Step, method: str) -> float:
+    """Rms difference after the step, corrected for noise [m]."""
+    after = step.t >= 0
+    off = (step.simulated[method] - step.x)[after]
+    return sqrt(max(0.0, float(np.mean(off**2)) - noise_of(step.x[after]) ** 2))
 
 
 def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> list[Finding]:
@@ -332,8 +320,8 @@ def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> l
     outside = sorted({p for step in steps if not low <= (p := step.trial.point.get("pressure", low)) <= high})
     lines.append(Finding("note", f"simulated with: {model.source}"))
     if model.surface is not None:
-        lines += _next_to_straight(steps, model)
-    lines += [*off_zero_findings([step.zeros for step in steps]), *_moving(steps)]
+        lines += _beyond(steps, *model.surface.reach)
+    lines += [*_off_zero_findings(steps), *_moving(steps)]
     if outside:
         places = ", ".join(show(p, "pressure") for p in outside)
         lines.append(Finding("doubt", f"the coefficients are continued beyond what is known of them at {places}"))
@@ -364,18 +352,26 @@ def _moving(steps: Sequence[_Step]) -> list[Finding]:
     return [Finding("doubt", text)]
 
 
-def _next_to_straight(steps: Sequence[_Step], model: Described) -> list[Finding]:
-    """Errors of a surface model and of the straight form of the same tests, and where either is outside its tests."""
-    off = [float(np.sqrt(np.mean([_rms(step, method) ** 2 for step in steps]))) for method in (MEASURED, STRAIGHT)]
-    surface, lines = (show(value, "length", 3) for value in off)
-    text = f"from the step on the surface is {surface} rms off, the straight form of the same tests {lines} rms"
-    found = [Finding("note", text)]
-    low, high = model.surface.reach if model.surface else (0.0, 0.0)
+def _beyond(steps: Sequence[_Step], low: float, high: float) -> list[Finding]:
+    """A doubt where the model is beyond the contractions [m] of its tests."""
     beyond = sorted({step.trial.point.get("pressure", 0.0) for step in steps if step.simulated[MEASURED].max() > high})
-    if beyond:
-        places = ", ".join(show(P, "pressure") for P in beyond)
-        reach = f"from {show(low, 'length')} to {show(high, 'length')}"
-        found.append(Finding("doubt", f"the model was tested {reach}; it goes on beyond at {places}"))
+    if not beyond:
+        return []
+    places = ", ".join(show(P, "pressure") for P in beyond)
+    reach = f"from {show(low, 'length')} to {show(high, 'length')}"
+    return [Finding("doubt", f"the model was tested {reach}; it goes on beyond at {places}")]
+
+
+def _off_zero_findings(steps: Sequence[_Step]) -> list[Finding]:
+    """Doubts for channels that do not read 0 before the steps."""
+    found = []
+    for channel, quantity in CHANNELS.items():
+        sizes = [size for step in steps if (size := step.zeros[channel])]
+        if sizes:
+            most = show(max(sizes, key=abs), quantity, 2)
+            text = f"before {len(sizes)} of {len(steps)} steps the {channel} reads up to {most}, more than its"
+            text += f" calibration and its noise allow: {WHY[channel]}. The intervals hold it"
+            found.append(Finding("doubt", text))
     return found
 
 
@@ -386,8 +382,6 @@ def _trace(step: _Step) -> Trace:
     where = show(pressure, "pressure") + (f", {show(load, 'force')}" if load else "")
     columns = {"t": step.t, "displacement": step.x, "model": step.simulated[MEASURED]}
     columns["model, commanded pressure"] = step.simulated[COMMANDED]
-    if STRAIGHT in step.simulated:
-        columns["model, straight lines"] = step.simulated[STRAIGHT]
     return Trace(
         f"validation-{pressure * 1e-3:g}-{load:g}",
         "validation",

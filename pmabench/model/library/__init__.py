@@ -6,12 +6,10 @@
 | `contractor` | sigmoid length, corrected force with dead band, arm angle; also with their coefficients as inputs |
 | `daerden` | force with rubber term, its inverse, volume, volume from measurements |
 | `three_element` | balance, step, release; conventions of papers 0, 1 and 4 |
-| `coefficients` | published coefficients over pressure; parabolas, joined lines, polynomials with your own |
-| `chamber` | rate of pressure, closed and driven chamber; regulators: lags, limits of rate and flow, a sine |
-| `loads` | end stops, force, hanging mass, spring, imposed displacement; Coulomb friction, hysteresis |
-| `real` | bent force, loops and creep of plant `real` |
-| `joint` | two muscles that pull on a pulley against each other: torque, stiffness, pressures for both, rest |
-| `platform` | three muscles under a tilting platform: pose, moments, pressures, tilt from an accelerometer |
+| `coefficients` | published coefficients over pressure; parabolas and polynomials with your own |
+| `chamber` | rate of pressure, closed and driven chamber |
+| `joint` | two muscles that pull on a pulley against each other: torque, stiffness, pressures for both |
+| `platform` | three muscles under a tilting platform: moments and stiffness |
 | `compositions` | parallel, series, cascade; the loop that a controller sees |
 
 `description` defines a model. A new model is a function decorated with `described`, in one of these modules or in
@@ -28,9 +26,7 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     contractor,
     daerden,
     joint,
-    loads,
     platform,
-    real,
     three_element,
 )
 from pmabench.model.library.description import FAMILIES, MODELS, Model, OutsideDomain, Parameter, Refusal, check

@@ -1,6 +1,6 @@
 """Coefficients over pressure, published or your own, each valid only at the pressures that it was fitted on.
 
-Your own can be parabolas, two joined lines, or polynomials up to the sixth order.
+Your own can be parabolas, or polynomials up to the sixth order.
 """
 
 from __future__ import annotations
@@ -294,54 +294,6 @@ def polynomial_coefficients(
     K, B_c, B_r = (a + P * (b + P * c) for a, b, c in (terms[2:5], terms[5:8], terms[8:]))
     _sound(pressure, K, B_c, B_r)
     return with_motion(F_ce, K, B_c, B_r, load)
-
-
-@described(
-    "piecewise-coefficients", FAMILY, "Your own K and B of two straight lines each, joined at a pressure",
-    equation=(
-        "K = Ka_0 + Ka_1 P below P_K, Kb_0 + Kb_1 P from there on;  B = Ba_0 + Ba_1 P below P_B, Bb_0 + Bb_1 P from "
-        "there on",
-        "jump = upper less lower line where they join;  P_low <= P <= P_high",
-    ),
-    source="form of Serres and others 2009; reference values are theirs (B: relaxation)",
-    fitted=(
-        "stiffness_below_0", "stiffness_below_1", "stiffness_above_0", "stiffness_above_1", "damping_below_0",
-        "damping_below_1", "damping_above_0", "damping_above_1",
-    ),
-    parameters=(
-        PRESSURE, *limits(150 * KPA, 550 * KPA),
-        *_coefficient("stiffness_below", "Ka", "stiffness", (32.7 * N_MM, -0.0321 * N_MM)),
-        Parameter("stiffness_break", "P_K", "pressure", 314 * KPA, "where the lines of K join", 0.0),
-        *_coefficient("stiffness_above", "Kb", "stiffness", (17.0 * N_MM, 0.0179 * N_MM)),
-        *_coefficient("damping_below", "Ba", "damping", (1.57 * N_MM, 0.0)),
-        Parameter("damping_break", "P_B", "pressure", 372 * KPA, "where the lines of B join", 0.0),
-        *_coefficient("damping_above", "Bb", "damping", (0.311 * N_MM, 0.00338 * N_MM)),
-    ),
-    outputs=(
-        Output("stiffness", "K", "stiffness", "stiffness"),
-        Output("damping", "B", "damping", "damping"),
-        Output("tau", "tau", "time", "B / K"),
-        Output("stiffness_jump", "", "stiffness", "of K at the join"),
-        Output("damping_jump", "", "damping", "of B at the join"),
-    ),
-    references=(
-        Reference("stiffness", "27.885", "N/mm", N_MM, "by hand: 32.7 - 0.0321 150", {"pressure": 150 * KPA}),
-        Reference("stiffness", "24.160", "N/mm", N_MM, "by hand: 17 + 0.0179 400", {"pressure": 400 * KPA}),
-        Reference("damping", "1.663", "N.s/mm", N_MM, "by hand: 0.311 + 0.00338 400", {"pressure": 400 * KPA}),
-        Reference("stiffness_jump", "0.000", "N/mm", N_MM, "by hand: 15.7 - 0.05 314"),
-    ),
-    notes=("A jump at the join is an output of the model: lines of two fits seldom meet exactly.",),
-)  # fmt: skip
-def piecewise_coefficients(pressure: Array, pressure_low: Array, pressure_high: Array, *lines: Array) -> Values:
-    """K [N/m], B [N.s/m], tau [s] and the jumps; P [Pa gauge], `lines` of K and of B: below, join, above (SI)."""
-    within(pressure, pressure_low, pressure_high)
-    values, jumps = [], []
-    for low_0, low_1, join, high_0, high_1 in (lines[:5], lines[5:]):
-        values.append(np.where(join <= pressure, high_0 + high_1 * pressure, low_0 + low_1 * pressure))
-        jumps.append(high_0 - low_0 + (high_1 - low_1) * join + 0 * pressure)
-    K, B = values
-    _sound(pressure, K, B)
-    return {"stiffness": K, "damping": B, "tau": B / K, "stiffness_jump": jumps[0], "damping_jump": jumps[1]}
 
 
 HIGHEST = 6

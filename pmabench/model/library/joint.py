@@ -1,4 +1,4 @@
-"""A pulley between two antagonistic muscles: torque, stiffness, pressures for both, angle of rest.
+"""A pulley between two antagonistic muscles: torque, stiffness, pressures for both.
 
 Muscle 1 shortens with a positive angle. Both follow the modified Daerden model; alpha = 2 and A = 0 give the model of
 Tondu and Lopez. Stiffness is isobaric, with regulated pressures, except for the additional one with shut valves.
@@ -10,13 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import BAR, DEG, MM
 from pmabench.model.library.daerden import ATMOSPHERE, MUSCLE, muscle_volume, rubber_force, section_factor
 from pmabench.model.library.description import Output, Parameter, Reference, Values, described, refuse
-from pmabench.model.presets import paper0, serres2009
 
 FAMILY = "joint"
 LEAST, MOST = -0.03, 0.20
@@ -208,100 +206,3 @@ def joint_inverse(
             outside, np.broadcast_to(stiffness, np.shape(outside)),
         )  # fmt: skip
     return {"pressure_1": P1, "pressure_2": P2}
-
-
-@described(
-    "joint-rest", FAMILY, "Angle at which two muscles hold each other without a load",
-    equation=("tau(th) = 0, tau as in joint, at the angle where it is stable",),
-    source=SOURCE,
-    parameters=(
-        Parameter("pressure_1", "P1", "pressure", 3.5 * BAR, "gauge pressure of muscle 1", 0.0, 1e6),
-        Parameter("pressure_2", "P2", "pressure", 2.5 * BAR, "gauge pressure of muscle 2", 0.0, 1e6),
-        PULLEY, PRELOAD, *MUSCLE,
-    ),
-    outputs=(Output("angle", "th", "angle", "rest angle"),),
-    references=(
-        Reference("angle", "14.145", "deg", DEG, BY_HAND),
-        Reference("angle", "27.843", "deg", DEG, BY_HAND, {"pressure_1": 4 * BAR, "pressure_2": 2 * BAR}),
-        Reference("angle", "17.214", "deg", DEG, BY_HAND, TONDU),
-        Reference("angle", "34.798", "deg", DEG, BY_HAND, {"pressure_1": 4 * BAR, "pressure_2": 2 * BAR} | TONDU),
-    ),
-    notes=("Refused where the torque has the same sign at all angles at which both muscles are known.",),
-)  # fmt: skip
-def joint_rest(
-    pressure_1: Array, pressure_2: Array, pulley_radius: Array, preload: Array, diameter: Array, length: Array,
-    braid_angle: Array, alpha: Array, A: Array, B1: Array, B2: Array,
-) -> Values:  # fmt: skip
-    """Th [rad] from P_i [Pa gauge], R and l0 [m], e0 [1] and the muscle."""
-    inputs = (pressure_1, pressure_2, pulley_radius, preload, diameter, length, braid_angle, alpha, A, B1, B2)
-    return {"angle": np.vectorize(_rest, otypes=[float])(*inputs)}
-
-
-def _rest(P1: float, P2: float, R: float, e0: float, D0: float, l0: float, *shape: float) -> float:
-    """Rest angle [rad] of one joint."""
-    farthest = min(e0 - LEAST, MOST - e0) * l0 / R
-
-    def torque(angle: float) -> float:
-        way = R * angle / l0
-        one, two = (_side(np.asarray(eps), np.asarray(D0), *map(np.asarray, shape)) for eps in (e0 + way, e0 - way))
-        return R * float(_force(one, np.asarray(P1)) - _force(two, np.asarray(P2)))
-
-    refuse("pressure_1", f"no rest within {farthest / DEG:.1f} deg to either side",
-           torque(-farthest) <= 0 or torque(farthest) >= 0, P1)  # fmt: skip
-    angle = float(brentq(torque, -farthest, farthest, xtol=1e-12))
-    refuse("pressure_1", f"the joint balances at {angle / DEG:.2f} deg and does not rest there: it is unstable",
-           torque(angle + 1e-4) >= torque(angle - 1e-4), P1)  # fmt: skip
-    return angle
-
-
-MUSCLES = {"mas-20-250-paper0": paper0, "mas-20-250-serres2009": serres2009}
-
-
-@described(
-    "joint-three-element", FAMILY, "Torque, stiffness and rest of a pulley between two three-element muscles",
-    equation=(
-        "F_i = max(0, F_ce(P_i) - K(P_i) x_i),  x_1 = x_0 + R th,  x_2 = x_0 - R th;  tau = R (F_1 - F_2)",
-        "K = R^2 (K(P_1) + K(P_2)), at any angle;  th_0 where F_1 = F_2",
-    ),
-    source="the straight form of paper 0 on a pulley; no paper prints a pair",
-    parameters=(
-        Parameter("muscle", "", "", "mas-20-250-paper0", "published lines", choices=tuple(MUSCLES)),
-        ANGLE, _pressure(1), _pressure(2), PULLEY,
-        Parameter("preload", "x0", "length", 30 * MM, "contraction of both at angle 0", 0.0, 1.0),
-    ),
-    outputs=(
-        Output("torque", "tau", "torque", "of both muscles, towards a positive angle"),
-        Output("stiffness", "K", "torsional stiffness", "of both while they are taut"),
-        Output("rest_angle", "th_0", "angle", "where it rests without a load, both taut"),
-        Output("rest_force", "F_0", "force", "pull of each there; below 0 they are slack and it does not rest"),
-    ),
-    references=(
-        *(Reference("stiffness", printed, "N.m/rad", 1.0, BY_HAND, {"pressure_1": P * 1e3, "pressure_2": P * 1e3})
-          for P, printed in ((200, "7.735"), (300, "8.466"), (400, "9.440"), (500, "10.656"))),
-        *(Reference("stiffness", printed, "N.m/rad", 1.0, BY_HAND,
-                    {"muscle": "mas-20-250-serres2009", "pressure_1": P * 1e3, "pressure_2": P * 1e3})
-          for P, printed in ((150, "34.9"), (200, "32.9"), (314, "28.3"), (450, "31.3"), (550, "33.6"))),
-        Reference("rest_angle", "29.20", "deg", DEG, BY_HAND, {"pressure_1": 4 * BAR}),
-        Reference("rest_force", "60.2", "N", 1.0, BY_HAND, {"pressure_1": 4 * BAR}),
-        Reference("rest_force", "-18.6", "N", 1.0, BY_HAND),
-    ),
-    notes=(
-        "Co-contraction hardly stiffens the first; K of the second falls to 314 kPa and rises again, so that a wanted "
-        "stiffness has two answers.",
-    ),
-)  # fmt: skip
-def joint_three_element(
-    muscle: str, angle: Array, pressure_1: Array, pressure_2: Array, pulley_radius: Array, preload: Array
-) -> Values:
-    """Tau [N.m], K [N.m/rad], th_0 [rad], F_0 [N] from th [rad], P_i [Pa gauge], R and x_0 [m]."""
-    lines = MUSCLES[muscle]()
-    way = pulley_radius * angle
-    F1, F2, K1, K2 = (curve.values(np.asarray(P)) for curve in (lines.F_ce, lines.K) for P in (pressure_1, pressure_2))
-    rest = (F1 - F2 - (K1 - K2) * preload) / (pulley_radius * (K1 + K2))
-    pulls = np.maximum(0.0, F1 - K1 * (preload + way)), np.maximum(0.0, F2 - K2 * (preload - way))
-    return {
-        "torque": pulley_radius * (pulls[0] - pulls[1]),
-        "stiffness": pulley_radius**2 * (K1 + K2) + 0 * way,
-        "rest_angle": rest + 0 * way,
-        "rest_force": F1 - K1 * (preload + pulley_radius * rest) + 0 * way,
-    }

@@ -1,4 +1,4 @@
-"""A platform tilted by three muscles about a joint with two axes: pose, moments and stiffness, pressures, tilt.
+"""A platform tilted by three muscles about a joint with two axes: pose, moments and stiffness.
 
 It turns by phi about the x axis, which is fixed to the base, then by psi about its own y axis. The muscles are anchored
 on a circle at 90, 210 and 330 deg and hang vertically while it is level. Paper 3 prints the chain of computations but
@@ -106,42 +106,6 @@ def _contraction(length: Array, free: Array, phi: Array) -> Array:
 
 
 @described(
-    "platform-pose", FAMILY, "Lengths and contractions of three muscles under a tilted platform",
-    equation=(
-        "R = R_x(phi) R_y(psi);  v_i = R a_i - b_i,  b_i = a_i - (0, 0, (1 - e0) l0);  l_i = |v_i|",
-        "eps_i = 1 - l_i / l0;  J_i = d l_i / d (phi, psi)",
-    ),
-    source=SOURCE,
-    parameters=(PHI, PSI, CIRCLE, LEVEL, LENGTH),
-    outputs=(
-        *(Output(f"length_{i}", f"l{i}", "length", f"length of muscle {i}") for i in (1, 2, 3)),
-        *(Output(f"contraction_{i}", f"eps_{i}", "ratio", f"contraction of muscle {i}") for i in (1, 2, 3)),
-        *(Output(f"arm_{i}_{name}", f"dl{i}/d{name}", "length", f"change of l{i} by a radian of {name}")
-          for i in (1, 2, 3) for name in ("phi", "psi")),
-    ),
-    references=(
-        *(Reference(f"length_{i}", printed, "mm", MM, BY_HAND, {"phi": 7 * DEG, "psi": -12 * DEG})
-          for i, printed in ((1, "186.703"), (2, "166.829"), (3, "186.483"))),
-        *(Reference(output, printed, "mm/rad", MM, BY_HAND, {"phi": 7 * DEG, "psi": -12 * DEG})
-          for output, printed in (("arm_1_phi", "54.605"), ("arm_1_psi", "0"), ("arm_2_phi", "-25.975"),
-                                  ("arm_2_psi", "46.131"), ("arm_3_phi", "-28.466"), ("arm_3_psi", "-46.328"))),
-        *(Reference(f"contraction_{i}", printed, "%", 0.01, BY_HAND, {"phi": phi * DEG, "psi": psi * DEG})
-          for phi, psi, row in ((10, 0, ("5.224", "12.387", "12.387")), (20, 0, ("0.581", "14.699", "14.699")),
-                                (-20, 0, ("19.388", "5.294", "5.294")), (0, 20, ("10.000", "1.844", "18.133")),
-                                (20, 20, ("0.581", "7.017", "22.260")))
-          for i, printed in enumerate(row, 1)),
-    ),
-    notes=("Both angles at 20 deg are a tilt of 28 deg: outside what the muscles of this geometry can do.",),
-)  # fmt: skip
-def platform_pose(phi: Array, psi: Array, circle: Array, preload: Array, length: Array) -> Values:
-    """l_i [m], eps_i [1] and arms [m/rad] from phi and psi [rad], r and l0 [m], e0 [1]."""
-    lengths, arms, _ = pose(phi, psi, circle, (1 - preload) * length)
-    found = {f"length_{i}": lengths[i - 1] for i in (1, 2, 3)}
-    found |= {f"contraction_{i}": 1 - lengths[i - 1] / length for i in (1, 2, 3)}
-    return found | {f"arm_{i}_{name}": arms[i - 1, k] for i in (1, 2, 3) for k, name in enumerate(("phi", "psi"))}
-
-
-@described(
     "platform-moment", FAMILY, "Moments and stiffness of a platform at three pressures",
     equation=(
         "Q = -J^T F + m g z (sin phi cos psi, cos phi sin psi);  F_i = max(0, S P_i + F_e), as in daerden-force",
@@ -193,85 +157,3 @@ def platform_moment(
         "stiffness_phi": (rise * arms[:, 0] ** 2 + force * bends[:, 0]).sum(axis=0) - level,
         "stiffness_psi": (rise * arms[:, 1] ** 2 + force * bends[:, 2]).sum(axis=0) - level,
     }
-
-
-@described(
-    "platform-pressures", FAMILY, "Three pressures that give a moment at an attitude",
-    equation=(
-        "J^T F = Q_g - M;  F = J (J^T J)^-1 (Q_g - M) + lambda n, n the forces that make no moment",
-        "P_i = (F_i - F_e) / S; lambda so that the mean is as wanted, moved until P_min <= P_i <= P_max; else refused",
-    ),
-    source=SOURCE,
-    parameters=(
-        PHI, PSI,
-        Parameter("moment_phi", "M_phi", "torque", 0.0, "wanted of the muscles beyond holding the weight"),
-        Parameter("moment_psi", "M_psi", "torque", 0.0, "the same about psi"),
-        Parameter("pressure_mean", "P_mean", "pressure", 2.5 * BAR, "wanted mean of the three", 0.0, 1e6),
-        CIRCLE, LEVEL, LENGTH, *MUSCLE, MASS, HEIGHT,
-        Parameter("pressure_min", "P_min", "pressure", 0.2 * BAR, "least gauge pressure", 0.0, 1e6),
-        Parameter("pressure_max", "P_max", "pressure", 5.5 * BAR, "greatest gauge pressure", 0.0, 1e6, above=True),
-    ),
-    outputs=tuple(Output(f"pressure_{i}", f"P{i}", "pressure", f"gauge pressure of muscle {i}") for i in (1, 2, 3)),
-    references=tuple(
-        Reference(f"pressure_{i}", printed, "bar", BAR, BY_HAND, {"phi": phi * DEG, "psi": psi * DEG})
-        for phi, psi, row in (
-            (0, 0, ("2.5", "2.5", "2.5")), (10, 0, ("1.9246", "2.7877", "2.7877")),
-            (20, 0, ("1.2888", "3.1056", "3.1056")), (-20, 0, ("4.0112", "1.7444", "1.7444")),
-            (0, 20, ("2.3012", "1.4261", "3.7727")),
-        )
-        for i, printed in enumerate(row, 1)
-    ),
-)  # fmt: skip
-def platform_pressures(
-    phi: Array, psi: Array, moment_phi: Array, moment_psi: Array, pressure_mean: Array, circle: Array, preload: Array,
-    length: Array, diameter: Array, braid_angle: Array, alpha: Array, A: Array, B1: Array, B2: Array, mass: Array,
-    height: Array, pressure_min: Array, pressure_max: Array,
-) -> Values:  # fmt: skip
-    """P_i [Pa gauge] from phi and psi [rad], M [N.m], mean [Pa], r, l0 and z [m], e0 [1], the muscle, m [kg]."""
-    lengths, arms, _ = pose(phi, psi, circle, (1 - preload) * length)
-    eps = _contraction(lengths, length, phi)
-    wanted = gravity(phi, psi, mass, height) - np.array(np.broadcast_arrays(moment_phi, moment_psi))
-    least, free = allocation(np.array(np.broadcast_arrays(*wanted, lengths[0])[:2]), arms)
-    section, rubber = section_factor(eps, diameter, braid_angle, alpha), rubber_force(eps, A, B1, B2)
-    P, rise = (least - rubber) / section, free / section
-    scale = (3 * pressure_mean - P.sum(axis=0)) / rise.sum(axis=0)
-    low, high = ((pressure_min - P) / rise).max(axis=0), ((pressure_max - P) / rise).min(axis=0)
-    refuse("moment_phi", "no three pressures within the limits make this moment there", low > high,
-           np.broadcast_to(moment_phi, low.shape))  # fmt: skip
-    P = P + rise * np.clip(scale, low, high)
-    return {f"pressure_{i}": P[i - 1] for i in (1, 2, 3)}
-
-
-@described(
-    "platform-tilt", FAMILY, "Attitude of a platform at rest from an accelerometer with three axes",
-    equation=("phi = atan2(f_y, sqrt(f_x^2 + f_z^2));  psi = atan2(-f_x, f_z), from f = g (-cos phi sin psi, sin phi,",
-              "cos phi cos psi)"),
-    source="paper 3 names the sensor; gravity in the platform's axes",
-    parameters=tuple(
-        Parameter(f"acceleration_{axis}", f"f_{axis}", "acceleration", value, f"specific force along its {axis} axis")
-        for axis, value in (("x", 0.0), ("y", 0.0), ("z", 9.81))
-    ),
-    outputs=(
-        Output("phi", "phi", "angle", "about the x axis"), Output("psi", "psi", "angle", "about its own y axis"),
-        Output("norm", "|f|", "acceleration", "9.81 m/s2 at rest; anything else is motion or a fault"),
-    ),
-    references=(
-        Reference("phi", "10.000", "deg", DEG, "by hand: 9.81 sin 10 deg = 1.703489",
-                  {"acceleration_y": 1.703489, "acceleration_z": 9.660964}),
-        Reference("psi", "-20.000", "deg", DEG, "by hand: 9.81 sin 20 deg = 3.355218",
-                  {"acceleration_x": 3.355218, "acceleration_z": 9.218385}),
-    ),
-    notes=(
-        "A sensor at height h above the joint reads 1 + h w^2 / g times the tilt of a swing: 80 % too much at 2 Hz and "
-        "50 mm.",
-    ),
-)  # fmt: skip
-def platform_tilt(acceleration_x: Array, acceleration_y: Array, acceleration_z: Array) -> Values:
-    """Phi and psi [rad] from specific forces [m/s2]."""
-    flat = np.hypot(acceleration_x, acceleration_z)
-    refuse("acceleration_z", "a sensor that reads nothing at all shows no tilt",
-           np.hypot(flat, acceleration_y) < 1e-9, acceleration_z)  # fmt: skip
-    return {
-        "phi": np.arctan2(acceleration_y, flat), "psi": np.arctan2(-acceleration_x, acceleration_z),
-        "norm": np.hypot(flat, acceleration_y),
-    }  # fmt: skip

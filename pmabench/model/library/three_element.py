@@ -170,30 +170,3 @@ def release_response(time: Array, displacement_start: Array, stiffness: Array, d
     """Outputs x [m], tau_r [s] from t [s], x0 [m], K [N/m], B_r [N.s/m]."""
     tau = damping / stiffness
     return {"displacement": displacement_start * np.exp(-time / tau), "tau": tau}
-
-
-@described(
-    "coefficients-of-step", FAMILY, "Stiffness and damping from one step (paper 1)",
-    equation=("S = (F_ce - L) / x_max;  D = tau S",),
-    source="paper 1, reduction",
-    parameters=(
-        Parameter("force_ce", "F_ce", "force", 5312.0, "contractile force in the convention of the model", 0.0),
-        Parameter("load", "L", "force", 5.0, "load, half the muscle's weight when it hangs", 0.0),
-        Parameter("displacement", "x_max", "length", 76.3 * MM, "contraction at rest", 0.0, above=True),
-        Parameter("tau", "tau", "time", 0.355, "time constant of the displacement", 0.0, above=True),
-    ),
-    outputs=(Output("stiffness", "S", "stiffness", "stiffness"), Output("damping", "D", "damping", "damping")),
-    references=(
-        Reference("stiffness", "69.55", "N/mm", 1e3, "by hand: 5307 / 76.3"),
-        Reference("damping", "24.69", "N.s/mm", 1e3, "by hand: 0.355 5307 / 76.3"),
-    ),
-    notes=(
-        "S depends on where F_ce is taken: at x_max, as the paper does, it comes out 1.5 to 4 times lower than at x = "
-        "0. Use one convention in the model and in the fit.",
-    ),
-)  # fmt: skip
-def coefficients_of_step(force_ce: Array, load: Array, displacement: Array, tau: Array) -> Values:
-    """S [N/m], D [N.s/m] from F_ce and L [N], x_max [m], tau [s]."""
-    refuse("load", "a load above F_ce is not lifted", load >= force_ce, load)
-    stiffness = (force_ce - load) / displacement
-    return {"stiffness": stiffness + 0 * tau, "damping": tau * stiffness}

@@ -109,8 +109,8 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
         zero=True,
         stamp="SIMULATED" if simulated else "",
     )
-    friction = next((e for a in analyses for e in a.estimates if e.symbol == "F_c" and not e.at and e.value), None)
-    size = rounded(friction.value, None, 3) if friction else ""
+    friction = next((e.value or 0.0 for a in analyses for e in a.estimates if e.symbol == "F_c" and not e.at), 0.0)
+    size = rounded(friction, None, 3) if friction > 0 else ""
     off = f" Friction lets a muscle rest up to F_c = {size} N off its line." if size else ""
     hollow = " Hollow: where relaxing strokes ended." if any(len(level.back) for level in levels) else ""
     lines = "the fitted force; K is its slope at one contraction" if bent else "F = F_ce − K x of the fit"

@@ -11,7 +11,6 @@ import numpy as np
 
 from pmabench.base.kind import load
 from pmabench.kinds import registry
-from pmabench.plotting import loops as loop_figures
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -44,11 +43,6 @@ def front_pictures(
     analyses = [drawable(analysis) for analysis in analyses]
     found: list[Picture] = []
     used: list[str] = []
-    for analysis in analyses if most else ():
-        loops = [t for t in analysis.traces if t.figure in loop_figures.TOGETHER]
-        if any("frequency" in t.marks or "model" not in t.columns for t in loops):
-            found += loop_figures.together(analysis.traces, analysis.simulated)
-            break
     for analysis in analyses:
         kind = registry.find(analysis.kind)
         for wanted, target in kind.front.items() if kind else ():

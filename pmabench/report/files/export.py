@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from pmabench.base.errors import UsageError
-from pmabench.notebook import Results, Run, estimates_frame, headed, with_unit
+from pmabench.notebook import Results, Run, estimates_frame, headed
 from pmabench.plotting.wording import clean, point_shown, shown
 from pmabench.report.document import tables
 from pmabench.report.files import latex
@@ -28,8 +28,6 @@ from pmabench.report.words import kind_title
 from pmabench.report.writing import write_file, writing
 from pmabench.store.analyses.folder import file_names
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis
-from pmabench.store.exported import NAME as RECORD
-from pmabench.store.exported import record_of
 from pmabench.store.folder import plain
 from pmabench.store.livestream import pa, pq
 from pmabench.store.records import RunData
@@ -40,8 +38,6 @@ _UNIT = re.compile(r"(.*) \[([^\[\]]*)\]")
 
 def export_run(run: Run, form: str, out: Path) -> list[Path]:
     """Samples and trials of a run: `csv` and `parquet` into the folder `out`, `mat` as the file `out`.
-
-    `csv` holds what `import` needs to make the run again.
 
     UsageError for a format of results; RecordError where it cannot be written.
     """
@@ -59,21 +55,17 @@ def export_run(run: Run, form: str, out: Path) -> list[Path]:
 
 
 def _run_csv(run: Run, frames: dict[str, pd.DataFrame], out: Path) -> list[Path]:
-    """One file per stream, one of the trials, and the record `run.json` with which `import` makes the run again.
+    """One file per stream and one of the trials.
 
-    The samples that it belongs to say in each row which trial they are of, its operating point and whether they are
-    simulated. Where several streams were recorded these are the samples of the trials on one time base.
+    One of them says in each row of which trial it is, its operating point and whether it is simulated. Where several
+    streams were recorded it has the samples of the trials on one time base.
     """
     if len(run.streams) == 1 or not run.data.trials:
         name, frame = run.streams[0], frames[run.streams[0]]
     else:
         numbers = dict.fromkeys(trial.number for trial in run.data.trials)
         name, frame = "samples", pd.concat([run.trial(number) for number in numbers], ignore_index=True)
-    frames = {**frames, name: _with_trials(run, frame)}
-    paths = _csv(frames, out)
-    heads = {with_unit(channel, info.unit): channel for channel, info in run.data.channels.items()}
-    record = record_of(run.data, paths[list(frames).index(name)].name, {h: c for h, c in heads.items() if h in frame})
-    return [*paths, write_file(out / RECORD, json.dumps(record, indent=1, allow_nan=False) + "\n", "the export")]
+    return _csv({**frames, name: _with_trials(run, frame)}, out)
 
 
 def _with_trials(run: Run, frame: pd.DataFrame) -> pd.DataFrame:

@@ -127,6 +127,9 @@ def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMo
     if params["F_c"] is None:
         params["F_c"] = 0.0
         notes.append("Coulomb friction is not known and left out")
+    elif params["F_c"] < 0:  # within its interval of 0; a negative one would drive the muscle
+        params["F_c"] = 0.0
+        notes.append("Coulomb friction came out below 0 and is left out")
     traces, masses = _free_runs(analysis), _masses(runs)
     params["M"] = next(iter(masses.values()), None) or (traces[0].marks["load"] / GRAVITY if traces else 1.0)
     params["v_0"] = SLOW

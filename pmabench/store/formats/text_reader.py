@@ -273,7 +273,7 @@ class TextReader:
                 raise invalid(self.path, "two columns have the same name", number, 1)
         else:
             names = list(self.layout.names)
-            while len(names) > len(fields) and names[-1] in self.optional:
+            while len(names) > len(fields) and names[-1] in {*self.optional, *self.ignored}:
                 names.pop()
         wanted = [*self.wanted, *(name for name in self.optional if name in names)]
         known = {*wanted, *self.ignored, "@end"}

@@ -1,11 +1,8 @@
-"""Findings in an imported file: a record for each, the report that collects them, and their effect on results.
-
-A finding that flags samples also states the slope over pressure with and without these samples.
-"""
+"""Findings in an imported file: a record for each, and the report that collects them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,7 +10,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.quantities import show
 from pmabench.store.importers.map_rules import ColumnRule
-from pmabench.store.records import UNUSABLE, Array, Flag, Flags
+from pmabench.store.records import Array, Flag, Flags
 
 Bools = NDArray[np.bool_]
 Rows = NDArray[np.intp]
@@ -33,8 +30,6 @@ class Found:
     """Row of the first sample, from 0."""
     t: float | None = None
     """Time of the first sample [s]."""
-    effect: float | None = None
-    """Relative change of the slope over pressure by these samples [1]; None where not determined."""
     withholds: bool = False
     """No rule can correct it: results of the file are withheld until the map resolves it."""
 
@@ -45,8 +40,6 @@ class Summary:
 
     point: tuple[tuple[str, float], ...]
     peaks: Mapping[str, float]
-    numbers: Mapping[str, float]
-    """The same peaks in the units of the file."""
     trusted: bool
     """False if the file was already found to be wrong."""
     slope: float | None = None
@@ -71,8 +64,6 @@ class Report:
     t: Array
     flags: Flags
     found: list[Found] = field(default_factory=list)
-    rows: dict[int, Rows] = field(default_factory=dict)
-    """Index in `found` -> rows flagged by that finding."""
 
     def mark(self, where: Bools | Rows, flag: Flag, level: str, kind: str, text: str, channel: str = "") -> None:
         """Flag samples, given by rows or by a mask, and report them; no finding if there are none."""
@@ -84,7 +75,6 @@ class Report:
         samples = f"{len(rows)} sample" + ("s" if len(rows) > 1 else "")
         named = f"{channel}: {text}" if channel else text
         sentence = f"{named}; {samples}, first at {self.t[first]:.3f} s (row {first + 1})"
-        self.rows[len(self.found)] = rows
         self.found.append(Found(level, kind, sentence, channel, len(rows), first, float(self.t[first])))
 
     def add(self, level: str, kind: str, text: str, channel: str = "", index: int | None = None) -> None:
@@ -101,15 +91,9 @@ class Report:
         self.add("fault", kind, text, channel, index)
         self.found[-1] = replace(self.found[-1], withholds=True)
 
-    def with_effect(self, place: int, effect: float, text: str) -> None:
-        """Add the effect of its samples to a finding."""
-        self.found[place] = replace(self.found[place], effect=effect, text=f"{self.found[place].text}; {text}")
-
 
 FEWEST = 20
 """Least number of samples for a slope."""
-SMALL = 0.001
-"""Relative changes below this [1] are only reported as small."""
 BAR = 1e5
 
 
@@ -135,36 +119,3 @@ def in_words(value: float, follower: str) -> str:
     if follower == "force":
         return show(value, "force per pressure", 4)
     return f"{show(value * BAR, 'length', 4)}/bar"
-
-
-def add_effects(report: Report, channels: Sequence[Checked]) -> None:
-    """Complete each finding that flags samples by the slope over pressure with and without these samples."""
-    values = {channel.rule.role: channel.si for channel in channels}
-    usable = (report.flags & np.uint16(UNUSABLE)) == 0
-    names = [name for name in ("force", "displacement") if name in values and "pressure" in values]
-    together = {name: abs(correlation(values["pressure"][usable], values[name][usable])) for name in names}
-    follower = max(names, key=together.__getitem__, default="")
-    if not follower or not report.rows:
-        return
-    pressure, other = values["pressure"], values[follower]
-    finite = np.isfinite(pressure) & np.isfinite(other)
-    kept = finite & usable
-    without = slope(pressure[kept], other[kept])
-    for place, rows in report.rows.items():
-        found = report.found[place]
-        if found.level == "note" or found.channel not in {"pressure", follower} or without is None:
-            continue
-        here: Bools = kept.copy()
-        here[rows] = finite[rows]
-        all_of_it = slope(pressure[here], other[here])
-        if all_of_it is None or not np.isfinite(all_of_it) or without == 0:
-            continue
-        change = all_of_it / without - 1.0
-        if abs(change) < SMALL:
-            report.with_effect(place, change, f"they are left out, which changes slopes by less than {SMALL:.1%}")
-            continue
-        text = (
-            f"slope of {follower} over pressure {in_words(all_of_it, follower)} with them, "
-            f"{in_words(without, follower)} without: they are left out"
-        )
-        report.with_effect(place, change, text)

@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -70,54 +69,21 @@ def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list
             if not sure:
                 text += "; which of the two is wrong is not known"
             found[index].append(Found("fault" if sure else "doubt", "sibling", text, channel))
-        found[index] += _steeper(file, trusted) + _swapped(file, trusted, allowed)
+        found[index] += _steeper(file, trusted)
     return found
 
 
 def _steeper(file: Summary, others: Sequence[Summary]) -> list[Found]:
-    """Finding for a slope that differs from the other files at the same point, so that they are not repeats.
-
-    If two thirds of the files agree the others are wrong; otherwise it is unknown which are, and all are withheld.
-    """
-    slopes = [other.slope for other in others if other.slope]
-    if not file.slope or not file.trusted or not slopes:
+    """Finding for files at one point whose slopes differ too much for repeats: all are withheld."""
+    slopes = [each.slope for each in (file, *others) if each.slope]
+    usual = float(np.median(slopes)) if slopes else 0.0
+    alike = all(1.0 / ALIKE <= slope / usual <= ALIKE for slope in slopes)
+    if not file.slope or not file.trusted or alike:
         return []
-    every = [file.slope, *slopes]
-    usual = float(np.median(every))
-    agree = sum(1.0 / ALIKE <= slope / usual <= ALIKE for slope in every)
-    decided = len(every) > 2 and 3 * agree >= 2 * len(every)
-    if agree == len(every) or (decided and 1.0 / ALIKE <= file.slope / usual <= ALIKE):
-        return []
-    shown = ", ".join(show(slope, "force per pressure", 4) for slope in sorted(slopes)[:4])
-    ratio = file.slope / float(np.median(slopes))
-    text = (
-        f"force: slope over pressure {show(file.slope, 'force per pressure', 4)}, in other files at the same point "
-        f"{shown}: these are no repeats of one test, for a unit or a scale differs, or the contraction"
-        f"{_hint(ratio, 'force') or _hint(ratio, 'pressure')}"
-    )
-    return [Found("fault", "sibling", text, "force", withholds=not decided)]
-
-
-def _swapped(file: Summary, others: Sequence[Summary], allowed: Mapping[str, float]) -> list[Found]:
-    """Findings for pairs of columns whose peaks match each other's in the siblings, but not their own."""
-    if not others:
-        return []
-    usual = {
-        channel: float(np.median([other.numbers[channel] for other in others]))
-        for channel in file.numbers
-        if all(other.numbers.get(channel) for other in others)
-    }
-
-    def like(channel: str, other: str) -> bool:
-        share = max(allowed.get(channel, 0.3), allowed.get(other, 0.3))
-        return abs(file.numbers[channel] / usual[other] - 1.0) <= share
-
-    found = []
-    for a, b in combinations(sorted(usual), 2):
-        if like(a, b) and like(b, a) and not like(a, a) and not like(b, b):
-            text = f"{a} and {b} look swapped: each reads what the other reads in the sibling files"
-            found.append(Found("fault", "swap", text, a))
-    return found
+    low, high = (show(end(slopes), "force per pressure", 4) for end in (min, max))
+    text = f"force: slopes over pressure of the files at its point are {low} to {high}: these are no repeats of one "
+    text += "test, for a unit or a scale differs, or the contraction"
+    return [Found("fault", "sibling", text, "force", withholds=True)]
 
 
 def _hint(ratio: float, quantity: str) -> str:
@@ -129,8 +95,6 @@ def _hint(ratio: float, quantity: str) -> str:
 
 
 MOST_FILES = 10_000
-UNKNOWN = ("unknown", "not told")
-"""Specimen type in proposed maps where no file gives it; the second one is from earlier versions."""
 
 
 @dataclass(frozen=True)
@@ -225,16 +189,14 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)
-    specimen = _specimen(prepared, rules)
-    title = f"{specimen.get('type', '')}-{specimen.get('serial', '')}"
+    title = f"{rules.specimen['type']}-{rules.specimen['serial']}"
     name = run_name(started, title, rules.file.kind, simulated=prepared.simulated)
     manifest = _manifest(prepared, rules, findings, flagged, started)
     writer = RunWriter.create(out, name, manifest, _snapshots(prepared, rules))
     writer.waits = True
     try:
         columns = [channel.rule.record(channel.rule.role in prepared.whole) for channel in prepared.checked]
-        rate = 1.0 / prepared.period if prepared.period > 0 else 0.0
-        writer.open_stream("file", columns, rate if prepared.record is None else prepared.record.rate)
+        writer.open_stream("file", columns, 1.0 / prepared.period if prepared.period > 0 else 0.0)
         begin = 0
         for t, checked in prepared.blocks():
             raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
@@ -260,20 +222,7 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
     )
 
 
-def _specimen(prepared: Prepared, rules: ImportMap) -> Mapping[str, Any]:
-    """The specimen from the record of an exported run, unless the map names another one."""
-    found = prepared.record.about.get("specimen") if prepared.record is not None else None
-    if not isinstance(found, Mapping):
-        return rules.specimen
-    same = all(str(found.get(key)) == str(rules.specimen[key]) for key in ("type", "serial"))
-    return found if same or rules.specimen["type"] in UNKNOWN else rules.specimen
-
-
 def _events(writer: RunWriter, prepared: Prepared) -> None:
-    if prepared.record is not None:
-        for event in prepared.record.events:
-            writer.event(event.kind, event.t, **event.data)
-        return
     for index, part in enumerate(prepared.parts):
         known = {"point": dict(part.point), "repeat": prepared.named.test, "reference": False}
         writer.event("trial-begin", part.begin, trial=index, **known)
@@ -293,10 +242,8 @@ def _snapshots(prepared: Prepared, rules: ImportMap) -> dict[str, bytes | Copy]:
         kept[f"source/notes-{_legal(prepared.notes[0])}"] = prepared.notes[1]
     for number, (path, text) in enumerate(rules.texts.items()):
         kept["map.yaml" if path == rules.path else f"map-included-{number}.yaml"] = text.encode()
-    plan = {**(prepared.record.plan if prepared.record is not None else {})}
-    if settings := {**(plan.get("settings") or {}), **rules.file.model_dump(include={"settings"})["settings"]}:
-        plan["settings"] = settings
-    if plan:
+    if rules.file.settings:
+        plan = rules.file.model_dump(include={"settings"})
         kept[PLAN] = (json.dumps(plan, indent=1, sort_keys=True) + "\n").encode()
     return kept
 
@@ -321,7 +268,7 @@ def _manifest(
         "started_utc": started.isoformat(timespec="milliseconds"),
         "operator": "",
         "bench": rules.file.bench,
-        "specimen": dict(_specimen(prepared, rules)),
+        "specimen": dict(rules.specimen),
         "trials_planned": len(prepared.parts),
         "imported": {
             "file": table.path.name,
@@ -331,7 +278,6 @@ def _manifest(
             "rows": len(prepared.table),
             **({"test": prepared.name} if prepared.name else {}),
             "started_known": prepared.named.started is not None,
-            **({"exported_from": prepared.record.run} if prepared.record is not None else {}),
             "map": Path(rules.path).name,
             "map_sha256": hashlib.sha256("".join(rules.texts.values()).encode()).hexdigest(),
             "notes": notes,

@@ -53,8 +53,8 @@ class Inspected:
     """Flags of all rows, shape (n,)."""
     whole: frozenset[str]
     """Roles of channels with whole counts throughout."""
-    peaks: Mapping[str, tuple[float, float]]
-    """Role -> highest value [SI] and highest number in the file, over the samples without serious flags."""
+    peaks: Mapping[str, float]
+    """Role -> highest value [SI] of the samples without serious flags."""
     period: float
     """Median sampling period [s]."""
     rows: np.ndarray | None = None
@@ -79,7 +79,7 @@ def inspected(
     table: Table,
     rules: ImportMap,
     inspect: Callable[[Table], Seen],
-    summarise: Callable[[Seen, Table], tuple[frozenset[str], Mapping[str, tuple[float, float]]]],
+    summarise: Callable[[Seen], tuple[frozenset[str], Mapping[str, float]]],
 ) -> Inspected:
     """Inspect all rows, in parts if there are more than `PART`.
 
@@ -87,16 +87,15 @@ def inspected(
     """
     rows = len(table)
     if rows <= PART:
-        here = table.part(0, rows)
-        seen = inspect(here)
-        return Inspected(seen, seen.flags, *summarise(seen, here), _period(seen.t))
+        seen = inspect(table.part(0, rows))
+        return Inspected(seen, seen.flags, *summarise(seen), _period(seen.t))
     flags = np.zeros(rows, dtype=np.uint16)
     merged = _Findings()
     kept: list[Seen] = []
     where: list[np.ndarray] = []
     periods: list[float] = []
     whole: frozenset[str] | None = None
-    peaks: dict[str, tuple[float, float]] = {}
+    peaks: dict[str, float] = {}
     for begin, end in parts(rows):
         early = max(0, begin - BEFORE)
         seen = inspect(table.part(early, end))
@@ -104,11 +103,10 @@ def inspected(
         merged.add(seen.found, early, inspect(table.part(early, begin)).found if doubled else [])
         core = _slice(seen, slice(begin - early, None))
         flags[begin:end] = core.flags
-        counts, highest = summarise(core, table.part(begin, end))
+        counts, highest = summarise(core)
         whole = counts if whole is None else whole & counts
-        for role, (value, number) in highest.items():
-            peak = peaks.get(role, (value, number))
-            peaks[role] = (max(value, peak[0]), max(number, peak[1]))
+        for role, value in highest.items():
+            peaks[role] = max(value, peaks.get(role, value))
         periods.append(_period(core.t))
         thinned = _thinned(core, rules, max(2, (end - begin) * STRETCHES // rows))
         where.append(begin + thinned)

@@ -48,9 +48,7 @@ ATMOSPHERE = (97.5e3, 104e3)
 VACUUM = -30e3
 """Lowest possible gauge pressure in a muscle [Pa]."""
 MANY = 100
-"""Least number of samples to determine the steps of a channel's readings."""
-LEVELS = 25
-"""Least number of converter steps over the whole span; fewer are too coarse."""
+"""Least number of samples that show whether a channel has whole numbers only."""
 
 CONFUSED = {
     "is the pressure in bar, not kPa?": 1e-2,
@@ -97,9 +95,8 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
         return []
     P = pressure.si[good]
     questions: list[Question] = []
-    for channel in channels.values():
-        if channel.rule.role in {"pressure", "force", "displacement"}:
-            questions += _converter(report, channel, good)
+    if force is not None:
+        questions += _converter(report, force, good)
     if (fastest := _fastest(report.t[good], P)) < FILLED:
         questions.append(_pace(fastest))
     peak = float(np.quantile(P, 0.999))
@@ -279,10 +276,7 @@ def _absolute(report: Report, P: Array, F: Array) -> None:
 
 
 def _converter(report: Report, channel: Checked, good: Bools) -> list[Question]:
-    """Report force readings that are whole numbers, probably counts, and steps that are too coarse.
-
-    For whole numbers a question is returned if the column's name gives the unit; otherwise the result is withheld.
-    """
+    """Report a force of whole numbers, probably counts: a question if its name gives the unit, else a fault."""
     rule = channel.rule
     numbers = (channel.raw * rule.back[0] + rule.back[1])[good]
     marks = np.unique(numbers)
@@ -290,7 +284,7 @@ def _converter(report: Report, channel: Checked, good: Bools) -> list[Question]:
         return []
     whole = bool(np.all(marks == np.round(marks)))
     scaled = rule.raw_unit in {"count", "g", "Pa", "mV", "mbar", "hPa", "um"}
-    if whole and rule.role == "force" and not scaled and float(np.abs(marks).max()) >= 50:
+    if whole and not scaled and float(np.abs(marks).max()) >= 50:
         text = (
             f"holds whole numbers only, {marks[0]:g} to {marks[-1]:g}, and they are called {rule.raw_unit}: are they "
             'counts of a converter? Then say "unit: count" and the line of its calibration; if not, '
@@ -300,11 +294,6 @@ def _converter(report: Report, channel: Checked, good: Bools) -> list[Question]:
             return [Question("counts", rule.column, text, rule.raw_unit)]
         report.withhold("counts", text, rule.role)
         return []
-    step, span = float(np.diff(marks).min()), float(np.ptp(numbers))
-    if span < LEVELS * step and float(np.mean(np.diff(numbers) != 0)) > 0.005:
-        size = show(step * abs(rule.slope / rule.back[0]), rule.quantity, 3)
-        text = f"reads in steps of {size}, {span / step:.0f} in its whole span: too coarse for it"
-        report.add("doubt", "coarse", text, rule.role)
     return []
 
 

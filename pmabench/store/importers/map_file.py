@@ -348,12 +348,11 @@ class Sampling(Strict):
 class Trials(Strict):
     """How a file is cut into trials."""
 
-    by: Literal["file", "step", "level", "ramp", "sine", "gap", "column", "command", "record"]
+    by: Literal["file", "step", "level", "ramp", "sine", "gap", "column", "command"]
     """`file`: the whole file. `step`, `sine`: every step or sine of the command (of the measured pressure if none was
     recorded). `level`: every stretch between such steps, at one pressure. `ramp`: every rise of the measured pressure
     with the fall after it. `gap`: between gaps in time. `column`: while the column of trials has one number, not 0.
-    `command`: from each rise of the pressure command out of its lowest level to the next. `record`: from run.json next
-    to the file, which `pmabench export` writes.
+    `command`: from each rise of the pressure command out of its lowest level to the next.
     """
     smallest: Pressure | None = None
     """Smallest change of pressure that counts as a step or ramp; smallest sine, peak to peak."""

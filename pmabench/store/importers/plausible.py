@@ -18,7 +18,7 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.store.importers import magnitude, midfile, motion
-from pmabench.store.importers.found import Bools, Checked, Found, Report, Rows, add_effects, in_words, slope
+from pmabench.store.importers.found import Bools, Checked, Found, Report, Rows, in_words, slope
 from pmabench.store.importers.magnitude import Muscle
 from pmabench.store.importers.map_file import Question
 from pmabench.store.records import UNUSABLE, Array, Flag, Flags
@@ -345,7 +345,6 @@ def stopped(t: Array, channels: Sequence[Checked], flags: Flags, held: bool) -> 
                 frozen(report, one, other, rows, follows=held)
                 if held:
                     clipped(report, one, other, rows)
-            add_effects(report, channels)
     return report.flags, report.found
 
 

@@ -13,8 +13,6 @@ import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.base.quantities import show
-from pmabench.store.exported import NAME as RECORD
-from pmabench.store.exported import Exported, read_record
 from pmabench.store.importers import long, plausible, quality
 from pmabench.store.importers.found import Checked, Found, Summary
 from pmabench.store.importers.long import Seen
@@ -24,11 +22,9 @@ from pmabench.store.importers.map_rules import ColumnRule, ImportMap, number_in
 from pmabench.store.importers.plausible import pressure_late
 from pmabench.store.importers.segments import Segment, segments
 from pmabench.store.importers.table import Table, read_table, with_made
-from pmabench.store.records import Array, Flag, Flags, trial_spans
+from pmabench.store.records import Array, Flag, Flags
 
 NOTES_BYTES = 100_000
-PAUSED = ("record", "column")
-"""Values of `trials: by` for files with marked trials: there may be pauses between trials."""
 SAME = 0.5
 """Largest share of rows with the time stamp of the row before; above it the time is too coarse."""
 
@@ -68,8 +64,6 @@ class Prepared:
     summary: Summary
     questions: tuple[Question, ...]
     """Open questions of the map, and those that the numbers cannot decide."""
-    record: Exported | None
-    """Record of the run that the file was exported from; None for other files."""
     simulated: bool
 
     def blocks(self) -> Iterator[tuple[Array, tuple[Checked, ...]]]:
@@ -111,22 +105,15 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     if name:
         named = replace(named, test=named.test or number + 1)
     table, constant = _with_constants(path, rules, table, named.point)
-    record = _record_of(path, rules)
-    looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part, record), _summed)
+    looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part), _summed)
     seen, found = looked.seen, looked.seen.found + constant
     specimen = rules.file.specimen
     contraction = named.point.get("contraction")
     muscle = Muscle(specimen.inner_diameter, specimen.nominal_length, contraction, _held(rules))
-    questions: list[Question] = []
-    if record is None:
-        more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed)
-        found += looked.placed(more)
-        parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
-        found += [Found("doubt", "trial", text) for text in doubts]
-    else:
-        parts = [Segment(begin, end, {}) for begin, end in trial_spans(record.events)]
-        if named.started is None and record.started_utc:
-            named = replace(named, started=datetime.fromisoformat(record.started_utc))
+    more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed)
+    found += looked.placed(more)
+    parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
+    found += [Found("doubt", "trial", text) for text in doubts]
     if not parts:
         found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
     known = tuple(placed(each, seen.t, len(table)) for each in found)
@@ -145,17 +132,13 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
         period=looked.period,
         summary=Summary(
             tuple(sorted((key, round(value, 9)) for key, value in named.point.items())),
-            {role: pair[0] for role, pair in looked.peaks.items()},
-            {role: pair[1] for role, pair in looked.peaks.items()},
+            looked.peaks,
             not any(each.level == "fault" for each in known),
             slope_of_held(seen.values, seen.flags) if muscle.held else None,
             tuple((name, part.point[name]) for part in parts for name in part.measured),
         ),
         questions=(*rules.unresolved, *questions),
-        record=record,
-        simulated=rules.file.simulated
-        or (record is not None and record.simulated)
-        or bool(np.any(seen.values.get("simulated", 0.0))),
+        simulated=rules.file.simulated or bool(np.any(seen.values.get("simulated", 0.0))),
     )
 
 
@@ -201,19 +184,6 @@ def _held(rules: ImportMap) -> bool:
     return rules.test.held and rules.trials.by in ("file", "ramp")
 
 
-def _record_of(path: Path, rules: ImportMap) -> Exported | None:
-    """The record next to an exported file, if the map uses it; else None."""
-    if rules.trials.by != "record":
-        return None
-    place = path.resolve().parent / RECORD
-    record = read_record(place)
-    if record.file != path.name:
-        raise invalid(place, f"is the record of {record.file}, not of {path.name}")
-    if record.kind != rules.file.kind:
-        raise invalid(place, f'is of a run of kind "{record.kind}", the map says "{rules.file.kind}"')
-    return record
-
-
 def _own_flags(path: Path, values: Array) -> Flags:
     """Flags from a column of the file, as written by `pmabench export`."""
     most = sum(Flag)
@@ -222,13 +192,8 @@ def _own_flags(path: Path, values: Array) -> Flags:
     return np.asarray(values.astype(np.uint16))
 
 
-def _gaps_within(t: Array, flags: Flags, values: Mapping[str, Array], record: Exported | None, gap: float) -> None:
+def _gaps_within(t: Array, flags: Flags, trial: Array, gap: float) -> None:
     """Flag gaps within trials, but not pauses between trials."""
-    if record is not None:
-        begins = np.array(sorted(begin for begin, _ in trial_spans(record.events)))
-        trial = np.searchsorted(begins, t - 1e-6).astype(np.float64)
-    else:
-        trial = values["trial"]
     late = np.concatenate([[False], (np.diff(t) > gap) & (np.diff(trial) == 0) & (trial[1:] != 0)])
     flags[late] |= np.uint16(Flag.GAP)
 
@@ -264,7 +229,7 @@ def channels_of(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
     )
 
 
-def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | None) -> Seen:
+def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:
     """Scale and check the rows of a table in memory."""
     t, checked = times(table, rules), channels_of(table, rules)
     _coarse(table, t)
@@ -273,12 +238,12 @@ def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | No
         for c in rules.columns
         if not c.is_channel and c.role not in ("time", "date") and c.column in table.columns
     }
-    paused = rules.trials.by in PAUSED
+    paused = rules.trials.by == "column"
     sampling = rules.file.sampling
     gap, leap = (np.inf, np.inf) if paused else (sampling.gap, sampling.leap)
     flags, found = quality.inspect(t, checked, sampling.rate, gap, leap)
     if paused:
-        _gaps_within(t, flags, others, record, sampling.gap)
+        _gaps_within(t, flags, others["trial"], sampling.gap)
     if "flags" in others:
         flags |= _own_flags(path, others["flags"])
     if not paused:
@@ -304,14 +269,10 @@ def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | No
     return Seen(t, checked, values, flags, found)
 
 
-def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tuple[float, float]]]:
-    """Roles with whole counts, and peaks (see `Inspected.peaks`) without dropouts, overrange and time jumps."""
+def _summed(seen: Seen) -> tuple[frozenset[str], Mapping[str, float]]:
+    """Roles with whole counts, and peaks [SI] without dropouts, overrange and time jumps."""
     good = (seen.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
-    peaks = {
-        channel.rule.role: (float(channel.si[good].max()), float(table.columns[channel.rule.column][good].max()))
-        for channel in seen.checked
-        if good.any()
-    }
+    peaks = {channel.rule.role: float(channel.si[good].max()) for channel in seen.checked if good.any()}
     return frozenset(channel.rule.role for channel in seen.checked if _is_int(channel)), peaks
 
 

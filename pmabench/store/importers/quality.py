@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from pmabench.base.quantities import show
-from pmabench.store.importers.found import Bools, Checked, Found, Report, add_effects, correlation
+from pmabench.store.importers.found import Bools, Checked, Found, Report, correlation
 from pmabench.store.importers.motion import runs
 from pmabench.store.records import Array, Flag, Flags
 from pmabench.store.spikes import ENDS, FEW, MANY, SPIKE, beyond_neighbours, resolution, some_of, spike_limit
@@ -42,8 +42,6 @@ NOT_WHOLE = 0.05
 """Readings further than this from a whole number are not counts."""
 WHOLE_SHARE = 0.01
 """Largest share of such readings; above it the file was not recorded with the scale of the map."""
-SLOW = 4.0
-"""A channel that changes less often than every this many samples is reported."""
 OFTEN = 0.1
 """Share of samples out of range above which the scale or the column is doubtful."""
 LARGEST = 1e30
@@ -226,7 +224,6 @@ def inspect(
         _twice(report, channels)
         for channel in channels:
             _channel(report, channel)
-        add_effects(report, channels)
     return report.flags, report.found
 
 
@@ -254,11 +251,6 @@ def _time(report: Report, rate: tuple[float, float], gap: float, leap: float) ->
     between = (steps > gap) & ~ahead
     text = f"samples are missing before these, for up to {steps[~ahead].max():.3g} s"
     report.mark(between, Flag.GAP, "note", "gap", text)
-    same = np.concatenate([[False], steps[1:] == 0])
-    if same.any():
-        first = int(np.argmax(same))
-        text = f"{int(same.sum())} time stamps equal the one before, first at {t[first]:.3f} s (row {first + 1})"
-        report.found.append(Found("note", "same-time", text, "", int(same.sum()), first, float(t[first])))
 
 
 def _twice(report: Report, channels: Sequence[Checked]) -> None:
@@ -340,11 +332,6 @@ def _stale(report: Report, channel: Checked, longest: float) -> None:
     age = t - t[changed[np.cumsum(fresh) - 1]]
     text = f"has not changed for more than {longest:g} s"
     report.mark(age > longest, Flag.STALE, "doubt", "stale", text, channel.rule.role)
-    if len(changed) > 10:
-        usual, period = float(np.median(np.diff(t[changed]))), float(np.median(np.diff(t)))
-        if period > 0 and usual > SLOW * period:
-            text = f"{channel.rule.role}: changes every {usual:.3g} s only, the log runs every {period:.2g} s"
-            report.found.append(Found("note", "slow", text, channel.rule.role))
 
 
 def against_sign(flags: Flags, values: Mapping[str, Array], channel: str) -> Found | None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.surface.muscle import (
+    INTERVALS_P,
     SLIDING,
     STOPS_P,
     STOPS_X,
@@ -101,3 +102,11 @@ def test_rows_are_means_and_the_speed_is_the_slope_within_each():
     assert pytest.approx(-at) == F
     assert places == pytest.approx(0.01 * np.sin(2 * np.pi * 0.3 * at), abs=1e-5)
     assert v == pytest.approx(0.01 * 2 * np.pi * 0.3 * np.cos(2 * np.pi * 0.3 * at), abs=1e-4)
+
+
+def test_any_range_has_splines_that_add_up_to_1():
+    """Rounding puts low + (high - low) beside high in one of 16 ranges; the splines must not notice."""
+    random = np.random.default_rng(8)
+    for low, high in zip(random.uniform(0.0, 2e5, 300), random.uniform(3e5, 7e5, 300), strict=True):
+        found = Axis(low, high, INTERVALS_P).functions(np.array([low, 0.5 * (low + high), high]))
+        np.testing.assert_allclose(found.sum(axis=1), 1.0, rtol=1e-12)

@@ -80,11 +80,10 @@ def test_a_node_that_is_silent_restarts_or_stops_is_in_trouble_for_good(kind, mo
 
 
 def test_a_transducers_position_is_its_steps():
-    """E-Series: 6005h:1 in 0.001 um, 6005h:2 in 0.01 mm/s; position, velocity, status, least significant byte first."""
+    """E-Series: 6005h:1 in 0.001 um; position, velocity, status, least significant byte first."""
     gauge = Transducer("bus", "gauge", 12, lambda _identifier, _data: None)
-    gauge._step, gauge._speed_step, gauge.has_velocity = 5000 * 1e-3, 10 * 0.01, True
+    gauge._step = 5000 * 1e-3
     assert gauge._take(bytes.fromhex("E8 03 00 00 F6 FF 00"))
     assert gauge.position == pytest.approx(5000.0)  # um
-    assert gauge.velocity == pytest.approx(-1.0)  # mm/s
     assert not gauge._take(bytes.fromhex("E8 03 00"))
     assert gauge.position == pytest.approx(5000.0)

@@ -6,7 +6,7 @@ from pymodbus.client import ModbusTcpClient
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import UNPROVEN
 from tests.drivers.common import timed
-from tests.drivers.festo.rigs import served, terminal
+from tests.drivers.festo.rigs import served
 
 pytestmark = pytest.mark.realtime
 
@@ -36,15 +36,12 @@ def test_another_stack_reads_the_same():
             assert client.read_holding_registers(46100, count=1).registers == [500]
             assert client.write_registers(46100, [300]).isError()
             assert client.read_holding_registers(45409, count=1).exception_code == 2
-            client.write_registers(40002, [0x21])
             client.write_registers(40001, [0])
-            client.write_registers(40001, [0x8000 | 0x2000 | RANGE_AO])
+            client.write_registers(40001, [0x8000 | RANGE_AO])
             for _ in range(100):
                 if client.read_holding_registers(45392, count=1).registers[0] & 0x8000:
                     break
-            client.write_registers(40001, [0])
-            client.write_registers(40001, [0x8000 | RANGE_AO])
-            assert client.read_holding_registers(45393, count=1).registers == [0x21]
+            assert client.read_holding_registers(45393, count=1).registers == [0x01]
         finally:
             client.close()
 
@@ -109,39 +106,9 @@ def test_another_range():
 
 def test_a_data_system_table_that_does_not_answer():
     with served() as rig:
-        rig.inside._table = lambda number, *, write: None
+        rig.inside._table = lambda number: None
         rig.inside._show = lambda address: 0
         refused(rig, "its data system table gave no answer within 0.5 s")
-
-
-def test_ranges_are_set_where_that_is_asked_for():
-    with served(terminal(set_ranges=True)) as rig:
-        rig.inside.parameters[RANGE_AI] = 0x36
-        rig.inside.parameters[RANGE_AO] = 0x72
-        rig.device.open()
-        assert rig.inside.parameters[RANGE_AI] == 0x21
-        assert rig.inside.parameters[RANGE_AO] == 0x71  # its neighbour is left alone
-        assert rig.log("set") == []
-
-
-def test_a_range_is_not_changed_under_an_output_or_under_protection():
-    with served(terminal(set_ranges=True)) as rig:
-        rig.inside.parameters[RANGE_AO] = 0x02
-        rig.inside.status = 1 << 11
-        refused(rig, "is set to -10..10 V and the bench file says 0..10 V, and the terminal is write-protected")
-        rig.inside.status = 0
-        rig.inside._put(40004, 100)
-        _took, outcome = timed(rig.device.open)
-        assert "it puts out something: bring it to 0 first" in str(outcome)
-        assert rig.inside.parameters[RANGE_AO] == 0x02
-
-
-def test_a_range_that_is_not_taken():
-    with served(terminal(set_ranges=True)) as rig:
-        rig.inside.parameters[RANGE_AI] = 0x22
-        read = rig.inside._table
-        rig.inside._table = lambda number, *, write: None if write else read(number, write=False)
-        refused(rig, "did not take the range 0..10 V")
 
 
 @pytest.mark.parametrize("kind", ["silence", "lost", "hang-up", "reset", "stale", "truncated", "garbage", "exception"])

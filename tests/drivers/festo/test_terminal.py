@@ -68,7 +68,6 @@ WRONG = {
         ("outputs", "dump_valve", "output"),
         'the modules have no "do2.0"; did you mean "do1.0"',
     ),
-    "set_ranges as a text": ({"set_ranges": "yes"}, ("options", "set_ranges"), "true or false"),
     "too fast": ({"rate": "1 kHz"}, ("options", "rate"), "outside 0.1 to 500 Hz"),
 }
 

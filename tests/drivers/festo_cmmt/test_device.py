@@ -286,7 +286,7 @@ def test_a_place_that_leaps_is_a_lost_zero_until_it_is_begun_anew(rig):
     device.follow("position", Segment("ramp", device._clock.now(), 0.0, 40000.0, rate=400_000.0))
     time.sleep(0.2)
     assert device.collect().time, "no more than the actuator does"
-    rig.inside.motion._zero += 30_000
+    rig.inside.zero += 30_000
     assert until(lambda: "was its zero set anew?" in str(timed(device.collect)[1]), 2)
     device.start(100.0)
     assert until(lambda: len(device.collect().time), 2), "the vent sees whether it rests"

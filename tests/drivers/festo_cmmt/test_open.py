@@ -144,5 +144,6 @@ def test_another_stack_reads_and_moves_the_same():
             assert client.write_registers(400, [250, 0]).isError() is False
             assert client.read_holding_registers(400, count=2).registers == [250, 0]
             assert client.read_holding_registers(150, count=1).exception_code == 2
+            assert client.write_registers(0, [0x043E] * 5).exception_code == 2
         finally:
             client.close()

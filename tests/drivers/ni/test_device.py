@@ -186,7 +186,7 @@ def test_a_set_point_of_another_program_is_measured_where_the_output_is_looped_i
     assert device.read_back("ao0") == 3.0
     with task(served, "NI MAX") as other:
         other.ao_channels.add_ao_voltage_chan("Dev1/ao0", min_val=0.0, max_val=10.0)
-        other.write(4.5)
+        nidaqmx.stream_writers.AnalogSingleChannelWriter(other.out_stream, auto_start=True).write_one_sample(4.5)
         assert until(lambda: device.read_back("ao0") == pytest.approx(4.5, abs=0.05), 1.0)
         patiently(lambda: device.write("ao0", 0.0))
         assert device.read_back("ao0") == 0.0
@@ -203,7 +203,7 @@ def test_without_a_loop_what_was_acknowledged_counts(bench):
         patiently(lambda: other.write("ao0", 1.0))
         with task(served, "NI MAX") as foreign:
             foreign.ao_channels.add_ao_voltage_chan("Dev1/ao0", min_val=0.0, max_val=10.0)
-            foreign.write(4.5)
+            nidaqmx.stream_writers.AnalogSingleChannelWriter(foreign.out_stream, auto_start=True).write_one_sample(4.5)
         time.sleep(0.5)
         assert other.read_back("ao0") == 1.0
     finally:

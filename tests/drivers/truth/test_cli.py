@@ -1,39 +1,19 @@
-"""`pmabench emulate --truth` and `--wrong`, and who says that scales are not proven."""
+"""`pmabench emulate --truth`, and who says that scales are not proven."""
 
 import json
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import pytest
+from pmabench_drivers.emulator import Emulator
 
-from pmabench.base.errors import UsageError
-from pmabench.cli.emulate import _in_si
+from pmabench.bench.compile import mount_alone
+from pmabench.bench.truth import read_truth
+from pmabench.files.shipped import find_file
 from tests.drivers.emulated_bench import emulate, own_bench
-
-
-@pytest.mark.parametrize(
-    ("text", "si"),
-    [
-        ("offset:displacement=12 mm", 0.012),
-        ("offset:force=-50 N", -50.0),
-        ("offset:output.pressure=0.6 bar", 60e3),
-        ("offset:t7.AIN0=60", 60.0),
-    ],
-)
-def test_an_offset_has_its_unit(text, si):
-    assert float(_in_si(text).partition("=")[2]) == pytest.approx(si)
-    assert _in_si(text).partition("=")[0] == text.partition("=")[0]
-
-
-@pytest.mark.parametrize("text", ["scale:force=0.5", "swap:pressure=force", "sign", "offset:force"])
-def test_anything_else_stays_as_it_is(text):
-    assert _in_si(text) == text
-
-
-def test_an_offset_in_no_unit_that_is_measured_is_refused():
-    with pytest.raises(UsageError, match='as "12 mm", not "3 kg"'):
-        _in_si("offset:force=3 kg")
+from tests.drivers.truth.rigs import pressurised
 
 
 def probed(path, *options):
@@ -64,16 +44,27 @@ def force(path):
     return rows["force"]["value"]
 
 
+@contextmanager
+def loaded(path, truth=None):
+    """The rig under pressure and load; the force that its muscle carries [N]."""
+    emulator = Emulator(mount_alone(path).bench.devices, truth=truth, preset="ideal")
+    try:
+        yield pressurised(emulator)["force"]
+    finally:
+        emulator.close()
+
+
 @pytest.mark.realtime
 def test_a_truth_file_shows_a_wrong_scale_and_a_bench_that_is_its_own_truth_hides_it_and_says_so(tmp_path):
     path = believes_kg(tmp_path)
-    pulls = ("--preset", "ideal", "--wrong", "offset:force=100 N")
-    with emulate(path, *pulls, "--truth", "wires") as (_process, said):
+    with loaded(path, read_truth(find_file("truth", "wires"))) as true:
+        assert force(path) == pytest.approx(9.81 * true, abs=6.0)
+    with emulate(path, "--truth", "wires") as (_process, said):
         assert said["truth"].endswith("wires.yaml")
-        assert force(path) == pytest.approx(981.0, abs=0.2)
         assert "scales not proven" not in " ".join(probed(path).split())
     own = path.rename(tmp_path / "mine.yaml")
-    with emulate(own, *pulls) as (_process, said):
-        assert (said["truth"], said["wrong"]) == (None, ["force: is 100 too high [SI]"])
-        assert force(own) == pytest.approx(100.0, abs=0.2)
+    with loaded(own) as true:
+        assert force(own) == pytest.approx(true, abs=0.6)
+    with emulate(own) as (_process, said):
+        assert said["truth"] is None
         assert "SIMULATED, scales not proven" in " ".join(probed(own).split())

@@ -107,9 +107,13 @@ def slip(campaign: Campaign, segments: Segments, fit: Fit, first: int) -> Array:
 
 
 def slip_places(campaign: Campaign, segments: Segments) -> list[int]:
-    """Trial numbers before which a slip is tried, in chronological order."""
-    place = order(campaign)
-    later = sorted(np.unique(segments.trial).tolist(), key=lambda i: place[i])[1:]
+    """Trial numbers before which a slip is tried, in chronological order.
+
+    Not at the first of a session: a muscle that was mounted anew, and zeros that were taken anew, look alike.
+    """
+    place, day = order(campaign), campaign.sessions
+    inside = sorted(np.unique(segments.trial).tolist(), key=lambda i: place[i])
+    later = [now for before, now in pairwise(inside) if day[now] == day[before]]
     chosen = np.unique(np.linspace(0, len(later) - 1, min(MOST_PLACES, len(later))).round().astype(np.intp))
     return [later[i] for i in chosen]
 

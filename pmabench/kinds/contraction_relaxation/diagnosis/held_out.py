@@ -275,25 +275,23 @@ class Spread:
     factor: float
     """Factor on all widths for the remaining misfit."""
 
-    def of(self, fit: Fit, rows: NDArray[np.bool_], noise: float) -> Correction:
-        """Uncertainty due to the correction, for a fit to some `rows` of the corrected segments with expected noise
-        [N].
-        """
+    def correction(self) -> Correction:
+        """Uncertainty of the fit due to the correction."""
+        fit, noise = self.state.test.fit, self.state.test.expected
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
         # leaving out loads shows where a form is not exact; without an explanation there are no sizes to find again
-        samples, trial = self.state.test.campaign.samples, self.state.test.segments.trial[rows]
+        samples, trial = self.state.test.campaign.samples, self.state.test.segments.trial
         groups = [np.arange(len(samples), dtype=np.float64)] if self.state.explanations else []
         groups += [np.array([round(one.load, 2) for one in samples])] if self._of_muscle else []
-        spreads = [
-            self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group[trial])) >= FEWEST_LEFT
-        ]
+        spreads = [self._spread(group) for group in groups if len(np.unique(group[trial])) >= FEWEST_LEFT]
         others_of = np.array(others).reshape(-1, len(fit.theta))
-        return Correction(self._unsure(fit, noise), tuple(spreads), others_of, self.factor)
+        return Correction(self._unsure(), tuple(spreads), others_of, self.factor)
 
-    def _unsure(self, fit: Fit, noise: float) -> Array:
+    def _unsure(self) -> Array:
         """Possible error of each step of the correction as a change of theta, shape (2, p): by the weights, and by the
         fit.
         """
+        fit, noise = self.state.test.fit, self.state.test.expected
         weighed = fit.again(self.search.uncorrected, noise).theta
         by_weights = weighed - fit.again(self.recorded, noise).theta
         found = [max(PART_OF_BENCH[0], self.unsure) * by_weights, self._part * (fit.theta - weighed)]
@@ -324,7 +322,7 @@ class Spread:
             return ()
         if len(np.unique(trial)) < FEWEST_LEFT:
             return tuple(np.zeros((1, len(one.sizes))) for one in self.state.explanations)
-        left, begin, found = self._left_out(self.state.test.fit, np.ones(len(trial), bool), group)[1], 0, []
+        left, begin, found = self._left_out(group)[1], 0, []
         for place, one in enumerate(self.state.explanations):
             numbers = range(len(one.sizes)) if one.kind in TIMES else ()
             times = [self._time(place, number, group, np.unique(trial)) for number in numbers]
@@ -334,12 +332,12 @@ class Spread:
             found.append(mine - mine.mean(axis=0) if len(mine) else np.zeros((1, len(one.sizes))))
         return tuple(found)
 
-    def _spread(self, fit: Fit, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
+    def _spread(self, group: Array) -> Array:
         """Jackknife covariance of theta over groups of rows, widened for few groups, shape (p, p); `group` (trials,) is
         the group of each trial.
         """
-        theta, _ = self._left_out(fit, rows, group)
-        names = np.unique(group[self.state.test.segments.trial[rows]])
+        fit, noise, (theta, _) = self.state.test.fit, self.state.test.expected, self._left_out(group)
+        names = np.unique(group[self.state.test.segments.trial])
         times = [(place, one) for place, one in enumerate(self.state.explanations) if one.kind in TIMES]
         for place, number, size in ((place, *each) for place, one in times for each in enumerate(one.sizes)):
             later, earlier = (fit.again(self._moved(place, number, by)[0], noise).theta for by in (STEP, -STEP))
@@ -353,12 +351,12 @@ class Spread:
         wide = float(student.ppf(0.975, count - 1)) / NORMAL
         return np.asarray(wide**2 * (count - 1) / count * off.T @ off)
 
-    def _left_out(self, fit: Fit, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
+    def _left_out(self, group: Array) -> tuple[Array, Array]:
         """Changes of theta and of the sizes without each group in turn; shapes (groups, p), (groups, sizes).
 
         nan where only that group determines a size, such as a slip without the loads after it.
         """
-        forces, of_row = self._forces[rows], group[self.state.test.segments.trial[rows]]
+        fit, forces, of_row = self.state.test.fit, self._forces, group[self.state.test.segments.trial]
         scale = np.maximum(np.sqrt(np.mean(forces**2, axis=0)), 1e-300)
         whole, p = np.hstack([fit.design, forces / scale]), fit.design.shape[1]
         normal = whole.T @ whole

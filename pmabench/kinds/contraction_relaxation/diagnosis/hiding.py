@@ -12,7 +12,6 @@ from math import inf, sqrt
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import HYSTERESIS, Scales
 from pmabench.analysis.shared.samples import sticks
@@ -218,8 +217,8 @@ class Hidden:
         """How late a channel may be against the others [s]; infinite where that was not sized."""
         return next((size.hidden for size in self.sizes if size.way.text == LATE.format(channel)), inf)
 
-    def lines(self, fit: Fit, rows: NDArray[np.bool_]) -> list[Cause]:
-        """Lines of the budget of a fit to some `rows` of the segments."""
+    def lines(self, fit: Fit) -> list[Cause]:
+        """Lines of the budget of the fit."""
         found: list[Cause] = []
         clear = {one.cause.name for one in self.found}
         for cause in {id(size.cause): size.cause for size in self.sizes}.values():
@@ -227,7 +226,7 @@ class Hidden:
             strength = np.array([0.5 * (one.beyond**2 - cause.even**2) for one in mine])
             likely = np.exp(strength - max(0.0, strength.max())) / len(mine)
             none = np.exp(-max(0.0, strength.max()))
-            change = fit.change(np.column_stack([size.way.column[rows] for size in mine]))
+            change = fit.change(np.column_stack([size.way.column for size in mine]))
             most = (change * [size.hidden for size in mine]).T
             likely = likely / (none + likely.sum())
             found.append(Cause(cause.name, cause.part, most, likely=likely, seen=cause.name in clear))

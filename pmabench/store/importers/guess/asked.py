@@ -17,7 +17,7 @@ from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.found import slope
 from pmabench.store.importers.guess.columns import value_of, words
 from pmabench.store.importers.guess.proposal import Guess, Proposal
-from pmabench.store.importers.guess.shapes import is_whole, lattice, lone
+from pmabench.store.importers.guess.signs import lone
 from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.importers.map_rules import NUMBER, number_in
 from pmabench.store.records import Array
@@ -98,7 +98,7 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
     if column.unit and not said:
         return None  # grams, milliamperes, counts: the calibration is asked for instead
     fits = [unit for unit in UNITS[quantity] if _possible(top, unit, quantity)]
-    if said and not column.bare:
+    if said:
         if column.role == "supply":
             return None
         if _possible(max(_top(column.good, 0.95), column.elsewhere), column.unit, quantity):
@@ -107,15 +107,11 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
             f'"{column.name}" is in {column.unit} by its name, {_reach(top, column.unit, quantity)}, which no test has'
         )
         return Asked(column.unit, f"{head}: which unit is it? {_candidates(top, fits, quantity)}")
-    if not fits or (is_whole(column.good) and quantity != "pressure" and not column.bare):
+    if not fits or (column.whole and quantity != "pressure"):
         return None  # the calibration of counts is asked for instead
     head = f'in which unit is "{column.name}"? The file does not say it.'
-    if column.bare:
-        role = column.role.replace("_", " ")
-        head = f"nothing names this column, which by its numbers is the {role}: is it, and in which unit?"
-    counts = is_whole(column.good) or lattice(column.good) > 0
-    more = "; or counts of a converter (count, with the line to the quantity)" if counts else ""
-    value = "" if is_whole(column.good) or column.factor else column.unit if column.unit in fits else fits[0]
+    more = "; or counts of a converter (count, with the line to the quantity)" if column.whole else ""
+    value = "" if column.whole or column.factor else column.unit if column.unit in fits else fits[0]
     return Asked(value, f"{head} {_candidates(top, fits, quantity)}{more}")
 
 
@@ -148,7 +144,7 @@ def _counted(column: Proposal, guess: Guess) -> Asked | None:
     ask = "are these counts of a converter? Then write count, and the line to N; else its unit"
     if column.mixed:
         return Asked(column.unit, f"{head}, and holds whole numbers in {column.mixed}, but not in others: {ask}")
-    if pressure is None or not is_whole(column.good):
+    if pressure is None or not column.whole:
         return None
     P, F = _both(pressure.values, column.values)
     low, high = _ends(P, F)
@@ -248,7 +244,7 @@ def contraction_of(guess: Guess) -> Asked | str:
 
 def is_contraction(column: Proposal) -> bool:
     """Whether the name of a displacement marks it as a contraction."""
-    return bool(words(column.name) & CONTRACTIONS) and not column.bare
+    return bool(words(column.name) & CONTRACTIONS)
 
 
 def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:

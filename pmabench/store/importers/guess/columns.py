@@ -1,4 +1,4 @@
-"""Assigns roles (time, pressure, force, displacement, command) to columns by name, unit and shape of the numbers.
+"""Assigns roles (time, pressure, force, displacement, command) to columns by name and unit; a time also by its numbers.
 
 Pure functions of names and arrays; must not know files. Every choice has reasons, and doubts where it is weak.
 """
@@ -12,9 +12,7 @@ from typing import get_args
 
 import numpy as np
 
-from pmabench.store.importers.found import correlation
 from pmabench.store.importers.guess.proposal import Proposal
-from pmabench.store.importers.guess.shapes import by_shape, lattice
 from pmabench.store.importers.map_file import QUANTITY, PointName, spelled
 from pmabench.store.records import Array
 
@@ -142,10 +140,6 @@ def choose(proposals: Sequence[Proposal]) -> None:
             _by_name(proposal)
     _choose_time(proposals)
     _one_each(proposals)
-    for proposal in by_shape(proposals):
-        if step := lattice(proposal.good):
-            text = f"reads in steps of {step:.4g}: counts were turned into it; where you know the line say it with "
-            proposal.doubts.append(f'{text}"recorded_with"')
     _unknown(proposals)
 
 
@@ -160,26 +154,17 @@ def _exported(proposal: Proposal) -> bool:
 
 
 def _unknown(proposals: Sequence[Proposal]) -> None:
-    """Add doubts and questions for unrecognised columns that vary with the pressure."""
-    pressure = next((p for p in proposals if p.role == "pressure"), None)
+    """Ask what a column without a name is."""
     for proposal in proposals:
-        if (
-            proposal.role != "ignore"
-            or pressure is None
-            or proposal.reasons
-            or len(pressure.values) != len(proposal.values)
-        ):
+        good = proposal.good
+        if proposal.role != "ignore" or proposal.reasons:
             continue
-        together = correlation(proposal.values, pressure.values)
-        if abs(together) > 0.8:
-            proposal.doubts.append(f"goes with the pressure (correlation {together:.2f}): is it force or displacement?")
-            if all(p.role != "force" for p in proposals):
-                text = (
-                    f'"{proposal.name[:40]}" goes with the pressure (correlation {together:.2f}), and nothing names it'
-                )
-                proposal.question = f"{text}: is it {{is: force, unit: N}}, {{is: displacement, unit: mm}}, or ignore?"
+        if proposal.bare and len(good):
+            numbers = f"{good.min():.4g} to {good.max():.4g}, first {', '.join(f'{value:.4g}' for value in good[:3])}"
+            text = f'what is "{proposal.name[:40]}"? It has no name; its numbers: {numbers}'
+            proposal.question = f"{text}. Write what it is and its unit, as {{is: pressure, unit: bar}}, or ignore"
         else:
-            proposal.reasons.append("neither its name nor its unit nor its numbers show what it is")
+            proposal.reasons.append("neither its name nor its unit shows what it is")
 
 
 def _by_name(proposal: Proposal) -> None:

@@ -1,7 +1,6 @@
 """Examines unknown files: their format, columns and sampling, and how they are divided into trials.
 
-Names of files and folders may contain dates, numbers of tests and operating points. For files from `pmabench export`
-the record next to them answers all questions.
+Names of files and folders may contain dates, numbers of tests and operating points.
 """
 
 from __future__ import annotations
@@ -17,15 +16,12 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.base.kind import Imported
 from pmabench.files.shipped import shipped_folder
-from pmabench.store.exported import NAME as RECORD
-from pmabench.store.exported import Known, read_record
 from pmabench.store.formats.mat import alike, is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess.columns import SECONDS, choose, proposal, usual_step
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.proposal import Guess, Proposal
-from pmabench.store.importers.guess.shapes import is_whole
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_file import PLACE, spelled
 from pmabench.store.importers.map_rules import NUMBER, number_in, read_map
@@ -66,7 +62,7 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
         reasons.append(f"columns of other lengths, groups or clocks are left out: {', '.join(others)[:200]}")
     columns = [_proposal(name, found[name], units[name], groups[group]) for name in groups[group]]
     if any(column.bare for column in columns):
-        reasons.append("columns of a matrix have no names: they are distinguished by what they hold")
+        reasons.append("columns of a matrix have no names")
     choose(columns)
     guess = Guess([path], layout, columns, [], [*others, *left_out], kinds, reasons={"file": reasons})
     if len(tests) > 1:
@@ -163,48 +159,6 @@ def _call_by_role(guess: Guess) -> None:
             column.name = column.role
     if isinstance(guess.layout, TextLayout):
         guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
-
-
-def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
-    """Whether the files were written by `pmabench export`; if so, complete the guess from the record next to them."""
-    place = files[0].resolve().parent / RECORD
-    if not place.is_file():
-        return False
-    record = read_record(place)
-    if record.file not in {path.name for path in files}:
-        return False
-    if len(files) > 1:
-        raise invalid(place, f"goes with {record.file} alone: import that file, the others hold no samples of trials")
-    if record.kind not in guess.kinds:
-        raise invalid(place, f'is of a run of kind "{record.kind}", which cannot be imported here')
-    guess.kind, guess.trials = record.kind, {"by": "record"}
-    guess.exported, guess.simulated = True, record.simulated
-    guess.reasons["trials"] = [f"{RECORD} next to it says what {record.run} commanded and found, trial by trial"]
-    for column in guess.columns:
-        known = record.columns.get(column.name)
-        column.role, column.doubts, column.question, column.reasons = "ignore", [], "", ["the record has it"]
-        if column.name == "t [s]":
-            column.role, column.reasons = "time", []
-        elif column.name in ("flags", "simulated"):
-            column.role, column.reasons = column.name, []
-        elif known is not None:
-            column.role, column.reasons = known.channel, []
-            column.unit = column.unit or column.name.rpartition("[")[2].rstrip("]")  # export puts it into the name
-            column.extra = _as_known(known, column.unit)
-    specimen = record.about.get("specimen")
-    if isinstance(specimen, dict):
-        guess.specimen = {key: str(specimen[key]) for key in ("make", "type", "serial") if specimen.get(key)}
-    return True
-
-
-def _as_known(known: Known, unit: str) -> dict[str, str]:
-    """Entries of a map for the uncertainties and lag of a channel in a record."""
-    entries = {
-        "expanded_uncertainty": (known.offset_uncertainty, f"{known.offset_uncertainty:.9g} {unit}"),
-        "gain_uncertainty": (known.gain_uncertainty, f"{100 * known.gain_uncertainty:.9g} %"),
-        "sensor_lag": (known.sensor_lag, f"{known.sensor_lag:.9g} s"),
-    }
-    return {key: text for key, (value, text) in entries.items() if value}
 
 
 _PARTS = (
@@ -330,9 +284,6 @@ def guess_files(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
 
 def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
     guess = look(files[0], kinds)
-    if as_exported(guess, files):
-        _sampling(guess)
-        return guess
     for path in files[1:FILES]:
         _alike(guess, path)
     guess.files = list(files)
@@ -352,9 +303,6 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
             "a table of points without time is no recording: report --overlay draws it next to your own, and model fit "
             "fits a model to it"
         )
-    bare = [column.name for column in guess.columns if column.bare and column.role not in ("ignore", "time")]
-    if bare:
-        guess.doubts.append(f"to be confirmed by who knows the bench, for numbers alone show it: {', '.join(bare)}")
     return guess
 
 
@@ -375,8 +323,7 @@ def _alike(guess: Guess, path: Path) -> None:
             extra = [column.name for column in longer.columns[len(shorter.columns) :]]
             guess.optional = sorted({*guess.optional, *extra})
             if longer is other:
-                roles = [column.role for column in guess.columns]
-                guess.columns += [column for column in other.columns[len(roles) :] if column.role not in roles]
+                guess.columns += other.columns[len(guess.columns) :]
                 guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
             return
     names, others = {column.name for column in guess.columns}, {column.name for column in other.columns}
@@ -394,7 +341,7 @@ def _mixed(guess: Guess, other: Guess) -> None:
         if column.name in there and len(values := there[column.name].good):
             column.elsewhere = max(column.elsewhere, float(np.quantile(np.abs(values), 0.995)))
             column.middles.append(float(np.median(values)))
-        if column.name in there and (here := is_whole(column.good)) != is_whole(there[column.name].good):
+        if column.name in there and (here := column.whole) != there[column.name].whole:
             column.mixed = (guess if here else other).files[0].name
 
 
@@ -458,9 +405,6 @@ def _lacking(guess: Guess) -> None:
     guess.lacks = next(iter(lacking), "")
     ignored = [column for column in guess.columns if column.role == "ignore"]
     spare = next((column for column in guess.columns if column.role in {"pressure_command", "supply"}), None)
-    if guess.lacks:
-        for column in ignored:
-            column.question = ""
     other = spare is not None or any(len(column.good) for column in ignored)
     if guess.lacks == "pressure" and guess.test.commanded is not None and not other:
         why = "no column gives it: that of the operating point, the same throughout each file"
@@ -469,7 +413,7 @@ def _lacking(guess: Guess) -> None:
     if guess.lacks == "pressure" and spare is not None:
         text = f'no measured pressure was found: is "{spare.name[:40]}" it (pressure), or'
         spare.question = f"{text} {spare.role} as its name says? Then nothing can be fitted"
-    elif guess.lacks and ignored:
+    elif guess.lacks and ignored and not any(column.question for column in ignored):
         ignored.sort(key=lambda column: len(column.values) == 0)
         names = ", ".join(f'"{column.name[:40]}"' for column in ignored[:8])
         for role, column in zip(lacking, ignored, strict=False):

@@ -456,7 +456,7 @@ def _header(body: _Body, comment: str | None, reasons: list[str]) -> tuple[list[
     of_units = [each for each in left if sum(bool(spelled(text)) for text in each[1]) * 2 > width]
     named = [each for each in left if each not in of_units] or of_units
     if not named:
-        reasons.append("no line of names: the columns are distinguished by what they hold")
+        reasons.append("no line of names")
         return [], {}, None
     k, fields, commented = named[-1]
     if of_units and named is not of_units:

@@ -43,7 +43,7 @@ class Proposal:
     period: float = 0.0
     """Sampling period [s] of a column that counts samples; 0 where the file does not give it."""
     bare: bool = False
-    """Whether only its numbers show what it is: the file gives no name, or one for all columns of a matrix."""
+    """Whether the file gives it no name, or one for all columns of a matrix."""
     factor: str = ""
     """Factor of the unit in its heading, as written: `x10`, `/10`; empty for none."""
     strange: str = ""
@@ -55,6 +55,12 @@ class Proposal:
     def good(self) -> Array:
         """The finite values."""
         return self.values[np.isfinite(self.values)]
+
+    @property
+    def whole(self) -> bool:
+        """Whether it has whole numbers only, and more than 12 different ones."""
+        good = self.good
+        return len(good) > 0 and bool(np.all(good == np.round(good))) and len(np.unique(good)) > 12
 
     @property
     def apart(self) -> bool:
@@ -109,11 +115,6 @@ class Guess:
     """Sampling period from a header [s]; 0 where none gives it."""
     seconds: Array | None = None
     """Time of each row [s], shape (n,); None where no time was found."""
-    exported: bool = False
-    """Whether the record of an exported run answers all questions."""
-    simulated: bool = False
-    specimen: dict[str, str] = field(default_factory=dict)
-    """Entries of the specimen that the record gives."""
 
     @property
     def test(self) -> Imported:

@@ -9,11 +9,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.store.importers import motion
 from pmabench.store.importers.found import correlation
-from pmabench.store.importers.guess.proposal import Guess, Proposal
-from pmabench.store.importers.guess.shapes import held, lone
+from pmabench.store.importers.guess.proposal import METRES, STILL, Guess, Proposal
 from pmabench.store.records import Array
 
 LONG_PAUSE = 2.0
@@ -26,6 +26,8 @@ PURE = 0.06
 """Largest residual of a pure sine (`motion.Wave.left`)."""
 MOVES = 0.1
 """Largest motion of a held length, as a share of the distance between the lengths."""
+HELD = 0.02
+"""Largest range of a length that counts as held, as a share of the length."""
 FEWEST = 50
 """Least number of samples in which cycles are searched."""
 
@@ -65,7 +67,7 @@ def signs(guess: Guess) -> Iterator[Sign]:
         reason = "the command goes in steps, and a column numbers the trials"
         yield Sign("numbered trials", {"by": "column"}, reason)
     pulls = displacement is not None and guess.role("force") is not None
-    still = displacement is not None and pulls and held(displacement, guess.role("pressure"))
+    still = displacement is not None and pulls and _held(displacement, guess.role("pressure"))
     parts, trials, reason = _between_pauses(guess, displacement)
     if pulls and len(parts) > 2 and (still or _at_lengths(parts)):
         yield Sign("pauses", trials, f"{reason}: parts at set contractions")
@@ -97,6 +99,19 @@ def signs(guess: Guess) -> Iterator[Sign]:
         trials = {"by": "step", "smallest": f"{share(guess, 'pressure'):.3g}", "lead": _lead(guess)}
         yield Sign("steps", trials, reason, "pressure")
     yield Sign("steps", {"by": "file"}, "neither steps nor sines were found: the file is one trial")
+
+
+def _held(column: Proposal, pressure: Proposal | None) -> bool:
+    """Whether a length is held: small range, and not correlated with the pressure."""
+    x = column.good
+    if len(x) < 3:
+        return False
+    low, high = (float(value) for value in np.quantile(x, [0.01, 0.99]))
+    if high - low == 0:
+        return True
+    together = 0.0 if pressure is None else correlation(column.values, pressure.values)
+    still = STILL / METRES[column.unit] if column.unit in METRES else 0.0
+    return high - low < max(still, HELD * max(abs(low), abs(high))) and abs(together) < 0.5
 
 
 def _held_lengths(guess: Guess) -> Sign | None:
@@ -188,6 +203,14 @@ def share(guess: Guess, role: str) -> float:
     if column is None or not len(column.good):
         return 0.0
     return 0.1 * float(np.ptp(np.quantile(column.good[~lone(column.good)], [0.005, 0.995])))
+
+
+def lone(values: Array) -> NDArray[np.bool_]:
+    """Mask of samples far from their neighbours, such as sentinels and spikes, shape (n,); for finite values."""
+    if len(values) < 9:
+        return np.zeros(len(values), dtype=bool)
+    around = motion.medians(values, 9)
+    return np.asarray(np.abs(values - around) > 0.25 * float(np.ptp(around)))
 
 
 def count(guess: Guess, what: str) -> int:

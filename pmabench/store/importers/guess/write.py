@@ -167,8 +167,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
         "schema: pmabench.map/1",
         f"name: {scalar('guessed from ' + guess.files[0].name)}",
         "source: unknown  # who recorded these files, when and where",
-        f"kind: {guess.kind}{_why(guess, 'trials')}",
-        *(["simulated: true  # as the file says"] if guess.simulated else []),
+        *_kind(guess),
         "",
         *_file(guess),
         "",
@@ -185,10 +184,8 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
     lines += _trials(guess, spans)
     lines += _siblings(guess) + _analysis(guess)
-    specimen = {"type": "unknown", "serial": "unknown"} | guess.specimen
-    sentence = ", ".join(f"{key}: {scalar(value)}" for key, value in specimen.items())
     more = "  # make, nominal_length, inner_diameter; with the last one a force or pressure in a wrong unit is found"
-    lines.append(f"specimen: {{{sentence}}}{more}")
+    lines.append(f"specimen: {{type: unknown, serial: unknown}}{more}")
     return "\n".join(lines) + "\n"
 
 
@@ -201,6 +198,14 @@ def still_open(text: str) -> list[int]:
 def _why(guess: Guess, key: str) -> str:
     text = "; ".join(guess.reasons.get(key, []))
     return f"  {comment(text)}" if text else ""
+
+
+def _kind(guess: Guess) -> list[str]:
+    """The kind of test, or a question about it where no name says which column is the pressure."""
+    if guess.lacks != "pressure" or not any(column.bare and column.question for column in guess.columns):
+        return [f"kind: {guess.kind}{_why(guess, 'trials')}"]
+    text = f"which kind of test is it ({', '.join(guess.kinds)}), and how is it cut, in trials: below?"
+    return entry("kind: ", Asked("", f"columns without names: {text}"), "")
 
 
 def _file(guess: Guess) -> list[str]:
@@ -239,13 +244,13 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
     if column.role == "time":
         return [*head, *_time(column, guess)]
     if column.role in NUMBERS or column.role == "point":
-        return [*head, *entry(name, role if column.role == "ignore" else {"is": role, **_marks(column, guess)})]
-    body, why = ({"unit": column.unit, **column.extra}, []) if guess.exported else _measured(column, guess, spans)
+        return [*head, *entry(name, role if column.role == "ignore" else {"is": role, **_marks(column)})]
+    body, why = _measured(column, guess, spans)
     lines = [line for key, value in {"is": role, **body}.items() for line in entry(f"{key}: ", value, "    ")]
     return [*head, *(f"  {comment(text)}" for text in why), f"  {name}".rstrip(), *lines]
 
 
-def _marks(column: Proposal, guess: Guess) -> Entries:
+def _marks(column: Proposal) -> Entries:
     """Entries of a column that is not measured: marks of phases, or the coordinate of a point and its unit."""
     if column.role == "point":
         unit = re.fullmatch(r".* \[([^\[\]]*)\]", column.name)
@@ -255,11 +260,7 @@ def _marks(column: Proposal, guess: Guess) -> Entries:
     marks = np.unique(column.good)
     names = ("fill", "exhaust") if len(marks) == 2 else [f"phase {mark:g}" for mark in marks]
     called = {scalar(name): f"{mark:g}" for name, mark in zip(names, marks, strict=True)}
-    return {"marks": called, **_optional(column, guess)}
-
-
-def _optional(column: Proposal, guess: Guess) -> Entries:
-    return {"optional": "true"} if column.name in guess.optional else {}
+    return {"marks": called}
 
 
 def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tuple[Entries, list[str]]:
@@ -280,7 +281,7 @@ def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tupl
     if blip is not None:
         body["blip"] = f"{blip:g} {column.unit}"
         why.append(f"{blip:g} is read in single samples between others only")
-    return {**body, **_optional(column, guess)}, why
+    return body, why
 
 
 def _line(slope: Value, offset: Value) -> Entries:
