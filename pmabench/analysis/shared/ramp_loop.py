@@ -374,11 +374,6 @@ class Loop:
         wide = max(1, n // 20)
         return np.asarray(np.mean(self.gap[:, n // 2 - wide : n // 2 + wide + 1], axis=1))
 
-    @property
-    def mean_gap(self) -> Array:
-        """The gap's mean over the grid [N], shape (cycles,)."""
-        return np.asarray(np.mean(self.gap, axis=1))
-
 
 def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axes = OF_A_MUSCLE) -> Loop:
     """The loop of a trial, without the first `discard` cycles and `turn` [m] at both ends, corrected for sensor lags.

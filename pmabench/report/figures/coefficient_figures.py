@@ -60,7 +60,7 @@ def over_pressure(
 
 
 def _without_variants(members: Sequence[tuple[Analysis, Estimate]]) -> list[tuple[Analysis, Estimate]]:
-    """Without `loop-gap, mean over the stroke` where there is `loop-gap`: variants are in the tables."""
+    """Without `mean-curve, turns left in` where there is `mean-curve`: variants are in the tables."""
     methods = {e.method for _, e in members}
     return [
         (a, e)
