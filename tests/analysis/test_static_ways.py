@@ -1,4 +1,4 @@
-"""Static load on the bent curve of plant 5.5: F_ce at x = 0 from the load's own ways."""
+"""Static load on the bent curve of plant 5.5: F_ce at x = 0 from the load's own ways, not from K of somewhere else."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import TrialData
 from tests.analysis.judged_forms import as_run
 from tests.judge import weights
-from tests.judge.daerden import force
+from tests.judge.daerden import force, stiffness
 
 LOADS = (400.0, 600.0, 800.0, 1000.0)
 MOVED = 0.5e-3
 
 
-def reduced(seed: int, friction: float, slip: float) -> Analysis:
+def reduced(seed: int, friction: float, slip: float, options: dict[str, object] | None = None) -> Analysis:
     trials = []
     for index, load in enumerate(LOADS):
         one = weights.lift(load, friction, seed, MOVED, slip)
@@ -27,7 +27,7 @@ def reduced(seed: int, friction: float, slip: float) -> Analysis:
         flags = np.zeros(len(one.t), dtype=np.uint16)
         point = {"load": load, "mass": load / 9.81}
         trials.append(TrialData("s", index, point, 0, False, "finished", one.t, one.channels, flags, (), found))
-    return reduce([as_run("static-load", trials, weights.RATE, {})])
+    return reduce([as_run("static-load", trials, weights.RATE, {})], options)
 
 
 def errors(analysis: Analysis) -> dict[float, tuple[float, float]]:
@@ -44,6 +44,14 @@ def test_f_ce_is_that_at_x_0_though_lift_and_set_down_are_seen_half_a_millimetre
     for P, (error, half) in found.items():
         assert abs(error) < 0.003 * float(force(0.0, P)) + 0.5
         assert abs(error) < half
+
+
+def test_k_of_another_place_is_not_used_where_the_ways_show_that_of_x_0():
+    """K at 17 mm is a third of that at 0: by it the correction would be 10 N short."""
+    away = {
+        "stiffness": {"from": "contraction-relaxation", "points": [[P, stiffness(0.017, P), 100.0] for P in (2e5, 5e5)]}
+    }
+    assert errors(reduced(1, 6.0, 0.0, away)) == errors(reduced(1, 6.0, 0.0))
 
 
 @pytest.mark.study

@@ -21,7 +21,16 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import noise_of
-from pmabench.kinds.static_load.points import MEAN, Points, along_ways, smoothed, times_of
+from pmabench.kinds.static_load.points import (
+    MEAN,
+    Carried,
+    Points,
+    Stiffness,
+    along_ways,
+    by_stiffness,
+    smoothed,
+    times_of,
+)
 from pmabench.store.records import Array, RunData, TrialData
 
 
@@ -314,12 +323,12 @@ class Mean:
         return whole if row[0] else whole / float(np.nanmean(self.points.side(MEAN)))
 
 
-def mean_of(runs: Sequence[RunData], plain: Points) -> Mean | None:
+def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Stiffness | None) -> Mean | None:
     """The line through the means of both directions, corrected for K x and hysteresis where the record shows them."""
     trials = {trial.name: trial for run in runs for trial in run.trials}
     own = [trials[name] for name in plain.names]
     before = fit_side(plain, MEAN)
-    moved = _carried(own, plain)
+    moved = _carried(own, plain, slope, stiffness)
     points = plain if moved is None else moved
     if before is None or (line := fit_side(points, MEAN)) is None:
         return None
@@ -340,15 +349,28 @@ def mean_of(runs: Sequence[RunData], plain: Points) -> Mean | None:
     return Mean(points, line, before, moved is not None, None, raised, why)
 
 
-def _carried(trials: Sequence[TrialData], points: Points) -> Points | None:
-    """The points of `trials` with lift and set-down corrected to x = 0; None where a way is too short, or where the
-    corrections do not improve the result.
+def _carried(trials: Sequence[TrialData], points: Points, slope: float, stiffness: Stiffness | None) -> Points | None:
+    """The points of `trials` with lift and set-down corrected to x = 0; None where no method improves all of them.
+
+    K of another test is used only where the load's own motion is too short or too uneven, since it may apply to another
+    contraction.
     """
-    found = [along_ways(trial, down) for trial, down in zip(trials, points.set_down.tolist(), strict=True)]
-    if None in found:
+    rows = zip(trials, points.lift, points.set_down, strict=True)
+    found = [(trial, {"lift": lift, "set-down": down}) for trial, lift, down in rows]
+    ways: list[list[Carried | None]] = [[along_ways(*one) for one in found]]
+    if stiffness is not None:
+        ways.append([by_stiffness(*one, slope, stiffness) for one in found])
+    return next((moved for way in ways if (moved := _moved(points, way)) is not None), None)
+
+
+def _moved(points: Points, way: Sequence[Carried | None]) -> Points | None:
+    """The points with the corrections; None where a set-down has none, or where they do not improve the result."""
+    if None in way:
         return None
-    lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in found if one]).T
+    lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in way if one]).T
+    if not np.isfinite(place[np.isfinite(points.set_down)]).all():
+        return None
     taken = 0.5 * float(np.nanmean(points.lift + points.set_down - lift - down))
     if 0.5 * float(half.mean()) > ADDS * abs(taken):
         return None
-    return replace(points, lift=lift, set_down=down, uncertain=float(half.mean()), place=float(place.mean()))
+    return replace(points, lift=lift, set_down=down, uncertain=float(half.mean()), place=float(np.nanmean(place)))
