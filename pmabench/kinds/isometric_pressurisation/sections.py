@@ -121,13 +121,17 @@ def across(cells: Sequence[Cell]) -> list[Across]:
         between = tuple(-(f2 - f1) / (x2 - x1) for (x1, f1), (x2, f2) in pairwise(means))
         span, names = float(np.ptp([f for _, f in means])), tuple(row[3] for row in rows)
         sessions = np.array([row[4] for row in rows])
-        units = {"force": np.ones(len(F)), "pressure": np.array([row[5] for row in rows]), "displacement": -line.slope}
+        units = {
+            "force": np.ones(len(F)),
+            "pressure": np.array([row[5] for row in rows]),
+            "displacement": np.full(len(F), -line.slope),
+        }
         zeros = {name: _by_zeros(x, sessions, unit) for name, unit in units.items()}
         found.append(Across(P, line, off, span, between, names, Bend.of(x, F, line), zeros))
     return found
 
 
-def _by_zeros(x: Array, sessions: NDArray[np.str_], unit: Array | float) -> Array:
+def _by_zeros(x: Array, sessions: NDArray[np.str_], unit: Array) -> Array:
     """Change of slope and start (2,) by a zero that is off by 1 in one session after the other, root of the sum of
     squares; 0 with one session, whose zero is in all forces alike. `unit`: force by a zero that is off by 1, (n,).
     """
