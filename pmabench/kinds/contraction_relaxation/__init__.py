@@ -4,7 +4,7 @@
   pressure)
 - whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
   its words and overlays: `checks`
-- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`, by the pressure of `gauge`
+- the way of the papers, dead times: `exponentials`; the regulator, and how late its gauge is: `bandwidth`
 - by paper 1: `paper1`, made of `paper1_steps`
 - further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`
@@ -84,7 +84,6 @@ PAPER_1 = Kind(
     reduction="pmabench.kinds.contraction_relaxation.paper1:reduce",
     papers=("paper 1, section 3",),
     moves="displacement",
-    compares="displacement",
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:by_paper_1",
     figures={"step-overlay": "pmabench.kinds.contraction_relaxation.paper1_steps:step_overlays"},
@@ -99,7 +98,6 @@ KIND = Kind(
     protocol="pmabench.kinds.contraction_relaxation.protocol:ContractionRelaxation",
     live="pmabench.kinds.contraction_relaxation.live:measure",
     moves="displacement",
-    compares="displacement",
     repeated="pmabench.analysis.shared.trials:stroke_of",
     repeated_is="stroke",
     word="contraction",
