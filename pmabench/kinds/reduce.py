@@ -162,8 +162,9 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
         failed += analysis.refusals
         if analysis.kind == AGREEMENT:
             continue
-        failed += _withheld(analysis)
-        if all(e.value is None and not e.withheld for e in analysis.estimates):
+        withheld = _withheld(analysis)
+        failed += withheld
+        if not withheld and all(e.value is None for e in analysis.estimates):
             failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
             continue
         if analysis.kind in registry.with_part(FORM):
@@ -174,11 +175,12 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
 
 
 def _withheld(analysis: Analysis) -> list[str]:
-    """One sentence for each reason to withhold, with the values concerned.
+    """One sentence for each reason to withhold, with the values concerned: those of the first method of each symbol.
 
     Reasons that differ in their numbers and files alone are one reason, with those of the first value.
     """
-    withheld = [estimate for estimate in analysis.estimates if estimate.withheld]
+    first = {(e.symbol, e.coordinate): e.method for e in reversed(analysis.estimates)}
+    withheld = [e for e in analysis.estimates if e.withheld and e.method == first[e.symbol, e.coordinate]]
     return [_sentence(alike) for alike in grouped(withheld, _reason).values()]
 
 
