@@ -276,7 +276,7 @@ UNTOLD = 0.5
 
 UNTESTED = 1.25
 """As UNEQUAL, where no load was raised: hysteresis that reverses with the pressure shifts the mean by about the half
-difference, in a muscle that also has dry friction.
+difference, in a muscle that also has dry friction. Also where half of K x at set-down is in the mean.
 """
 
 
@@ -296,6 +296,8 @@ class Mean:
     """Whether the loads were raised, so that hysteresis would show."""
     why: str = ""
     """Why F_ce is withheld; empty where it is not."""
+    short: bool = False
+    """Whether a load's way is too short to correct for K x at set-down, and no other test gives K."""
 
     @property
     def friction(self) -> float | None:
@@ -315,7 +317,7 @@ class Mean:
         """Half width [N] of the mean's systematic error, for `row` @ (a, s); for s as if the error were proportional to
         pressure.
         """
-        share = UNTESTED if not self.raised else UNEQUAL if self.kept is None else UNTOLD
+        share = UNTESTED if self.short or not self.raised else UNEQUAL if self.kept is None else UNTOLD
         friction = share * abs(self.friction or 0.0)
         place = 0.5 * self.points.uncertain * self.line.s if self.carried else 0.0
         loop = 0.0 if self.kept is None else float(np.nanmax(self.kept.half))
@@ -328,7 +330,12 @@ def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Sti
     trials = {trial.name: trial for run in runs for trial in run.trials}
     own = [trials[name] for name in plain.names]
     before = fit_side(plain, MEAN)
-    moved = _carried(own, plain, slope, stiffness)
+    ways = [
+        (trial, {"lift": lift, "set-down": down})
+        for trial, lift, down in zip(own, plain.lift, plain.set_down, strict=True)
+    ]
+    moved = _carried(ways, plain, slope, stiffness)
+    short = moved is None and any(along_ways(*way) is None for way in ways)
     points = plain if moved is None else moved
     if before is None or (line := fit_side(points, MEAN)) is None:
         return None
@@ -341,22 +348,23 @@ def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Sti
         without = fit_side(points, MEAN)
         if without is None:
             return None
-        return Mean(points, without, before, moved is not None, held)
+        return Mean(points, without, before, moved is not None, held, short=short)
     seen = [still for trial, when, one in zip(own, times, gap, strict=True)
             if (still := rests(trial, when, one)) is not None]  # fmt: skip
     raised = sum(loop is not None for loop in loops) > 0.5 * len(loops)
     why = YIELDS if seen and not raised and np.mean(seen) < 0.5 else ""
-    return Mean(points, line, before, moved is not None, None, raised, why)
+    return Mean(points, line, before, moved is not None, None, raised, why, short)
 
 
-def _carried(trials: Sequence[TrialData], points: Points, slope: float, stiffness: Stiffness | None) -> Points | None:
-    """The points of `trials` with lift and set-down corrected to x = 0; None where no method improves all of them.
+def _carried(
+    found: Sequence[tuple[TrialData, Mapping[str, float]]], points: Points, slope: float, stiffness: Stiffness | None
+) -> Points | None:
+    """The points of trials, each with its lift and set-down, with both corrected to x = 0; None where no method
+    improves all of them.
 
     K of another test is used only where the load's own motion is too short or too uneven, since it may apply to another
     contraction.
     """
-    rows = zip(trials, points.lift, points.set_down, strict=True)
-    found = [(trial, {"lift": lift, "set-down": down}) for trial, lift, down in rows]
     ways: list[list[Carried | None]] = [[along_ways(*one) for one in found]]
     if stiffness is not None:
         ways.append([by_stiffness(*one, slope, stiffness) for one in found])
