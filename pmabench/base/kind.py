@@ -97,8 +97,6 @@ class Kind:
     """`module:measure`: (run, trial, expected, quick) -> result of a single trial, for the display."""
     moves: str = ""
     """Channel that changes in each of its trials, unless nothing moved."""
-    compares: str = ""
-    """Channel in which repeats of an operating point are compared over time."""
     repeated: str = ""
     """`module:function`: (run, trial) -> the value for comparing repeats; None or `NotUsable` without one."""
     repeated_is: str = ""

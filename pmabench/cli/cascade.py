@@ -1,11 +1,10 @@
-"""`pmabench cascade`: muscles end to end with pressures of their own: simulate, draw, play again in real time."""
+"""`pmabench model cascade`: muscles end to end with pressures of their own: simulate, draw, play again in real time."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from shutil import get_terminal_size
 from typing import TYPE_CHECKING
 
 import click
@@ -13,7 +12,7 @@ import click
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
-from pmabench.cli.common import Group, Ui, common, fields, rewrite, say, with_options
+from pmabench.cli.common import Group, Ui, common, fields, rewrite, with_options
 from pmabench.cli.names import FOLDER, PATH
 from pmabench.files.shipped import find_file
 
@@ -61,13 +60,12 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
     times = np.arange(plan.rows) / plan.rate
     pace_kept: dict[str, float] | None = None
     if pace:
-        lengths = [m.length for m in plan.muscles]
-        course, elapsed = _play(ui, times, lambda part: cascade.simulate(members, part), lengths)
+        course, elapsed = _play(ui, times, lambda part: cascade.simulate(members, part))
         pace_kept = {"simulated": float(times[-1]), "elapsed": elapsed}
     else:
         course = cascade.simulate(members, times)
     about = fields(plan, "name", "source", "fce_eval") | {"load": plan.load[0]}
-    muscles = [fields(m, "name", "law", "length", "radius", "braid_angle", "assumed") for m in plan.muscles]
+    muscles = [fields(m, "name", "law", "length", "radius", "braid_angle") for m in plan.muscles]
     _deliver(ui, result(about, muscles, course, pace_kept), out, at, result_too=True, as_csv=as_csv)
 
 
@@ -95,19 +93,25 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
             rows = slice(*np.searchsorted(t, (times[0], times[-1] + 1e-12)).tolist())
             return Course(t[rows], P[:, rows], x[:, rows], F_ce[:, rows], force[rows])
 
-        _play(ui, t, part, [m.length for m in found.muscles])
+        _play(ui, t, part)
     _deliver(ui, found, out, at, result_too=False, as_csv=as_csv)
 
 
-def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[float]) -> tuple[Course, float]:
+def _play(ui: Ui, times: Array, step: Callable[[Array], Course]) -> tuple[Course, float]:
     """Simulate or replay in real time; the whole course, and how long it took [s]."""
     import numpy as np
 
     from pmabench.model.cascade import Course
 
-    blocks, elapsed = paced(times, step, RealClock(), shower(ui, lengths))
-    if sys.stderr.isatty() and not ui.quiet:
-        say("")  # the line that was drawn stays in place
+    live = sys.stderr.isatty() and not ui.quiet
+
+    def show(t: float, x: float) -> None:
+        if live:
+            rewrite(f"{t:8.2f} s  {1e3 * x:7.2f} mm")
+
+    blocks, elapsed = paced(times, step, RealClock(), show)
+    if live:
+        rewrite()
     show_pace(ui, float(times[-1]), elapsed)
     t, force = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("t", "force"))
     P, x, F_ce = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("P", "x", "F_ce"))
@@ -192,10 +196,8 @@ BLOCK = 0.05
 """Time of one block [s]."""
 CLOSE = 0.02
 """How far elapsed and simulated time may lie apart."""
-WIDTH, MARGIN = 60, 30
-"""Letters of the whole chain where there is room, and of what is next to it."""
-Show = Callable[[float, Sequence[float], Sequence[bool]], None]
-"""Takes the time [s], the contraction of each muscle [m], and which of them are under pressure."""
+Show = Callable[[float, float], None]
+"""Takes the time [s] and the contraction of the chain [m]."""
 
 
 def paced(times: Array, step: Callable[[Array], Course], clock: Clock, show: Show) -> tuple[list[Course], float]:
@@ -211,7 +213,7 @@ def paced(times: Array, step: Callable[[Array], Course], clock: Clock, show: Sho
         course = step(part)
         blocks.append(course)
         clock.wait_until(begin + float(part[-1]))
-        show(float(part[-1]), course.x[:, -1].tolist(), (course.P[:, -1] > 0).tolist())
+        show(float(part[-1]), float(course.x[:, -1].sum()))
     return blocks, clock.now() - begin
 
 
@@ -223,34 +225,3 @@ def show_pace(ui: Ui, simulated: float, elapsed: float) -> None:
         return
     advice = "this computer does not keep up; take a lower sample_rate, or leave --pace"
     ui.note(f"{simulated:.3f} s took {elapsed:.3f} s ({100 * apart:+.1f} %): {advice}")
-
-
-def shower(ui: Ui, lengths: Sequence[float]) -> Show:
-    """Draws the chain as a line of text on stderr: in place on a terminal, else once a second; quiet: nothing."""
-    live = sys.stderr.isatty()
-    last = [-1.0]
-
-    def show(t: float, x: Sequence[float], on: Sequence[bool]) -> None:
-        if ui.quiet or (not live and t - last[0] < 1 - 1e-9):
-            return
-        last[0] = t
-        width = min(max(get_terminal_size().columns - MARGIN, 10), WIDTH) if live else WIDTH
-        text = f"{t:8.2f} s {drawn(lengths, x, on, width)} x {1e3 * sum(x):7.2f} mm"
-        (rewrite if live else say)(text)
-
-    return show
-
-
-def drawn(lengths: Sequence[float], x: Sequence[float], on: Sequence[bool], width: int = WIDTH) -> str:
-    """The chain between its fixed end and where its free end rests: muscles as long as they are, `=` under pressure.
-
-    >>> drawn([0.3, 0.3], [0.1, 0.0], [True, False])
-    '|[==================][----------------------------]o          .'
-    """
-    whole, place, text = sum(lengths), 0.0, ""
-    for length, contraction, pressed in zip(lengths, x, on, strict=True):
-        place += length - contraction
-        wide = round(width * place / whole) - len(text)
-        sign = "=" if pressed else "-"
-        text += f"[{sign * (wide - 2)}]" if wide > 2 else sign * wide
-    return f"|{text}o".ljust(width + 2) + "."

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import InvalidFile, RecordError, UsageError
+from pmabench.base.errors import InvalidFile, UsageError
 from pmabench.base.quantities import in_words, show
-from pmabench.base.text import clean, printable
+from pmabench.base.text import printable
 from pmabench.bench.compile import Mounted
 from pmabench.cli.common import Ui, common, fields, labelled, no_overwriting, plan_options
-from pmabench.cli.names import FILE, PATH, next_lines, short, typed
+from pmabench.cli.names import FILE, PATH, next_lines, typed
 from pmabench.cli.outcome import progress_line
 from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
 from pmabench.kinds.compile import read_protocol
@@ -51,12 +50,11 @@ def command(
 ) -> int | None:
     """Check PROTOCOL against a bench and a specimen, and show the plan."""
     prepared = prepare(**files)
-    plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
+    plan, mounted = prepared.plan, prepared.mounted
     summary = plan_summary(plan, mounted)
     summary["disk"] = too_little(summary["bytes"], out)
     full = [f"too little room on the disk, `run` refuses: {summary['disk']}"] if summary["disk"] else []
-    summary["last_diagnosis"] = last_words(mounted, out)
-    warnings = [*warnings, *full, *summary["last_diagnosis"]]
+    warnings = [*prepared.warnings(), *full]
     if drop_idle != (output is not None):
         raise UsageError("--drop-idle and -o FILE belong together")
     simulate |= muscle is not None
@@ -236,72 +234,3 @@ def _print_steps(plan: Plan) -> None:
         text = "  ".join(f"{key}={value}" for key, value in shown.items())
         click.echo(f"{number:5d}  {step.kind:10} {step.phase:12} {text}")
     click.echo("      " + ", ".join(f"{count} {kind}" for kind, count in counts.items()) + "; values in SI")
-
-
-MOST = 3
-"""Lines that are printed."""
-NEWEST = 40
-"""Analyses that are looked at, the newest first."""
-LONGEST = 400
-SURE = ("sound", "corrected", "doubtful")
-"""States of a diagnosis that names what it found; in others a name may be wrong, and nobody should look for it."""
-DESCRIBE = "pmabench campaign real-muscle and process --form surface describe it"
-
-
-def last_words(mounted: Mounted, runs: Path) -> list[str]:
-    """At most three lines from the newest analysis with a diagnosis: of this bench its faults, of this specimen itself.
-
-    Looked for in the folder `analyses` next to the folder of runs; one that found nothing ends the search without a
-    line, and simulated runs say nothing about a real bench.
-    """
-    asked, muscle = {"bench", "specimen"}, (mounted.specimen_file.type, mounted.specimen_file.serial)
-    lines: list[str] = []
-    for folder, form, manifest in _diagnosed(runs):
-        if bool(manifest.get("simulated")) is mounted.bench.realtime:
-            continue
-        specimen = manifest.get("specimen")
-        mine = (specimen.get("type"), specimen.get("serial")) if isinstance(specimen, Mapping) else None
-        same = {"bench": manifest.get("bench") == mounted.bench.name, "muscle": mine == muscle}
-        for of, what in (("bench", "bench"), ("muscle", "specimen")):
-            if same[of] and what in asked:
-                asked.remove(what)
-                lines += _lines(form, of, f"last diagnosis of this {what} ({short(folder.parent)})")
-        if not asked:
-            break
-    return lines[:MOST]
-
-
-def _lines(form: Mapping[str, Any], of: str, head: str) -> list[str]:
-    """What a diagnosis says of the bench, or of the muscle."""
-    if form.get("state") not in SURE:
-        return [f"{head}: it did not follow straight lines, and why is undecided; {DESCRIBE}"] if of == "muscle" else []
-    found = [one for one in form["explanations"] if isinstance(one, Mapping) and one.get("of") == of]
-    lines = [f"{head}: {clean(one.get('text', ''), LONGEST)}. {_sentence(one.get('advice', ''))}" for one in found]
-    if of == "muscle" and lines:
-        lines[-1] += f"; {DESCRIBE}"
-    return lines
-
-
-def _sentence(text: Any) -> str:
-    words = clean(text, LONGEST)
-    return words[:1].upper() + words[1:]
-
-
-def _diagnosed(runs: Path) -> Iterator[tuple[Path, Mapping[str, Any], Mapping[str, Any]]]:
-    """Folder, diagnosis, and manifest of the last run, of analyses that have one, the newest first."""
-    from pmabench.cli.sources import analyses_of
-    from pmabench.store.analyses.folder import read_analysis, runs_of
-    from pmabench.store.folder import read_manifest
-
-    for place in analyses_of(runs)[: -NEWEST - 1 : -1]:
-        try:
-            facts = read_analysis(place).facts
-            form = facts.get("form")
-            if not isinstance(form, Mapping) or not isinstance(form.get("explanations"), list):
-                continue
-            if facts.get("recalibrated"):
-                continue  # what was taken off the record is still wrong at the bench
-            if folders := runs_of(place):
-                yield place, form, read_manifest(folders[-1])
-        except (InvalidFile, RecordError, OSError):
-            continue  # `check` is not about analyses: who opens it learns what is wrong with it

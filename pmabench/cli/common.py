@@ -14,8 +14,7 @@ from errno import EPIPE
 from functools import reduce, wraps
 from pathlib import Path
 from textwrap import wrap
-from threading import Event, Thread, Timer
-from time import monotonic
+from threading import Timer
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
@@ -38,31 +37,19 @@ class Ui:
     color: bool = True
     lost: OSError | None = None
     """Why the result did not reach stdout."""
-    done: Callable[[], None] = lambda: None
-    """Takes away the line that `begin` shows."""
+    begun: bool = False
+    """Whether the line of `begin` is there."""
 
     def begin(self, what: str) -> None:
-        """On a terminal, a line with what takes long and for how many seconds it has, until there is a result."""
-        if self.json or self.quiet or not sys.stderr.isatty():
-            return
-        ended = Event()
-        started = monotonic()
+        """On a terminal, a line with what takes long, until there is a result."""
+        self.begun = not self.json and not self.quiet and sys.stderr.isatty()
+        if self.begun:
+            rewrite(f"{what} …")
 
-        def show() -> None:
-            while not ended.wait(0.0 if monotonic() - started < 0.1 else 0.8):
-                rewrite(f"{what} … {monotonic() - started:.0f} s")
-                ended.wait(0.2)
-
-        line = Thread(target=show, name="pmabench-begin", daemon=True)
-
-        def done() -> None:
-            if not ended.is_set():
-                ended.set()
-                line.join()
-                rewrite()
-
-        self.done = done
-        line.start()
+    def end(self) -> None:
+        """Take the line of `begin` away."""
+        if self.begun:
+            rewrite()
 
     def note(self, text: str) -> None:
         """A line for people, on stderr."""
@@ -74,7 +61,7 @@ class Ui:
 
         A full disk or closed pipe behind stdout never ends the command; it has its own exit code at the end.
         """
-        self.done()
+        self.end()
         try:
             if self.json:
                 from pmabench.store.folder import plain
@@ -128,7 +115,7 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
             try:
                 code = function(ui, *args, **kwargs)
             finally:
-                ui.done()
+                ui.end()
         except PmaError as error:
             _explain(ui, error)
             code = error.exit_code

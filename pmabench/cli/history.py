@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -137,19 +136,12 @@ def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
 
     for place in analyses_of(folder):
         try:
-            if _is_of(place, runs):
-                yield read_analysis(place)
+            analysis = read_analysis(place)
         except InvalidFile as error:
             ui.note(f"{error}; left out")
-
-
-def _is_of(place: Path, runs: set[str]) -> bool:
-    """Whether the analysis is of one of these runs; its figures' numbers are read for no other. True where damaged."""
-    try:
-        analysed = json.loads((place / "analysis.json").read_bytes())["runs"]
-        return any(run in runs for run in analysed)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return True
+            continue
+        if not runs.isdisjoint(analysis.runs):
+            yield analysis
 
 
 def _loaded(ui: Ui, folder: Path, rows: Sequence[Row]) -> Iterator[RunData]:

@@ -13,7 +13,7 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
-from pmabench.base.text import printable, sparkline
+from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields, no_overwriting
 from pmabench.cli.names import PATH
 from pmabench.files.shipped import find_file
@@ -181,26 +181,16 @@ def _span(text: str) -> tuple[str, Span]:
 
 
 def _show(found: Guess) -> None:
-    """Layout, columns with their course, and what is doubtful."""
+    """Layout, columns, and what is doubtful."""
     click.echo(printable(f"{found.files[0]}{f' and {len(found.files) - 1} more' if len(found.files) > 1 else ''}"))
     for key in ("file", "sampling", "trials", "name_tells"):
         for reason in found.reasons.get(key, []):
             click.echo(printable(f"  {reason}"))
     if found.known:
         click.echo(f"  the shipped map {found.known} takes them as they are: --map {found.known}")
-    seconds = found.seconds
-    rows = None
-    if seconds is not None and len(seconds):
-        early = seconds <= seconds[0] + SECONDS
-        rows = int(early.argmin()) if not early.all() else len(seconds)
-        click.echo(f"\nthe first {min(SECONDS, float(seconds[rows - 1] - seconds[0])):.3g} s:")
     for column in found.columns:
         role = column.role.replace("_", " ") + (f" [{column.unit}]" if column.unit and column.role != "ignore" else "")
         click.echo("\n" + printable(f"{column.name}: {role}"))
-        shown = column.values[: max(rows or 0, 2)] if rows else column.values
-        good = shown[abs(shown) < float("inf")] if len(shown) else shown
-        if len(good):
-            click.echo(f"  {sparkline(shown.tolist())}  {good.min():.5g} to {good.max():.5g}")
         said = [f"  because: {text}" for text in column.reasons] + [f"  DOUBT: {text}" for text in column.doubts]
         click.echo("".join(f"{printable(text)}\n" for text in said), nl=False)
     for text in found.doubts:

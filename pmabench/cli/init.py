@@ -57,20 +57,14 @@ entry deleted from `to_confirm`, and bench.yaml says who read it over: `reviewed
 @click.option("--answers", type=FILE, help="Answers from a file; nothing asked.")
 @click.option("--answer", "single", multiple=True, metavar="KEY=VALUE", help="One answer; nothing is asked.")
 @click.option("--like", type=BENCH, help="No questions: a copy of a shipped bench, to be changed by hand.")
-@click.option("--bench", "former", type=BENCH, hidden=True)
 @common
-def command(
-    ui: Ui, folder: Path, answers: Path | None, single: tuple[str, ...], like: str | None, former: str | None
-) -> None:
+def command(ui: Ui, folder: Path, answers: Path | None, single: tuple[str, ...], like: str | None) -> None:
     """Write a lab folder DIR from at most 20 questions: bench, specimen, protocol, and all that they need.
 
     Enter takes the value in brackets, which is to be confirmed later; ? explains; b goes back.
     Answers are kept in DIR/answers.yaml: an interrupted `init DIR` goes on there.
     """
     _refuse_full(folder)
-    if former is not None:
-        ui.note('"--bench" is called "--like" now')
-        like = former
     if like is not None:
         if answers is not None or single:
             raise UsageError("--like copies a bench and takes no answers; give one or the other")

@@ -13,7 +13,7 @@ import click
 
 from pmabench import __version__
 from pmabench.base.errors import did_you_mean
-from pmabench.cli.common import output_lost, prepare_streams, say
+from pmabench.cli.common import output_lost, prepare_streams
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     # small matrices: threads cost time, and sums in another order change last digits
@@ -93,17 +93,6 @@ EXAMPLES: dict[str, str] = {
     "schema": "bench",
 }
 """Command -> what somebody types after it; the end of its `--help`."""
-FORMER = {
-    ("devices", "list"): ("drivers", "list"),
-    ("devices", "conformance"): ("drivers", "conformance"),
-    ("devices", "probe"): ("bench", "probe"),
-    ("devices", "read"): ("bench", "read"),
-    ("devices", "set"): ("bench", "set"),
-    ("cascade",): ("model", "cascade"),
-}
-"""Names until version 0.2 -> those of now; they work for two releases."""
-
-
 MOST = 74
 """Columns of a line of an example, so that with its indent it fits 80."""
 
@@ -155,12 +144,7 @@ class Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """A former name is called by that of now, and says so; a wrong one gets the nearest right one."""
-        for former, now in FORMER.items():
-            if tuple(args[: len(former)]) == former:
-                say(f'"{" ".join(former)}" is called "{" ".join(now)}" now')
-                args = [*now, *args[len(former) :]]
-                break
+        """A wrong name gets the nearest right one."""
         if args and args[0] not in COMMANDS:
             ctx.fail(f'no command "{args[0]}"{did_you_mean(args[0], COMMANDS)}')
         return super().resolve_command(ctx, args)

@@ -1,4 +1,7 @@
-"""Inputs of a model as people give them, with all errors at once, and columns of its values as a table or as CSV."""
+"""Inputs of a model as people give them, with all errors at once, and columns of its values as a table or as CSV.
+
+The muscle of an analysis of kind surface is a model, too.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,9 @@ from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.model.library import Model, Parameter
+    from pmabench.model.presets import Described
+    from pmabench.model.regulator import Regulator
+    from pmabench.store.analyses.results import Analysis
 
 MOST_ROWS = 20_000
 
@@ -37,8 +43,6 @@ def named_model(name: str) -> Model:
 
     known = models()
     if name not in known and Path(name).is_dir():
-        from pmabench.cli.model_plants import surface_model
-
         return surface_model(Path(name))
     if name not in known:
         raise UsageError(f'no model "{name}"{did_you_mean(name, known)}')
@@ -197,3 +201,42 @@ def print_csv(columns: Sequence[Column]) -> None:
     writer.writerow([f"{c['name']} [{c['unit']}]" if c["unit"] else c["name"] for c in columns])
     for row in zip(*(c["values"] for c in columns), strict=True):
         writer.writerow(["" if value is None else value if isinstance(value, str) else repr(value) for value in row])
+
+
+def analysis_of(folder: Path) -> Analysis:
+    """The analysis in a folder, or the first inside it, that holds a muscle as a surface; else UsageError."""
+    from pmabench.model.identified.library import holds_surface
+    from pmabench.store.analyses.folder import analyses_below, read_analysis
+
+    analyses = [read_analysis(one) for one in analyses_below(folder)]
+    able = [one for one in analyses if holds_surface(one.facts)]
+    if not able:
+        kinds = ", ".join(sorted({one.kind for one in analyses})) or "no analysis"
+        raise UsageError(
+            f"{folder} holds {kinds}, and no muscle as a surface: give the folder of an analysis that was made with "
+            '"pmabench process RUN... --form surface"'
+        )
+    return able[0]
+
+
+def described_by(folder: Path, regulator: Regulator) -> Described:
+    """The muscle of `analysis_of` a folder behind a regulator."""
+    from pmabench.model.identified.library import described
+
+    analysis = analysis_of(folder)
+    try:
+        return described(analysis.facts, f"analysis of {', '.join(analysis.runs)}", regulator)
+    except ValueError as error:
+        raise UsageError(f"{folder}: {error}") from error
+
+
+def surface_model(folder: Path) -> Model:
+    """The muscle of `analysis_of` a folder as a model of the library, with how well it predicts."""
+    from pmabench.model.identified.library import as_model
+    from pmabench.model.regulator import Regulator
+
+    known, facts = described_by(folder, Regulator()), analysis_of(folder).facts
+    left_out, lines = (show(facts[name], "force", 2) for name in ("held_out_rms", "straight_form_rms"))
+    note = f"Trials that were left out of the fit were predicted to {left_out} rms; by straight lines to {lines}."
+    assert known.surface is not None  # noqa: S101  (`described` makes it)
+    return as_model(known.surface, str(folder), known.source, note)

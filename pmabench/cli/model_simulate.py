@@ -13,8 +13,7 @@ import click
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common
-from pmabench.cli.model_inputs import column_of, show_columns
-from pmabench.cli.model_plants import DRIVE, PLANTS, columns_of, described_by, within
+from pmabench.cli.model_inputs import column_of, described_by, show_columns
 
 if TYPE_CHECKING:
     from pmabench.model.driven import Actuator, DrivenPlant
@@ -27,8 +26,8 @@ if TYPE_CHECKING:
     from pmabench.model.regulator import Wave
 
 MOST_ROWS = 20_000
-LONGEST, LONGEST_OF_SEVERAL = 1000.0, 100.0
-"""Longest time that is simulated, of one muscle and of several [s]."""
+LONGEST = 1000.0
+"""Longest time that is simulated [s]."""
 HIGHEST, OF_PRESETS = 1e6, 600e3
 """Most pressure of any muscle, and of the presets [Pa]."""
 FASTEST = 10.0
@@ -68,9 +67,6 @@ CHANGES = {
 @click.option("--sine", metavar="SINE", help='About the last step before it: "20 kPa, 0.5 Hz at 4 s".')
 @click.option("--load", help='"58.86 N", a force, or "6 kg", which hangs with its inertia.')
 @click.option("--drive", metavar="SINE", help='The free end driven: "20 mm +- 10 mm, 0.5 Hz"; below 0 mm stretched.')
-@click.option("--open", "openings", multiple=True, metavar="VALVE", help='Of a platform: "fill 1, 100 ms to 130 ms".')
-@click.option("--chain", default="reference", type=click.Choice(["reference", "measured"]), show_default=True,
-              help="Of a platform's law: contractions of the attitude asked for, or measured.")  # fmt: skip
 @click.option("--for", "duration", default="5 s", show_default=True, help="How long.")
 @click.option("--every", help="Time between rows; a twenty-fifth of the whole where not given.")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Change a parameter of the plant.")
@@ -87,51 +83,30 @@ def simulate(
     duration: str,
     every: str | None,
     settings: tuple[str, ...],
-    openings: tuple[str, ...],
-    chain: str,
     *,
     as_csv: bool,
 ) -> None:
     """Simulate PLANT (paper0, serres2009, real; daerden with --drive; or the path of a plant file) from rest.
 
-    Two muscles on a pulley: joint, with --step "1: 300 kPa at 0 s" and free, or --drive "0 deg +- 30 deg, 0.05 Hz".
-    Three under a platform, level at first: platform, with --open; or under its law, --step "10 deg, 0 deg at 1 s".
-
     Or the folder of an analysis of kind surface. True values in time, without sensors.
     """
-    several = plant in PLANTS
-    if chain != "reference" and plant != "platform":
-        raise UsageError("--chain is for the platform")
-    if several and (sine or load or settings):
-        raise UsageError(f"{plant}: --sine, --load and --set are for plants of one muscle")
-    problems = [] if several else _misplaced(openings, load, drive, nothing=not steps and sine is None)
-    times = _times(problems, duration, every, LONGEST_OF_SEVERAL if several else LONGEST)
-    asked = None if several else _asked(problems, steps, sine, load, drive, settings)
+    problems = []
+    if load and drive:
+        problems.append("--load and --drive: the free end carries a load or is driven, not both")
+    if not steps and sine is None:
+        problems.append('--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"')
+    times = _times(problems, duration, every)
+    asked = _asked(problems, steps, sine, load, drive, settings)
     if problems:
         raise UsageError("\n".join(problems))
-    said = ""
     try:
-        if asked is None:
-            columns, said = columns_of(plant, steps, openings, drive, chain, times)
-        else:
-            motion = _simulated(plant, kind, asked, times)
-            columns = [column_of(name, quantity, getattr(motion, field).tolist()) for name, quantity, field in COLUMNS]
+        motion = _simulated(plant, kind, asked, times)
     except ValueError as error:
         raise UsageError(f"{plant}: {error}") from error
-    data = {"schema": "pmabench.model-simulation/1", "simulated": True, "plant": plant, "columns": columns}
-    data |= {} if several else {"kind": kind}
-    above = f"SIMULATED: plant {plant}{'' if several else f', {kind}'}; true values, no sensors"
-    show_columns(ui, data, as_csv=as_csv, above=above, below=[f"\n{said}"] if said and not ui.quiet else [])
-
-
-def _misplaced(openings: tuple[str, ...], load: str | None, drive: str | None, *, nothing: bool) -> list[str]:
-    """What is wrong with the options together, for a plant of one muscle."""
-    wrong = {
-        "--open is for the platform": bool(openings),
-        "--load and --drive: the free end carries a load or is driven, not both": bool(load and drive),
-        '--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"': nothing,
-    }
-    return [text for text, is_so in wrong.items() if is_so]
+    columns = [column_of(name, quantity, getattr(motion, field).tolist()) for name, quantity, field in COLUMNS]
+    data = {"schema": "pmabench.model-simulation/1", "simulated": True, "plant": plant, "kind": kind}
+    above = f"SIMULATED: plant {plant}, {kind}; true values, no sensors"
+    show_columns(ui, data | {"columns": columns}, as_csv=as_csv, above=above)
 
 
 @dataclass(frozen=True)
@@ -153,12 +128,12 @@ class Asked:
             raise ValueError(f"{show(peak, 'pressure')} is outside 0 kPa to {show(highest, 'pressure')}, {why}")
 
 
-def _times(problems: list[str], duration: str, every: str | None, longest: float) -> list[float]:
+def _times(problems: list[str], duration: str, every: str | None) -> list[float]:
     """The moments that are printed [s]; what is wrong with --for and --every is added to `problems`."""
-    seconds = _parsed(problems, "--for", within, duration, "time", 1e-3, longest)
+    seconds = _parsed(problems, "--for", within, duration, "time", 1e-3, LONGEST)
     spacing = seconds and seconds / 25
     if every:
-        spacing = _parsed(problems, "--every", within, every, "time", 1e-6, longest)
+        spacing = _parsed(problems, "--every", within, every, "time", 1e-6, LONGEST)
     if not seconds or not spacing:
         return []
     if seconds / spacing > MOST_ROWS:
@@ -252,6 +227,16 @@ def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> 
         )
 
 
+def within(text: str, quantity: str, least: float, most: float) -> float:
+    """What was typed [SI]; ValueError where it is outside, with room for rounding of units."""
+    from pmabench.files.quantity import parse_quantity
+
+    value = parse_quantity(text.strip(), quantity)
+    if not least <= value <= most * (1 + 1e-9):
+        raise ValueError(f'"{text.strip()}" is outside {show(least, quantity)} to {show(most, quantity)}')
+    return value
+
+
 def _parsed(problems: list[str], option: str, parse: Any, *arguments: Any) -> Any:
     """What `parse` makes of the arguments, or None and a line in `problems`."""
     try:
@@ -262,6 +247,7 @@ def _parsed(problems: list[str], option: str, parse: Any, *arguments: Any) -> An
 
 
 STEP = re.compile(r"(?P<level>.+?)\s+at\s+(?P<at>.+?)(?:\s+by\s+(?P<rate>.+))?")
+DRIVE = re.compile(r"(?P<mean>[^,]+?)\s*\+-\s*(?P<amplitude>[^,]+),(?P<frequency>[^,]+)")
 SINE = re.compile(r"(?P<amplitude>[^,]+),(?P<frequency>[^,]+?)\s+at\s+(?P<at>.+)")
 
 

@@ -73,46 +73,8 @@ class AtDisplay(_Keys):
         return self._answer[1]
 
 
-class InLines:
-    """A person at a terminal without a picture (`--quiet`, `--json`): lines come and go, the bench is watched."""
-
-    def __init__(self, write: Callable[[str], None], fd: int = 0) -> None:
-        self._write, self._fd = write, fd
-
-    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
-        """Ask until a line is the word `clear`; nothing else counts, nor what was typed before the question."""
-        self._lines()
-        self._write(f'{text}\n{_pressure(measured)} Type "clear" and Enter when it is done and hands are out.')
-        while True:
-            wait()
-            for line in self._lines():
-                if line.strip().lower() == "clear":
-                    return "clear"
-                self._write(f'"{line.strip()}" does not count. {_pressure(measured)} Type "clear" and Enter.')
-
-    def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
-        """Nothing: there are no keys without a picture."""
-        return ()
-
-    def _lines(self) -> list[str]:
-        """Whole lines that were typed, as a terminal hands them over; never waits."""
-        if not select.select([self._fd], [], [], 0)[0]:
-            return []
-        typed = b""
-        with suppress(OSError):
-            typed = os.read(self._fd, 4096)
-        if not typed:
-            raise Interrupted("end of input at the prompt", 130)
-        return typed.decode("utf-8", "replace").splitlines()
-
-
-def _pressure(measured: Mapping[str, float]) -> str:
-    pressure = highest_pressure(measured)
-    return "The pressure is not measured." if pressure is None else f"Measured pressure: {pressure / 1e3:.1f} kPa."
-
-
 class AtLines:
-    """A person at standard input. `realtime`: bench time passes while they think; else it waits."""
+    """A person who answers line by line. `realtime`: bench time passes while they think; else it waits."""
 
     def __init__(self, *, realtime: bool) -> None:
         self._realtime = realtime
@@ -123,16 +85,22 @@ class AtLines:
         return ()
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
-        """Ask until the word is `clear`."""
+        """Ask until a line is the word `clear`; nothing else counts, nor what was typed before the question."""
         if sys.stderr.isatty():
             rewrite()
+        self._typed = b""
+        while select.select([sys.stdin.fileno()], [], [], 0.0)[0]:
+            _typed_at(sys.stdin.fileno())
         say(text)
-        while True:
+        typed = before = ""
+        while typed.lower() != "clear":
             pressure = highest_pressure(measured)
-            shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
-            prompt = f'Measured pressure: {shown}. Type "clear" when it is done and hands are out: '
-            if self.line(prompt, wait).lower() == "clear":
-                return "clear"
+            shown = (
+                "The pressure is not measured." if pressure is None else f"Measured pressure: {pressure / 1e3:.1f} kPa."
+            )
+            typed = self.line(f'{before}{shown} Type "clear" when it is done and hands are out: ', wait)
+            before = f'"{typed}" does not count. '
+        return "clear"
 
     def line(self, prompt: str, wait: Callable[[], None]) -> str:
         """The next line that is typed; raises Interrupted at the end of the input."""
@@ -141,11 +109,18 @@ class AtLines:
         descriptor = sys.stdin.fileno()
         while b"\n" not in self._typed:
             if select.select([descriptor], [], [], 0.0 if self._realtime else None)[0]:
-                read = os.read(descriptor, 4096)
-                if not read:
-                    raise Interrupted("end of input at the prompt", 130)
-                self._typed += read
+                self._typed += _typed_at(descriptor)
             elif self._realtime:
                 wait()
         line, _, self._typed = self._typed.partition(b"\n")
         return line.decode("utf-8", "replace").strip()
+
+
+def _typed_at(descriptor: int) -> bytes:
+    """What was typed; Interrupted at the end of the input."""
+    read = b""
+    with suppress(OSError):
+        read = os.read(descriptor, 4096)
+    if not read:
+        raise Interrupted("end of input at the prompt", 130)
+    return read

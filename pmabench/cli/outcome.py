@@ -139,22 +139,31 @@ def _vent_words(outcome: Outcome, confirmed: str = "vent confirmed") -> str:
 
 @contextmanager
 def progress_line(ui: Ui, title: str) -> Iterator[Callable[[Progress], None]]:
-    """A line that is rewritten at most four times a second on a terminal; nothing elsewhere."""
+    """The line of `bar_line` for a run."""
+    with bar_line(ui, title) as show_bar:
+
+        def show(progress: Progress) -> None:
+            done = progress.t / (progress.t + progress.longest) if progress.t + progress.longest > 0 else 0.0
+            trial = f"trial {progress.trial + 1} of {progress.trials}" if progress.trial is not None else progress.phase
+            show_bar(done, trial)
+
+        yield show
+
+
+@contextmanager
+def bar_line(ui: Ui, title: str) -> Iterator[Callable[[float, str], None]]:
+    """A line with the share that is done, words, and the time left, at most four times a second on a terminal."""
     live = sys.stderr.isatty() and not ui.quiet and not ui.json
     started = last = time.monotonic()
 
-    def show(progress: Progress) -> None:
+    def show(done: float, words: str) -> None:
         nonlocal last
         now = time.monotonic()
         if not live or now - last < 0.25:
             return
         last = now
-        done = progress.t / (progress.t + progress.longest) if progress.t + progress.longest > 0 else 0.0
-        left = (now - started) * (1 - done) / done if done > 0.02 else None
-        trial = f"trial {progress.trial + 1} of {progress.trials}" if progress.trial is not None else progress.phase
-        bar = "#" * round(24 * done)
-        rest = f", {left:.0f} s left" if left is not None else ""
-        line = f"{title}  [{bar:<24}] {100 * done:3.0f} %  {trial}{rest}"
+        left = f", {(now - started) * (1 - done) / done:.0f} s left" if done > 0.02 else ""
+        line = f"{title}  [{'#' * round(24 * done):<24}] {100 * done:3.0f} %  {words}{left}"
         rewrite(line[: shutil.get_terminal_size().columns - 1])
 
     yield show

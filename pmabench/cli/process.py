@@ -5,10 +5,8 @@ Of a folder of runs each on its own, by several processes, with progress and one
 
 from __future__ import annotations
 
-import sys
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +20,7 @@ from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.text import clean
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import PATH, RunFolder, next_lines, short
+from pmabench.cli.outcome import bar_line
 from pmabench.cli.sources import (
     campaign_folder,
     chains,
@@ -80,7 +79,7 @@ def command(
     RUNS named one by one are taken together: one analysis for each kind of test of each specimen.
 
     Of a FOLDER of runs each run is taken on its own, with those that it continues: an analysis folder for each in
-    analyses/each, and one table over all of them next to those (all-runs.csv, .parquet, .json). Runs that have not
+    analyses/each, and one table over all of them next to those (all-runs.csv, .json). Runs that have not
     changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
     if form is not None:
@@ -257,8 +256,6 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
             console.print(kept.replace("\u00a0±\u00a0", " ± "), soft_wrap=True)  # a value stays with its half width
 
 
-LINE_EVERY = 10.0
-"""Seconds between lines of progress where there is no terminal."""
 MOST_LINES = 20
 """Lines of one kind on the screen; the rest is in the table."""
 
@@ -270,7 +267,11 @@ def process_folders(
     from pmabench.report.many import process_many, write_table
 
     tasks = tasks_below(given)
-    with _pool(ui, jobs, cluster) as pool, _progress(ui) as progress:
+    with _pool(ui, jobs, cluster) as pool, bar_line(ui, "runs") as show:
+
+        def progress(done: int, total: int, unchanged: int) -> None:
+            show((done - unchanged) / max(total - unchanged, 1), f"{done:,} of {total:,}")
+
         many = process_many(tasks, out, pool, progress, options, fresh=fresh)
     paths = write_table(many)
     ui.result(_data(many, paths), lambda: _human(many, paths), _failures(many) + [str(path) for path in paths])
@@ -292,39 +293,6 @@ def _pool(ui: Ui, jobs: int, cluster: str | None) -> Iterator[Pool | None]:
     finally:
         if pool is not None:
             pool.close()
-
-
-@contextmanager
-def _progress(ui: Ui) -> Iterator[Callable[[int, int, int], None] | None]:
-    """A bar with the time left on a terminal, a line now and then elsewhere; both on stderr."""
-    if ui.quiet or ui.json:
-        yield None
-        return
-    began = last = time.monotonic()
-    if not sys.stderr.isatty():
-
-        def line(done: int, total: int, unchanged: int) -> None:
-            nonlocal last
-            now = time.monotonic()
-            if now - last >= LINE_EVERY:
-                last = now
-                left = (now - began) * (total - done) / max(done - unchanged, 1)
-                length = f"{left:.0f} s" if left < 100 else f"{left / 60:.0f} min"
-                ui.note(f"{done:,} of {total:,} runs, {length} left")
-
-        yield line
-        return
-
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
-    with Progress(*columns, console=ui.console(err=True), transient=True) as bar:
-        task = bar.add_task("runs", total=None)
-
-        def show(done: int, total: int, unchanged: int) -> None:
-            bar.update(task, total=total - unchanged, completed=done - unchanged)
-
-        yield show
 
 
 def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:

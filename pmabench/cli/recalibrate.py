@@ -64,7 +64,7 @@ def command(
     from pmabench.cli.sources import campaign_folder, load_runs, without_analyses
     from pmabench.kinds.reduce import reduce_runs
     from pmabench.kinds.registry import loops
-    from pmabench.report.pages.comparison_page import print_changes, write_changes
+    from pmabench.report.pages.comparison_page import print_changes
     from pmabench.store.chain import open_chains
     from pmabench.store.reader import refuse_loops
 
@@ -89,14 +89,12 @@ def command(
     if folder.exists():
         raise UsageError(f"{folder} exists; give --out the name of a new folder")
     folders = write(after, changed, folder)
-    tables = write_changes(found, channels, who, folder)
     data: dict[str, Any] = {
         "schema": "pmabench.recalibrate/1",
         "runs": [run.id for run in recorded],
         "recalibration": who,
         "channels": channels,
         "folders": [str(path) for path in folders],
-        "table": [str(path) for path in tables],
         "changes": [change.to_dict() for change in found],
     }
 
@@ -104,9 +102,9 @@ def command(
         for channel in channels:
             click.echo(channel["sentence"])
         print_changes(found, ui.console())
-        click.echo("\n".join(str(path) for path in (*folders, *tables)))
+        click.echo("\n".join(str(path) for path in folders))
 
-    ui.result(data, human, [str(path) for path in (*folders, *tables)])
+    ui.result(data, human, [str(path) for path in folders])
 
 
 def _asked(runs: Sequence[RunData], calibrations: Sequence[str], skews: Sequence[str]) -> Recalibration:

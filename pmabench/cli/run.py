@@ -18,11 +18,11 @@ import click
 
 from pmabench.base.errors import RecordError, UsageError, invalid
 from pmabench.base.system import ENGINE, ordinary, real_time, user_name
-from pmabench.cli.common import Ui, common, plan_options, rewrite, say, session_options
+from pmabench.cli.common import Ui, common, plan_options, say, session_options
 from pmabench.cli.names import PATH, WIDTH, RunFolder, short, typed
-from pmabench.cli.operator import AtDisplay, Confirmed, InLines
+from pmabench.cli.operator import AtDisplay, AtLines, Confirmed
 from pmabench.cli.outcome import print_checks, progress_line, show_end, show_next
-from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody, Operator
+from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -247,15 +247,9 @@ def _somebody(mounted: Mounted) -> bool:
 
 def _operator(mounted: Mounted, *, yes: bool) -> Operator:
     """Who answers without a display."""
-
-    def write(text: str) -> None:
-        if sys.stderr.isatty():
-            rewrite()
-        click.echo(text, err=True)
-
     if yes or not _somebody(mounted):
         return ConfirmedBeforehand() if yes else Nobody()
-    return InLines(write) if mounted.bench.realtime else AtTerminal(input, write)
+    return AtLines(realtime=mounted.bench.realtime)
 
 
 LOOKED = "Have you looked at the rig, and may pressure be put on it again?"

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 def command(ui: Ui, run: Path, listen: str | None, *, plain: bool, wait: bool, web: bool, vent: bool) -> int | None:
     """Watch RUN, or the newest run of a folder of runs, until it ends; q leaves the run alone.
 
-    Of a folder, what follows is watched too: the run after a session, the next run of a campaign.
+    Of a folder, also what is newer when that run has ended.
 
     For instance: pmabench watch --web
     """
@@ -51,12 +51,14 @@ def command(ui: Ui, run: Path, listen: str | None, *, plain: bool, wait: bool, w
     if listen or vent:
         raise UsageError("--listen and --vent belong to --web")
     folder = _find(ui, run, wait=wait)
-    several = folder != run
     from pmabench.display.console import watch
     from pmabench.display.lines import last_line
 
     try:
-        state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet, on=several)
+        state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet)
+        while state.ended and (newest := _find(ui, run, wait=False)) != folder:
+            folder = newest
+            state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet)
         if ui.json or ui.quiet:
             ui.result(_json(state.files.folder, state), lambda: click.echo(last_line(state)))
     except BrokenPipeError:

@@ -28,7 +28,6 @@ from pmabench.base import terminal
 from pmabench.base.errors import Interrupted, UsageError
 from pmabench.base.text import printable, raw
 from pmabench.display.child import LEAVE, Link
-from pmabench.display.follow import awaits_another, run_after
 from pmabench.display.lines import first_line, last_line, plain_line
 from pmabench.display.state import RunState
 from pmabench.display.verdicts import prepare
@@ -152,17 +151,13 @@ def _dots(character: str) -> str:
 
 @dataclass(eq=False)
 class Console:
-    """Shows one run until it ends, until `q` if it is not linked, or until the link ends.
-
-    With `on`, the run that comes after it in the same program is shown next.
-    """
+    """Shows one run until it ends, until `q` if it is not linked, or until the link ends."""
 
     folder: Path
     stream: TextIO
     link: Link | None = None
     color: bool = True
     plain: bool = False
-    on: bool = False
 
     def __post_init__(self) -> None:
         self.state = RunState(self.folder)
@@ -246,22 +241,9 @@ class Console:
 
     def _look_for_end(self, behind: bool) -> None:
         if self.link is None:
-            self._over |= self.state.ended and not self._goes_on()
+            self._over |= self.state.ended
         elif self.link.closed or os.getppid() != self._parent:
             self._over = self._orphaned = not behind
-
-    def _goes_on(self) -> bool:
-        """Whether another run follows; shows it as soon as it exists."""
-        manifest = self.state.files.manifest
-        if not self.on:
-            return False
-        awaited = awaits_another(manifest, self.state.status)  # first: a program that began one may end at once
-        after = run_after(self.state.files.folder, manifest)
-        if after is not None:
-            if self.plain:
-                self._print(last_line(self.state))
-            self.state = RunState(after)
-        return awaited or after is not None
 
     # -- the run ------------------------------------------------------------------------------------------------------
 
@@ -371,15 +353,14 @@ def _edited(text: str, key: str, longest: int) -> str:
     return (text + key)[:longest] if key.isprintable() else text
 
 
-def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False, on: bool = False) -> RunState:
+def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False) -> RunState:
     """Watch a run until it ends; on a screen if standard output is a terminal, else as plain lines.
 
-    With `on`, also the runs that follow: the one after a session, the next ones of a campaign.
     Raises Interrupted at a signal that ends it.
     """
     plain = plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb"
     try:
         with tidy_signals(child=False):
-            return Console(folder, raw(sys.stdout), color=color, plain=plain, on=on).run(quiet=quiet)
+            return Console(folder, raw(sys.stdout), color=color, plain=plain).run(quiet=quiet)
     except Terminate as end:
         raise Interrupted(str(end), 128 + end.number) from None

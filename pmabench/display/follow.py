@@ -343,32 +343,3 @@ class Kept:
                 moved, flags, _ = onto(t, flags, other, other_flags, missing, rates.get(name, 0.0))
                 channels |= moved
         return t, channels, flags, rates.get(main, 0.0)
-
-
-GOES_ON = {"session": ("finished",), "campaign": ("finished", "failed")}
-"""Status of a session, or of a run of a campaign, after which another run follows."""
-
-
-def awaits_another(manifest: Mapping[str, Any], status: str) -> bool:
-    """Whether the program that wrote this run is alive and will begin another one."""
-    if status_of(manifest, None) != "running":
-        return False
-    place = manifest.get("campaign")
-    if isinstance(place, dict) and place.get("number", 0) + 1 < place.get("of", 0):
-        return status in GOES_ON["campaign"]
-    return manifest.get("kind") == "session" and status in GOES_ON["session"]
-
-
-def run_after(folder: Path, manifest: Mapping[str, Any]) -> Path | None:
-    """The first later run of the same program next to `folder`; None if there is none yet."""
-    later = []
-    for path in folder.resolve().parent.glob(f"*/{files.MANIFEST}"):
-        with suppress(InvalidFile, OSError):
-            other = read_manifest(path.parent)
-            if other.get("writer") == manifest.get("writer") and _began(other) > _began(manifest):
-                later.append((_began(other), path.parent))
-    return min(later)[1] if later else None
-
-
-def _began(manifest: Mapping[str, Any]) -> str:
-    return str(manifest.get("started_utc", ""))

@@ -145,9 +145,7 @@ def _time(state: RunState, width: int) -> Text:
         return line
     done, left = state.progress.done(t), state.progress.left(t)
     if left is not None:
-        line.append(
-            f", {'about' if left[1] else 'by the plan'} {clock(left[0])} left{', paused' if state.paused else ''}"
-        )
+        line.append(f", by the plan {clock(left)} left{', paused' if state.paused else ''}")
     room = max(5, min(40, width - line.cell_len - 8))
     full = round(room * done)
     line.append("  ").append("━" * full, "bold").append("─" * (room - full), FAINT).append(f" {100 * done:3.0f} %")

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
-from pmabench.base.errors import Interrupted, PmaError
-from pmabench.base.quantities import highest_pressure
+from pmabench.base.errors import PmaError
 
 
 class NoOperator(PmaError):
@@ -39,27 +38,6 @@ class ConfirmedBeforehand(Operator):
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """The fixed answer for the record; nobody is asked."""
         return "confirmed beforehand (--yes)"
-
-
-class AtTerminal(Operator):
-    """A person at a bench in virtual time, which waits meanwhile; sees the pressure and types `clear`."""
-
-    def __init__(self, read: Callable[[str], str], write: Callable[[str], None]) -> None:
-        self._read = read
-        self._write = write
-
-    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
-        """Ask until the answer is `clear`; raises Interrupted at the end of input."""
-        pressure = highest_pressure(measured)
-        shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
-        self._write(f"{text}\nMeasured pressure: {shown}.")
-        while True:
-            try:
-                answer = self._read('Type "clear" when it is done and hands are out: ').strip().lower()
-            except EOFError:
-                raise Interrupted("end of input at the prompt", 130) from None
-            if answer == "clear":
-                return "clear"
 
 
 class Nobody(Operator):

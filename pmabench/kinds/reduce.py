@@ -10,7 +10,7 @@ from typing import Any
 from pmabench.analysis.imported import in_time, without_doubtful
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.signals import without_spikes
-from pmabench.analysis.shared.trials import grouped, repeat_traces, session_of
+from pmabench.analysis.shared.trials import grouped, session_of
 from pmabench.analysis.verdict.acceptance import not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, agreement, offers_of, side_by_side, without_diameter
@@ -115,7 +115,7 @@ def compared(analyses: Sequence[Analysis]) -> Analysis | None:
 
 
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
-    """The reduction of a kind, with the checks and the repeats of its trials."""
+    """The reduction of a kind, with the checks of its trials."""
     record = registry.kind_of(kind)
     empty = [Dropped(t.name, t.point, "no sample was recorded") for run in runs for t in run.trials if not len(t.t)]
     if empty:
@@ -133,8 +133,7 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
     count = max((side_by_side(run.manifest.get("specimen")) for run in runs), default=1)
     analysis = without_diameter(analysis, count)
     analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)
-    checked = with_record(without_doubtful(analysis, runs), runs)
-    return replace(checked, traces=(*checked.traces, *repeat_traces(record.compares, runs)))
+    return with_record(without_doubtful(analysis, runs), runs)
 
 
 def _given(analysis: Analysis) -> int:

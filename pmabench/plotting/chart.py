@@ -21,9 +21,13 @@ TICK, LABEL, NAME = 7.4, 7.8, 8.0
 """Sizes of text at ticks, axis titles and curves [pt]."""
 WIDE, BOLD = 0.55, 0.62
 """Mean width of a letter, and of a bold one, as a fraction of the font size."""
+ROW = 11.0
+"""Height of a row of names above the axes [pt]."""
 RADIUS = 2.3
 GAP = 12.0
 """Gap between charts in a row [pt]."""
+COLUMN, PAGE, HIGH = 249.0, 510.0, 160.0
+"""Widths of narrow and of wide pictures, and their usual height [pt]."""
 MOST_POINTS = 2000
 """Most points of a line in the data of the page."""
 STATIC = 700
@@ -83,11 +87,19 @@ class Chart:
     """Whether ticks and title of the x axis are written: not above another chart with the same axis."""
     sides: tuple[float, float] | None = None
     """Room left and right of the axes; None: as needed by the chart's own texts."""
+    legend: bool = False
+    """Whether names are in rows above the axes, with their marks: for names too long to stand at curves."""
 
     @property
     def shown(self) -> list[Series]:
         """Series of the static SVG."""
         return [s for s in self.series if not s.method]
+
+
+def of_points(series: Sequence[Series], x_label: str, y_label: str, alt: str, *, simulated: bool) -> Chart:
+    """A narrow chart of dots and lines, with names above its axes."""
+    stamp = "SIMULATED" if simulated else ""
+    return Chart(x_label, y_label, tuple(series), COLUMN, HIGH, alt, stamp=stamp, legend=True)
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
@@ -112,10 +124,14 @@ def tick_text(value: float, step: float) -> str:
 
 
 def limits(chart: Chart) -> tuple[float, float, float, float]:
-    """Ends of the axes (x0, x1, y0, y1), with some room, for the series that are always shown."""
+    """Ends of the axes (x0, x1, y0, y1), with some room, for the series that are always shown.
+
+    Bars of hollow dots may reach beyond: wide ones of another method would squash the others.
+    """
     series = chart.shown or list(chart.series)
     xs = np.concatenate([s.x for s in series] or [np.zeros(1)])
-    ends = [s.y + way * (np.nan_to_num(s.half) if s.half is not None else 0.0) for s in series for way in (-1, 1)]
+    halves = [0.0 if s.half is None or (s.dots and s.hollow) else np.nan_to_num(s.half) for s in series]
+    ends = [s.y + way * half for s, half in zip(series, halves, strict=True) for way in (-1, 1)]
     ys = np.concatenate(ends or [np.zeros(1)])
     xs, ys = xs[np.isfinite(xs)], ys[np.isfinite(ys)]
     x0, x1 = (float(xs.min()), float(xs.max())) if len(xs) else (0.0, 1.0)
@@ -139,13 +155,14 @@ class _Frame:
         self.x_ticks = ticks(self.x0, self.x1, 6 if chart.width > 300 else 4)
         self.y_ticks = ticks(self.y0, self.y1, chart.y_ticks)
         longest = max((len(text) for text in self.texts(self.y_ticks)), default=1)
-        names = max((len(s.label) for s in chart.shown if not s.named_first), default=0)
-        sides = chart.sides or (7 + longest * TICK * WIDE * 1.08, 6 + names * NAME * BOLD if names else 4)
+        names = max((len(s.label) for s in chart.shown if not (s.named_first or chart.legend)), default=0)
+        sides = chart.sides or (7 + longest * TICK * WIDE * 1.08, 6 + names * NAME * BOLD if names else 8)
         firsts = max((len(s.label) for s in chart.shown if s.named_first), default=0)
         self.gutter = firsts * NAME * BOLD + 8 if firsts else 0.0
         """Room for names between the ticks and the curves."""
         self.left, self.right = sides[0] + self.gutter, chart.width - sides[1]
-        self.top = 17.0 if chart.y_label else 5.0
+        self.keys = _keys(chart) if chart.legend else []
+        self.top = (17.0 if chart.y_label else 5.0) + (ROW * (self.keys[-1][1] + 1) if self.keys else 0.0)
         self.bottom = chart.height - (26.0 if chart.x_named else 5.0)
 
     @staticmethod
@@ -172,16 +189,17 @@ def to_svg(chart: Chart) -> str:
     return _whole(chart.width, chart.height, chart.alt, chart.stamp, _drawn(chart))
 
 
-def joined(charts: Sequence[Chart], alt: str, *, stacked: bool) -> str:
-    """Charts in a row, or `stacked` in a column, as one `<svg>` element."""
-    inner, place = [], 0.0
-    for chart in charts:
-        at = f"0 {_n(place)}" if stacked else f"{_n(place)} 0"
-        inner.append(f'<g transform="translate({at})">\n{_drawn(chart)}\n</g>')
-        place += chart.height if stacked else chart.width + GAP
-    across, down = max(chart.width for chart in charts), max(chart.height for chart in charts)
-    width, height = (across, place) if stacked else (place - GAP, down)
-    return _whole(width, height, alt, charts[0].stamp, "\n".join(inner))
+def joined(rows: Sequence[Sequence[Chart]], alt: str) -> str:
+    """Rows of charts as one `<svg>` element."""
+    inner, width, down = [], 0.0, 0.0
+    for row in rows:
+        across = 0.0
+        for chart in row:
+            inner.append(f'<g transform="translate({_n(across)} {_n(down)})">\n{_drawn(chart)}\n</g>')
+            across += chart.width + GAP
+        width, down = max(width, across - GAP), down + max(chart.height for chart in row)
+    stamp = "".join(chart.stamp for row in rows for chart in row)
+    return _whole(width, down, alt, stamp, "\n".join(inner))
 
 
 def _whole(width: float, height: float, alt: str, stamp: str, inner: str) -> str:
@@ -198,7 +216,7 @@ def _drawn(chart: Chart) -> str:
     body += [band for series in chart.shown for band in _band(frame, series)]
     for series in chart.shown:
         body += _dots(frame, series) if series.dots else _line(frame, series)
-    body += _names(frame)
+    body += [part for key in frame.keys for part in _key(*key)] if chart.legend else _names(frame)
     corner = [t for t in (chart.words, chart.stamp) if t]
     for n, text in enumerate(corner):
         color = BROWN if text == chart.stamp else QUIET
@@ -256,8 +274,9 @@ def _line(frame: _Frame, series: Series) -> list[str]:
     stride = max(1, -(-len(series.x) // STATIC))
     x, y = series.x[::stride], series.y[::stride]
     parts = []
-    for piece in np.split(np.arange(len(x)), np.flatnonzero(~np.isfinite(y))):
-        piece = piece[np.isfinite(y[piece])]
+    known = np.isfinite(x) & np.isfinite(y)
+    for piece in np.split(np.arange(len(x)), np.flatnonzero(~known)):
+        piece = piece[known[piece]]
         if len(piece) > 1:
             parts.append(_path(*frame.at(x[piece], y[piece])))
     dash = ' stroke-dasharray="3.5 2.5"' if series.dashed else ""
@@ -278,12 +297,48 @@ def _dots(frame: _Frame, series: Series) -> list[str]:
         if isfinite(up) and abs(low - up) > 2 * RADIUS:
             out.append(_rule(x, max(up, frame.top - 4), x, min(low, frame.bottom), series.color, 1.4))
         if series.cross:
-            out.append(_rule(x - 2.6, y - 2.6, x + 2.6, y + 2.6, series.color, 1.1))
-            out.append(_rule(x - 2.6, y + 2.6, x + 2.6, y - 2.6, series.color, 1.1))
+            out += _cross(x, y, series.color)
             continue
-        look = f'fill="#fff" stroke="{series.color}" stroke-width="1"' if series.hollow else f'fill="{series.color}"'
-        out.append(f'<circle cx="{_n(x)}" cy="{_n(y)}" r="{_n(RADIUS)}" {look}/>')
+        out.append(_dot(x, y, series))
     return out
+
+
+def _dot(x: float, y: float, series: Series) -> str:
+    look = f'fill="#fff" stroke="{series.color}" stroke-width="1"' if series.hollow else f'fill="{series.color}"'
+    return f'<circle cx="{_n(x)}" cy="{_n(y)}" r="{_n(RADIUS)}" {look}/>'
+
+
+Key = tuple[float, int, Series]
+"""Place across [pt], row, series."""
+
+
+def _keys(chart: Chart) -> list[Key]:
+    """Names above the axes, from left to right in as many rows as they need."""
+    found: list[Key] = []
+    across, row = 1.0, 0
+    for series in (s for s in chart.shown if s.label):
+        wide = 20.0 + len(series.label) * NAME * WIDE
+        if found and across + wide > chart.width:
+            across, row = 1.0, row + 1
+        found.append((across, row, series))
+        across += wide
+    return found
+
+
+def _key(across: float, row: int, series: Series) -> list[str]:
+    """The mark of a series and its name."""
+    y = 19.0 + ROW * row
+    if series.cross:
+        mark = _cross(across + 5, y - 2.8, series.color)
+    elif series.dots:
+        mark = [_dot(across + 5, y - 2.8, series)]
+    else:
+        mark = [_rule(across, y - 2.8, across + 9, y - 2.8, series.color, series.width)]
+    return [*mark, _text(across + 12, y, series.label, NAME, INK, "start")]
+
+
+def _cross(x: float, y: float, color: str) -> list[str]:
+    return [_rule(x - 2.6, y - 2.6 * way, x + 2.6, y + 2.6 * way, color, 1.1) for way in (1, -1)]
 
 
 def _names(frame: _Frame) -> list[str]:

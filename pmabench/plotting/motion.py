@@ -12,6 +12,7 @@ from math import pi
 import numpy as np
 
 from pmabench.plotting import plots, time_plots
+from pmabench.plotting.chart import COLUMN, GAP, PAGE, Chart, Series, with_common_sides
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -20,19 +21,24 @@ from pmabench.plotting.pictures import (
     how_many,
     label,
     numbers,
+    of_charts,
     panel,
     picture,
     reach,
     spread,
     unit_of,
 )
-from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting.plots import BROWN, FAINT, QUIET, Array, Panel
 from pmabench.plotting.wording import clean, shown
 from pmabench.store.analyses.results import Analysis, Trace
 
 LOOPS, ROWS, MOST = 8, 4, 6
 """Most loops of a figure, rows of a figure of oscillations, and figures of loops."""
 NAMES = ("t", "pressure", "displacement", "model")
+UPPER, LOWER = 104.0, 66.0
+"""Heights of a panel, and of the difference below it [pt]."""
+SHORT = 20
+"""Letters of titles with which three panels fit side by side, and not two."""
 OVERLAYS = 6
 """Most panels of measured and modelled motion."""
 FREE_RUN = "the fitted muscle, run freely with the measured pressure"
@@ -53,7 +59,6 @@ def overlays(
     names = {"t": "t", "measured": "displacement", "model": "model"}
     panels = [panel(t, names, head(t)) for t in chosen]
     unit = unit_of(chosen[0], "displacement").unit
-    labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"diff. [{unit}]"}
     misfits = [_rms(p.columns["measured"] - p.columns["model"]) for p in panels]
     worst = int(np.argmax(misfits))
     title += f", {panels[0].title}" if len(chosen) == 1 else ""
@@ -67,8 +72,27 @@ def overlays(
         + (f", largest at {panels[worst].title}." if len(panels) > 1 else ".")
     )
     table = numbers([(head(t), t) for t in chosen], columns)
-    draw = bound(time_plots.overlay, panels, labels)
-    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    rows = _overlaid(panels, label(chosen[0], "t"), unit, simulated=analysis.simulated)
+    return [of_charts(rows, title, caption, alt, table, simulated=analysis.simulated, still=True)]
+
+
+def _overlaid(panels: Sequence[Panel], t_label: str, unit: str, *, simulated: bool) -> list[list[Chart]]:
+    """Measured and model over time with their difference below, in small multiples; columns t, measured, model."""
+    columns = 1 if len(panels) == 1 else 3 if max(len(one.title) for one in panels) < SHORT else 2
+    width = COLUMN if columns == 1 else (PAGE - GAP * (columns - 1)) / columns
+    pairs = []
+    for n, one in enumerate(panels, 1):
+        t, y, model = (one.columns[name] for name in ("t", "measured", "model"))
+        lines = (Series("", t, y, FAINT, width=3.0), Series("", t, model, BROWN))
+        apart = (Series("", t, y - model, QUIET, width=0.9),)
+        name = "contraction" if columns == 1 else f"{one.title}: x"
+        stamp = "SIMULATED" if simulated and n == min(columns, len(panels)) else ""
+        upper = Chart(t_label, f"{name} [{unit}]", lines, width, UPPER, "", stamp=stamp, x_named=False)
+        pairs.append(
+            with_common_sides((upper, Chart(t_label, f"difference [{unit}]", apart, width, LOWER, "", y_ticks=3)))
+        )
+    rows = [pairs[i : i + columns] for i in range(0, len(pairs), columns)]
+    return [[pair[n] for pair in row] for row in rows for n in (0, 1)]
 
 
 def _rms(values: Array) -> float:

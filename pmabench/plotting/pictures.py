@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.plotting import plots
-from pmabench.plotting.chart import Chart, joined
+from pmabench.plotting.chart import COLUMN, Chart, joined
 from pmabench.plotting.plots import Array, Panel
 from pmabench.plotting.svg import drawing, to_svg
 from pmabench.plotting.wording import COLUMNS, Frame, Shown, clean, shown
@@ -58,18 +58,19 @@ class Picture:
 
 
 def of_charts(
-    charts: tuple[Chart, ...],
+    rows: Sequence[Sequence[Chart]],
     title: str,
     caption: str,
     alt: str,
     table: Frame,
     *,
     simulated: bool,
-    stacked: bool = False,
+    still: bool = False,
 ) -> Picture:
-    """A picture of charts side by side, or one below the other."""
-    draw = partial(joined, charts, alt, stacked=stacked)
-    return Picture(title, caption, alt, draw, table, True, simulated, charts, stacked)
+    """A picture of charts in rows; a page may draw a single row or column again, but not a `still` one."""
+    wide = sum(chart.width for chart in rows[0]) > COLUMN
+    charts = () if still else tuple(chart for row in rows for chart in row)
+    return Picture(title, caption, alt, partial(joined, rows, alt), table, wide, simulated, charts, len(rows) > 1)
 
 
 def picture(

@@ -33,28 +33,6 @@ CROSSES = ("x", "+", "1", "2", "3", "4")
 """Markers of published values."""
 WARN = BROWN
 """Colour of the word SIMULATED."""
-OPEN: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.6}
-"""Style of markers of methods other than the primary one."""
-
-
-@dataclass(frozen=True)
-class Points:
-    """Values with the lengths of their intervals below and above (NaN: none), and a curve through them."""
-
-    label: str
-    x: Array
-    y: Array
-    below: Array
-    above: Array
-    primary: bool
-    group: int
-    """Index of the colour."""
-    mark: int
-    """Index of the marker."""
-    curve: tuple[Array, Array, Array] | None = None
-    """x, y and half width of the band (NaN: none)."""
-    published: bool = False
-    """Whether these are published values."""
 
 
 @dataclass(frozen=True)
@@ -154,86 +132,6 @@ def multiples(
         axes.tick_params(labelleft=i % columns == 0)
         axes.set(xlabel=labels["x"], ylabel=labels["y"] if i % columns == 0 else "")
         few_ticks(axes, x=ticks)
-
-
-def coefficients(points: Sequence[Points], x_label: str, y_label: str) -> Figure:
-    """Coefficients over an operating point with 95 % bars, fitted curve and band; methods side by side."""
-    figure = blank(HALF, 2.55)
-    rows = ceil(len(points) / 2) if len(points) > 1 else 0
-    cells = grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0]
-    apart = _apart(points)
-    inner = cells.subgridspec(2, 1, height_ratios=(2.3, 1), hspace=0.14) if apart else [cells]
-    axes = figure.add_subplot(inner[0])
-    strip = figure.add_subplot(inner[1]) if apart else None
-    reach = np.concatenate([p.x for p in points]) if points else np.zeros(1)
-    step = 0.012 * float(np.ptp(reach))
-    order = sorted(range(len(points)), key=lambda i: points[i].primary)
-    compared = [i for i in range(len(points)) if not points[i].primary and not points[i].published]
-    for i in order:
-        p = points[i]
-        color = PALETTE[p.group % len(PALETTE)]
-        if p.curve is not None:
-            x, y, half = p.curve
-            if p.primary:
-                axes.fill_between(x, y - half, y + half, color=color, alpha=0.16, linewidth=0)
-            axes.plot(x, y, color=color, linewidth=1.1 if p.primary else 0.8, linestyle="-" if p.primary else "--")
-        if p.published:
-            axes.plot(p.x, p.y, CROSSES[p.mark % len(CROSSES)], color=INK, markersize=4.5, label=p.label, zorder=3)
-            continue
-        shift = 0.0 if p.primary else step * (1 + compared.index(i) // 2) * (-1) ** compared.index(i)
-        drawn: list[tuple[Any, Array]] = [(axes, p.y)] + ([] if strip is None else [(strip, apart[i])])
-        for place, y in drawn:
-            look: dict[str, Any] = {"fmt": MARKERS[p.mark % len(MARKERS)], "color": color, "label": p.label}
-            look |= {"markerfacecolor": color, "markersize": 4} if p.primary else OPEN
-            look |= {"markeredgewidth": 0.9, "elinewidth": 0.9, "linewidth": 0}
-            place.errorbar(p.x + shift, y, yerr=np.nan_to_num([p.below, p.above]), **look)
-    _frame(axes, points)
-    axes.set_ylabel(y_label)
-    few_ticks(axes)
-    axes.tick_params(labelbottom=strip is None)
-    if strip is not None:
-        strip.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
-        strip.set(ylabel=f"apart {y_label[y_label.find('[') :]}" if "[" in y_label else "apart", xlim=axes.get_xlim())
-        few_ticks(strip, y=4)
-        figure.align_ylabels([axes, strip])
-    (strip or axes).set_xlabel(x_label)
-    if len(points) > 1:
-        handles, labels = axes.get_legend_handles_labels()
-        shown = [labels.index(p.label) for p in points]
-        named = [handles[i] for i in shown], [labels[i] for i in shown]
-        legend_above(figure, 2, named, (0.105, 0.13), handletextpad=0.3)
-    return figure
-
-
-def _apart(points: Sequence[Points]) -> list[Array]:
-    """Deviations of each series from the curve of the first; empty unless the series nearly coincide."""
-    points = [p for p in points if not p.published]
-    if len(points) < 2 or points[0].curve is None or len({p.group for p in points}) < 2:
-        return []
-    x, y, _ = points[0].curve
-    if any(p.x.min() < x[0] - 0.2 * np.ptp(x) or p.x.max() > x[-1] + 0.2 * np.ptp(x) for p in points):
-        return []
-    through = np.polynomial.Polynomial.fit(x, y, min(2, len(x) - 1))
-    apart = [np.asarray(p.y - through(p.x)) for p in points]
-    close = 0.08 * float(np.ptp(y))
-    return apart if max(float(np.max(np.abs(values))) for values in apart) < close else []
-
-
-def _frame(axes: Axes, points: Sequence[Points]) -> None:
-    """Limits of y from all values and the bars of the primary method; wide bars of others would squash the plot."""
-    ends: list[float] = []
-    reach = float(np.ptp(np.concatenate([p.y for p in points]))) if points else 0.0
-    none = not any(p.primary for p in points)
-    for p in points:
-        below, above = (np.nan_to_num(bar) if p.primary or none else 0 * p.y for bar in (p.below, p.above))
-        most = max(2 * reach, 1.5 * float(np.median(above)))
-        ends += [*(p.y - np.minimum(below, most)), *(p.y + np.minimum(above, most))]
-        if p.curve is not None and p.primary:
-            ends += [float(np.min(p.curve[1])), float(np.max(p.curve[1]))]
-    known = [end for end in ends if np.isfinite(end)]
-    if known and max(known) > min(known):
-        room = 0.09 * (max(known) - min(known))
-        axes.set_ylim(min(known) - room, max(known) + room)
 
 
 def published(axes: Axes, panel: Panel, marks: dict[str, int]) -> None:

@@ -54,6 +54,7 @@ def symbol_parts(text: str) -> list[tuple[str, str]]:
 
 
 _inside: ContextVar[bool] = ContextVar("inside", default=False)
+_lean: ContextVar[bool] = ContextVar("lean", default=False)
 
 
 @contextmanager
@@ -62,6 +63,8 @@ def drawing() -> Iterator[None]:
     if _inside.get():
         yield
         return
+    if _lean.get():
+        _import_what_draws()
     from matplotlib import style
 
     with style.context(["default", str(STYLE)]):
@@ -72,11 +75,15 @@ def drawing() -> Iterator[None]:
             _inside.reset(before)
 
 
-def import_what_draws() -> None:
-    """Import matplotlib without its 3D axes and the help texts of its classes: they take a fifth of a report's time.
+def draw_lean() -> None:
+    """From now on draw without the 3D axes and the help texts of matplotlib, whose import takes as long as ten figures.
 
     For commands only: in a notebook other code may need them.
     """
+    _lean.set(True)
+
+
+def _import_what_draws() -> None:
     name = "mpl_toolkits.mplot3d"
     if "matplotlib.projections" in sys.modules or name in sys.modules:
         return

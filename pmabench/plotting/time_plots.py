@@ -42,36 +42,6 @@ NOTE: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "fontsize"
 """Style of a text at a line."""
 
 
-def overlay(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
-    """Measured and model over time with a strip of residuals below, in small multiples; columns t, measured, model."""
-    alone = len(panels) == 1
-    columns = 1 if alone else min(3, len(panels))
-    rows = ceil(len(panels) / columns)
-    figure = blank(HALF if alone else FULL, 2.55 if alone else 0.43 + 2.15 * rows)
-    outer = grid(figure, rows, columns, top=0.3 if alone else 0.44, left=0.56, across=0.46, down=0.55)
-    apart = np.concatenate([np.abs(p.columns["measured"] - p.columns["model"]) for p in panels])
-    largest = float(np.max(apart, where=np.isfinite(apart), initial=0.0)) or 1.0
-    for i, panel in enumerate(panels):
-        t, y, model = (panel.columns[name] for name in ("t", "measured", "model"))
-        upper, lower = above_each_other(figure, outer[i], (3.2, 1), 0.12)
-        upper.plot(t, y, color=FAINT, linewidth=2.6, solid_capstyle="round", label="measured")
-        upper.plot(t, model, color=BROWN, linewidth=1.0, label="model")
-        upper.set_title("" if alone else panel.title)
-        lower.axhline(0, color=FAINT, linewidth=0.6)
-        lower.plot(t, y - model, color=QUIET, linewidth=0.8)
-        lower.set_ylim(-1.15 * largest, 1.15 * largest)
-        few_ticks(upper)
-        few_ticks(lower, y=2)
-        lower.set_xlim(upper.get_xlim())
-        if i % columns == 0:
-            upper.set_ylabel(labels["measured"])
-            lower.set_ylabel(labels["residual"])
-            figure.align_ylabels([upper, lower])
-        lower.set_xlabel(labels["t"])
-    legend_above(figure, 2)
-    return figure
-
-
 def lifts(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     """Pressure and contraction over time while a load lifts off and sets down; marks `lift` and `set-down`."""
     columns = min(3, len(panels))

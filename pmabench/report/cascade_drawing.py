@@ -1,4 +1,4 @@
-"""A chain of muscles drawn to scale as SVG: outlines with Bezier ends, fittings, braid, load; snapshots as a still.
+"""A chain of muscles drawn to scale as SVG: outlines with Bezier ends, load; snapshots as a still.
 
 Knows the result of a simulation, not how it came about. Every number of the geometry is made here; an animation only
 puts them in.
@@ -6,7 +6,6 @@ puts them in.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -14,7 +13,7 @@ from html import escape
 import numpy as np
 
 from pmabench.model.muscle import Outline, outline
-from pmabench.plotting.plots import BROWN, FAINT, INK, QUIET, WARN
+from pmabench.plotting.plots import BLUE, BROWN, FAINT, INK, QUIET, WARN
 from pmabench.report.cascade_record import Link, Result
 
 WIDTH = 1000.0
@@ -90,100 +89,37 @@ class Scene:
         return found
 
 
-def definitions(scene: Scene) -> str:
-    """Gradients, and for each muscle a braid that is drawn with its angle."""
-    patterns = "".join(_braid(i, link, scene.scale) for i, link in enumerate(scene.result.muscles))
-    return (
-        "<defs>"
-        + _gradient("rubber", ("#39414a", "#8d97a3", "#59626d", "#262b31"))
-        + _gradient("tint", ("#084a85", "#69b8f2", "#1f7ac4", "#06325a"))
-        + _gradient("steel", ("#98a2ad", "#f4f6f8", "#b4bdc7", "#6f7a86"))
-        + '<pattern id="hatch" width="7" height="7" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'
-        f'<path d="M0 0V7" stroke="{FAINT}" stroke-width="1.6"/></pattern>' + patterns + "</defs>"
-    )
-
-
-def _gradient(name: str, colours: Sequence[str]) -> str:
-    places = zip((0, 0.3, 0.62, 1), colours, strict=True)
-    stops = "".join(f'<stop offset="{at}" stop-color="{colour}"/>' for at, colour in places)
-    return f'<linearGradient id="{name}" x1="0" y1="0" x2="0" y2="1">{stops}</linearGradient>'
-
-
-def _braid(number: int, link: Link, scale: float) -> str:
-    """A pattern of crossing strands at the angle of the braid without contraction, stretched later with the muscle."""
-    high = max(2 * link.radius * scale / 6, 4.0)
-    wide = high / math.tan(link.braid_angle)
-    return (
-        f'<pattern id="braid{number}" width="{px(wide)}" height="{px(high)}" patternUnits="userSpaceOnUse">'
-        f'<path d="M0 0L{px(wide)} {px(high)}M0 {px(high)}L{px(wide)} 0" stroke="#fff" stroke-opacity=".2" '
-        'stroke-width=".8"/></pattern>'
-    )
-
-
-def chain(scene: Scene, row: int, tag: str = "", *, names: bool = False) -> str:
-    """The chain at a row, its axis at y = 0.
-
-    `tag` keeps its patterns apart from those of other chains in the same drawing; without one its parts carry classes
-    that an animation looks for.
-    """
+def chain(scene: Scene, row: int, *, names: bool = False, live: bool = False) -> str:
+    """The chain at a row, its axis at y = 0; `live`: its parts carry classes that an animation looks for."""
     shapes = scene.shapes(row)
-    muscles = (_muscle(i, shape, scene, tag, names=names) for i, shape in enumerate(shapes))
-    tip = shapes[-1].begin + shapes[-1].length + FITTING * scene.result.muscles[-1].length * scene.scale
-    return "".join((_wall(scene.half), *muscles, _tip(scene, tip, row, live=not tag)))
-
-
-def _wall(half: float) -> str:
-    h = px(half + 8)
-    return (
-        f'<path d="M{px(LEFT)} -{h}V{h}" stroke="{INK}" stroke-width="2"/>'
-        f'<rect x="{px(LEFT - 9)}" y="-{h}" width="8" height="{px(2 * half + 16)}" fill="url(#hatch)"/>'
+    muscles = (
+        _muscle(link, shape, scene, names=names) for link, shape in zip(scene.result.muscles, shapes, strict=True)
     )
+    tip = shapes[-1].begin + shapes[-1].length + FITTING * scene.result.muscles[-1].length * scene.scale
+    h = px(scene.half + 8)
+    wall = f'<path d="M{px(LEFT)} -{h}V{h}" stroke="{INK}" stroke-width="3"/>'
+    return "".join((wall, *muscles, _tip(scene, tip, row, live=live)))
 
 
-def _muscle(i: int, shape: Shape, scene: Scene, tag: str, *, names: bool) -> str:
-    link = scene.result.muscles[i]
-    fitting = FITTING * link.length * scene.scale
-    d = shape.path
-    own = "" if tag else ' class="muscle"'
-    wide, high = shape.length / (link.length * scene.scale), shape.radius / (link.radius * scene.scale)
-    strands = f'<path class="strands" d="{d}" fill="url(#braid{i})"/>'
-    if tag:  # a pattern for this muscle alone, stretched to this length and width
-        local = f"braid{i}-{tag}"
-        strands = f'<pattern id="{local}" href="#braid{i}" patternTransform="scale({wide:.4f} {high:.4f})"/>'
-        strands += f'<path d="{d}" fill="url(#{local})"/>'
-    name = ""
+def _muscle(link: Link, shape: Shape, scene: Scene, *, names: bool) -> str:
+    name, out = "", px(FITTING * link.length * scene.scale)
+    line = f'stroke="{QUIET}" stroke-width="{px(1.2 * shape.fitting)}"'
     if names and link.length * scene.scale > 70:
         name = (
             f'<text class="name" x="{px(shape.length / 2)}" y="{px(-scene.half - 9)}" text-anchor="middle" '
             f'font-size="12" fill="{QUIET}">{escape(link.name)}</text>'
         )
     return (
-        f'<g{own} transform="translate({px(shape.begin)} 0)">'
-        f'<path class="outline" d="{d}" fill="url(#rubber)" stroke="#1b1f24" stroke-opacity=".55" stroke-width=".8"/>'
-        f'<path class="tint" d="{d}" fill="url(#tint)" opacity="{opacity(shape.tint):.3f}"/>{strands}'
-        f"{_fitting(fitting, shape.fitting, -1)}"
-        f'<g class="far" transform="translate({px(shape.length)} 0)">{_fitting(fitting, shape.fitting, 1)}</g>'
-        f"{name}</g>"
+        f'<g class="muscle" transform="translate({px(shape.begin)} 0)"><path d="M-{out} 0H0" {line}/>'
+        f'<path class="outline" d="{shape.path}" fill="{BLUE}" fill-opacity="{opacity(shape.tint):.3f}" '
+        f'stroke="{INK}"/>'
+        f'<g class="far" transform="translate({px(shape.length)} 0)"><path d="M0 0H{out}" {line}/></g>{name}</g>'
     )
 
 
 def opacity(tint: float) -> float:
     """How strongly a pressure colours the muscle: lower ones more than their share, so that they are seen."""
-    return float(min(max(tint, 0.0), 1.0) ** 0.6)
-
-
-def _fitting(length: float, radius: float, way: int) -> str:
-    """Sleeve over the end of the hose and a stud; `way` -1 at the left end, 1 at the right, from x = 0 outwards."""
-    sleeve, over = 0.62 * length, 1.07 * radius
-    left = -sleeve if way < 0 else -0.08 * length
-    wide = sleeve * 1.0 + 0.08 * length
-    stud = (-length, length - sleeve) if way < 0 else (sleeve, length - sleeve)
-    return (
-        f'<rect x="{px(stud[0])}" y="{px(-0.42 * radius)}" width="{px(stud[1])}" height="{px(0.84 * radius)}" '
-        'fill="url(#steel)" stroke="#5b6570" stroke-width=".5"/>'
-        f'<rect x="{px(left)}" y="{px(-over)}" width="{px(wide)}" height="{px(2 * over)}" rx="{px(0.1 * length)}" '
-        'fill="url(#steel)" stroke="#5b6570" stroke-width=".6"/>'
-    )
+    return 0.08 + 0.85 * float(min(max(tint, 0.0), 1.0) ** 0.6)
 
 
 def _tip(scene: Scene, tip: float, row: int, *, live: bool) -> str:
@@ -232,10 +168,10 @@ def row_at(result: Result, moment: float) -> int:
 
 
 def snapshots(result: Result, moments: Sequence[float], *, head: bool = True) -> str:
-    """The chain at several moments below each other, with a scale; one complete `<svg>`."""
+    """The chain at several moments below each other; one complete `<svg>`."""
     scene = Scene(result)
     step, top = 2 * scene.low + 24, 82.0 if head else 18.0
-    height = top + step * len(moments) + 44
+    height = top + step * len(moments) + 12
     parts = [_head(result, scene)] if head else []
     for place, moment in enumerate(moments):
         row = row_at(result, moment)
@@ -243,11 +179,10 @@ def snapshots(result: Result, moments: Sequence[float], *, head: bool = True) ->
         parts.append(
             f'<g transform="translate(0 {px(y)})">'
             f'<text x="{px(LEFT - 18)}" y="4" text-anchor="end" font-size="13" font-weight="600" fill="{INK}">'
-            f"{result.time[row]:.2f} s</text>{chain(scene, row, str(place), names=place == 0)}</g>"
+            f"{result.time[row]:.2f} s</text>{chain(scene, row, names=place == 0)}</g>"
         )
-    parts.append(f'<g transform="translate(0 {px(top + step * len(moments) + 8)})">{ruler(scene)}</g>')
     alt = f"Simulated. {result.name}: the chain at {len(moments)} moments, from {moments[0]:g} s on."
-    return standalone("".join(parts), WIDTH, height, alt, definitions(scene))
+    return standalone("".join(parts), WIDTH, height, alt)
 
 
 def _head(result: Result, scene: Scene) -> str:
@@ -257,43 +192,20 @@ def _head(result: Result, scene: Scene) -> str:
         f'<text x="24" y="48" font-size="12" fill="{QUIET}">{escape(about)}</text>'
         f'<text x="{px(WIDTH - 24)}" y="26" text-anchor="end" font-size="11" font-weight="700" fill="{WARN}">'
         "SIMULATED</text>"
-        f'<g transform="translate({px(WIDTH - 24)} 48)">{pressure_key(scene)}</g>'
+        f'<text x="{px(WIDTH - 24)}" y="48" text-anchor="end" font-size="12" fill="{QUIET}">'
+        f"{pressure_words(scene)}</text>"
     )
 
 
-def pressure_key(scene: Scene) -> str:
-    """The legend of the colour that shows a muscle's pressure, right-aligned at x = 0."""
-    steps = "".join(
-        f'<rect x="{px(-152 + 12 * i)}" y="-10" width="12.3" height="12" fill="url(#rubber)"/>'
-        f'<rect x="{px(-152 + 12 * i)}" y="-10" width="12.3" height="12" fill="url(#tint)" '
-        f'opacity="{opacity(i / 7):.3f}"/>'
-        for i in range(8)
-    )
-    return (
-        f'<text x="-160" text-anchor="end" font-size="12" fill="{QUIET}">0</text>{steps}'
-        f'<text x="0" text-anchor="end" font-size="12" fill="{QUIET}">{scene.highest / 1e3:.0f} kPa</text>'
-    )
+def pressure_words(scene: Scene) -> str:
+    """What the colour of a muscle says."""
+    return f"the darker, the more pressure: 0 to {scene.highest / 1e3:.0f} kPa"
 
 
-def ruler(scene: Scene) -> str:
-    """Lengths from the fixed end, to the scale of the drawing."""
-    whole = (scene.end - LEFT) / scene.scale
-    step = next(s for s in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if whole / s <= 12)
-    ticks, count = [], int(whole / step + 1e-9)
-    for i in range(count + 1):
-        x = px(LEFT + i * step * scene.scale)
-        unit = " mm" if i == count else ""
-        ticks.append(
-            f'<path d="M{x} 0V5" stroke="{FAINT}"/><text x="{x}" y="18" text-anchor="middle" font-size="11" '
-            f'fill="{QUIET}">{1e3 * i * step:g}{unit}</text>'
-        )
-    return f'<path d="M{px(LEFT)} 0H{px(scene.end)}" stroke="{FAINT}"/>' + "".join(ticks)
-
-
-def standalone(body: str, width: float, height: float, alt: str, head: str = "") -> str:
+def standalone(body: str, width: float, height: float, alt: str) -> str:
     """A complete SVG file with a white background, a font and a description."""
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {px(width)} {px(height)}" width="{px(width)}" '
         f'height="{px(height)}" role="img" aria-labelledby="alt" font-family="{FONT}">'
-        f'<desc id="alt">{escape(alt)}</desc>{head}<rect width="100%" height="100%" fill="#fff"/>{body}</svg>\n'
+        f'<desc id="alt">{escape(alt)}</desc><rect width="100%" height="100%" fill="#fff"/>{body}</svg>\n'
     )

@@ -22,11 +22,9 @@ from pmabench.report.cascade_drawing import (
     WIDTH,
     Scene,
     chain,
-    definitions,
     moments_of,
     opacity,
-    pressure_key,
-    ruler,
+    pressure_words,
     snapshots,
     standalone,
 )
@@ -65,7 +63,7 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
     """The page as text; every name is escaped."""
     scene = Scene(result)
     rows = frame_rows(result)
-    height = 2 * scene.low + 108
+    height = 2 * scene.low + 84
     first, *others = drawn
     context = {
         "version": __version__,
@@ -74,10 +72,8 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
         "width": WIDTH,
         "height": round(height, 1),
         "axis": round(scene.low + 57, 1),
-        "definitions": definitions(scene),
-        "key": pressure_key(scene),
-        "chain": chain(scene, 0, names=True),
-        "ruler": ruler(scene),
+        "key": pressure_words(scene),
+        "chain": chain(scene, 0, names=True, live=True),
         "frames": len(rows) - 1,
         "first": {
             "t": f"{result.time[0]:.2f} s",
@@ -86,7 +82,7 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
             "s": f"{result.force_ce_sum[0]:.0f} N",
         },
         "over_time": first.svg,
-        "still": _own_names(snapshots(result, moments, head=False)),
+        "still": snapshots(result, moments, head=False),
         "figures": others,
         "muscles": [
             {
@@ -96,8 +92,7 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
                 "pressure": show(max(link.pressure), "pressure", 4),
                 "most": f"{show(max(link.displacement), 'length', 4)}, "
                 f"{100 * max(link.displacement) / link.length:.1f} %",
-                "shape": f"radius {show(link.radius, 'length')}, braid {degrees(link.braid_angle):.1f} deg"
-                + (f" ({' and '.join(link.assumed).replace('_', ' ')} assumed)" if link.assumed else ""),
+                "shape": f"radius {show(link.radius, 'length')}, braid {degrees(link.braid_angle):.1f} deg",
             }
             for link in result.muscles
         ],
@@ -106,13 +101,6 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
         "data": json.dumps(frames(result, scene, rows), allow_nan=False, separators=(",", ":")),
     }
     return render("cascade.html.j2", context)
-
-
-def _own_names(still: str) -> str:
-    """The still with the ids of its parts renamed, so that no other drawing on the page has the same."""
-    for mark in ('id="', "url(#", 'href="#', 'labelledby="'):
-        still = still.replace(mark, f"{mark}still-")
-    return still.strip()
 
 
 def frame_rows(result: Result) -> list[int]:
@@ -137,7 +125,6 @@ def frames(result: Result, scene: Scene, rows: Sequence[int]) -> dict[str, Any]:
         numbers["tint"] = [round(opacity(shape.tint), 3) for shape in mine]
         numbers |= {
             "fitting": round(mine[0].fitting, 3),
-            "rest": round(link.length * scene.scale, 3),
             "gap": round(FITTING * link.length * scene.scale, 3),
         }
         muscles.append(numbers)

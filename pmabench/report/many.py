@@ -7,7 +7,6 @@ has a row per run, method and operating point, numbers in display units; the sam
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.errors import InvalidFile, PmaError, RecordError
-from pmabench.plotting.wording import POINTS, in_order, plain_unit, point_shown, shown, symbol_text
+from pmabench.plotting.wording import POINTS, in_order, point_shown, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text, plain_head, write_with_tables
 from pmabench.report.words import declared, in_common
 from pmabench.report.writing import writing
@@ -24,7 +23,6 @@ from pmabench.store.analyses import folder as made_from
 from pmabench.store.catalogue import Task
 from pmabench.store.folder import plain, read_manifest
 from pmabench.store.records import RunData
-from pmabench.store.since import program
 
 if TYPE_CHECKING:
     from pmabench.analysis.many import Pool
@@ -46,15 +44,6 @@ class Many:
     """Of each run: its path, its state (`computed`, `unchanged`, `skipped`, `failed`), and its entry as JSON."""
     exit_code: int
     """0; else the worst: record not written 7, a run that cannot be used 3, an error in the program 1, verdict 6."""
-
-    @property
-    def key(self) -> str:
-        """Hash of all results in their order, and of the program."""
-        digest = hashlib.sha256(program().encode())
-        for path, state, text in self.entries:
-            if state in RESULTS:
-                digest.update(f"{path}\0{text}\0".encode())
-        return digest.hexdigest()
 
     def of(self, *states: str) -> Iterator[dict[str, Any]]:
         """Entries of these states, each with `path` and `state` before what `process_one` returned."""
@@ -124,42 +113,24 @@ def _code(entry: Mapping[str, Any]) -> set[int]:
 
 NAME = "all-runs"
 SCHEMA = "pmabench.process-many/1"
-KEPT_TABLE = f".{NAME}.made-from.json"
-"""File that names the results behind the table, so that an unchanged table is not written again."""
-FIRST = {"run": "", "started": "", "specimen": "", "kind": "", "simulated": False, "method": ""}
-LAST = {"trials": 0, "not accepted": "", "analysis": ""}
+FIRST = ("run", "started", "specimen", "kind", "simulated", "method")
+LAST = ("trials", "not accepted", "analysis")
 """Columns before and after the numbers."""
 KEPT = ("run", "runs", "kind", "started", "specimen", "simulated", "folder", "estimates", "dropped", "findings")
 """Keys of a run in JSON; verdicts and exclusions come with it."""
 
 
 def write_table(many: Many) -> list[Path]:
-    """`all-runs.csv`, `.parquet` and `.json` next to the analyses, as far as they are not there already.
-
-    Raises RecordError where they cannot be written.
-    """
-    paths = [many.out / f"{NAME}.{suffix}" for suffix in ("csv", "parquet", "json")]
-    key = many.key
-    kept = many.out / KEPT_TABLE
-    with suppress(OSError, ValueError):
-        if json.loads(kept.read_bytes()) == [key, _stamps(paths)]:
-            return paths
+    """`all-runs.csv` and `.json` next to the analyses; raises RecordError where they cannot be written."""
+    paths = [many.out / f"{NAME}.{suffix}" for suffix in ("csv", "json")]
     rows, numbers = table_rows(many.results())
     columns = [*FIRST, *numbers, *LAST]
-    ordered = [{name: row.get(name) for name in columns} for row in rows]
     with writing(many.out, "the table"):
+        ordered = [{name: row.get(name) for name in columns} for row in rows]
         paths[0].write_text(csv_text(ordered, columns), encoding="utf-8", newline="")
-        _write_parquet(ordered, numbers, paths[1])
-        with paths[2].open("w", encoding="utf-8", newline="") as file:
+        with paths[1].open("w", encoding="utf-8", newline="") as file:
             file.writelines(_json_lines(many))
-    with suppress(OSError):
-        kept.write_text(json.dumps([key, _stamps(paths)]), encoding="utf-8")
     return paths
-
-
-def _stamps(paths: Iterable[Path]) -> list[list[int]]:
-    """Size and time of each file."""
-    return [[info.st_size, info.st_mtime_ns] for info in (path.stat() for path in paths)]
 
 
 def plain_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
@@ -176,8 +147,8 @@ def _json_lines(many: Many) -> Iterable[str]:
     yield "\n ]\n}\n"
 
 
-def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], dict[str, tuple[str, str]]]:
-    """The rows, and of each column of numbers its quantity and unit, in the order of the table."""
+def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], list[str]]:
+    """The rows, and the columns of numbers in the order of the table."""
     rows: list[dict[str, Any]] = []
     points: set[str] = set()
     symbols: set[tuple[str, str, str, str]] = set()
@@ -196,31 +167,19 @@ def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any
             symbol = (e["symbol"], e["coordinate"], e["quantity"], e["unit"])
             symbols.add(symbol)
             unit = shown(e["quantity"], e["unit"])
-            for (head, _), value in zip(_heads(*symbol), (e["value"], e["half_width"]), strict=True):
+            for head, value in zip(_heads(*symbol), (e["value"], e["half_width"]), strict=True):
                 row[head] = unit.of(value)
         rows += found.values()
-    ordered = in_order(sorted(points), POINTS)
-    numbers = {plain_head(name): ("point", plain_unit(point_shown(name)[1].unit)) for name in ordered}
+    numbers = [plain_head(name) for name in in_order(sorted(points), POINTS)]
     for name in in_common(orders.values()):
         for symbol in sorted(symbol for symbol in symbols if symbol[0] == name):
-            numbers |= dict(_heads(*symbol))
-    return rows, numbers
+            numbers += _heads(*symbol)
+    return rows, list(dict.fromkeys(numbers))
 
 
-def _heads(symbol: str, coordinate: str, quantity: str, unit: str) -> list[tuple[str, tuple[str, str]]]:
+def _heads(symbol: str, coordinate: str, quantity: str, unit: str) -> list[str]:
     text, in_unit = symbol_text(symbol, coordinate), shown(quantity, unit)
-    about = (quantity, plain_unit(in_unit.unit))
-    return [(in_unit.plain_label(head), about) for head in (text, f"{text} half width 95 %")]
-
-
-def _write_parquet(rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, tuple[str, str]], path: Path) -> None:
-    from pmabench.store.livestream import pa, pq
-
-    types = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
-    first, last = ([pa.field(name, types[type(one)]) for name, one in part.items()] for part in (FIRST, LAST))
-    middle = [pa.field(name, pa.float64(), metadata={"quantity": q, "unit": u}) for name, (q, u) in numbers.items()]
-    table = pa.Table.from_pylist([dict(row) for row in rows], schema=pa.schema([*first, *middle, *last]))
-    pq.write_table(table, path, compression="zstd", compression_level=3)
+    return [in_unit.plain_label(head) for head in (text, f"{text} half width 95 %")]
 
 
 ESTIMATE = ("symbol", "coordinate", "at", "value", "unit", "quantity", "ci95", "n", "method")

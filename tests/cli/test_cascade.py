@@ -1,4 +1,4 @@
-"""`pmabench cascade`: files with all problems at once, pacing, results, drawings that need nothing else, replay."""
+"""`pmabench model cascade`: files with all problems at once, pacing, results, drawings that need nothing else, replay."""
 
 import csv
 import doctest
@@ -16,8 +16,7 @@ import pytest
 
 from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import InvalidFile
-from pmabench.cli import cascade as cascade_command
-from pmabench.cli.cascade import drawn, paced, show_pace
+from pmabench.cli.cascade import paced, show_pace
 from pmabench.cli.common import Ui
 from pmabench.model import cascade
 from pmabench.model.cascade import PrintedMuscle, Step, simulate
@@ -94,8 +93,6 @@ def test_every_problem_comes_at_once_with_its_place(tmp_path):
         (HEAD + MUSCLE + "    count: 50\n    stagger: 0.2 s\n", 8, "the last of them comes at 9.8 s"),
         (HEAD + MUSCLE + "    delya: 1 s\n", 9, 'unknown key "delya"; did you mean "delay"'),
         (HEAD + MUSCLE.replace("6 bar", "6"), 8, "needs a unit"),
-        (HEAD + MUSCLE + "    radius: 3 m\n", 9, "outside 1 mm to 200 mm"),
-        (HEAD + MUSCLE + "    braid_angle: 60 deg\n", 9, "outside 10 deg to 54 deg"),
         (HEAD + (MUSCLE + "    name: a\n") * 2, 12, 'a second muscle is called "a"'),
         (HEAD + MUSCLE + '    name: "=cmd"\n', 9, "a name begins with a letter or digit"),
         (HEAD + MUSCLE + "    count: 101\n", 9, "100"),
@@ -208,7 +205,7 @@ def at_pace(cost):
 def test_paced_time_is_simulated_time_within_2_percent(cost):
     blocks, elapsed, shown = at_pace(cost)
     assert elapsed == pytest.approx(10.0, rel=0.02)
-    for now, t, _, _ in shown[1:]:
+    for now, t, _ in shown[1:]:
         assert now == pytest.approx(t, abs=0.06)
     whole = simulate([PrintedMuscle([Step(0.0, 6e5), Step(5.0, 0.0)]) for _ in range(2)], np.arange(1001) / 100)
     assert (np.concatenate([block.displacement for block in blocks]) == whole.displacement).all()
@@ -230,20 +227,6 @@ def test_the_pace_of_a_real_clock(tmp_path):
     assert data["simulated"] == pytest.approx(0.4)
     assert data["elapsed"] >= 0.4 - 1e-6
     assert json.loads(call("simulate", tmp_path / "short.yaml", "--json").stdout)["paced"] is None
-
-
-def test_the_chain_as_text_is_as_long_as_it_is():
-    rest, short = drawn([0.3, 0.3], [0.0, 0.0], [True, False]), drawn([0.3, 0.3], [0.15, 0.0], [True, False])
-    assert rest.index("o") == 61
-    assert short.index("o") == 46
-    assert len(rest) == len(short)
-    many = [drawn([0.3] * 100, [0.3 * share] * 100, [True] * 100, 40) for share in (0.0, 0.5)]
-    assert [line.index("o") for line in many] == [41, 21]
-    assert len(set(map(len, many))) == 1
-
-
-def test_the_chain_as_text_is_what_its_docstring_shows():
-    assert doctest.testmod(cascade_command) == (0, 1)
 
 
 def test_examples_of_the_models_hold():

@@ -9,20 +9,25 @@ from pmabench.cli.operator import AtLines
 
 
 class Input:
-    """Standard input from a pipe."""
+    """Standard input from a pipe, into which somebody types when the question is there."""
 
     def __init__(self, text):
-        self.read, write = os.pipe()
-        os.write(write, text.encode())
-        os.close(write)
+        self.text = text
+        self.read, self.write = os.pipe()
 
     def fileno(self):
         return self.read
 
+    def type(self, _question):
+        os.write(self.write, self.text.encode())
+        os.close(self.write)
+
 
 @pytest.mark.parametrize("realtime", [True, False])
 def test_only_the_word_counts_and_readings_keep_their_case(monkeypatch, capsys, realtime):
-    monkeypatch.setattr("sys.stdin", Input("yes\nCLEAR\n 58.86 N \n"))
+    there = Input("yes\nCLEAR\n 58.86 N \n")
+    monkeypatch.setattr("sys.stdin", there)
+    monkeypatch.setattr("pmabench.cli.operator.say", there.type)
     lines = AtLines(realtime=realtime)
     assert lines.ask("Put 6 kg on.", {"pressure": 1500.0}, lambda: None) == "clear"
     assert lines.line("reading ", lambda: None) == "58.86 N"

@@ -14,7 +14,7 @@ from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
 from pmabench.base.errors import InvalidFile
-from pmabench.cli.main import COMMANDS, EXAMPLES, FORMER, SECTIONS, main
+from pmabench.cli.main import COMMANDS, EXAMPLES, SECTIONS, main
 from pmabench.cli.names import RunFolder, in_full, short
 from pmabench.files.shipped import find_file
 
@@ -56,15 +56,6 @@ def test_each_help_ends_with_an_example_whose_options_exist(name):
     while isinstance(command, click.Group):
         command = command.commands[typed.pop(0)]
     command.make_context(name, typed)
-
-
-@pytest.mark.parametrize("former", FORMER)
-def test_a_former_name_works_and_says_that_of_now(former):
-    done = CliRunner().invoke(main, [*former, "--help"])
-    now = " ".join(FORMER[former])
-    assert done.exit_code == 0
-    assert f'"{" ".join(former)}" is called "{now}" now' in done.stderr
-    assert f"pmabench {now} " in done.stdout.replace("main", "pmabench") + " "
 
 
 def test_tab_completes_names_and_the_newest_runs(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""How far, and how long the rest takes, against plans that can be added up by hand."""
+"""How far, and what the plan has left, against plans that can be added up by hand."""
 
 import pytest
 
@@ -34,20 +34,21 @@ def taken(progress, reported):
 
 
 @pytest.mark.parametrize("pace", [1.0, 1.5, 0.5])
-def test_after_half_of_the_trials_half_of_the_time_is_left(pace):
+def test_after_half_of_the_trials_half_of_the_plan_is_left(pace):
+    """Whatever the pace was: what is left is said by the plan."""
     reported = [entry for index in range(5) for entry in trial(index, index * pace * LENGTH, pace)]
     data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
     progress = taken(Progress(data), reported)
     now = 5 * pace * LENGTH
     assert progress.done(now) == pytest.approx(0.5)
-    assert progress.left(now) == (pytest.approx(now), True)
+    assert progress.left(now) == pytest.approx(5 * LENGTH)
 
 
-def test_inside_a_step_time_counts_and_does_not_move_at_its_end():
+def test_inside_a_trial_time_counts_and_does_not_move_at_its_end():
     progress = taken(Progress(plan(POINTS)), trial(0, 3.0)[:2])
-    half, end, late = (progress.done(3.0 + BASELINE + since) for since in (HOLD / 2, HOLD, 10 * HOLD))
-    assert half == pytest.approx((3.0 + BASELINE + HOLD / 2) / (3.0 + 10 * LENGTH))
-    assert end == late == pytest.approx((3.0 + BASELINE + HOLD) / (3.0 + 10 * LENGTH))
+    half, end, late = (progress.done(3.0 + since) for since in (LENGTH / 2, LENGTH, 10 * LENGTH))
+    assert half == pytest.approx((3.0 + LENGTH / 2) / (3.0 + 10 * LENGTH))
+    assert end == late == pytest.approx((3.0 + LENGTH) / (3.0 + 10 * LENGTH))
 
 
 def test_the_operators_time_does_not_count():
@@ -55,72 +56,40 @@ def test_the_operators_time_does_not_count():
         reported = [(0.0, "prompt", {"phase": "load"}), (hands, "answer", {}), *trial(0, hands + 3.0)]
         return taken(Progress(plan(POINTS)), reported).left(hands + 3.0 + LENGTH)
 
-    assert left(0.0) == (pytest.approx(9 * LENGTH), True)
-    assert left(500.0) == (pytest.approx(9 * LENGTH), True)
+    assert left(0.0) == left(500.0) == pytest.approx(9 * LENGTH)
 
 
 def test_while_the_operator_is_asked_nothing_goes_on():
     progress = taken(Progress(plan(POINTS)), [(0.0, "prompt", {"phase": "load"})])
     assert progress.done(1000.0) == 0.0
-    assert progress.left(1000.0) == (pytest.approx(3.0 + 10 * LENGTH), False)
+    assert progress.left(1000.0) == pytest.approx(3.0 + 10 * LENGTH)
 
 
-def test_in_a_pause_the_time_left_does_not_move_and_the_pause_does_not_count_afterwards():
+def test_in_a_pause_the_time_left_does_not_move():
     data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
     progress = taken(Progress(data), [*trial(0, 0.0), (LENGTH, "pause", {})])
     before = progress.left(LENGTH)
-    assert before == (pytest.approx(9 * LENGTH), True)
+    assert before == pytest.approx(9 * LENGTH)
     assert progress.left(LENGTH + 600.0) == before
     on = LENGTH + 600.0
-    reported = [(on, "goes-on", {}), *trial(1, on)]
-    assert taken(progress, reported).left(on + LENGTH) == (pytest.approx(8 * LENGTH), True)
+    progress = taken(progress, [(on, "goes-on", {}), *trial(1, on)])
+    assert progress.left(on + LENGTH) == pytest.approx(8 * LENGTH)
 
 
-def test_a_run_that_goes_on_takes_its_pace_from_what_it_has_done_itself():
-    """Trials 0 to 5 were done before; the reference trial is done again, then the rest at half the pace."""
+def test_a_run_that_goes_on_begins_where_the_last_one_ended():
+    """Trials 0 to 5 were done before; the reference trial is done again, then the rest."""
     again = [(0.0, "trial-begin", {"trial": 10, "again": True}), (7.0, "trial-end", {"trial": 10})]
     data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
-    progress = taken(Progress(data), [*again, *trial(6, 7.0, 2.0), *trial(7, 7.0 + 2 * LENGTH, 2.0)])
-    assert progress.left(7.0 + 4 * LENGTH) == (pytest.approx(4 * LENGTH), True)
+    progress = taken(Progress(data, before=range(6)), again)
+    assert progress.done(7.0) == pytest.approx(0.6)
+    progress = taken(progress, [*trial(6, 7.0, 2.0), *trial(7, 7.0 + 2 * LENGTH, 2.0)])
+    assert progress.left(7.0 + 4 * LENGTH) == pytest.approx(2 * LENGTH)
     assert progress.done(7.0 + 4 * LENGTH) == pytest.approx(0.8)
-
-
-def test_a_trial_that_is_done_twice_does_not_make_the_pace_slower():
-    data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
-    reported = [*trial(0, 0.0), *trial(1, LENGTH), *trial(1, 2 * LENGTH)]
-    assert taken(Progress(data), reported).left(3 * LENGTH) == (pytest.approx(8 * LENGTH), True)
 
 
 def test_a_trial_that_is_begun_again_takes_the_pointer_back():
     reported = [*trial(0, 0.0), *trial(1, 10.0), (20.0, "trial-begin", {"trial": 0})]
     assert taken(Progress(plan(POINTS)), reported).done(20.0) == pytest.approx(3.0 / (3.0 + 10 * LENGTH))
-
-
-def test_steps_of_the_same_kind_are_distinguished_by_their_order():
-    """Preconditioning sets the same output in the same phase again and again."""
-    step = {"phase": "precondition", "output": "pressure"}
-    hold = {"step": "hold", "phase": "precondition", "duration": 2.0}
-    steps = [part for value in (4e5, 0.0, 4e5, 0.0) for part in ({"step": "set", "value": value, **step}, hold)]
-    reported = [command(2.0 * k, None, "precondition", 0.0) for k in range(3)]
-    assert taken(Progress({"steps": steps}), reported).done(5.0) == pytest.approx(5.0 / 8.0)
-
-
-def test_a_search_is_one_step_however_much_it_commands():
-    search = {
-        "step": "seek",
-        "phase": "lift",
-        "law": "ramp-until",
-        "output": "pressure",
-        "low": 0,
-        "high": 1,
-        "limit": 10.0,
-    }
-    data = {"steps": [search, {"step": "hold", "phase": "rest", "duration": 10.0}]}
-    ramps = [(t, "command", {"output": "pressure", "phase": "lift", "trial": 0}) for t in (0.0, 2.0, 4.0)]
-    progress = taken(Progress(data), ramps)
-    assert progress.done(5.0) == pytest.approx(0.25)
-    progress.take(Event(9, 6.0, "found", {"phase": "lift", "trial": 0}))
-    assert progress.done(6.0) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(

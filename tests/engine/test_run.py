@@ -5,15 +5,17 @@ import os
 import signal
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.bench.interface import Identity
+from pmabench.cli.operator import AtLines
 from pmabench.engine import ending
 from pmabench.engine import run as run_module
 from pmabench.engine.bench_checks import refuse_twice
-from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
+from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.engine.recorder import NoRecord
 from pmabench.engine.run import run_plan
 from pmabench.protocol.plan import Hold, Record, Set, WaitUntil
@@ -166,12 +168,13 @@ def test_hands_need_a_person_or_yes():
     assert outcome.vent.confirmed
 
 
-def test_the_prompt_shows_the_pressure_wants_the_word_and_waits_three_seconds():
-    answers = iter(["yes", "", "clear"])
-    shown = []
-    outcome = execute(one_trial(*STEPS["hold"]), operator=AtTerminal(lambda _prompt: next(answers), shown.append))
+def test_the_prompt_shows_the_pressure_wants_the_word_and_waits_three_seconds(monkeypatch, capsys):
+    read, write = os.pipe()
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(fileno=lambda: read))
+    monkeypatch.setattr("pmabench.cli.operator.say", lambda _text: os.write(write, b"yes\n\nclear\n"))
+    outcome = execute(one_trial(*STEPS["hold"]), operator=AtLines(realtime=False))
     assert outcome.status == "finished"
-    assert "Measured pressure:" in shown[0]
+    assert "Measured pressure:" in capsys.readouterr().err
     answered = next(t for kind, t, _ in outcome.events if kind == "answer")
     begun = next(t for kind, t, _ in outcome.events if kind == "trial-begin")
     assert begun - answered >= 3.0 - 1e-9
@@ -320,11 +323,11 @@ def test_no_number_is_flagged_with_the_rest_of_its_block(monkeypatch):
     assert kept[-1] & 4
 
 
-def test_the_end_of_input_at_the_prompt_is_an_interruption():
-    def closed(_prompt):
-        raise EOFError
-
-    outcome = execute(one_trial(*STEPS["hold"]), operator=AtTerminal(closed, lambda _text: None))
+def test_the_end_of_input_at_the_prompt_is_an_interruption(monkeypatch):
+    read, write = os.pipe()
+    os.close(write)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(fileno=lambda: read))
+    outcome = execute(one_trial(*STEPS["hold"]), operator=AtLines(realtime=False))
     assert (outcome.status, outcome.exit_code) == ("aborted", 130)
     assert outcome.vent.confirmed
 

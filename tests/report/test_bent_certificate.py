@@ -8,7 +8,7 @@ import pytest
 from pmabench.cli.dry_run import _expected
 from pmabench.kinds.contraction_relaxation.values import METHOD
 from pmabench.kinds.reduce import reduce_runs
-from pmabench.report.bends import bend_of
+from pmabench.report.bends import bend_of, slopes_of
 from pmabench.report.certificate.force_chart import Level, _levels
 from pmabench.report.certificate.result_table import result_table
 from pmabench.report.files.simulator_models import control_model, control_text, mujoco_model, rates
@@ -34,6 +34,11 @@ def levels(analyses):
     found = _levels(analyses)
     assert len(found) == 3
     return found
+
+
+@pytest.fixture(scope="module")
+def middles(analyses):
+    return {P: x for P, (x, _) in slopes_of(analyses, (METHOD,)).items()}
 
 
 @pytest.fixture(scope="module")
@@ -76,30 +81,36 @@ def test_exported_laws_are_the_force_of_the_muscle(analyses, levels, exported):
     assert namespace["PARAMETERS"]["bend"] == pytest.approx(law["bend"], rel=1e-9)
 
 
-def test_for_mujoco_it_is_the_tangent(analyses, levels, exported):
+def test_for_mujoco_it_is_the_tangent(analyses, levels, exported, middles):
     """Its coefficients are one line over pressure each; there it is nearer than with the force without contraction."""
     model, law = mujoco_model(analyses[0]), exported.params
     assert any("its tangent at 15.7 to 46.8 mm" in note for note in model.notes)
     ends = np.polyval(np.polyfit(law["P"], law["F_ce"], 1), model.params["P"])
 
     def missed(params):
-        places = [(level.middle, level.P) for level in levels]
+        places = [(middles[level.P], level.P) for level in levels]
         return max(abs(rates(0.0, (x, 0.0), (P, true_force(P, x)), params)[1]) for x, P in places)
 
     assert missed(model.params) < 0.7 * missed(model.params | {"F_ce": ends})
 
 
-def test_a_dry_run_takes_the_tangent(analyses, levels):
+def test_a_dry_run_takes_the_tangent(analyses, levels, middles):
     expected = _expected(analyses[0], "bent")
     assert len(expected.points) == len(levels)
     for point, level in zip(expected.points, levels, strict=True):
-        assert point.F_ce - point.K * level.middle == pytest.approx(true_force(level.P, level.middle), abs=1.0)
+        assert point.F_ce - point.K * middles[level.P] == pytest.approx(true_force(level.P, middles[level.P]), abs=1.0)
 
 
-def test_the_table_gives_the_contraction_of_each_K(analyses, levels):
+def test_the_table_gives_the_contraction_of_each_K(analyses, levels, middles):
     table, _, _ = result_table(analyses)
-    places = ", ".join(f"{1e3 * level.middle:.1f}" for level in levels)
+    places = ", ".join(f"{1e3 * middles[level.P]:.1f}" for level in levels)
     assert f"K: the slope at {places} mm of contraction, row by row" in table.notes
+
+
+def test_a_bent_line_that_is_not_known_is_not_drawn(analyses):
+    """K is its slope at one contraction, and F_ce - K x another line."""
+    without = {name: value for name, value in analyses[0].facts["form"].items() if name != "bend"}
+    assert _levels([replace(a, facts={**a.facts, "form": without}) for a in analyses]) == []
 
 
 @pytest.mark.parametrize(
@@ -118,7 +129,7 @@ def test_the_table_gives_the_contraction_of_each_K(analyses, levels):
 def test_facts_that_hold_anything_else_make_straight_lines(analyses, form):
     """Another program's analysis may call something else `form`."""
     other = [replace(a, facts={**a.facts, "form": form}) for a in analyses]
-    assert all(level.bend == 0 for level in _levels(other))
+    assert all(level.bend is None for level in _levels(other))
     assert bend_of(other, (METHOD,)) is None
     assert not [note for note in result_table(other)[0].notes if note.startswith("K: the slope")]
 
@@ -138,6 +149,6 @@ def test_the_contractions_are_said_of_the_K_that_they_belong_to(analyses):
 
 
 def test_a_line_that_does_not_come_down_ends_where_it_is_lowest():
-    level = Level(350e3, 1000.0, 10e3, np.empty((0, 2)), np.empty((0, 2)), middle=0.03, bend=400e3)
     x = np.linspace(0.0, 0.1, 10_001)
+    level = Level(350e3, 1000.0, 10e3, np.empty((0, 2)), np.empty((0, 2)), bend=(x, 400e3 * x * (x - 2 * 0.03)))
     assert float(level.contraction(np.array(0.0))) == pytest.approx(x[np.argmin(level.force(x))], abs=1e-5)

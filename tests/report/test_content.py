@@ -10,7 +10,8 @@ from pmabench.plotting import pictures
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import Issuer, deviations
 from pmabench.report.document.provenance import methods_paragraph
-from pmabench.report.document.special_tables import budget_table, change_rows, trial_ranges
+from pmabench.report.document.special_tables import budget_table, change_rows
+from pmabench.report.document.tables import trial_ranges
 from pmabench.report.figures import coefficient_figures
 from pmabench.report.foremost import verdict_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Source, Trace
@@ -20,11 +21,11 @@ from pmabench.store.records import TrialData
 from . import samples
 
 
-def trial(index, *, P=3e5, off=0.0, rate=100.0, seconds=5.0, begin=None, **more) -> TrialData:
+def trial(index, *, P=3e5, rate=100.0, seconds=5.0, begin=None, **more) -> TrialData:
     begin = 10.0 * index if begin is None else begin
     t = begin + np.arange(0.0, seconds, 1 / rate)
     command = np.full(len(t), P)
-    channels = {"pressure": command + off, "pressure_command": command}
+    channels = {"pressure": command, "pressure_command": command}
     usual = {"status": "finished", "repeat": 0, "reference": False, "commands": (), "found": {}}
     flags = np.zeros(len(t), np.uint16)
     return TrialData("run", index, {"pressure": P}, t=t, channels=channels, flags=flags, **(usual | more))
@@ -49,17 +50,10 @@ def test_a_run_as_planned_has_no_deviation():
         ([trial(0, begin=50.0), trial(1, begin=0.0)], {}, "trials were not done in the planned order"),
         ([trial(0, rate=90.0), trial(1, rate=90.0)], {"rate": 100.0}, "sampled at 90 Hz; 100 Hz was planned"),
         ([trial(0), trial(1)], {"record": ["force"]}, "planned but not recorded: force"),
-        ([trial(0), trial(1, off=-9e3)], {}, "the pressure at rest was up to 9 kPa off its command (trial 2)"),
     ],
 )
 def test_deviations_are_found_in_the_record(trials, plan, words):
     assert said(trials, plan, trials_planned=2) == [words]
-
-
-def test_a_pressure_that_is_still_on_its_way_is_no_deviation():
-    short = trial(0, off=-9e3, seconds=1.5)
-    within = trial(1, off=-5e3)
-    assert said([short, within], trials_planned=2) == []
 
 
 def test_exclusions_say_who_and_why():
@@ -112,12 +106,9 @@ def test_every_value_leads_to_its_trials():
     analysis = samples.static_load()
     estimates = tuple(replace(e, trials=many) for e in analysis.estimates)
     content = content_of([replace(analysis, runs=("a",), estimates=estimates)], [])
-    sets = content.parents[0]
-    (row,) = [row for _, rows in sets.groups for row in rows]
-    assert [row[0].text, row[1].text[:11]] == ["S1", "R1: 1, 3, 5"]
     parts = content.sections[0].parts
     column = [c.head for c in parts.columns].index("from")
-    assert {row[column].text for _, rows in parts.groups for row in rows} == {"S1"}
+    assert {row[column].text[:11] for _, rows in parts.groups for row in rows} == {"R1: 1, 3, 5"}
 
 
 def test_the_methods_paragraph_names_specimen_points_and_primary_methods():
@@ -174,8 +165,9 @@ def test_labels_of_long_numbers_are_not_cut():
         Estimate("F_c", 90_000.0 + 0.01 * n, "N", "force", "m", p, Parts(1e-3)) for n, p in enumerate(long, 1)
     )
     (picture,) = coefficient_figures.others(Analysis("x", ("r",), False, estimates))
-    (baseline,) = re.findall(r'<text[^>]* x="(-?[\d.]+)"[^>]*rotate\(-90', picture.svg)
-    assert float(baseline) > 8.0, "a label of 8 points stands left of its base line"
+    ticks = re.findall(r'<text x="([\d.]+)" y="[\d.]+" text-anchor="end"[^>]*>([^<]+)', picture.svg)
+    assert len({text for _, text in ticks}) == len(ticks) > 2
+    assert all(float(end) > 0.5 * 7.4 * len(text) for end, text in ticks), "a digit is as wide as half its height"
 
 
 def test_a_test_of_a_new_kind_has_its_figures_on_the_first_page():
@@ -190,11 +182,12 @@ def test_a_test_of_a_new_kind_has_its_figures_on_the_first_page():
 def test_only_what_is_shown_is_drawn(monkeypatch):
     """A report looks through many figures for its first pages; drawing is most of what it costs."""
     drawn = []
-    to_svg = pictures.to_svg
-    monkeypatch.setattr(pictures, "to_svg", lambda figure, alt: drawn.append(alt) or to_svg(figure, alt))
+    for name in ("to_svg", "joined"):
+        draw = getattr(pictures, name)
+        monkeypatch.setattr(pictures, name, lambda figure, alt, draw=draw: drawn.append(alt) or draw(figure, alt))
     content = content_of(samples.all_analyses(), samples.all_runs())
     shown = [*content.front, *(item for section in content.sections for item in section.figures)]
-    assert len(drawn) == sum(not item.picture.charts for item in shown) > 8
+    assert len(drawn) == len(shown) > 8
 
 
 def test_a_value_next_to_0_has_the_half_width_that_was_not_cut_off():

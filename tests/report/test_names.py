@@ -148,7 +148,7 @@ def test_what_is_withheld_is_in_every_table(tmp_path):
     analysis = withheld()
     frame, _ = tables.primary_table([analysis])
     assert list(frame["K [N/mm]"]).count("withheld") == 2
-    parts = tables.parts_table(analysis)
+    parts = tables.parts_table(analysis, {})
     assert sum(note.startswith("withheld: the fit leaves") for note in parts["note"]) == 3
     folder = write_with_tables(analysis, tmp_path / "a")
     rows = list(csv.DictReader((folder / "estimates.csv").read_text(encoding="utf-8").splitlines()))

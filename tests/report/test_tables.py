@@ -95,7 +95,7 @@ def test_every_estimate_is_in_one_table():
         cells += [cell for row in table.frame.cells() for cell in row]
     for estimate in analysis.estimates:
         assert tables.cell(estimate) in cells
-    assert len(tables.parts_table(analysis)) == len(analysis.estimates)
+    assert len(tables.parts_table(analysis, {})) == len(analysis.estimates)
 
 
 def test_methods_stand_side_by_side():
@@ -211,9 +211,9 @@ def test_the_json_of_an_estimate_is_what_the_table_rounds():
 
 def test_the_skew_of_several_clocks_has_a_column_where_there_are_several():
     one = samples.contraction()
-    assert "skew" not in tables.parts_table(one).columns
+    assert "skew" not in tables.parts_table(one, {}).columns
     several = [replace(e, parts=replace(e.parts, skew=20.0)) if e.symbol == "K" else e for e in one.estimates]
-    frame = tables.parts_table(replace(one, estimates=tuple(several)))
+    frame = tables.parts_table(replace(one, estimates=tuple(several)), {})
     reported = {(row["symbol"], row["value"] != "not identifiable"): row["skew"] for row in frame.rows}
     assert reported["K", True] == "0.020"
     assert reported["B_r", False] == ""
@@ -224,7 +224,7 @@ def test_what_the_computer_rounds_is_no_number():
     assert tables.cell(error) == "below resolution"
     assert tables.cell(replace(error, value=8.4e-11, parts=Parts())) == "below resolution"
     assert tables.cell(replace(error, value=500.0)) == "0.5000000 ± 0.0000001"
-    (row,) = tables.parts_table(Analysis("x", (), False, (error,))).rows
+    (row,) = tables.parts_table(Analysis("x", (), False, (error,)), {}).rows
     assert (row["value"], row["repeats"]) == ("below resolution", "< 10⁻⁹")
     term = replace(error, unit="N/m/Pa2", quantity="stiffness per pressure squared", value=9.7e-12)
     assert tables.cell(replace(term, parts=Parts(repeats=1e-13))) != "below resolution"

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import POINT_QUANTITIES, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
 Members = list[tuple[RunData, TrialData]]
@@ -184,60 +183,10 @@ def stroke_of(run: RunData, trial: TrialData) -> float | None:
     return float(x[held].mean() - x[rest].mean()) if rest.any() and held.any() else None
 
 
-FIGURE = "repeats"
-POINTS = 360
 LONGEST_TRACE = 1500
-MOST = 8
-"""Most repeats in the figure."""
-HIDDEN = frozenset(("side", "mass", "cycles"))
-"""Coordinates left out of the title."""
-
-
-def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
-    """A trace of the repeats at the point with most of them, the middle one of several; empty without repeats.
-
-    `channel` is the plotted one. Columns are `t` [s] since the trial's first command, and `repeat 1` ... [m] or [N] in
-    the order of recording.
-    """
-
-    def known(trial: TrialData) -> NDArray[np.bool_]:
-        return trial.usable & np.isfinite(trial.channels[channel])
-
-    every = [trial for run in in_time(runs) for trial in run.trials if trial.status == "finished"]
-    usable = [t for t in every if not t.reference and not t.again and channel in t.channels and known(t).sum() > 1]
-    groups = grouped(usable, lambda one: six_digits(one.point))
-    most = max((len(group) for group in groups.values()), default=0)
-    if most < 2:
-        return []
-    points = sorted(point for point, group in groups.items() if len(group) == most)
-    point = points[len(points) // 2]
-    samples = []
-    for trial in groups[point][:MOST]:
-        start = min((c.t for c in trial.commands if c.t >= trial.t[0] - 1e-9), default=float(trial.t[0]))
-        samples.append((trial.t[known(trial)] - start, trial.channels[channel][known(trial)]))
-    begin, end = max(float(t[0]) for t, _ in samples), min(float(t[-1]) for t, _ in samples)
-    if not end > begin:
-        return []
-    grid = np.linspace(begin, end, POINTS)
-    columns = {f"repeat {n}": _means(grid, t, y) for n, (t, y) in enumerate(samples, 1)}
-    named = [(name, at) for name in POINT_QUANTITIES for of, at in point if name == of and name not in HIDDEN]
-    where = ", ".join(f"{name.replace('_', ' ')} {show(at, POINT_QUANTITIES[name], 4)}" for name, at in named)
-    title = f"{where or 'one operating point'}: {len(samples)} repeats over each other"
-    quantities = {"t": "time", **dict.fromkeys(columns, "force" if channel == "force" else "length")}
-    return [Trace(FIGURE, FIGURE, title, {"t": grid, **columns}, quantities, dict(point))]
 
 
 def thinned(columns: Mapping[str, Array], most: int = LONGEST_TRACE) -> dict[str, Array]:
     """Columns of a figure with every n-th row, at most `most` rows."""
     stride = max(1, -(-max(map(len, columns.values()), default=0) // most))
     return {name: column[::stride] for name, column in columns.items()}
-
-
-def _means(grid: Array, t: Array, y: Array) -> Array:
-    """Means of y about each point of an even grid, shape (n,); interpolated where there is no sample."""
-    step = grid[1] - grid[0]
-    place = np.floor((t - grid[0]) / step + 0.5).astype(int)
-    inside = (place >= 0) & (place < len(grid))
-    count = np.bincount(place[inside], minlength=len(grid))
-    total = np.bincount(place[inside], y[inside], len(grid))
-    return np.where(count > 0, total / np.maximum(count, 1), np.interp(grid, t, y))

@@ -22,9 +22,9 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, measure, moved_by, spreads_of, volume_at
-from pmabench.plotting import plots
-from pmabench.plotting.pictures import Picture, bound, column, has, how_many, numbers, picture, spread, unit_of
-from pmabench.plotting.plots import Points
+from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.pictures import Picture, column, has, how_many, numbers, of_charts, spread, unit_of
+from pmabench.plotting.plots import PALETTE
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -236,7 +236,8 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     chosen = spread(able, PRESSURES)
     if not chosen:
         return []
-    points = [_points(trace, i) for i, trace in enumerate(chosen)]
+    series = [one for i, trace in enumerate(chosen) for one in _series(trace, i)]
+    points = [one for one in series if one.dots]
     labels = (unit_of(chosen[0], "contraction").label("contraction ε"), unit_of(chosen[0], "volume").label("V"))
     marks = chosen[0].marks
     curve = ""
@@ -253,17 +254,20 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     every = np.concatenate([p.y for p in points])
     least, most = float(np.nanmin(every)), float(np.nanmax(every))
     alt = f"{labels[1]} over {labels[0]} from {len(points)} start pressures, {least:.4g} to {most:.4g}."
-    draw = bound(plots.coefficients, points, *labels)
+    chart = of_points(series, *labels, alt, simulated=analysis.simulated)
     table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)], COLUMNS)
-    return [picture(draw, "Volume over contraction", caption, alt, table, wide=False, simulated=analysis.simulated)]
+    title, simulated = "Volume over contraction", analysis.simulated
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
 
 
-def _points(trace: Trace, i: int) -> Points:
+def _series(trace: Trace, i: int) -> list[Series]:
+    """The values from one start pressure, all but the first open and a little aside; with the first the curve."""
     x, y = column(trace, "contraction"), column(trace, "volume")
-    half = column(trace, "half") if "half" in trace.columns else np.full(len(x), np.nan)
-    curve = (x, column(trace, "curve"), np.zeros(len(x))) if i == 0 and "curve" in trace.columns else None
+    half = column(trace, "half") if "half" in trace.columns else None
+    curve = [Series("", x, column(trace, "curve"), PALETTE[0])] if i == 0 and "curve" in trace.columns else []
     name = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
-    return Points(f"from {name}", x, y, half, half, primary=i == 0, group=i, mark=i, curve=curve)
+    aside = x + 0.012 * i * np.ptp(x)
+    return [*curve, Series(f"from {name}", aside, y, PALETTE[i % len(PALETTE)], True, half, hollow=i > 0)]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -35,7 +35,6 @@ KIND = Kind(
     protocol="pmabench.kinds.free_contraction.protocol:FreeContraction",
     live="pmabench.kinds.free_contraction.reduction:one_trial",
     moves="displacement",
-    compares="displacement",
     repeated="pmabench.kinds.free_contraction.reduction:contraction_of",
     repeated_is="contraction",
     word="free contraction",

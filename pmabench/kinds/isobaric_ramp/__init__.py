@@ -60,7 +60,6 @@ KIND = Kind(
     protocol="pmabench.kinds.isobaric_ramp.protocol:IsobaricRamp",
     live="pmabench.kinds.isobaric_ramp.figures:measure",
     moves="displacement",
-    compares="force",
     repeated="pmabench.analysis.shared.ramp_loop:stiffness_of",
     repeated_is="stiffness",
     word="isobaric",

@@ -65,7 +65,6 @@ KIND = Kind(
     protocol="pmabench.kinds.isometric_pressurisation.protocol:IsometricPressurisation",
     live="pmabench.kinds.isometric_pressurisation.reduction:measure",
     moves="force",
-    compares="force",
     repeated="pmabench.kinds.isometric_pressurisation.curve:largest_force",
     repeated_is="largest force",
     word="isometric",

@@ -13,9 +13,9 @@ from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
 from pmabench.kinds.isometric_pressurisation.curve import REST, Cell, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across
-from pmabench.plotting import plots
-from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
-from pmabench.plotting.plots import Points
+from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
+from pmabench.plotting.plots import BLUE
 from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 
@@ -201,9 +201,8 @@ def _section(trace: Trace, simulated: bool) -> Picture:
     eps, slope, half, curve, low, high = (column(trace, name) for name in COLUMNS)
     point, line = np.isfinite(slope), np.isfinite(curve)
     band = np.where(np.isfinite(high - low), 0.5 * (high - low), 0.0)
-    half = np.where(np.isfinite(half), half, np.nan)[point]
-    drawn = (eps[line], curve[line], band[line])
-    points = Points("slopes of F(P)", eps[point], slope[point], half, half, primary=True, group=0, mark=0, curve=drawn)
+    fitted_line = Series("", eps[line], curve[line], BLUE, half=band[line])
+    points = Series("", eps[point], slope[point], BLUE, True, half[point])
     labels = (unit_of(trace, "contraction").label("contraction ε"), unit_of(trace, "slope").label("S"))
     length, fitted = shown("length"), "its parameters are in the table"
     if {*NAMES} <= set(trace.marks):
@@ -218,9 +217,9 @@ def _section(trace: Trace, simulated: bool) -> Picture:
         f"{labels[1]} over {labels[0]}: {int(point.sum())} slopes from {slope[point].max():.4g} down to "
         f"{slope[point].min():.4g}, and a curve through them with a band."
     )
-    draw = bound(plots.coefficients, [points], *labels)
-    title = "Force by pressure, S, over contraction"
-    return picture(draw, title, caption, alt, numbers([("", trace)]), wide=False, simulated=simulated)
+    chart = of_points([fitted_line, points], *labels, alt, simulated=simulated)
+    title, table = "Force by pressure, S, over contraction", numbers([("", trace)])
+    return of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)
 
 
 def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -229,10 +228,10 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     for trace in (one for one in traces if has(one, "contraction", "volume", "half")):
         x, V, half = (column(trace, name) for name in ("contraction", "volume", "half"))
         labels = (unit_of(trace, "contraction").label("contraction x"), unit_of(trace, "volume").label("V"))
-        points = Points("by mass flow", x, V, half, half, primary=True, group=0, mark=0)
         caption = "Volumes from the mass of air that a slow ramp of pressure lets in, with their 95 % intervals."
         alt = f"{labels[1]} over {labels[0]}: {len(V)} volumes from {V.min():.4g} to {V.max():.4g}."
-        draw = bound(plots.coefficients, [points], *labels)
+        points = Series("", x, V, BLUE, True, half)
+        chart = of_points([points], *labels, alt, simulated=analysis.simulated)
         title, table = "Volume by mass flow", numbers([("", trace)])
-        found.append(picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+        found.append(of_charts([[chart]], title, caption, alt, table, simulated=analysis.simulated, still=True))
     return found

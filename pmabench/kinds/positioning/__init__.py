@@ -53,7 +53,6 @@ KIND = Kind(
     protocol="pmabench.kinds.positioning.protocol:Positioning",
     live="pmabench.kinds.positioning.figures:measure",
     moves="displacement",
-    compares="displacement",
     methods=METHODS,
     figures=FIGURES,
     front=FIGURES,

@@ -35,7 +35,6 @@ KIND = Kind(
     protocol="pmabench.kinds.relaxation.protocol:Relaxation",
     live="pmabench.kinds.relaxation.reduction:one_trial",
     moves="force",
-    compares="force",
     repeated="pmabench.kinds.relaxation.reduction:per_decade",
     repeated_is="relaxation per decade",
     word="relaxation",

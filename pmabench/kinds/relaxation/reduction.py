@@ -26,9 +26,9 @@ from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
-from pmabench.plotting import plots
-from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, numbers, picture, spread, unit_of
-from pmabench.plotting.plots import Points
+from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.pictures import Picture, column, has, head, how_many, numbers, of_charts, spread, unit_of
+from pmabench.plotting.plots import PALETTE
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -462,27 +462,23 @@ def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     chosen = spread(able, COURSES)
     if not chosen:
         return []
-    points = [_points(trace, i) for i, trace in enumerate(chosen)]
     labels = "decades of time after the step, log10(t / 1 s)", unit_of(chosen[0], "force").label("force")
-    pairs = zip(points, chosen, strict=True)
-    values = "".join(f"; {p.label}: s = {t.marks['s']:.2%} per decade" for p, t in pairs)
+    values = "".join(f"; {head(t)}: s = {t.marks['s']:.2%} per decade" for t in chosen)
     caption = (
         "Marks: means of the force over equal parts of log t, the pressure divided out; lines: F = F_1 (1 − s log10 t)"
         f"{values}.{how_many(chosen, able)}"
     )
-    alt = f"{labels[1]} over {labels[0]} at {len(points)} points; {'; '.join(p.label for p in points)}."
-    table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)])
-    draw = bound(plots.coefficients, points, *labels)
-    return [
-        picture(draw, "Force over time after the step", caption, alt, table, wide=False, simulated=analysis.simulated)
-    ]
+    alt = f"{labels[1]} over {labels[0]} at {len(chosen)} points; {'; '.join(map(head, chosen))}."
+    table = numbers([(head(t), t) for t in chosen])
+    title, simulated = "Force over time after the step", analysis.simulated
+    series = [one for i, trace in enumerate(chosen) for one in _series(trace, PALETTE[i % len(PALETTE)])]
+    chart = of_points(series, *labels, alt, simulated=simulated)
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
 
 
-def _points(trace: Trace, i: int) -> Points:
+def _series(trace: Trace, color: str) -> list[Series]:
     x = np.log10(column(trace, "t"))
-    none = np.full(len(x), np.nan)
-    curve = x, column(trace, "line"), np.zeros(len(x))
-    return Points(head(trace), x, column(trace, "force"), none, none, primary=i == 0, group=i, mark=i, curve=curve)
+    return [Series("", x, column(trace, "line"), color), Series(head(trace), x, column(trace, "force"), color, True)]
 
 
 def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

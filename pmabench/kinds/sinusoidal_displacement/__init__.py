@@ -56,7 +56,6 @@ KIND = Kind(
     protocol="pmabench.kinds.sinusoidal_displacement.protocol:SinusoidalDisplacement",
     live="pmabench.kinds.sinusoidal_displacement.reduction:one_trial",
     moves="displacement",
-    compares="force",
     repeated="pmabench.analysis.shared.sine_loop:stiffness_of",
     repeated_is="stiffness",
     word="sine",

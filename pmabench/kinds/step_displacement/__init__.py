@@ -42,7 +42,6 @@ KIND = Kind(
     protocol="pmabench.kinds.step_displacement.protocol:StepDisplacement",
     live="pmabench.kinds.step_displacement.reduction:one_trial",
     moves="displacement",
-    compares="force",
     repeated="pmabench.kinds.step_displacement.reduction:stiffness_of",
     repeated_is="stiffness",
     word="step of displacement",

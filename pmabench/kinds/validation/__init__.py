@@ -31,7 +31,6 @@ KIND = Kind(
     protocol="pmabench.kinds.validation.protocol:Validation",
     live="pmabench.kinds.validation.reduction:measure",
     moves="displacement",
-    compares="displacement",
     repeated="pmabench.kinds.validation.reduction:mean_in_window",
     repeated_is="contraction",
     methods=METHODS,

@@ -175,7 +175,7 @@ def _balance(
     ),
     notes=(
         "Displacements add; the force of a chain is that of one muscle. Paper 1's total F_ce is a sum of coefficients.",
-        "Muscles of other kinds, with steps and delays of their own: pmabench cascade.",
+        "Muscles of other kinds, with steps and delays of their own: pmabench model cascade.",
     ),
 )  # fmt: skip
 def cascade(

@@ -17,11 +17,14 @@ from pmabench.plotting.chart import MOST_POINTS, Chart, Series, with_common_side
 from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, spread, unit_of
 from pmabench.plotting.plots import BLUE, BROWN, FAINT, QUIET, Array
 from pmabench.plotting.wording import Frame, half_width, rounded
-from pmabench.report.bends import slopes_of
+from pmabench.report.bends import bend_of, slopes_of
 from pmabench.report.document.tables import is_number, mappings
-from pmabench.report.figures.characteristic_figures import FIGURE, MODELS, by_pressure
 from pmabench.store.analyses.results import Analysis, Trace
 
+FIGURE = "characteristic"
+"""Kind of the trace of forces at set pressures and contractions."""
+MODELS = ("measured-pressure", "isometric-sections")
+"""Methods whose F_ce and K the lines may have; the first that is there."""
 WIDTH, HEIGHT = 510.0, 158.0
 FEWEST = 2
 """Pressures that the figure needs."""
@@ -47,21 +50,24 @@ class Level:
     """Ends of contracting strokes and held forces: contraction and force, shape (n, 2)."""
     back: Array
     """Ends of relaxing strokes, as `rest`."""
-    middle: float = 0.0
-    """The contraction at which K is the slope, of a bent line [m]."""
-    bend: float = 0.0
-    """Half of what its slope changes by with contraction [N/m2]; 0 of a straight line."""
+    bend: tuple[Array, Array] | None = None
+    """Of a bent line: contractions [m], and the force [N] that it has more there."""
 
     def force(self, x: Array) -> Array:
         """Force [N] at contractions [m]."""
-        return np.asarray(self.F_ce - self.K * x + self.bend * x * (x - 2 * self.middle))
+        more = 0.0 if self.bend is None else np.interp(x, *self.bend)
+        return np.asarray(self.F_ce - self.K * x + more)
 
     def contraction(self, force: Array) -> Array:
         """The inverse, negative above F_ce; where the line does not come down to a force, where it is lowest."""
-        slope, left = self.K + 2 * self.bend * self.middle, self.F_ce - force
-        if self.bend > 0:
-            left = np.minimum(left, slope**2 / (4 * self.bend))
-        return np.asarray(2 * left / (slope + np.sqrt(np.maximum(0.0, slope**2 - 4 * self.bend * left))))
+        if self.bend is None:
+            return np.asarray((self.F_ce - force) / self.K)
+        x, y = self.bend[0], self.force(self.bend[0])
+        lowest = int(np.argmin(y))
+        falls = lowest == len(x) - 1
+        x, y = x[: lowest + 1], np.minimum.accumulate(y[: lowest + 1])
+        above, below = np.maximum(force - y[0], 0.0), np.maximum(y[-1] - force, 0.0) * falls
+        return np.asarray(np.interp(-force, -y, x) + (below - above) / self.K)
 
 
 def blue(share: float) -> str:
@@ -85,7 +91,7 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
     reach = max(far * 1.12, min(max(float(level.contraction(ZERO)) for level in levels), 1.6 * far))
     series = [one for n, level in enumerate(levels) for one in _series(level, n / (len(levels) - 1), reach)]
     ends = f"{_shown(levels[0].P)} to {_shown(levels[-1].P)} kPa"
-    bent = any(level.bend for level in levels)
+    bent = any(level.bend is not None for level in levels)
     kind = "bent lines, −K their slope at one contraction" if bent else "straight lines with slope −K"
     alt = (
         f"Force over contraction at {len(levels)} pressures from {ends}: {kind}, "
@@ -109,26 +115,26 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
     hollow = " Hollow: where relaxing strokes ended." if any(len(level.back) for level in levels) else ""
     lines = "the fitted force; K is its slope at one contraction" if bent else "F = F_ce − K x of the fit"
     caption = f"Lines: {lines}. Dots: where strokes ended under each load.{hollow}{off}"
-    return of_charts((chart,), f"Force over contraction, {ends}", caption, alt, _table(levels), simulated=simulated)
+    return of_charts([[chart]], f"Force over contraction, {ends}", caption, alt, _table(levels), simulated=simulated)
 
 
 def _levels(analyses: Sequence[Analysis]) -> list[Level]:
     """Pressures at which F_ce and K of one method are known, rising."""
-    for method, _ in MODELS:
-        F_ce, K = (by_pressure(analyses, symbol, method) for symbol in ("F_ce", "K"))
+    for method in MODELS:
+        F_ce, K = (_by_pressure(analyses, symbol, method) for symbol in ("F_ce", "K"))
         both = sorted(P for P in set(F_ce) & set(K) if K[P] > 0)
-        if len(both) >= FEWEST:
-            bends = slopes_of(analyses, (method,))
-            return [Level(P, F_ce[P], K[P], *_measured(analyses, P), *_bend(F_ce[P], K[P], bends.get(P))) for P in both]
+        bend = bend_of(analyses, (method,))
+        unknown = bend is None and slopes_of(analyses, (method,))  # K is a slope somewhere on a line that is not known
+        if len(both) >= FEWEST and not unknown:
+            bends = {} if bend is None else {P: (bend.x, bend.at(P)) for P in both}
+            return [Level(P, F_ce[P], K[P], *_measured(analyses, P), bends.get(P)) for P in both]
     return []
 
 
-def _bend(F_ce: float, K: float, at: tuple[float, float] | None) -> tuple[float, float]:
-    """`middle` and `bend` of the parabola from F_ce through a force, with slope -K there; 0 where it does not fall."""
-    if at is None:
-        return 0.0, 0.0
-    bend = (F_ce - K * at[0] - at[1]) / at[0] ** 2
-    return (at[0], bend) if K + 2 * bend * at[0] > 0 else (0.0, 0.0)
+def _by_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> dict[float, float]:
+    """Values of a symbol by one method [SI] over the pressure alone [Pa]."""
+    found = [e for a in analyses for e in a.estimates if (e.symbol, e.method, e.coordinate) == (symbol, method, "")]
+    return {e.at["pressure"]: e.value for e in found if set(e.at) == {"pressure"} and e.value is not None}
 
 
 def _measured(analyses: Sequence[Analysis], P: float) -> tuple[Array, Array]:
@@ -240,5 +246,5 @@ def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None
     )
     title, alt = f"One stroke, {where}: measured and free run", f"{upper.alt} {lower.alt}"
     table = numbers([("", trace)], ("t", "displacement", "model"))
-    charts = with_common_sides((upper, lower))
-    return of_charts(charts, title, caption, alt, table, simulated=analysis.simulated, stacked=True), trace
+    rows = [[chart] for chart in with_common_sides((upper, lower))]
+    return of_charts(rows, title, caption, alt, table, simulated=analysis.simulated), trace

@@ -2,8 +2,8 @@
 
 - fit statistics, checks next to the residual, findings that matter
 - where the uncertainty comes from: one bar for each coefficient, shares of the variance by cause, at the middle
-- which operating points the results rest on: a matrix of trials used over two coordinates of the sweep. Counts come
-  from the runs where these are at hand, else from the free runs that the analysis holds
+- which operating points the results rest on: a matrix of trials used over two coordinates of the sweep, where the
+  runs are at hand
 - limits: beyond the tested range, stroke and speed, and what no test here looked at; every line is made from what the
   runs and analyses hold, and where these do not say it, the line says that
 """
@@ -228,16 +228,7 @@ def _counts(analysis: Analysis, runs: Sequence[RunData]) -> tuple[Counter[Key], 
     left = Counter(_key(one.point) for one in analysis.dropped)
     out = {one.trial for one in analysis.dropped}
     mine = [t for run in runs if run.id in analysis.runs for t in run.trials]
-    if mine:
-        return Counter(_key(t.point) for t in mine if t.name not in out and t.status == "finished"), left
-    return Counter(dict(_free_runs(analysis))), left
-
-
-def _free_runs(analysis: Analysis) -> Iterator[tuple[Key, int]]:
-    for row in mappings(analysis.facts.get("free_run")):
-        point = {name: row[name] for name in ("pressure", "load") if is_number(row.get(name))}
-        if point and is_number(row.get("trials")):
-            yield _key(point), int(row["trials"])
+    return Counter(_key(t.point) for t in mine if t.name not in out and t.status == "finished"), left
 
 
 def _key(point: Point) -> Key:
@@ -271,8 +262,7 @@ def _points(analysis: Analysis | None, runs: Sequence[RunData]) -> list[dict[str
     out = {one.trial for one in analysis.dropped} if analysis else set()
     points = [dict(t.point) for run in runs for t in run.trials if t.name not in out and t.status == "finished"]
     if not points and analysis is not None:
-        points = [dict(row) for row in mappings(analysis.facts.get("free_run"))]
-        points += [dict(e.at) for e in analysis.estimates if e.value is not None]
+        points = [dict(e.at) for e in analysis.estimates if e.value is not None]
     return points
 
 

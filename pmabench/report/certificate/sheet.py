@@ -16,12 +16,12 @@ import numpy as np
 from pmabench.plotting.pictures import Picture, drawable
 from pmabench.plotting.wording import brief, clean, number, printed, spoken
 from pmabench.report.certificate import quality
-from pmabench.report.certificate.coefficient_charts import coefficient_picture, surface_picture
 from pmabench.report.certificate.force_chart import force_picture, stroke_picture
 from pmabench.report.certificate.quality import Coverage, Sources, coverage, sources
 from pmabench.report.certificate.result_table import ResultTable, result_table
 from pmabench.report.document import provenance
 from pmabench.report.document.tables import two_coordinates
+from pmabench.report.figures.coefficient_figures import coefficient_picture, surface_picture
 from pmabench.report.figures.figures import front_pictures
 from pmabench.report.foremost import Verdict, how_well, left_out, tiles_of
 from pmabench.report.words import described, kind_title

@@ -21,7 +21,6 @@ from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
 from pmabench.plotting.chart import to_svg
 from pmabench.plotting.pictures import Picture
-from pmabench.plotting.svg import drawing
 from pmabench.plotting.wording import printed
 from pmabench.report.certificate.interactive import assets, chart_data
 from pmabench.report.certificate.sheet import Sheet, sheet_of
@@ -29,10 +28,9 @@ from pmabench.report.document import provenance, tables
 from pmabench.report.document.deviations import Issuer, Item, Said, checklist, deviations, notes_of
 from pmabench.report.document.grids import Grid, grid, narrow
 from pmabench.report.document.provenance import citation, methods_paragraph
-from pmabench.report.document.special_tables import Parents, budget_table, change_tables, check_tables, reduced_with
+from pmabench.report.document.special_tables import budget_table, change_tables, check_tables, reduced_with
 from pmabench.report.document.special_tables import who as who_changed
 from pmabench.report.figures import overlays
-from pmabench.report.figures.characteristic_figures import characteristic
 from pmabench.report.figures.figures import kind_pictures
 from pmabench.report.foremost import Tile, Verdict, tiles_of, verdict_of
 from pmabench.report.words import declared, described, distinct, kind_title
@@ -107,8 +105,6 @@ class Content:
     run_details: list[list[tuple[str, str]]]
     calibrations: Grid
     versions: list[str]
-    parents: list[Grid]
-    """Sets of trials that numbers come from, and notes to them, by code."""
     issuer: Issuer
     checklist: list[Item]
     paragraph: str
@@ -117,7 +113,6 @@ class Content:
     """A line, and a BibTeX entry."""
 
 
-@drawing()
 def content_of(
     analyses: Sequence[Analysis],
     runs: Sequence[RunData],
@@ -136,7 +131,7 @@ def content_of(
     ids = dict.fromkeys([run.id for run in runs] + [run for a in analyses for run in a.runs])
     names = {run: f"R{n}" for n, run in enumerate(ids, 1)}
     simulated = [a.simulated for a in analyses] + [run.simulated for run in runs]
-    figures, parents = _Figures(), Parents(names)
+    figures = _Figures()
     identity = _identity(analyses, runs, published)
     failed = [wording.clean(text) for text in verdicts(runs, analyses)]
     analyses, theirs, compared = overlays.with_published(distinct(analyses), published, overlays.length_of(runs))
@@ -144,8 +139,7 @@ def content_of(
     verdict = verdict_of(analyses, runs, failed, accepted=accepted)
     sheet = sheet_of(analyses, theirs, runs, names, verdict, failed)
     front = [figures.add(p) for p in (*sheet.first, *sheet.second)]
-    sections = _together(analyses, figures)
-    sections += [_section(a, figures, sheet.used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
+    sections = [_section(a, figures, sheet.used, names) for a in analyses if a.estimates or a.kind != AGREEMENT]
     about_runs = _about_runs(runs, names)
     when = about_runs["when"]
     specimen = next((name for name, _ in about_runs["specimens"] if name != provenance.UNNAMED), "")
@@ -176,7 +170,7 @@ def content_of(
         paragraph=methods_paragraph(analyses, runs),
         cite=citation(name, identity, when, any(simulated)),
         **about_runs,
-        **_results(analyses, names, parents),
+        **_results(analyses, names),
     )
 
 
@@ -214,7 +208,7 @@ def _about_runs(runs: Sequence[RunData], names: Mapping[str, str]) -> dict[str, 
     }
 
 
-def _results(analyses: Sequence[Analysis], names: Mapping[str, str], parents: Parents) -> dict[str, Any]:
+def _results(analyses: Sequence[Analysis], names: Mapping[str, str]) -> dict[str, Any]:
     """Fields of `Content` with findings, coefficients, curves and methods."""
     return {
         "findings": _findings(analyses, names),
@@ -226,10 +220,6 @@ def _results(analyses: Sequence[Analysis], names: Mapping[str, str], parents: Pa
         "tuning": _tuning(analyses),
         "dropped": _dropped(analyses, names),
         "methods": _methods(list(dict.fromkeys(e.method for a in analyses for e in a.estimates))),
-        "parents": [
-            grid(parents.trials.table(), "Sets of trials that the values come from"),
-            grid(parents.notes.table(), "Notes"),
-        ],
     }
 
 
@@ -253,7 +243,7 @@ def _identity(analyses: Sequence[Analysis], runs: Sequence[RunData], published: 
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents: Parents) -> Section:
+def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], names: Mapping[str, str]) -> Section:
     trials = next((analysis.facts[name] for name in ("trials_used", "trials", "tests") if name in analysis.facts), None)
     dropped = len(analysis.dropped)
     counts = f"{len(analysis.runs)} run{'s' if len(analysis.runs) != 1 else ''}"
@@ -269,7 +259,7 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
     shown = (*values, *check_tables(analysis), *change_tables(analysis))
     section.tables = [grid(t.frame, wording.clean(t.caption)) for t in shown]
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used) if p.svg not in figures.drawn]
-    parts = tables.parts_table(analysis, parents.of)
+    parts = tables.parts_table(analysis, names)
     section.parts = grid(parts) if len(parts) else None
     budget = budget_table(analysis)
     section.budget = grid(budget.frame, budget.caption) if budget else None
@@ -281,15 +271,6 @@ def _primary(analyses: Sequence[Analysis]) -> list[Grid]:
     frame, methods = tables.primary_table(analyses)
     caption = "Primary methods, by pressure" + (f"; {methods}" if methods else "")
     return [grid(part.frame, part.caption) for part in narrow(tables.Table(caption, frame)) if len(part.frame)]
-
-
-def _together(analyses: Sequence[Analysis], figures: _Figures) -> list[Section]:
-    """Figures of several tests on common axes."""
-    pictures = characteristic(analyses)
-    if not pictures:
-        return []
-    title, simulated = "Force, pressure and contraction", any(p.simulated for p in pictures)
-    return [Section(title, simulated, "Tests on common axes", figures=[figures.add(p) for p in pictures])]
 
 
 def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:

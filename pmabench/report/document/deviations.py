@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.plotting.wording import clean, number, shown
+from pmabench.plotting.wording import clean, number
 from pmabench.report.document.provenance import get, text_of
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.folder import open_regular
@@ -25,10 +25,6 @@ from pmabench.store.records import RunData
 
 RATE_OFF = 0.01
 """Share by which a sample rate differs from the planned one before it is reported."""
-PRESSURE_OFF = 0.02
-"""Share of the largest commanded pressure by which the pressure at rest is off its command before it is reported."""
-AT_REST = 0.5
-"""The last so many seconds of a command that is unchanged for four times as long are rest [s]."""
 
 
 def deviations(runs: Sequence[RunData], names: Mapping[str, str]) -> list[str]:
@@ -73,7 +69,7 @@ def _trials(run: RunData) -> Iterator[str]:
 
 
 def _samples(run: RunData) -> Iterator[str]:
-    """Flagged samples, another rate than planned, channels that are missing, pressure off its command at rest."""
+    """Flagged samples, another rate than planned, channels that are missing."""
     for counts in (get(run.manifest, "end", "counts"), get(run.manifest, "imported", "flagged")):
         for name, n in counts.items() if isinstance(counts, Mapping) else ():
             if name not in ("rows", "slack") and isinstance(n, int) and n > 0:
@@ -89,34 +85,8 @@ def _samples(run: RunData) -> Iterator[str]:
     lacking = [clean(name, 60) for name in lacking if run.trials and not any(name in t.channels for t in run.trials)]
     if lacking:
         yield f"planned but not recorded: {', '.join(lacking)}"
-    off, most, where = _pressure_off(run)
-    if most > 0 and off > PRESSURE_OFF * most:
-        unit = shown("pressure")
-        distance = f"{number(float(f'{off / unit.scale:.2g}'))} {unit.unit}"
-        yield f"the pressure at rest was up to {distance} off its command (trial {where})"
     for channel, how in run.interpolated.items():
         yield f"{text_of(channel)}: {how}"
-
-
-def _pressure_off(run: RunData) -> tuple[float, float, int]:
-    """Largest difference of measured and commanded pressure at rest, largest command [Pa], number of the trial."""
-    worst, most, where = 0.0, 0.0, 0
-    for trial in run.trials:
-        P, command = (trial.channels.get(name) for name in ("pressure", "pressure_command"))
-        if trial.status != "finished" or P is None or command is None or len(trial.t) < 3:
-            continue
-        most = max(most, float(np.nanmax(command, initial=0.0)))
-        cuts = np.concatenate(([0], np.flatnonzero(np.diff(command) != 0) + 1, [len(command)]))
-        long = trial.t[cuts[1:] - 1] - trial.t[cuts[:-1]] > 4 * AT_REST
-        for first, last in zip(cuts[:-1][long], cuts[1:][long], strict=True):
-            begin = max(first, int(np.searchsorted(trial.t, trial.t[last - 1] - AT_REST)))
-            good = trial.usable[begin:last]
-            if good.sum() < 3:
-                continue
-            off = abs(float(np.median((P[begin:last] - command[begin:last])[good])))
-            if off > worst:
-                worst, where = off, trial.number
-    return worst, most, where
 
 
 def _end(run: RunData) -> Iterator[str]:

@@ -1,31 +1,24 @@
 """A report as a tagged PDF (PDF/UA-1), set by typst from the same content; every text is data and never markup.
 
 Needs the extra `pdf`. Fonts are those that matplotlib brings, and where these lack a sign also those of the machine.
-The same report gives the same bytes. A tagged PDF says of every cell of every table what it is; as plain text these
-objects are most of a long report, so they are packed into compressed streams (PDF 1.5), not a mark on any page changed.
+The same report gives the same bytes.
 """
 
 from __future__ import annotations
 
-import base64
 import json
-import re
-import zlib
-from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
 from importlib.resources import files
-from io import BytesIO
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from warnings import catch_warnings, simplefilter
 
 from pmabench.base.errors import PmaError, UsageError
 from pmabench.plotting.svg import as_file, symbol_parts
 from pmabench.plotting.wording import clean
-from pmabench.report.document.content import LEVELS, Content, Numbered
+from pmabench.report.certificate.sheet import Sheet
+from pmabench.report.document.content import Content, Numbered
 from pmabench.report.document.deviations import Said
-from pmabench.report.document.grids import Grid
 from pmabench.report.writing import write_file
 
 FONT = "DejaVu Sans"
@@ -63,230 +56,49 @@ def pdf_bytes(content: Content) -> bytes:
                 pdf_standards="ua-1",
                 timestamp=0,
             )
-            return packed(bytes(data))
+            return bytes(data)
         except (RuntimeError, typst.TypstError) as error:
             raise PmaError(f"typst could not set the PDF: {clean(error, 300)}; write the HTML page alone") from error
 
 
 class _Data:
-    """The content as JSON for the template, its pictures as files in `folder`."""
+    """The content as plain data for the template, its pictures as files in `folder`."""
 
     def __init__(self, content: Content, folder: Path) -> None:
         self.content, self.folder = content, folder
-        self.files = 0
+        self.texts: set[str] = set()
 
     def all(self) -> dict[str, Any]:
-        c = self.content
-        plain = ("title", "report_id", "version", "simulated", "operators", "statuses")
-        grids = ("coefficients", "compared", "tuning", "parents")
-        return {
-            **{name: getattr(c, name) for name in plain},
-            **{name: [self.grid(grid) for grid in getattr(c, name)] for name in grids},
-            "banner": f"{'some' if c.mixed else 'all'} of these values come from a simulated bench, no real muscle",
-            "verdict": vars(c.verdict),
-            "said": [
-                c.issuer.laboratory,
-                f"for {c.issuer.customer}" * bool(c.issuer.customer),
-                c.issuer.issued or c.when,
-            ],
-            "sheet": self.sheet(),
-            "first": self.figures(c.front[: len(c.sheet.first)]),
-            "second": self.figures(c.front[len(c.sheet.first) :]),
-            "protocol": self.grid(c.protocol, "What was tested"),
-            "benches": self.pairs([(name, about or "No devices are recorded.") for name, about in c.benches]),
-            "deviations": [symbol_parts(text) for text in c.deviations],
-            "missing": ", ".join(c.missing),
-            "notes": [self.note(note) for note in c.notes],
-            "curves": self.grid(c.curves, "Fitted curves over pressure; valid inside their range only"),
-            "polynomials": self.grid(c.polynomials, "Fitted polynomials, terms by power of z"),
-            "sections": [
-                {
-                    "title": s.title + (" (simulated)" if s.simulated else ""),
-                    "counts": f"{s.counts}.",
-                    "tables": [self.grid(grid) for grid in s.tables],
-                    "figures": self.figures(s.figures),
-                }
-                for s in c.sections
-            ],
-            "published": self.grid(c.published, "Mean relative differences"),
-            "publishers": self.pairs([(n, about or "The file names no source.") for n, about in c.publishers]),
-            "dropped": self.grid(c.dropped),
-            "findings": [
-                {"level": _level(level), "word": LEVELS.get(level, level), "test": test, "text": symbol_parts(text)}
-                for level, test, text in c.findings
-            ],
-            "methods": self.pairs(c.methods),
-            "run_details": [self.pairs([(head, text) for head, text in run if text]) for run in c.run_details],
-            "calibrations": self.grid(c.calibrations, "Calibrations of the channels"),
-            "authorised_by": c.issuer.authorised_by,
-            "issued": c.issuer.issued,
-            "checklist": [vars(item) for item in c.checklist],
-            "paragraph": symbol_parts(c.paragraph),
-            "cite": list(c.cite),
-            "parts": [self.grid(s.parts, f"{s.title}: half widths by cause") for s in c.sections if s.parts],
-            "budgets": [self.grid(s.budget) for s in c.sections if s.budget],
-        }
+        """Every field, and the pieces of each text that has a symbol in it."""
+        data = {name: self.plain(value) for name, value in vars(self.content).items()}
+        pieces = {text: symbol_parts(text) for text in sorted(self.texts)}
+        return data | {"pieces": {text: found for text, found in pieces.items() if found != [("text", text)]}}
 
-    def sheet(self) -> dict[str, Any]:
-        """The two pages without their figures."""
-        s = self.content.sheet
-        covered = s.coverage and {
-            "down": symbol_parts(s.coverage.down),
-            "across": symbol_parts(s.coverage.across),
-            "columns": s.coverage.columns,
-            "rows": [[name, [[box.look, box.text] for box in boxes]] for name, boxes in s.coverage.rows],
-            "words": symbol_parts(f"Left out: {s.coverage.words}." if s.coverage.words else ""),
-            "counts": f"{s.coverage.used} used, {s.coverage.left} left out",
-        }
-        bars = s.sources and {
-            "where": s.sources.where,
-            "causes": s.sources.causes,
-            "bars": [{**vars(bar), "symbol": symbol_parts(bar.symbol)} for bar in s.sources.bars],
-        }
-        return {
-            **{name: getattr(s, name) for name in ("item", "table_title", "checks", "seals")},
-            **{name: self.pairs(getattr(s, name)) for name in ("also", "limits", "statistics")},
-            "about": s.about or self.content.title,
-            "sentence": symbol_parts(s.sentence),
-            "columns": [[head, [symbol_parts(line) for line in lines]] for head, lines in s.columns],
-            "heads": [symbol_parts(f"{head} [{unit}]" if unit else head) for head, unit in s.table.heads],
-            "rows": [[[symbol_parts(v.text), v.half, v.words] for v in row] for row in s.table.rows],
-            "notes": [symbol_parts(note) for note in s.table.notes],
-            "coverage": covered,
-            "sources": bars,
-            "findings": [symbol_parts(text) for text in s.findings],
-            "method": symbol_parts(s.method),
-        }
-
-    def pairs(self, items: Sequence[tuple[str, str]]) -> list[list[Any]]:
-        return [[symbol_parts(head), symbol_parts(text)] for head, text in items if text]
-
-    def grid(self, grid: Grid, caption: str = "") -> dict[str, Any]:
-        return {
-            "caption": symbol_parts("; ".join(part for part in (caption, grid.caption) if part)),
-            "columns": [{"head": symbol_parts(column.head), "align": column.align} for column in grid.columns],
-            "groups": [
-                {
-                    "heading": symbol_parts(heading),
-                    "rows": [
-                        [{"value": c.text, "text": symbol_parts(c.text), "half": c.half, "muted": c.muted} for c in row]
-                        for row in rows
-                    ],
-                }
-                for heading, rows in grid.groups
-            ],
-        }
-
-    def figures(self, items: Sequence[Numbered]) -> list[dict[str, Any]]:
-        found = []
-        for item in items:
-            p = item.picture
-            name = f"figure-{item.n}.svg"
+    def plain(self, value: Any) -> Any:
+        """Dataclasses and sequences down to texts and numbers."""
+        if isinstance(value, str):
+            value = value.encode("utf-8", "replace").decode()  # names of traces are shown nowhere and not cleaned
+            self.texts.add(value)
+        elif isinstance(value, Numbered):
+            p, name = value.picture, f"figure-{value.n}.svg"
             (self.folder / name).write_text(as_file(p.svg, FONT), encoding="utf-8")
-            title, caption = symbol_parts(p.title), symbol_parts(p.caption)
-            look = {"wide": p.wide, "charted": bool(p.charts)}
-            found.append({"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, **look})
-        return found
-
-    def note(self, note: Said) -> dict[str, Any]:
-        """A note with its pictures; one that cannot be read is only named, as other files are."""
-        read = [(name, self.photo(uri)) for name, uri in note.pictures]
-        photos = [{"file": file, "alt": f"Picture {name}"} for name, file in read if file]
-        files = [*note.files, *(name for name, file in read if not file)]
-        attached = f" (attached: {', '.join(files)})" if files else ""
-        return {"said": f"{note.run}, {note.utc} UTC, {note.operator}: {note.text}{attached}", "photos": photos}
-
-    def photo(self, uri: str) -> str:
-        """The name of the picture's file; empty for one that is damaged or too large to be unpacked."""
-        from matplotlib.image import imread
-
-        head, _, data = uri.partition(";base64,")
-        kind = "png" if head.endswith("png") else "jpg"
-        raw = base64.b64decode(data)
-        try:
-            with catch_warnings():
-                simplefilter("error")
-                imread(BytesIO(raw), format=kind)
-        except (OSError, ValueError, SyntaxError, RuntimeError, Warning):
-            return ""
-        self.files += 1
-        (self.folder / f"photo-{self.files}.{kind}").write_bytes(raw)
-        return f"photo-{self.files}.{kind}"
+            about = self.plain({"title": p.title, "caption": p.caption, "alt": p.alt})
+            return about | {"n": value.n, "file": name, "wide": p.wide, "charted": bool(p.charts)}
+        elif isinstance(value, Said):
+            return _note(value)
+        elif isinstance(value, Sheet):
+            front = {"first": len(value.first), "second": len(value.second)}
+            return {name: self.plain(of) for name, of in vars(value).items() if name not in front} | front
+        elif is_dataclass(value):
+            return {field.name: self.plain(getattr(value, field.name)) for field in fields(value)}
+        elif isinstance(value, dict):
+            return {name: self.plain(of) for name, of in value.items()}
+        elif isinstance(value, list | tuple | frozenset):
+            return [self.plain(one) for one in value]
+        return value
 
 
-def _level(level: str) -> str:
-    return level if level in ("good", "doubt", "fault") else "note"
-
-
-PER_STREAM = 400
-"""Objects of one compressed stream."""
-LEVEL = 9
-_TRAILER = re.compile(rb"trailer\s*<<(.*?)>>\s*startxref\s*(\d+)\s*%%EOF\s*$", re.DOTALL)
-_HEAD = re.compile(rb"\s*(\d+) 0 obj\s*")
-
-
-def packed(data: bytes) -> bytes:
-    """The same document in fewer bytes; unchanged where it is not as expected, or already packed."""
-    trailer = _TRAILER.search(data[-4096:])
-    if trailer is None or b"/Encrypt" in trailer[1] or b"/Prev" in trailer[1]:
-        return data
-    objects = _objects(data, int(trailer[2]))
-    if not objects:
-        return data
-    out = bytearray(data[: min(offset for offset, _ in objects.values())])
-    places: dict[int, tuple[int, int, int]] = {0: (0, 0, 65535)}
-    plain: list[tuple[int, bytes]] = []
-    for number, (_, body) in sorted(objects.items()):
-        if body.endswith(b"endstream"):
-            places[number] = (1, len(out), 0)
-            out += b"%d 0 obj\n%s\nendobj\n" % (number, body)
-        else:
-            plain.append((number, body))
-    free = max(objects) + 1
-    for first in range(0, len(plain), PER_STREAM):
-        members = plain[first : first + PER_STREAM]
-        heads, at = [], 0
-        for place, (number, body) in enumerate(members):
-            places[number] = (2, free, place)
-            heads.append(b"%d %d" % (number, at))
-            at += len(body) + 1
-        head = b" ".join(heads) + b"\n"
-        stream = zlib.compress(head + b"\n".join(body for _, body in members), LEVEL)
-        places[free] = (1, len(out), 0)
-        said = b"/Type/ObjStm/N %d/First %d/Filter/FlateDecode/Length %d" % (len(members), len(head), len(stream))
-        out += b"%d 0 obj\n<<%s>>\nstream\n%s\nendstream\nendobj\n" % (free, said, stream)
-        free += 1
-    begin = len(out)
-    places[free] = (1, begin, 0)
-    rows = b"".join(
-        kind.to_bytes(1, "big") + where.to_bytes(4, "big") + rank.to_bytes(2, "big")
-        for kind, where, rank in (places.get(number, (0, 0, 0)) for number in range(free + 1))
-    )
-    stream = zlib.compress(rows, LEVEL)
-    kept = re.sub(rb"/Size\s*\d+", b"", trailer[1])
-    said = b"/Type/XRef/Size %d/W[1 4 2]/Filter/FlateDecode/Length %d" % (free + 1, len(stream))
-    out += b"%d 0 obj\n<<%s%s>>\nstream\n%s\nendstream\nendobj\n" % (free, said, kept, stream)
-    out += b"startxref\n%d\n%%%%EOF\n" % begin
-    return bytes(out)
-
-
-def _objects(data: bytes, table: int) -> dict[int, tuple[int, bytes]]:
-    """Number -> offset and body of every object, by the table of references; empty where that is not as expected."""
-    head = re.match(rb"xref\s+0 (\d+)\s+", data[table : table + 64])
-    if head is None:
-        return {}
-    rows = data[table + head.end() :]
-    entries = [rows[20 * n : 20 * n + 18].split() for n in range(int(head[1]))]
-    kinds = ([b"00000", b"n"], [b"65535", b"f"], [b"00000", b"f"])
-    if any(len(entry) != 3 or entry[1:] not in kinds for entry in entries):
-        return {}
-    offsets = {n: int(entry[0]) for n, entry in enumerate(entries) if entry[2] == b"n"}
-    after = dict(pairwise(sorted([*offsets.values(), table])))
-    found = {}
-    for number, offset in offsets.items():
-        text = data[offset : after[offset]]
-        begin, end = _HEAD.match(text), text.rfind(b"endobj")
-        if begin is None or int(begin[1]) != number or end < 0:
-            return {}
-        found[number] = offset, text[begin.end() : end].strip()
-    return found
+def _note(note: Said) -> str:
+    """A note with the names of what is attached; the page shows the pictures."""
+    files = ", ".join([*note.files, *(name for name, _ in note.pictures)])
+    return f"{note.run}, {note.utc} UTC, {note.operator}: {note.text}{f' (attached: {files})' if files else ''}"

@@ -1,4 +1,4 @@
-"""Tables behind the coefficients, as text: budgets, checks, what a recalibration changed, trials behind a number.
+"""Tables behind the coefficients, as text: budgets, checks, what a recalibration changed.
 
 Facts of an analysis may come from a file of anybody's: what is odd in them is left out. Computes no estimate.
 """
@@ -21,7 +21,7 @@ from pmabench.plotting.wording import (
     symbol_text,
 )
 from pmabench.report.document.provenance import get
-from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, note_text, numbers_of
+from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, numbers_of
 from pmabench.report.words import kind_title
 from pmabench.store.analyses.results import Analysis, Estimate
 
@@ -200,61 +200,3 @@ def _row(entry: Mapping[str, Any]) -> dict[str, str]:
         row["difference"] = "0" if small else rounded(difference / unit.scale, half)
         row["%"] = "" if not size else "0" if small else f"{100 * difference / size:+.2f}".replace("-", "\u2212")
     return row
-
-
-BRIEF = 18
-"""Longest text that is printed next to its number itself [letters]."""
-
-
-class Codes:
-    """Codes for long texts: a text is printed once in a table, and its code everywhere else."""
-
-    def __init__(self, letter: str, head: str) -> None:
-        self.letter, self.head = letter, head
-        self.codes: dict[str, str] = {}
-
-    def of(self, text: str) -> str:
-        """The text itself where it is brief, else its code."""
-        return text if len(text) <= BRIEF else self.codes.setdefault(text, f"{self.letter}{len(self.codes) + 1}")
-
-    def table(self) -> Frame:
-        """One row for each code."""
-        rows = [{"code": code, self.head: text} for text, code in self.codes.items()]
-        return Frame(rows, columns=["code", self.head])
-
-
-class Parents:
-    """Trials and notes behind the values of a report; `names` are the short names of runs."""
-
-    def __init__(self, names: Mapping[str, str]) -> None:
-        self.names = names
-        self.trials = Codes("S", "trials (run: numbers)")
-        self.notes = Codes("N", "note")
-
-    def of(self, estimate: Estimate) -> tuple[str, str]:
-        """Trials and note of an estimate."""
-        return self.trials.of(trial_ranges(estimate.trials, self.names)), self.notes.of(note_text(estimate))
-
-
-def trial_ranges(trials: Sequence[str], names: Mapping[str, str]) -> str:
-    """Trials, named `run/number`, as `R1: 1–8, 11; R2: 3`."""
-    runs: dict[str, list[int]] = {}
-    others = []
-    for trial in trials:
-        run, _, index = trial.rpartition("/")
-        if index.isascii() and index.isdigit() and len(index) < 7:
-            runs.setdefault(names.get(run) or clean(run, 60), []).append(int(index))
-        else:
-            others.append(clean(trial, 60))
-    parts = [f"{run}: {_ranges(sorted(set(indices)))}" for run, indices in runs.items()]
-    return "; ".join(parts + others)
-
-
-def _ranges(numbers: Sequence[int]) -> str:
-    spans: list[list[int]] = []
-    for n in numbers:
-        if spans and n == spans[-1][1] + 1:
-            spans[-1][1] = n
-        else:
-            spans.append([n, n])
-    return ", ".join(str(low) if low == high else f"{low}–{high}" for low, high in spans)

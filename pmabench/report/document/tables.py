@@ -222,11 +222,10 @@ def whole_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) ->
     return Frame(rows)
 
 
-def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str]] | None = None) -> Frame:
+def parts_table(analysis: Analysis, names: Mapping[str, str]) -> Frame:
     """Every estimate with the half widths of its 95 % interval by cause; text in the display units of the row.
 
-    The column `skew` is there where streams have clocks of their own; `parents` gives the trials
-    and the note of an estimate in short.
+    The column `skew` is there where streams have clocks of their own; `names` are the short names of runs.
     """
     rows = []
     skewed = any(e.parts.skew for e in analysis.estimates)
@@ -239,7 +238,6 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
 
         small = e.bias and abs(e.bias) / unit.scale < least(e)
         bias = "" if e.bias is None else UNRESOLVED if small else rounded(e.bias / unit.scale, None, 2)
-        behind = parents(e) if parents else ("", note_text(e))
         rows.append(
             {
                 "method": clean(e.method),
@@ -253,11 +251,35 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
                 **({"skew": half(None if e.value is None else e.parts.skew)} if skewed else {}),
                 "bias": bias if e.corrected or not bias else f"{bias} left",
                 "trials": str(e.n),
-                "from": behind[0],
-                "note": behind[1],
+                "from": trial_ranges(e.trials, names),
+                "note": note_text(e),
             }
         )
     return Frame(rows)
+
+
+def trial_ranges(trials: Sequence[str], names: Mapping[str, str]) -> str:
+    """Trials, named `run/number`, as `R1: 1–8, 11; R2: 3`."""
+    runs: dict[str, list[int]] = {}
+    others = []
+    for trial in trials:
+        run, _, index = trial.rpartition("/")
+        if index.isascii() and index.isdigit() and len(index) < 7:
+            runs.setdefault(names.get(run) or clean(run, 60), []).append(int(index))
+        else:
+            others.append(clean(trial, 60))
+    parts = [f"{run}: {_ranges(sorted(set(indices)))}" for run, indices in runs.items()]
+    return "; ".join(parts + others)
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    spans: list[list[int]] = []
+    for n in numbers:
+        if spans and n == spans[-1][1] + 1:
+            spans[-1][1] = n
+        else:
+            spans.append([n, n])
+    return ", ".join(str(low) if low == high else f"{low}–{high}" for low, high in spans)
 
 
 def curves_table(analyses: Sequence[Analysis]) -> Frame:

@@ -1,23 +1,20 @@
-"""A report as a workbook: the same content, numbers as numbers in display units, every text inert; no estimate.
+"""A report as a workbook: its results, numbers as numbers in display units, every text inert; no estimate.
 
 Needs the extra `xlsx`. The same report gives the same bytes.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from io import BytesIO
 from math import floor, log10
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.plotting.wording import clean, shown
 from pmabench.report.document.content import Content
-from pmabench.report.document.grids import Grid
 from pmabench.report.files.csv_files import coefficient_rows, curve_rows, estimate_rows, inert
 from pmabench.report.words import kind_title
 from pmabench.report.writing import write_file
@@ -27,12 +24,6 @@ EPOCH = datetime(2000, 1, 1)
 """Date of creation in the file: always this one, so that equal content gives equal files."""
 WIDEST = 60
 """Letters that a column shows at once."""
-LINE, TALLEST = 15.0, 405.0
-"""Height of a line and the most of a row [points]."""
-ROW = 1_500
-"""Letters of a row of the summary, about."""
-COUNTED = 5_000
-"""Letters of a text whose lines are counted."""
 DIGITS = 5
 """Significant digits that are shown of a number; its cell holds all."""
 LONGEST = 32_000
@@ -67,17 +58,11 @@ def workbook_bytes(content: Content, analyses: Sequence[Analysis]) -> bytes:
     sheets.rows("Curves", curve_rows(curve for a in analyses for curve in a.curves), simulated=simulated)
     sheets.rows("Budgets", _budgets(analyses), simulated=simulated)
     sheets.rows("Findings", [dict(zip(("level", "test", "finding"), row, strict=True)) for row in content.findings])
-    sheets.grid("Not used", content.dropped)
-    sheets.grid("Protocol", content.protocol)
-    sheets.rows("Deviations", [{"deviation or remark": text} for text in content.deviations])
-    notes = [{"run": n.run, "utc": n.utc, "operator": n.operator, "note": n.text} for n in content.notes]
-    sheets.rows("Notes", notes)
-    sheets.rows("Runs", [dict(run) for run in content.run_details])
-    sheets.grid("Calibrations", content.calibrations)
-    sheets.rows("Methods", [{"method": name, "what it does": text} for name, text in content.methods])
-    checklist = [(i.clause, i.asked, "there" if i.there else "missing", i.said) for i in content.checklist]
-    heads = ("clause", "asked for", "here", "where, or what to do")
-    sheets.rows("Checklist", [dict(zip(heads, row, strict=True)) for row in checklist])
+    heads = [column.head for column in content.dropped.columns]
+    unused = [(name, [cell.text for cell in cells]) for name, rows in content.dropped.groups for cells in rows]
+    sheets.rows(
+        "Not used", [({"of": name} if name else {}) | dict(zip(heads, texts, strict=True)) for name, texts in unused]
+    )
     book.close()
     return buffer.getvalue()
 
@@ -86,26 +71,8 @@ def _summary(content: Content) -> list[tuple[str, str]]:
     lines = [("Report", content.title), ("Verdict", f"{content.verdict.word}: {content.verdict.text}")]
     lines += [("Not accepted", text) for text in content.failed]
     lines += [(f"{t.symbol}, {t.name}", f"{t.value} {t.unit} ({t.where})") for t in content.tiles]
-    lines += [("Specimen", f"{name} ({about})" if about else name) for name, about in content.specimens]
-    lines += [("Bench", f"{name} ({about})" if about else name) for name, about in content.benches]
-    who = content.issuer
-    lines += [("Tested", content.tested), ("When", content.when), ("Operator", content.operators)]
-    lines += [("Laboratory", who.laboratory), ("Customer", who.customer), ("Authorised by", who.authorised_by)]
-    lines += [("Issued", who.issued), ("Record", content.statuses)]
-    lines += [("Methods" if n == 0 else "Methods, continued", part) for n, part in enumerate(_rows(content.paragraph))]
-    lines.append(("Citation", content.cite[0]))
     lines += [("Evaluated with", f"pmabench {content.version}; report {content.report_id}")]
     return [(head, text) for head, text in lines if text]
-
-
-def _rows(text: str) -> list[str]:
-    """A long text in rows: no row is taller than a spreadsheet allows; every part ends with a sentence where it can."""
-    rows: list[str] = [""]
-    for sentence in re.split(r"(?<=\.) ", text):
-        if rows[-1] and len(rows[-1]) + len(sentence) > ROW:
-            rows.append("")
-        rows[-1] = f"{rows[-1]} {sentence}".lstrip()
-    return rows
 
 
 def _budgets(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
@@ -121,13 +88,6 @@ def _budgets(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
                 entry = {"source": source.name, "type": source.kind, "half width 95 %": half, "share": share}
                 rows.append(where | entry | {"note": source.note})
     return rows
-
-
-def _height(values: Sequence[Any], widths: Sequence[float]) -> float:
-    """Height of a row [points] with texts wrapped in columns of these widths; not all programs find it themselves."""
-    texts = [(value, width) for value, width in zip(values, widths, strict=True) if isinstance(value, str)]
-    lines = [len(wrap(value[:COUNTED], int(0.9 * width))) for value, width in texts if len(value) > width]
-    return min(TALLEST, LINE * max((*lines, 1)))
 
 
 class _Sheets:
@@ -165,11 +125,9 @@ class _Sheets:
     def lines(self, name: str, lines: Sequence[tuple[str, str]]) -> None:
         """Pairs of a head and a text."""
         sheet = self._sheet(name, simulated=self.content.simulated)
-        widths = (32, 110)
-        for column, width in enumerate(widths):
-            sheet.set_column(column, column, width)
+        sheet.set_column(0, 0, 32)
+        sheet.set_column(1, 1, 110)
         for row, (head, text) in enumerate(lines, 3):
-            sheet.set_row(row, _height((head, text), widths))
             sheet.write_string(row, 0, inert(clean(head, 200)), self.name)
             sheet.write_string(row, 1, inert(clean(text, LONGEST)), self.text)
 
@@ -181,13 +139,10 @@ class _Sheets:
         columns = list(dict.fromkeys(head for row in rows for head in row))
         cells = [[row.get(head) for row in rows] for head in columns]
         longest = [max(9, *(len(value) if isinstance(value, str) else 10 for value in column)) for column in cells]
-        wide = [min(WIDEST, letters + 1) for letters in longest]
-        sheet.set_row(3, _height(columns, wide))
         for column, head in enumerate(columns):
             sheet.write_string(3, column, inert(clean(head, 200)), self.head)
-            sheet.set_column(column, column, wide[column])
+            sheet.set_column(column, column, min(WIDEST, longest[column] + 1))
         for line, row in enumerate(rows, 4):
-            sheet.set_row(line, _height([row.get(head) for head in columns], wide))
             for column, head in enumerate(columns):
                 self._cell(sheet, line, column, row.get(head))
         sheet.freeze_panes(4, 0)
@@ -214,12 +169,3 @@ class _Sheets:
         if shown_as not in self.numbers:
             self.numbers[shown_as] = self.book.add_format({"num_format": shown_as})
         return self.numbers[shown_as]
-
-    def grid(self, name: str, grid: Grid) -> None:
-        """A table of a page, as text."""
-        rows = []
-        heads = [column.head for column in grid.columns]
-        for heading, cells in ((heading, cells) for heading, members in grid.groups for cells in members):
-            texts = [f"{cell.text} ± {cell.half}" if cell.half else cell.text for cell in cells]
-            rows.append(({"of": heading} if heading else {}) | dict(zip(heads, texts, strict=True)))
-        self.rows(name, rows)

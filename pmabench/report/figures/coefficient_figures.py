@@ -1,17 +1,33 @@
-"""Figures of coefficients over an operating point, with 95 % bars, curves and bands; and of repeats over each other."""
+"""Figures of coefficients over an operating point: dots with 95 % bars, curves with bands.
+
+The certificate has up to three panels with the coefficients of the test with most values: its primary method is drawn,
+others are in the same data, for the page's buttons. Appendices and comparisons have a figure for each plot, in which
+other methods are drawn open. Values with two coordinates, as F and K of a surface, are over the contraction, at each
+pressure in its colour.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import floor, log10, nan
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pmabench.base.kind import Result
-from pmabench.plotting import plots
-from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
-from pmabench.plotting.plots import BROWN, FAINT, HALF, PALETTE, QUIET, Array, Points, blank, few_ticks, grid
+from pmabench.plotting.chart import COLUMN, GAP, HIGH, PAGE, Chart, Series
+from pmabench.plotting.pictures import (
+    Picture,
+    of_charts,
+)
+from pmabench.plotting.plots import (
+    BROWN,
+    DARK,
+    GREEN,
+    INK,
+    PALETTE,
+    Array,
+)
 from pmabench.plotting.wording import (
     POINTS,
     RAISED,
@@ -21,18 +37,23 @@ from pmabench.plotting.wording import (
     in_order,
     listed,
     number,
+    point_head,
     point_shown,
     shown,
     spoken,
     symbol_text,
 )
+from pmabench.report.certificate.force_chart import READABLE, blue
 from pmabench.report.document.tables import cell, least
 from pmabench.report.words import declared
-from pmabench.store.analyses.results import PUBLISHED, Analysis, Curve, Estimate, Trace
+from pmabench.store.analyses.results import AGREEMENT, PUBLISHED, Analysis, Curve, Estimate
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+COLORS = {"B_c": GREEN, "B_r": BROWN, "B": DARK}
+"""Colours of symbols; all others are blue, or in turn where they share a panel."""
+HEIGHT, HIGHER = 118.0, 150.0
+"""Heights of the panels of the certificate, and of those by two coordinates [pt]."""
+MOST, PANELS = 3, 2
+"""Most panels of the certificate, and of those by two coordinates."""
 TOGETHER = (("K",), ("B_c", "B_r", "B"), ("F_ce",))
 """Symbols that are drawn over all tests together, those of one plot together."""
 OVER_PRESSURE = {"pressure", "mean", "amplitude"}
@@ -41,42 +62,99 @@ MOST_SERIES = 8
 FEWEST = 3
 """Places that a plot of further coefficients needs; for fewer the tables are enough."""
 CURVE_POINTS = 60
+ASIDE = 0.012
+"""How far dots of other methods lie aside, as a share of the range."""
+SHORT = 8
+"""Letters of names that stand at their last point; longer ones are above the axes."""
+Member = tuple[Analysis, Estimate]
+Way = tuple[str, str]
+"""Symbol with its coordinate, and method."""
 
 
-def over_pressure(
-    analyses: Sequence[Analysis], results: Mapping[str, Result] | None = None, sides: Sequence[str] = ()
-) -> list[Picture]:
-    """K, damping and F_ce over pressure, of all tests and methods together; `results`: where others declare them.
+def coefficient_picture(
+    analyses: Sequence[Analysis], members: Sequence[Estimate], over: str, less: float
+) -> Picture | None:
+    """The panels for the values of the first table, `members` over `over`, lower by `less` [pt]; None without two."""
+    results = declared(analyses)
+    primary = {_way(e) for e in members}
+    names = _at(analyses, members) | {over, "mass", "mean", "amplitude"}
+    every = [
+        (a, e)
+        for a in analyses
+        for e in a.estimates
+        if a.kind != AGREEMENT and not e.coordinate and over in e.at and set(e.at) <= names
+    ]
+    panels: list[tuple[list[str], list[Member]]] = []
+    for symbols in _plots(results, [e.symbol for e in members]).values():
+        mine = [(a, e) for a, e in every if e.symbol in symbols]
+        if _drawable([e for _, e in mine if _way(e) in primary], over):
+            panels.append((symbols, mine))
+    panels = panels[:MOST]
+    drawn = [member for _, mine in panels for member in mine]
+    if not panels:
+        return None
+    size = (PAGE - GAP * (len(panels) - 1)) / len(panels), HEIGHT - less
+    made = [_chart(symbols, mine, over, primary, size) for symbols, mine in panels]
+    titled = listed([_title(symbols, results) for symbols, _ in panels])
+    own = [e for a, e in drawn if _way(e) in primary and a.kind != PUBLISHED]
+    methods = listed(list(dict.fromkeys(clean(e.method, 60) for e in own)))
+    bars = "bars and bands: 95 % intervals" if any(e.ci95 for e in own) else "without intervals"
+    caption = f"Dots: {methods}; {bars}, often smaller than a dot.{_crosses(drawn)}{missing_words(own, over, 4)}"
+    alt = f"{titled} over {spoken(over)}: " + " ".join(chart.alt for chart in made)
+    title = f"{titled[:1].upper()}{titled[1:]} over {spoken(over)}"
+    simulated = any(a.simulated for a, _ in drawn)
+    return of_charts([made], title, caption, alt, table_of([e for _, e in drawn], over), simulated=simulated)
 
-    `sides`: two methods that are compared; the second is drawn open and a little aside.
-    """
-    results = declared(analyses) if results is None else results
+
+def _at(analyses: Sequence[Analysis], members: Sequence[Estimate]) -> set[str]:
+    """Coordinates of the values of the table, also of those that it leaves out because they are the same in all."""
+    known = {_way(e) for e in members}
+    whole = [e for a in analyses for e in a.estimates if _way(e) in known]
+    return {name for e in whole if any(replace(e, at=m.at) == m for m in members) for name in e.at}
+
+
+def _plots(results: Mapping[str, Result], symbols: Sequence[str]) -> dict[str, list[str]]:
+    """Symbols by the plot that they share; others have one of their own."""
+    found: dict[str, list[str]] = {}
+    for symbol in dict.fromkeys(symbols):
+        result = results.get(symbol)
+        found.setdefault((result.plot if result else "") or f" {symbol}", []).append(symbol)
+    return found
+
+
+def _title(symbols: Sequence[str], results: Mapping[str, Result]) -> str:
+    first = results.get(symbols[0])
+    named = (first.plot.lower() if len(symbols) > 1 else "") or first.title if first else ""
+    return f"{clean(named)} {', '.join(clean(s, 40) for s in symbols)}".strip()
+
+
+def _way(e: Estimate) -> Way:
+    return symbol_text(e.symbol, e.coordinate), e.method
+
+
+def _drawable(members: Sequence[Estimate], over: str) -> bool:
+    """Whether values of one unit are known at two places or more, and not all below resolution."""
+    known = [e for e in members if e.value is not None]
+    if len({e.at[over] for e in known}) < 2 or len({shown(e.quantity, e.unit) for e in known}) != 1:
+        return False
+    return any(abs(e.value or 0.0) >= least(e) * shown(e.quantity, e.unit).scale for e in known)
+
+
+def over_pressure(analyses: Sequence[Analysis], results: Mapping[str, Result], sides: Sequence[str]) -> list[Picture]:
+    """K, damping and F_ce over pressure of both `sides` of a comparison, whose names are the methods."""
     found = []
     every = [(a, e) for a in analyses for e in a.estimates if "pressure" in e.at and set(e.at) <= OVER_PRESSURE]
     for symbols in TOGETHER:
         members = [(a, e) for a, e in every if e.symbol in symbols and not e.coordinate]
-        found.append(_figure(symbols, results, "pressure", _without_variants(members), sides))
+        found.append(_figure(symbols, results, "pressure", members, sides))
     return [drawn for drawn in found if drawn is not None]
-
-
-def _without_variants(members: Sequence[tuple[Analysis, Estimate]]) -> list[tuple[Analysis, Estimate]]:
-    """Without `mean-curve, turns left in` where there is `mean-curve`: variants are in the tables."""
-    methods = {e.method for _, e in members}
-    return [
-        (a, e)
-        for a, e in members
-        if a.kind == PUBLISHED or "," not in e.method or e.method.partition(", ")[0] not in methods
-    ]
 
 
 def others(analysis: Analysis) -> list[Picture]:
     """Every further coefficient of an analysis that varies with exactly one coordinate of its operating point."""
     found = []
     results = declared([analysis])
-    groups: dict[str, list[str]] = {}
-    for result in results.values():
-        groups.setdefault(result.plot or f" {result.symbol}", []).append(result.symbol)
-    for group in groups.values():
+    for group in _plots(results, list(results)).values():
         members = [e for e in analysis.estimates if e.symbol in group and e.at]
         over = _varying(members)
         shown_already = over == "pressure" and any(set(group) <= set(symbols) for symbols in TOGETHER)
@@ -100,95 +178,103 @@ def _figure(
     symbols: Sequence[str],
     results: Mapping[str, Result],
     over: str,
-    members: Sequence[tuple[Analysis, Estimate]],
+    members: Sequence[Member],
     sides: Sequence[str] = (),
 ) -> Picture | None:
-    """One plot, `sides` as in `over_pressure`; None where fewer than two values can be drawn."""
+    """One plot, of the two `sides` of a comparison if given; None where fewer than two values can be drawn."""
     known = [e for _, e in members if e.value is not None]
-    units = {shown(e.quantity, e.unit) for e in known}
-    if len(known) < 2 or len({e.at[over] for e in known}) < 2 or len(units) != 1:
+    if not _drawable([e for _, e in members], over):
         return None
-    if all(abs(e.value or 0.0) < least(e) * shown(e.quantity, e.unit).scale for e in known):
-        return None
-    unit, (x_label, x_unit) = _sized(units.pop(), known), point_shown(over)
-    points = _points(members, over, unit, x_unit, sides)
+    mine = [(a, e) for a, e in members if a.kind != PUBLISHED]
+    main = set(sides[:1]) or {a.estimates[0].method for a, _ in mine}
+    methods_of: dict[str, str] = {}
+    for _, e in sorted(mine, key=lambda member: member[1].method not in main):
+        methods_of.setdefault(*_way(e))
+    primary = set(methods_of.items())
+    chart = _chart(in_order((e.symbol for e in known), symbols), members, over, primary, (COLUMN, HIGH), still=True)
     titled = {e.symbol: results.get(e.symbol) for e in known}
     names = listed([clean(f"{result.title if result else ''} {s}".strip()) for s, result in titled.items()])
-    y_label = unit.label(", ".join(clean(s) for s in in_order(titled, results)))
-    ends = sorted(e.at[over] / x_unit.scale for e in known)
-    values = sorted((e.value or 0.0) / unit.scale for e in known)
-    reach = f"from {number(ends[0])} to {number(ends[-1])} {x_unit.unit}".rstrip()
-    methods = dict.fromkeys(clean(e.method, 60) for e in known)
-    alt = (
-        f"Plot of {names} over {x_label}, {reach}; values between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}, "
-        f"by {listed(list(methods))}. The numbers are in the table below the figure."
-    )
+    methods = listed(list(dict.fromkeys(clean(e.method, 60) for e in known)))
+    alt = f"Plot of {names} over {spoken(over)}, by {methods}: {chart.alt} The numbers are in the table below."
     leading = next(iter(titled.values()))
     named = names[:1].upper() + names[1:] if leading and leading.title else names
     title = f"{clean(leading.plot) if leading and leading.plot else named} over {spoken(over)}"
-    return picture(
-        lambda: plots.coefficients(points, x_unit.label(x_label), y_label),
-        title,
-        _caption(points, members, over, sides),
-        alt,
-        table_of([e for _, e in members], over),
-        wide=False,
-        simulated=any(analysis.simulated for analysis, _ in members),
+    caption = "95 % intervals" if any(e.ci95 for e in known) else "Values without intervals"
+    if any(_way(e) not in primary for _, e in mine if e.value is not None):
+        filled, hollow = map(clean, sides) if sides else ("primary method", "others")
+        caption += f"; filled: {filled}, open: {hollow}, a little aside"
+    caption += f".{_crosses(members)}{missing_words([e for _, e in members], over, 6)}"
+    table = table_of([e for _, e in members], over)
+    simulated = any(analysis.simulated for analysis, _ in members)
+    return of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)
+
+
+def _chart(
+    symbols: Sequence[str],
+    members: Sequence[Member],
+    over: str,
+    primary: set[Way],
+    size: tuple[float, float],
+    *,
+    still: bool = False,
+) -> Chart:
+    """Values over an operating point, those of `primary` with their curve; others open if `still`, else by a switch."""
+    known = [e for _, e in members if e.value is not None and (still or _way(e) in primary)]
+    unit, (x_label, x_unit) = _sized(known), point_shown(over)
+    groups: dict[Way, list[Member]] = {}
+    for a, e in members:
+        if e.value is not None and shown(e.quantity, e.unit) == shown(known[0].quantity, known[0].unit):
+            groups.setdefault(_way(e), []).append((a, e))
+    variants, methods = (list(dict.fromkeys(way[n] for way in groups)) for n in (0, 1))
+    series: list[Series] = []
+    for n, (way, group) in enumerate(list(groups.items())[:MOST_SERIES] if still else groups.items()):
+        at = sorted(group, key=lambda member: member[1].at[over])
+        variant, method = way[0], clean(way[1], 60)
+        first, theirs = way in primary, at[0][0].kind == PUBLISHED
+        x, y, half = _columns([e for _, e in at], over, unit)
+        color = COLORS.get(at[0][1].symbol) or PALETTE[variants.index(variant) % len(PALETTE)]
+        if theirs or (not first and len(variants) == 1):
+            color = INK if theirs else PALETTE[n % len(PALETTE)]
+        through = curve_of(at, over, unit.scale, x_unit.scale) if first else None
+        if through is not None:
+            series.append(Series("", through[0], through[1], color, half=through[2], hidden=True))
+        if still and not (first or theirs):
+            x = x + ASIDE * float(np.ptp([e.at[over] for e in known])) / x_unit.scale
+        name = method if theirs else variant
+        if still and len(methods) > 1 and not theirs:
+            name = method if len(variants) == 1 else f"{variant}, {method}"
+        label = name if len(variants) > 1 or theirs or (still and len(methods) > 1) else ""
+        other = "" if first or theirs or still else method
+        said = f"{name}, {other}" if other else name
+        hollow = not (first or theirs)
+        series.append(Series(label, x, y, color, True, half, method=other, hollow=hollow, cross=theirs, said=said))
+    values = sorted((e.value or 0.0) / unit.scale for e in known)
+    names = ", ".join(clean(s, 40) for s in symbols)
+    return Chart(
+        x_label=x_unit.label(x_label),
+        y_label=unit.label(names),
+        series=tuple(series),
+        width=size[0],
+        height=size[1],
+        alt=f"{names} between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}.".replace(" .", "."),
+        zero=min(values) >= 0 and min(values) < 0.45 * max(values),
+        together="over",
+        stamp="SIMULATED" if any(a.simulated for a, _ in members) else "",
+        legend=max((len(s.label) for s in series), default=0) > SHORT,
     )
 
 
-def _points(
-    members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown, x_unit: Shown, sides: Sequence[str]
-) -> list[Points]:
-    """Series to draw: at most `MOST_SERIES` series of symbol and method, then the published ones."""
-    series: dict[tuple[str, str, str], list[tuple[Analysis, Estimate]]] = {}
-    for analysis, e in members:
-        if e.value is not None:
-            series.setdefault((e.symbol, e.coordinate, e.method), []).append((analysis, e))
-    variants = list(dict.fromkeys(key[:2] for key in series))
-    methods = list(dict.fromkeys(key[2] for key in series))
-    several = len(variants) > 1
-    first = {*sides[:1]} or {a.estimates[0].method for a, _ in members if a.kind != PUBLISHED}
-    keys = sorted(series, key=lambda key: (variants.index(key[:2]), methods.index(key[2])))
-    theirs = [key for key in keys if series[key][0][0].kind == PUBLISHED]
-    points: list[Points] = []
-    for key in [key for key in keys if key not in theirs][:MOST_SERIES] + theirs:
-        symbol, coordinate, method = key
-        name_text = symbol_text(symbol, coordinate)
-        name = clean(method, 60)
-        at = sorted(series[key], key=lambda member: member[1].at[over])
-        reaches = np.array([reach_of(e) for _, e in at]) / unit.scale
-        mark = methods.index(method) if several and len(methods) > 1 else len(points)
-        points.append(
-            Points(
-                label=(name_text if len(methods) == 1 else f"{name_text}, {name}") if several else name,
-                x=np.array([e.at[over] for _, e in at]) / x_unit.scale,
-                y=np.array([e.value for _, e in at], dtype=np.float64) / unit.scale,
-                below=reaches[:, 0],
-                above=reaches[:, 1],
-                primary=key not in theirs and (method in first or len(methods) == 1),
-                group=variants.index(key[:2]) if several else methods.index(method),
-                mark=theirs.index(key) if key in theirs else mark,
-                curve=curve_of(at, over, unit.scale, x_unit.scale),
-                published=key in theirs,
-            )
-        )
-    return points
+def _columns(values: Sequence[Estimate], over: str, unit: Shown) -> tuple[Array, Array, Array]:
+    """Place, value and half width of each, in the units that are shown."""
+    x = np.array([e.at[over] for e in values]) / point_shown(over)[1].scale
+    y = np.array([e.value for e in values], dtype=np.float64) / unit.scale
+    return x, y, np.array([reach_of(e) for e in values]) / unit.scale
 
 
-def _caption(
-    points: Sequence[Points], members: Sequence[tuple[Analysis, Estimate]], over: str, sides: Sequence[str]
-) -> str:
-    """Caption: what marks and bars mean, the source of published values, and what is missing."""
-    caption = "95 % intervals" if any(np.isfinite(p.above).any() for p in points) else "Values without intervals"
-    mixed = not all(p.primary or p.published for p in points)
-    filled, hollow = map(clean, sides) if sides else ("primary method of each test", "others")
-    aside = ", a little aside" if sides else ""
-    caption += f"; filled: {filled}, open: {hollow}{aside}." if mixed else "."
-    theirs = [clean(e.method, 60) for a, e in members if a.kind == PUBLISHED and e.value is not None]
-    if theirs:
-        caption += f" Crosses: {listed(list(dict.fromkeys(theirs)))}, not measured here."
-    return caption + missing_words([e for _, e in members], over, 6)
+def _crosses(members: Sequence[Member]) -> str:
+    """A sentence on published values."""
+    theirs = dict.fromkeys(clean(e.method, 60) for a, e in members if a.kind == PUBLISHED and e.value is not None)
+    return f" Crosses: {listed(list(theirs))}, not measured here." if theirs else ""
 
 
 def missing_words(estimates: Sequence[Estimate], over: str, most: int) -> str:
@@ -202,8 +288,9 @@ def missing_words(estimates: Sequence[Estimate], over: str, most: int) -> str:
     return text
 
 
-def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
+def _sized(known: Sequence[Estimate]) -> Shown:
     """The unit with a power of ten before it where values would ask for an exponent at the axis."""
+    unit = shown(known[0].quantity, known[0].unit)
     largest = max(abs(e.value or 0.0) for e in known) / unit.scale
     if largest == 0 or 1e-3 <= largest < 1e5:
         return unit
@@ -211,10 +298,9 @@ def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
     return Shown(f"10{str(power).translate(RAISED)} {unit.unit}".rstrip(), unit.scale * 10.0**power)
 
 
-def reach_of(e: Estimate) -> tuple[float, float]:
-    """How far the interval reaches below and above the value [SI]; NaN without one."""
-    ends = e.ci95
-    return (nan, nan) if ends is None or e.value is None else (max(0.0, e.value - ends[0]), ends[1] - e.value)
+def reach_of(e: Estimate) -> float:
+    """How far the interval reaches above the value [SI]; NaN without one."""
+    return nan if e.ci95 is None or e.value is None else e.ci95[1] - e.value
 
 
 def curve_of(
@@ -236,7 +322,7 @@ def curve_of(
     x = np.linspace(*closest.domain, CURVE_POINTS)
     y = closest.values(x)
     at = np.array([e.at[over] for _, e in members])
-    half = np.interp(x, at, [reach_of(e)[1] for _, e in members])
+    half = np.interp(x, at, [reach_of(e) for _, e in members])
     residual = closest.residual_rms if np.isfinite(closest.residual_rms) else 0.0
     band = np.hypot(half, 1.96 * residual)
     return np.asarray(x / x_scale), np.asarray(y / scale), np.asarray(band / scale)
@@ -258,55 +344,53 @@ def table_of(estimates: Sequence[Estimate], over: str) -> Frame:
     return Frame(rows)
 
 
-WORDS = {"length": "contraction", "force": "force"}
+def surface_picture(
+    analyses: Sequence[Analysis], members: Sequence[Estimate], over: str, across: str, less: float
+) -> Picture | None:
+    """Values of the method of `members` over `across`, dots of each `over` in a colour; lower by `less` [pt].
 
-
-def repeats(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """One figure for each trace with at least two repeats."""
-    return [found for trace in traces if (found := _repeats(trace, analysis.simulated)) is not None]
-
-
-def _repeats(trace: Trace, simulated: bool) -> Picture | None:
-    names = [name for name in trace.columns if name.startswith("repeat ") and has(trace, "t", name)]
-    if len(names) < 2:
+    None where no symbol is known at two places.
+    """
+    methods = {e.method for e in members}
+    every = [e for a in analyses for e in a.estimates if e.method in methods and e.value is not None]
+    known = [e for e in every if set(e.at) - {"mass"} == {over, across}]
+    order = [symbol for symbol in declared(analyses) if len([e for e in known if e.symbol == symbol]) > 1][:PANELS]
+    if not order:
         return None
-    where, t = clean(trace.title.partition(":")[0], 140), column(trace, "t")
-    values = np.array([column(trace, name) for name in names])
-    mean = values.mean(axis=0)
-    unit = unit_of(trace, names[0]).unit
-    spread = float(np.sqrt(np.mean(values.var(axis=0, ddof=1))))
-    first = float(np.sqrt(np.mean((values[0] - values[1:].mean(axis=0)) ** 2)))
-    word = WORDS.get(trace.quantities.get(names[0], ""), "value")
-    last = "the second" if len(names) == 2 else "the mean of the later ones"
-    caption = (
-        f"{len(names)} trials at {where}, the first in red. Below: each less the mean of all. Standard deviation "
-        f"between repeats {spread:.2g} {unit}, over the whole time; the first is {first:.2g} {unit} rms off {last}."
-    )
-    alt = (
-        f"{word.capitalize()} over time of {len(names)} repeats at {where}, which scatter by {spread:.2g} "
-        f"{unit}; the first is {first:.2g} {unit} rms off {last}."
-    )
-    draw = bound(drawing_of, t, values, mean, unit_of(trace, "t").label("time"), word, unit)
-    return picture(draw, "Repeats", caption, alt, numbers([("", trace)]), wide=False, simulated=simulated)
+    width = (PAGE - GAP * (len(order) - 1)) / len(order)
+    simulated = any(a.simulated for a in analyses)
+    drawn = [[e for e in known if e.symbol == symbol] for symbol in order]
+    charts = tuple(_surface_chart(mine, over, across, (width, HIGHER - less), simulated=simulated) for mine in drawn)
+    names = " and ".join(f"{declared(analyses)[symbol].title} {symbol}" for symbol in order)
+    title = f"{names[:1].upper()}{names[1:]} over contraction, at each pressure"
+    caption = "Dots: values of the fit, half way between both directions; bars: 95 % intervals."
+    alt = f"{title}. " + " ".join(chart.alt for chart in charts)
+    table = table_of([e for mine in drawn for e in mine], over)
+    return of_charts([charts], title, caption, alt, table, simulated=simulated)
 
 
-def drawing_of(t: Array, values: Array, mean: Array, x_label: str, word: str, unit: str) -> Figure:
-    """Values (repeats, n) above, what they are off their mean (n,) below."""
-    figure = blank(HALF, 2.9)
-    cell = grid(figure, 1, 1, top=0.42, left=0.6)[0]
-    upper, lower = plots.above_each_other(figure, cell, (1.6, 1), 0.12, shared=True)
-    others = [color for color in PALETTE if color != BROWN]
-    lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
-    for i in reversed(range(len(values))):
-        color = BROWN if i == 0 else others[(i - 1) % len(others)] if len(values) < 4 else QUIET
-        label = ("first" if i == 0 else "second" if len(values) == 2 else "later") if i < 2 else None
-        upper.plot(t, values[i], color=color, linewidth=0.8 if i else 1.0, label=label)
-        lower.plot(t, values[i] - mean, color=color, linewidth=0.8)
-    upper.set_ylabel(f"{word} [{unit}]")
-    lower.set(ylabel=f"off mean [{unit}]", xlabel=x_label)
-    few_ticks(upper)
-    few_ticks(lower, y=3)
-    figure.align_ylabels([upper, lower])
-    handles, labels = upper.get_legend_handles_labels()
-    plots.legend_above(figure, 2, (handles[::-1], labels[::-1]))
-    return figure
+def _surface_chart(
+    known: Sequence[Estimate], over: str, across: str, size: tuple[float, float], *, simulated: bool
+) -> Chart:
+    unit, at_unit = shown(known[0].quantity, known[0].unit), point_shown(over)[1]
+    places = sorted({e.at[over] for e in known})
+    series = []
+    for n, place in enumerate(places):
+        mine = sorted((e for e in known if e.at[over] == place), key=lambda e: e.at[across])
+        share = n / max(1, len(places) - 1)
+        x, y, half = _columns(mine, across, unit)
+        name = f"{number(place / at_unit.scale)} {at_unit.unit}"
+        series.append(Series("", x, y, blue(share), width=0.8, hidden=True))
+        series.append(Series(name, x, y, blue(share), True, half, name_color=blue(max(share, READABLE))))
+    values = [(e.value or 0.0) / unit.scale for e in known]
+    symbol = symbol_text(known[0].symbol)
+    return Chart(
+        x_label=point_head(across),
+        y_label=unit.label(symbol),
+        series=tuple(series),
+        width=size[0],
+        height=size[1],
+        alt=f"{symbol} between {min(values):.4g} and {max(values):.4g} {unit.unit}.",
+        zero=min(values) >= 0,
+        stamp="SIMULATED" if simulated else "",
+    )

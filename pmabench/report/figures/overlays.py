@@ -92,37 +92,15 @@ def with_published(
                 compared += [_apart(trace, table, points) for table, points in found]
         with_points.append(replace(analysis, traces=tuple(traces)))
     drawn = {c.label for c in compared}
-    problems = [_no_match(table, matchable(analyses, length)) for table in published if table.label not in drawn]
+    problems = [_no_match(table) for table in published if table.label not in drawn]
     if problems:
         raise InvalidFile(problems)
     return with_points, [other for other in others if other.estimates], compared
 
 
-def _no_match(table: Published, able: Sequence[str]) -> Problem:
-    held = ", ".join(table.columns)
-    what = f"could be: {'; '.join(able)}" if able else "these runs have none that takes published points"
-    return Problem(str(table.path), 0, 0, f"matches no figure of this report: it holds {held}; {what}")
-
-
-def matchable(analyses: Sequence[Analysis], length: float | None) -> list[str]:
-    """Columns that a published table could have for these analyses, in words."""
-    found = []
-    for symbol in SYMBOLS:
-        known = [e for a in analyses for e in a.estimates if _plain(e, symbol)]
-        if known:
-            found.append(f"{symbol} [{shown(known[0].quantity).unit}] over pressure [kPa]")
-    for figure, (x, y, fixed) in _figures().items():
-        if figure == LOOPS:
-            continue
-        traces = [t for a in analyses for t in a.traces if t.figure == figure and _place(t, fixed) is not None]
-        if not traces:
-            continue
-        axis = "contraction [%]" if x == "displacement" and length else f"{x} [{shown(QUANTITY[x]).unit}]"
-        places = sorted({_place(t, fixed) or 0.0 for t in traces})
-        unit = shown(QUANTITY[fixed])
-        at = ", ".join(number(place / unit.scale) for place in places[:8])
-        found.append(f"{y} [{shown(QUANTITY[y]).unit}] over {axis} at {fixed} {at} {unit.unit}")
-    return list(dict.fromkeys(found))
+def _no_match(table: Published) -> Problem:
+    held, heads = ", ".join(table.columns), ", ".join(name for name, _, _ in HEADS)
+    return Problem(str(table.path), 0, 0, f"matches no figure of this report: it holds {held}; what is read: {heads}")
 
 
 LOOPS = "isobaric"

@@ -1,40 +1,29 @@
-"""Differences as text and as files: of a comparison one HTML file; by another calibration CSV and JSON; no estimate.
+"""Differences as text, and those of a comparison as one HTML file; no estimate.
 
-The page of a comparison has both sides over pressure, E_n numbers and the table.
+The page of a comparison has both sides over pressure, and the table.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pmabench.analysis.verdict import comparison
 from pmabench.analysis.verdict.comparison import Change, Difference, Side, percent
-from pmabench.plotting import plots
-from pmabench.plotting.pictures import Picture, drawable, picture
-from pmabench.plotting.wording import Frame, clean, in_order, plain_unit, point_text, shown, spoken, symbol_text
+from pmabench.plotting.pictures import drawable
+from pmabench.plotting.wording import Frame, clean, point_text, shown, symbol_text
 from pmabench.report.document.special_tables import change_rows
 from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison, comparison_table
-from pmabench.report.files.csv_files import csv_text, value_cells
 from pmabench.report.terminal import print_grid
 from pmabench.report.words import declared
-from pmabench.report.writing import Page, TextTable, write_file, write_page
+from pmabench.report.writing import Page, TextTable, write_page
 from pmabench.store.analyses.results import PUBLISHED, Analysis
-from pmabench.store.folder import plain
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
-
-
-MOST_SCORES = 24
-"""Rows of symbols in the figure of E_n numbers."""
-FAR = 5.0
-"""E_n numbers beyond are drawn at this size."""
 
 
 def write_comparison(
@@ -49,7 +38,6 @@ def write_comparison(
     simulated = a.simulated or b.simulated
     sides = [_drawn(side, found.differences, which) for which, side in (("a", a), ("b", b))]
     drawn = over_pressure(sides, declared([*a.analyses, *b.analyses]), [_named(side) for side in (a, b)])
-    scores = _scores(found.differences, simulated=simulated)
     heads, rows = rows_of(a, b, found.differences)
     curve_heads, curve_table = curve_rows(curves)
     return write_page(
@@ -60,7 +48,7 @@ def write_comparison(
             [(clean(side.name, 60), clean(side.about, 600)) for side in (a, b)],
             failed,
             found.findings,
-            [*drawn, *([scores] if scores is not None else [])],
+            drawn,
             [
                 TextTable("Coefficient by coefficient", heads, rows, 3),
                 TextTable("Curves compared with published points", curve_heads, curve_table, 3),
@@ -80,49 +68,6 @@ def _drawn(side: Side, differences: Sequence[Difference], which: str) -> Analysi
     estimates = [replace(getattr(d, which), method=_named(side), coordinate=d.a.coordinate) for d in differences]
     kind = PUBLISHED if side.published else "comparison"
     return drawable(Analysis(kind, (), simulated=side.simulated, estimates=tuple(estimates)))
-
-
-def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | None:
-    """All E_n numbers, a row for each symbol; None without one."""
-    scores: dict[str, list[float]] = {}
-    for d in differences:
-        if d.score is not None:
-            over = ", ".join(spoken(name) for name in d.a.at if name != "mass")
-            name = symbol_text(d.a.symbol, d.a.coordinate)
-            scores.setdefault(f"{name} over {over}" if over else name, []).append(d.score)
-    names = in_order(scores, ())[:MOST_SCORES]
-    if not names:
-        return None
-
-    def draw() -> Figure:
-        figure, axes = plots.one_axes(plots.FULL, 0.75 + 0.2 * len(names), left=1.9, bottom=0.42, top=0.1)
-        axes.axvspan(-1, 1, color=plots.FAINT, alpha=0.25, linewidth=0)
-        axes.axvline(0, color=plots.QUIET, linewidth=0.6)
-        for row, name in enumerate(names):
-            for score in scores[name]:
-                far = abs(score) > FAR
-                mark = "o" if not far else ">" if score > 0 else "<"
-                color = plots.BLUE if abs(score) <= 1 else plots.FAULT
-                axes.plot(max(-FAR, min(FAR, score)), row, mark, color=color, markersize=4, clip_on=False)
-        axes.set_yticks(range(len(names)), names)
-        axes.set(xlabel="E_n", xlim=(-FAR, FAR), ylim=(len(names) - 0.4, -0.6))
-        return figure
-
-    every = [score for name in names for score in scores[name]]
-    alt = (
-        f"E_n numbers of {len(every)} differences in a row for each coefficient; "
-        f"{sum(abs(score) > 1 for score in every)} lie outside −1 to 1. The numbers are in the table of coefficients."
-    )
-    rows = [{"coefficient": name, "E_n": ", ".join(f"{score:+.2f}" for score in scores[name])} for name in names]
-    return picture(
-        draw,
-        "E_n numbers of all differences",
-        "Shaded: both values lie within their common 95 % interval. Arrows: further out than drawn.",
-        alt,
-        Frame(rows),
-        wide=True,
-        simulated=simulated,
-    )
 
 
 Rows = tuple[list[str], list[list[str]]]
@@ -159,8 +104,6 @@ def curve_rows(curves: Sequence[Comparison]) -> Rows:
     return frame.columns, frame.cells()
 
 
-NAME = "changes"
-SCHEMA = "pmabench.changes/1"
 HEADS = ("coefficient", "at", "unit", "as recorded", "as reduced here", "difference", "%")
 
 
@@ -178,30 +121,3 @@ def print_changes(changes: Sequence[Change], console: Console) -> None:
         console.print(Text(f"{kind}, {method}", style="italic"))
         mine = [row for row in rows if (row["kind"], row["method"]) == (kind, method)]
         print_grid(console, HEADS, Frame(mine, HEADS).cells(), ("coefficient", "at", "unit"), keys=2)
-
-
-def write_changes(
-    changes: Sequence[Change], channels: Sequence[Mapping[str, Any]], who: Mapping[str, str], folder: Path
-) -> list[Path]:
-    """`changes.csv` in display units and `changes.json` in SI; raises RecordError where they cannot be written."""
-    rows = []
-    for change in changes:
-        e = change.estimate
-        unit = shown(e.quantity, e.unit)
-
-        row: dict[str, Any] = {"kind": change.kind, "symbol": e.symbol, "coordinate": e.coordinate}
-        row |= {"at": point_text(e.at), "unit": plain_unit(unit.unit)}
-        for name, side in (("before", change.before), ("after", change.after)):
-            cells = value_cells(side) if side is not None else {}
-            row |= {name: cells.get("value")} | {f"{name} {end}": cells.get(end) for end in ("low95", "high95")}
-        row |= {"difference": unit.of(change.difference), "half width 95 %": unit.of(change.half_width)}
-        rows.append(row | {"method": e.method})
-    data = {
-        "schema": SCHEMA,
-        "recalibration": dict(who),
-        "channels": list(channels),
-        "changes": [change.to_dict() for change in changes],
-    }
-    text = json.dumps(plain(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    files = {f"{NAME}.csv": csv_text(rows, ["kind", "symbol"]), f"{NAME}.json": f"{text}\n"}
-    return [write_file(folder / name, data, "the changes") for name, data in files.items()]

@@ -65,7 +65,7 @@ function partNow(now) {
   put('doing', now.doing);
   const parts = [`${clock(now.elapsed)} elapsed`];
   if (now.left !== null) {
-    parts.push(`${now.about ? 'about' : 'by the plan'} ${clock(now.left)} left`);
+    parts.push(`by the plan ${clock(now.left)} left`);
     if (!now.paused) parts.push(`ends about ${at(new Date(Date.now() + 1000 * now.left))}`);
   }
   put('time', S.run.there === false ? '' : parts.join(', '));
