@@ -4,8 +4,7 @@ Results do not depend on the number of workers: each item is processed alone, an
 Standard library only; `distributed` is imported where a cluster is used.
 
 Workers of a cluster read the runs and write the analyses themselves: they must see the same folders under the same
-names, and have the same pmabench. Dask usually starts each with `MALLOC_TRIM_THRESHOLD_=65536`, which returns memory
-so often that numpy takes twice as long.
+names, and have the same pmabench.
 """
 
 from __future__ import annotations
@@ -23,9 +22,6 @@ from typing import Any, Protocol, TypeVar
 from pmabench.base.errors import UsageError
 from pmabench.store.since import program
 
-TRIM = "MALLOC_TRIM_THRESHOLD_"
-SMALL_TRIM = 1_000_000
-"""Trim threshold [bytes] below which the allocator returns memory so often that workers are slow."""
 PATIENCE = 10.0
 """Time to wait for the scheduler, and for its first worker [s]."""
 
@@ -67,16 +63,6 @@ class Cluster:
             what = f"has another pmabench or other libraries ({len(others)} of {len(programs)} workers)"
             raise UsageError(f"--cluster {address}: {others[0]} {what}; install the same versions there")
         return sum(self._client.nthreads().values())
-
-    def doubts(self) -> Iterator[str]:
-        """Reasons why the workers are slow, as text."""
-        trims = [str(value) for value in self._client.run(os.environ.get, TRIM, "").values()]
-        slow = sum(value.isdigit() and int(value) < SMALL_TRIM for value in trims)
-        if slow:
-            yield (
-                f"{slow} of {len(trims)} workers run with {TRIM}={next(v for v in trims if v)}, which can halve the "
-                "speed: start them with distributed.nanny.pre-spawn-environ set to another value (docs/many-runs.md)"
-            )
 
     def executor(self) -> Executor:
         """The executor of the cluster, which replaces dead workers itself."""

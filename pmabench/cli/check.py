@@ -66,7 +66,7 @@ def command(
 
         known = muscle_of(mounted, muscle)  # of a simulated bench only what the file expects, unless asked for
     idle = idle_trials(plan, known.expected) if known is not None and known.expected is not None else None
-    summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
+    summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful}
     if output is not None:
         _write_without(prepared, idle, output)
         summary["written"] = str(output)
@@ -199,8 +199,7 @@ def _idle_lines(plan: Plan, idle: Idle | None, written: Path | None) -> list[str
         return []
     doubtful = f", {len(idle.doubtful)} more may not" if idle.doubtful else ""
     count = f"{len(idle.idle)} of {len(plan.trials)} trials are not expected to lift their load{doubtful}"
-    first = [idle.first] if idle.first else []
-    return [count, *first, *([f"{written} has the sweep without them"] if written is not None else [])]
+    return [count, *([f"{written} has the sweep without them"] if written is not None else [])]
 
 
 def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refused: bool, done: bool) -> list[str]:

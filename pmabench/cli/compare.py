@@ -215,7 +215,7 @@ def _json(
 
     def difference(d: Difference) -> dict[str, Any]:
         about = fields(d.a, "symbol", "coordinate", "at", "unit", "quantity")
-        about |= fields(d, "kind", "relative", "agrees", "term", "lacks")
+        about |= fields(d, "kind", "relative", "agrees", "lacks")
         about |= {"a": value(d.a), "b": value(d.b), "between_points": d.between}
         return about | {"difference": d.value, "half_width": d.half, "E_n": d.score}
 

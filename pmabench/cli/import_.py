@@ -19,7 +19,7 @@ from pmabench.cli.names import PATH
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
-    from pmabench.store.importers.guess.proposal import Guess
+    from pmabench.store.importers.guess.columns import Guess
     from pmabench.store.importers.guess.write import Span
 
 

@@ -14,7 +14,6 @@ from pmabench.files.document import document_text
 from pmabench.files.shipped import find_file
 from pmabench.kinds.compile import compile_protocol, read_protocol, slower
 from pmabench.protocol.plan import Plan, Step
-from pmabench.protocol.sweep import long_ranges
 
 
 @dataclass(frozen=True)
@@ -63,12 +62,11 @@ def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[s
         raise InvalidFile(problems)
     document, model = read
     plan = compile_protocol(document, model, mounted)
-    doubts = (*long_ranges(getattr(model, "sweep", None), document), *mounted.doubts)
     text = document_text(document)
     sources: dict[str, Any] = {kind: str(path.resolve()) for kind, path in paths.items()}
     sources["set"] = [list(pair) for pair in settings]
     deviations = tuple(f"{name} set to {value}" for name, value in settings)
-    return Prepared(plan, mounted, text, deviations, sources, slower(plan, document, mounted), doubts)
+    return Prepared(plan, mounted, text, deviations, sources, slower(plan, document, mounted), mounted.doubts)
 
 
 def mounted_of(bench: str, specimen: str | None = None) -> Mounted:

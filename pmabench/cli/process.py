@@ -286,8 +286,6 @@ def _pool(ui: Ui, jobs: int, cluster: str | None) -> Iterator[Pool | None]:
     pool: Pool | None = None
     if cluster is not None:
         pool = Cluster(cluster)
-        for doubt in pool.doubts():
-            ui.note(doubt)
     elif jobs > 1:
         pool = Processes(jobs)
     try:

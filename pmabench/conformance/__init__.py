@@ -2,8 +2,8 @@
 
 `suite` is the table of checks and runs them on a device of a bench file. It tests the class alone;
 `samples`, `commands` and `following` test an open device, `broken_wire` its behaviour on a faulty connection. `rig`
-starts emulator and driver, and measures the duration of calls; between the two is a `relay` (TCP or serial) that
-damages bytes. `truth` asks emulator or simulation for the actual state of plant and device.
+starts emulator and driver, measures the duration of calls, and asks the emulator for the actual state of plant and
+device; between the two is a `relay` (TCP or serial) that damages bytes.
 
 Nothing is ever tested on a device that does not report over its connection that it is emulated.
 """

@@ -5,7 +5,6 @@ Every call ends in time, in a DeviceError or a number; no write is repeated; not
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections import Counter
@@ -160,31 +159,6 @@ def hang_up(rig: rigs.Rig) -> str:
         rig.renew_wire()
         rig.open()
     return f"says: {answers[0]}" if answers else "connects again by itself"
-
-
-def exchanges(rig: rigs.Rig) -> str:
-    """Question and answer are the bytes that the emulator's module lists as `EXCHANGES`, from the device's manual."""
-    module = sys.modules[type(rig.server).__module__]
-    if not (listed := getattr(module, "EXCHANGES", ())):
-        raise rigs.NotApplicable(f"{module.__name__} lists no EXCHANGES")
-    with rig.opened(armed=False) as device:
-        relay = rig.relays[0]
-        for name, arguments, question, answer, *returns in listed:
-            relay.heard.clear()
-            given = rig.call(f"{name}()", getattr(device, name), *arguments).good()
-            time.sleep(0.05)
-            asked = b"".join(data for sent, data in relay.heard if not sent)
-            answered = b"".join(data for sent, data in relay.heard if sent)
-            if asked != question:
-                raise rigs.Failed(f"{name}{arguments} sends {asked!r}; by the manual it is {question!r}")
-            if answered != answer:
-                emulated = f"is answered {answered!r} by the emulator"
-                raise rigs.Failed(f"{name}{arguments} {emulated}; by the manual it is {answer!r}")
-            if returns and (given != returns[0] or type(given) is not type(returns[0])):
-                raise rigs.Failed(
-                    f"{name}{arguments} returned {given!r}; what the device answered means {returns[0]!r}"
-                )
-    return f"{len(listed)} exchanges, byte by byte"
 
 
 def nothing_left(rig: rigs.Rig) -> str:

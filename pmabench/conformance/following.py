@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from math import pi, sin
 from typing import Any
 
-from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError
 from pmabench.base.quantities import show
 from pmabench.bench.interface import OutputRecord, Segment, Watchdog
 from pmabench.conformance.commands import MOVES, at, close_enough, commanded, lift, near, reaches, refuse_unsafe
 from pmabench.conformance.relay import silence
-from pmabench.conformance.rig import Failed, Late, NotChecked, Rig
+from pmabench.conformance.rig import Failed, Late, Rig, Truth
 from pmabench.conformance.samples import RATE
-from pmabench.conformance.truth import Truth
 
 BEHIND = 0.12
 """Largest time deviation of a ramp [s]."""
@@ -81,11 +79,10 @@ def _watch(rig: Rig, truth: Truth, output: OutputRecord, segment: Segment, lasts
     room = close_enough(output) + 0.02 * abs(float(si(value(segment.start + lasts / 4))) - float(si(segment.origin)))
     off = [distance for distance in seen if distance > room]
     if len(off) > 0.1 * len(seen):
-        message = (
+        raise Late(
             f"{output.name}: the plant's set-point is up to {show(max(off), output.quantity)} away from the "
             f"{segment.kind} that was commanded ({len(off)} of {len(seen)} looks)"
         )
-        raise Failed(message) if isinstance(clock, VirtualClock) else Late(message)
     crests = [float(si(segment.origin + sign * segment.amplitude)) for sign in (-1, 1)]
     if max(reached) - min(reached) < 0.8 * abs(crests[1] - crests[0]):
         swing = show(max(reached) - min(reached), output.quantity)
@@ -135,20 +132,15 @@ def watchdog(rig: Rig) -> str:
         _feed(rig, device, 1.5 * asked)
         rig.call("disarm_watchdog()", device.disarm_watchdog).nothing()
         rig.wait(asked + LATEST)
-        noted: list[Any] = rig.logged("watchdog")
-        if rig.emulator is None:  # it keeps no log: an output that is no longer up shows that it fired
-            regulated = [output for output in rig.record.outputs if output.quantity == "pressure"]
-            noted = [output for output in regulated if not reaches(rig, truth, output, at(output, 0.3))]
-        if noted:
+        if rig.logged("watchdog"):
             raise Failed(f"the device vented {asked:g} s after disarm_watchdog()")
         armed = _arm(rig, device)
         lift(rig, truth)
         _feed(rig, device, 0.3)
         rig.wait(armed + LATEST + 0.25)
-        fired = rig.logged("watchdog")
-        if rig.emulator is not None and not fired:
+        if not (fired := rig.logged("watchdog")):
             raise Failed(f"the emulated device did nothing {armed + LATEST:g} s after it was fed last")
-        silent = fired[0].get("silent", armed) if fired else armed
+        silent = fired[0].get("silent", armed)
         if not armed - EARLY <= silent <= armed + LATEST:
             message = f"arm_watchdog({asked:g}) gave {armed:g} s, and the device vented after {silent:.2f} s of silence"
             raise Late(message) if silent > armed else Failed(f"{message}: it holds another time than that")
@@ -188,8 +180,7 @@ def held(rig: Rig) -> str:
             raise Failed(f"held(): {reason}, and nothing happened")
         reported = ", ".join(before)
         _reports_change(rig, device, before)
-        if not rig.restart():
-            raise NotChecked(f"{reported}; a restart: there is no emulator that could be switched off and on")
+        rig.restart()
         rig.wait(0.1)
         after = rig.call("held()", device.held).judged()
         if not isinstance(after, DeviceError):

@@ -1,4 +1,7 @@
-"""One device under test: its emulator, the relays before it, the driver; outcomes of its calls."""
+"""One device under test: its emulator, the relays before it, the driver; outcomes of its calls.
+
+Also the actual state of plant and device, from the emulator, without the driver under test.
+"""
 
 from __future__ import annotations
 
@@ -7,28 +10,25 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.clock import Clock, RealClock, VirtualClock
+from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.base.system import registered
-from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Supervised, Watchdog
+from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Supervised, ValveRecord, Watchdog
 from pmabench.bench.interface import Truth as Wiring
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
-from pmabench.conformance.truth import Behind, Emulated, Inside, Truth
 from pmabench.guard.owner import PATIENCE, Call, Owner
 
 PASSED, FAILED, NOT_APPLICABLE, NOT_CHECKED = "pass", "fail", "does not apply", "not checked"
 OPENS_WITHIN = 2.0
 """Longest time that `open` may take [s]."""
-STARTS_WITHIN = 8.0
-"""The same for a simulation without a connection, which may start another process [s]; the guard waits as long."""
 COLLECTS_WITHIN = 0.5
 """Longest time that `start`, `collect` and `stop` may take [s]."""
 HUNG = 10.0
@@ -39,6 +39,10 @@ _PLACE = re.compile(r"(.*://)?((?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):\d{1,5})")
 """HOST:PORT, also after a prefix such as `slcan:socket://`."""
 SLACK = 0.1
 """Extra time for every call [s], in addition to three times the lag of this computer."""
+SPEED = 0.2
+"""Speed of an actuator on its way to another position [m/s]."""
+MASS = 5.0
+"""Mass that moves with a load [kg]."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +61,6 @@ class Failed(Exception):
 
 class Late(Failed):
     """Something was late, possibly because the computer is busy; it counts only if it happens in every attempt."""
-
-
-class NotApplicable(Exception):
-    """The device has nothing to check; the text states what is missing."""
 
 
 class NotChecked(Exception):
@@ -120,18 +120,88 @@ class _Lag:
             before = now
 
 
+@dataclass(frozen=True)
+class State:
+    """A state of the plant that is set independently of the driver."""
+
+    pressure: float
+    """Pressure [Pa]."""
+    position: float
+    """Contraction set by an actuator [m]."""
+    force: float
+    """Load on a free end [N]."""
+    supply: bool = True
+
+
+class Truth:
+    """The emulator's plant and the log of the emulated device; quantities are SI, by channel name."""
+
+    def __init__(self, record: DeviceRecord, emulator: Any, another: Callable[[], Any]) -> None:
+        self._record, self._emulator, self._another = record, emulator, another
+
+    @property
+    def _plant(self) -> Any:
+        return self._emulator().plant
+
+    def now(self) -> Mapping[str, float]:
+        """Present value of the quantity of each channel [SI]."""
+        return dict(self._plant.quantities())
+
+    def at(self, moment: float) -> Mapping[str, float]:
+        """The same at a moment [s, monotonic]."""
+        return dict(self._plant.at(moment))
+
+    def coil(self, valve: ValveRecord) -> bool | None:
+        """Last command to a valve: True if energised; None without one."""
+        entries = [e for e in self._emulator().log.of("switch", self._record.name) if e.get("valve") == valve.name]
+        return bool(entries[-1]["on"]) if entries else None
+
+    def dump_open(self) -> bool:
+        """Whether the dump valve is open in the plant."""
+        return bool(self._plant.dump_open())
+
+    def bring(self, state: State) -> None:
+        """Bring the plant to a state."""
+        plant = self._plant
+        if self._record.valves:
+            plant.switch(on=True)
+        plant.fail("supply_lost_at", over=state.supply)
+        plant.command(state.pressure)
+        if any(output.quantity == "length" for output in self._record.outputs):
+            return  # the device's own drive moves the end, and would trip if it were moved otherwise
+        if "displacement_command" in self.now():
+            plant.drive(state.position, SPEED)
+        else:
+            plant.load(state.force, MASS)
+
+    def e_stop(self, *, pressed: bool) -> None:
+        """Press or release the emergency stop."""
+        self._plant.fail("e_stop_at", over=not pressed)
+
+    def by_hand(self, output: str, value: float) -> bool:
+        """Change an output without the driver, by its keys or by a second driver; whether that is possible."""
+        own = getattr(self._emulator().devices[self._record.name], "by_hand", None)
+        if own is not None:
+            own(output, value)
+            return True
+        if (another := self._another()) is None:
+            return False
+        try:
+            another.rescue(output, value)
+        except DeviceError:
+            return False
+        return True
+
+
 class Rig:
     """The device of one record; `wiring` is the content of its truth file, if it has one.
 
-    `emulator`: None without one; then a driver is tested only if it is a simulation itself. `relays`: where bytes can
-    be damaged.
+    `relays`: where bytes can be damaged.
     """
 
-    def __init__(
-        self, record: DeviceRecord, folder: Path, *, realtime: bool = True, wiring: Wiring | None = None
-    ) -> None:
-        self._folder, self._realtime, self._wiring = folder, realtime, wiring
-        self.bench_clock: Clock = self.clock()
+    def __init__(self, record: DeviceRecord, folder: Path, wiring: Wiring | None = None) -> None:
+        self._folder, self._wiring = folder, wiring
+        self.bench_clock = RealClock()
         self.asked = record
         self.relays: list[Relay] = []
         self._lag = _Lag()
@@ -141,16 +211,11 @@ class Rig:
         """Result of the last `open`."""
         self._armed = False
         self._served = served = _rewritten(record, lambda _: f"127.0.0.1:{free_port()}", lambda _: self._far())
+        self._emulator: Any = None
+        with suppress(UsageError):
+            self._emulator = _emulator(served, wiring)
         try:
-            self.emulator: Any = _emulator(served, wiring)
-        except UsageError:
-            self.emulator = None
-            self._served = served = _rewritten(
-                record, lambda place: f"127.0.0.1:{_kept_port(place, record.driver)}", lambda path: path
-            )
-        self.server: Any = None if self.emulator is None else self.emulator.devices[record.name]
-        try:
-            self.record = served if self.server is None else _rewritten(served, self._tcp, self._serial)
+            self.record = served if self._emulator is None else _rewritten(served, self._tcp, self._serial)
         except BaseException:
             self.close()
             raise
@@ -184,52 +249,43 @@ class Rig:
             self.shut()
         for relay in self.relays:
             relay.close()
-        if self.emulator is not None:
-            self.emulator.close()
+        if self._emulator is not None:
+            self._emulator.close()
         self._lag.close()
 
-    def restart(self) -> bool:
-        """Switch the emulated device off and on: its state is lost, the connection stays. Whether that is possible."""
-        if self.emulator is None:
-            return self._inject("restart")
+    @property
+    def emulator(self) -> Any:
+        """The emulator; raises Failed without one."""
+        if self._emulator is None:
+            raise Failed(
+                f"{self.record.driver} has no emulator, and nothing else is tried: give it one (docs/drivers.md)"
+            )
+        return self._emulator
+
+    @property
+    def server(self) -> Any:
+        """The emulated device."""
+        return self.emulator.devices[self.record.name]
+
+    def restart(self) -> None:
+        """Switch the emulated device off and on: its state is lost, the connection stays."""
         self.emulator.close()
-        self.emulator = _emulator(self._served, self._wiring)
-        self.server = self.emulator.devices[self.record.name]
+        self._emulator = _emulator(self._served, self._wiring)
         self.renew_wire()
-        return True
 
     def switch_off_watchdog(self) -> bool:
         """Switch the watchdog off at the emulated device itself; whether that is possible."""
-        if self.emulator is None:
-            return self._inject("watchdog-off")
         return bool(getattr(self.server, "switch_off_watchdog", bool)())
 
-    def _inject(self, fault: str) -> bool:
-        """Inject a fault into a simulation in another process; whether there is one."""
-        if (control := getattr(self.device, "control", None)) is not None:
-            control("inject", fault=fault)
-        return control is not None
-
     def truth(self) -> Truth:
-        """Source of the actual state of plant and device; raises NotChecked if only the driver knows it."""
-        driver = self.driver()
-        if self.emulator is not None:
-            return Emulated(self.record, lambda: self.emulator, self._another)
-        if hasattr(driver, "simulation"):
-            return Inside(self.record, lambda: self.device)
-        if hasattr(driver, "control"):
-            return Behind(self.record, lambda: self.device, self._another)
-        raise NotChecked("there is neither an emulator nor a simulation to compare with")
+        """Source of the actual state of plant and device."""
+        return Truth(self.record, lambda: self.emulator, self._another)
 
     def _another(self) -> Any:
         """A second driver of the same device, not open, for its `rescue`; None if it has no such method."""
         return self.build(self.record) if issubclass(self.driver(), Rescue) else None
 
     # -- the driver -----------------------------------------------------------------------------------------------
-
-    def clock(self) -> Clock:
-        """A clock of the same kind as this device's bench."""
-        return RealClock() if self._realtime else VirtualClock()
 
     def driver(self) -> type:
         """Driver class; raises Failed if it cannot be loaded."""
@@ -250,24 +306,14 @@ class Rig:
             raise Failed(f"it cannot be built from the bench's record: {type(error).__name__}: {error}") from error
 
     def open(self, *, armed: bool = True) -> Identity:
-        """Open a new driver on a good connection, and arm its watchdog as the guard does.
-
-        Raises Failed, also if neither an emulator nor a simulation answers.
-        """
+        """Open a new driver in front of its emulator on a good connection, and arm its watchdog as the guard does."""
+        _ = self.emulator  # nothing else is ever opened
         self.well()
-        self.bench_clock = self.clock()
+        self.bench_clock = RealClock()
         self.device = self.build(self.record)
-        outcome = self.call("open()", self.device.open, hung=HUNG)
-        if self.emulator is None and isinstance(outcome.error, DeviceError):
-            outcome = self.call("open()", self.device.open, hung=HUNG)  # its process may have taken longer to start
-        identity = self.identity = outcome.good(self.opens_within)
+        identity = self.identity = self.call("open()", self.device.open, hung=HUNG).good(OPENS_WITHIN)
         if not isinstance(identity, Identity):
             raise Failed(f"open() gave {identity!r}; an Identity is expected")
-        if not identity.simulated and self.emulator is None:
-            raise Failed(
-                f"{identity.maker} {identity.model} answers as hardware, and nothing is tried on hardware: give the "
-                "driver an emulator (docs/drivers.md)"
-            )
         if armed and self.record.watchdog and isinstance(self.device, Watchdog):
             self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good()
             self._armed = True
@@ -343,13 +389,8 @@ class Rig:
         self.bench_clock.wait_until(self.bench_clock.now() + seconds)
 
     def logged(self, kind: str) -> list[dict[str, Any]]:
-        """Commands of one kind in the emulator's log; empty without an emulator."""
-        return [] if self.emulator is None else list(self.emulator.log.of(kind, self.record.name))
-
-    @property
-    def opens_within(self) -> float:
-        """Longest time that `open` may take for this device [s]."""
-        return OPENS_WITHIN if self.emulator is not None else STARTS_WITHIN
+        """Commands of one kind in the emulator's log."""
+        return list(self.emulator.log.of(kind, self.record.name))
 
     def streams(self) -> bool:
         """Whether the device has channels that it samples."""
@@ -369,12 +410,6 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-@lru_cache
-def _kept_port(_place: str, _driver: str) -> int:
-    """A free port for a simulation that starts a process; the same for all checks, so that there is only one."""
-    return free_port()
 
 
 def _emulator(record: DeviceRecord, wiring: Wiring | None) -> Any:

@@ -11,11 +11,9 @@ from statistics import fmean, median
 from time import monotonic
 from typing import Any
 
-from pmabench.base.clock import RealClock
 from pmabench.base.quantities import show
 from pmabench.bench.interface import COMPUTER, Block, ChannelRecord
-from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotChecked, Rig
-from pmabench.conformance.truth import State, Truth
+from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotChecked, Rig, State, Truth
 from pmabench.guard.limits import to_device
 
 RATE = 50.0
@@ -212,16 +210,13 @@ def _paced(found: Recording, rate: float) -> None:
         )
     if not 0.85 * period <= usual <= 1.15 * period:
         raise Late(f"start() said {rate:g} Hz, and samples are {1e3 * usual:.3g} ms apart, not {1e3 * period:.3g} ms")
-    first_of_block = {border - 1 for border in found.borders}
     wrong = []  # both: a delay by a busy computer must not hide faults of the driver
     for word, weights in (
         ("missing", [max(0, round(step / period) - 1) if step > 1.6 * period else 0 for step in steps]),
         ("there twice", [int(step < 0.4 * period) for step in steps]),
     ):
-        at_borders = sum(weight > 0 for place, weight in enumerate(weights) if place in first_of_block)
-        if sum(weights) > max(2, 0.07 * len(steps)) or at_borders > max(2, len(found.borders) / 2):
-            where = " where one block ends and the next begins" if at_borders > len(found.borders) / 3 else ""
-            wrong.append(f"{sum(weights)} of {len(steps)} samples are {word}{where}, by their times")
+        if sum(weights) > max(2, 0.07 * len(steps)):
+            wrong.append(f"{sum(weights)} of {len(steps)} samples are {word}, by their times")
     if wrong:
         raise Late(", and ".join(wrong))
 
@@ -253,9 +248,9 @@ def values(rig: Rig) -> str:
         known = {channel.name for channel in rig.record.channels} & {*truth.now()}
         states = [_in_state(rig, truth, state, known) for state in STATES]
         measured = [c for c in rig.record.channels if c.name in known and not c.name.endswith("_command")]
-        checked = [channel.name for channel in measured if _agrees(channel, measured, states)]
+        checked = [channel.name for channel in measured if _agrees(channel, states)]
         seen = [channel for channel in measured if channel.name in checked]
-        moved = _moves(rig, truth, seen, rate, stamped=stamped) if truth.history else []
+        moved = _moves(rig, truth, seen, rate, stamped=stamped)
     agree = f"{', '.join(checked) or 'nothing'} as in the plant, in states far apart"
     agree += f"; {', '.join(moved)} also sample by sample on the move" if moved else ""
     outputs = {f"{output.name}_command" for output in rig.record.outputs}  # checked with the set-points
@@ -264,14 +259,12 @@ def values(rig: Rig) -> str:
         for c in rig.record.channels
         if c.name not in checked and c.name not in outputs
     ]
-    for output in rig.record.outputs if truth.history else ():
+    for output in rig.record.outputs:
         pair = [c for c in rig.record.channels if c.name in {output.name, f"{output.name}_command"}]
         if output.quantity == "length" and len(pair) == 2 and pair[0].scale == pair[1].scale:
             why.append(f"whether {pair[0].name} and {pair[1].name} are swapped (this drive follows without any error)")
-    if truth.history and seen and not moved:
+    if seen and not moved:
         why.append("whether each sample belongs to its time (nothing moved enough, or this computer is too busy)")
-    if not truth.history:
-        why.append("whether each sample belongs to its time (this simulation keeps no past to compare with)")
     if why:
         raise NotChecked(f"{agree}; not checked: {', '.join(why)}")
     return agree
@@ -294,8 +287,8 @@ class _Seen:
 def _bring(rig: Rig, truth: Truth, state: State) -> float:
     """Bring the plant to a state, an end with the device's own drive; returns the time that this may take [s]."""
     truth.bring(state)
-    seconds = SETTLES if truth.history else 2.0
-    for output in rig.record.outputs if truth.history else ():
+    seconds = SETTLES
+    for output in rig.record.outputs:
         if output.quantity == "length":
             way = abs(state.position - truth.now()["displacement"])
             value = to_device(output, min(max(state.position, output.low), output.high))
@@ -310,7 +303,7 @@ def _in_state(rig: Rig, truth: Truth, state: State, known: set[str]) -> _Seen:
     found = record(rig, 0.3)
     if not found.times:
         raise Late("samples no longer come while the pressure changes")
-    grid = _grid(rig, truth, found) if truth.history else [(0.0, truth.now())]
+    grid = _grid(rig, truth, found)
     shown, had, off = {}, {}, {}
     for channel in rig.record.channels:
         if channel.name in known:
@@ -327,38 +320,15 @@ def tolerance(channel: ChannelRecord) -> float:
     return SHARE * (channel.high - channel.low) + (1.5 * abs(channel.scale.slope) if channel.raw_type == "int32" else 0)
 
 
-def _agrees(channel: ChannelRecord, others: Sequence[ChannelRecord], states: Sequence[_Seen]) -> bool:
+def _agrees(channel: ChannelRecord, states: Sequence[_Seen]) -> bool:
     """Whether a channel was seen in states far apart; raises Failed if its value is not the plant's."""
     had = [state.had[channel.name] for state in states]
     most = tolerance(channel)
-    if max(state.off[channel.name] for state in states) > most:
-        raise Failed(_diagnosis(channel, others, states, most))
-    return max(had) - min(had) > DISTINCT * most
-
-
-def _diagnosis(channel: ChannelRecord, others: Sequence[ChannelRecord], states: Sequence[_Seen], most: float) -> str:
-    """What is wrong with a channel, as far as its values show."""
     worst = max(states, key=lambda state: state.off[channel.name])
-    shown, had = [s.shown[channel.name] for s in states], [s.had[channel.name] for s in states]
-    text = (
-        f"{channel.name} shows {show(worst.shown[channel.name], channel.quantity)} where the emulated plant has "
-        f"{show(worst.had[channel.name], channel.quantity)}"
-    )
-    for other in others:
-        if other is not channel and all(
-            abs(other.scale.to_si(channel.scale.to_raw(s)) - state.had[other.name]) <= tolerance(other)
-            for s, state in zip(shown, states, strict=True)
-        ):
-            return f"{text}: it shows {other.name}; are these channels swapped?"
-    mean_s, mean_h = fmean(shown), fmean(had)
-    if (spread := sum((h - mean_h) ** 2 for h in had)) <= (DISTINCT * most) ** 2:
-        return f"{text}: is there an offset, or another unit?"
-    if max(shown) - min(shown) <= most:
-        return f"{text}: it does not change with the plant; is an old value repeated, or another channel shown?"
-    slope = sum((s - mean_s) * (h - mean_h) for s, h in zip(shown, had, strict=True)) / spread
-    if abs(slope - 1.0) < 0.02:
-        return f"{text}: an offset of {show(mean_s - mean_h, channel.quantity, 3)}"
-    return f"{text}: {slope:.3g} times as much; " + ("the sign is wrong" if slope < 0 else "is it another unit?")
+    if worst.off[channel.name] > most:
+        shown, real = (show(value[channel.name], channel.quantity) for value in (worst.shown, worst.had))
+        raise Failed(f"{channel.name} shows {shown} where the emulated plant has {real}")
+    return max(had) - min(had) > DISTINCT * most
 
 
 def _moves(rig: Rig, truth: Truth, channels: Sequence[ChannelRecord], rate: float, *, stamped: bool) -> list[str]:
@@ -389,7 +359,6 @@ def _swept(since: float) -> State:
 
 def _grid(rig: Rig, truth: Truth, found: Recording) -> list[tuple[float, Mapping[str, float]]]:
     """State of the plant around the samples: bench time [s], quantities."""
-    assert isinstance(rig.bench_clock, RealClock)  # noqa: S101  (a plant with a history is in real time)
     moments, zero = found.moments(), rig.bench_clock.start
     first = moments[0] - WINDOW
     count = round((moments[-1] + WINDOW - first) / GRID)

@@ -25,7 +25,7 @@ from pmabench.bench.truth import read_truth, truth_of
 from pmabench.conformance import broken_wire, commands, following, samples
 from pmabench.conformance import rig as r
 from pmabench.conformance.broken_wire import Battle
-from pmabench.conformance.rig import COLLECTS_WITHIN, OPENS_WITHIN, Failed, NotApplicable, Result, Rig, open_files
+from pmabench.conformance.rig import COLLECTS_WITHIN, OPENS_WITHIN, Failed, Result, Rig, open_files
 from pmabench.files.shipped import shipped_folder
 
 CAPABILITIES = (
@@ -72,20 +72,10 @@ def light(rig: Rig) -> str:
 
 
 def interfaces(rig: Rig) -> str:
-    """It is a Device and has what the bench file wants of it; building it opens nothing."""
+    """It is a Device; building it opens nothing."""
     driver: Any = rig.driver()
     if not issubclass(driver, Device):
         raise Failed(f"{rig.record.driver} has no open() and close(): see pmabench/bench/interface.py")
-    wanted = {
-        "Stream": rig.record.channels,
-        "SetPoint": rig.record.outputs,
-        "Switch": rig.record.valves,
-        "Inputs": rig.record.interlocks,
-        "Watchdog": rig.record.watchdog,
-    }
-    for name, wants in wanted.items():
-        if wants and not issubclass(driver, getattr(interface, name)):
-            raise Failed(f"the bench wants a {name}, and the driver does not implement it")
     before = threading.active_count(), open_files()
     rig.build(rig.record)
     after = threading.active_count(), open_files()
@@ -119,20 +109,6 @@ def options(rig: Rig) -> str:
     return f"good options are taken, {len(wrong)} kinds of mistake are named"
 
 
-def declared(rig: Rig) -> str:
-    """Every channel and output has a unit, a range and a finite scale."""
-    for channel in rig.record.channels:
-        if not channel.raw_unit or not channel.low < channel.high or not channel.scale.slope:
-            raise Failed(f"the channel {channel.name} has no unit, no range or no scale")
-    for output in rig.record.outputs:
-        if not output.low <= output.safe <= output.high or not output.scale.slope or output.resolution < 0:
-            raise Failed(f"the output {output.name} has no limits with its safe value between them, or no scale")
-    count = len(rig.record.channels) + len(rig.record.outputs)
-    if not count + len(rig.record.valves):
-        raise NotApplicable("the bench names no channel and no output of it")
-    return f"{count} channels and outputs have unit, range and scale"
-
-
 def nobody(rig: Rig) -> str:
     """Without a device `open` raises DeviceError in time, and `close` does no harm."""
     for relay in rig.relays:
@@ -160,7 +136,7 @@ def life(rig: Rig) -> str:
             answer = rig.call(f"{what} after close()", act).judged(COLLECTS_WITHIN)
             if not isinstance(answer, DeviceError) and not (isinstance(answer, Block) and not len(answer.time)):
                 raise Failed(f"{what} after close() gave {answer!r}; a DeviceError is expected")
-        again = rig.call("open() again", device.open).good(rig.opens_within)
+        again = rig.call("open() again", device.open).good(OPENS_WITHIN)
         if not isinstance(again, Identity):
             raise Failed("a driver that was closed cannot be opened again")
     who = f"{again.maker} {again.model}".strip()
@@ -198,7 +174,6 @@ RESCUE: Need = (_can(interface.Rescue, "outputs"), "it has no second way to its 
 CHECKS: dict[str, tuple[Callable[[Rig], str], *tuple[Need, ...]]] = {
     "interface": (interfaces,),
     "imports": (light,),
-    "declares": (declared,),
     "options": (options,),
     "nobody there": (nobody, WIRE),
     "life": (life,),
@@ -217,7 +192,6 @@ CHECKS: dict[str, tuple[Callable[[Rig], str], *tuple[Need, ...]]] = {
     "silence": (broken_wire.silent, WIRE),
     "late answers": (broken_wire.late_answers, WIRE, OUTPUTS),
     "line cut": (broken_wire.hang_up, WIRE),
-    "exchanges": (broken_wire.exchanges, WIRE),
     "nothing left": (broken_wire.nothing_left, WIRE),
 }
 """Name -> check and its needs; the promise is the first line of the check's docstring."""
@@ -231,8 +205,6 @@ class Subject:
     """A device of a bench file."""
 
     record: DeviceRecord
-    realtime: bool
-    """Whether its bench runs in real time."""
     bench: str
     """Name of the bench file."""
     wiring: Truth | None = None
@@ -255,13 +227,13 @@ def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
     unusable: list[InvalidFile] = []
     for path in naming if bench is None else [bench]:
         try:
-            compiled = mount_alone(path).bench
+            devices = mount_alone(path).bench.devices
         except InvalidFile as error:
             unusable.append(error)
             continue
         real = truth_of(path)
         wiring = None if real is None else read_truth(real)
-        found += [Subject(r, compiled.realtime, path.name, wiring) for r in compiled.devices if r.driver == target]
+        found += [Subject(r, path.name, wiring) for r in devices if r.driver == target]
     if unusable and not found:
         raise unusable[0]
     return found
@@ -305,12 +277,10 @@ def _verdict(
     subject: Subject, check: Callable[[Rig], str], needs: Sequence[Need], attempts: int = ATTEMPTS
 ) -> tuple[str, str]:
     with tempfile.TemporaryDirectory(prefix="pmabench-conformance-") as folder:
-        rig = Rig(subject.record, Path(folder), realtime=subject.realtime, wiring=subject.wiring)
+        rig = Rig(subject.record, Path(folder), subject.wiring)
         try:
             missing = next((sentence for has, sentence in needs if not has(rig)), "")
             return (r.NOT_APPLICABLE, missing) if missing else (r.PASSED, check(rig))
-        except r.NotApplicable as reason:
-            return r.NOT_APPLICABLE, str(reason)
         except r.NotChecked as reason:
             return r.NOT_CHECKED, str(reason)
         except r.Late as failure:
@@ -318,9 +288,6 @@ def _verdict(
                 return r.FAILED, f"{failure}, and so it was {ATTEMPTS} times"
         except r.Failed as failure:
             return r.FAILED, str(failure)
-        except DeviceError as error:
-            if attempts == 1:
-                return r.NOT_CHECKED, f"the simulation that it is compared with does not answer: {error}"
         finally:
             rig.close()
     return _verdict(subject, check, needs, attempts - 1)

@@ -18,13 +18,37 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid, reading
 from pmabench.base.quantities import MUSCLES, without_number
-from pmabench.files.wording import wrong_value, yaml_mistake
 
 MAX_BYTES = 1_000_000
 MAX_NODES = 100_000
 MAX_DEPTH = 40
 OFTEN = 50_000
 """Texts of up to this length are cached: calibrations and benches are read several times."""
+
+MISTAKES = {
+    "mapping values are not allowed": "is the line indented further than the one above? A text that holds ': ' "
+    "needs quotes",
+    "found character '\\t'": "a tab; YAML is indented with spaces",
+    "found character": "a value that begins with this sign needs quotes",
+    "could not find expected ':'": "a key without ':', or a line that is indented less than the text it belongs to",
+    "expected <block end>": "the line is indented neither like the one above nor like a line further up",
+    "expected ',' or": "a list or map in brackets lacks a comma or its closing bracket",
+    "did not find expected": "a list or map in brackets lacks a comma or its closing bracket",
+    "expected the node content": "a bracket is not closed, or a value is missing",
+    "found unexpected end of stream": "a quote is not closed",
+    "found undefined alias": "'*' begins a reference in YAML; a text that begins with it needs quotes",
+}
+"""How the YAML library's sentence begins -> what to look for in the line."""
+
+VALUES = {
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+    "string": "a text (in quotes)",
+    "date": "a day, for instance 2026-11-23",
+    "datetime": "a day with a time, for instance 2026-11-23 14:05:00",
+}
+"""What the schema library calls a value -> what is expected."""
 
 _TAGS = {"str", "int", "float", "bool", "null", "seq", "map", "timestamp", "merge", "value"}
 
@@ -139,7 +163,7 @@ class Document:
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             line, column = (mark.line + 1, mark.column + 1) if mark else (0, 0)
-            message = yaml_mistake(" ".join(str(error.problem or error.context or "not YAML").split()))
+            message = _yaml_mistake(" ".join(str(error.problem or error.context or "not YAML").split()))
             raise invalid(self.path, f"not readable as YAML: {message}", line, column) from error
         except (YAMLError, ValueError, RecursionError) as error:
             raise invalid(self.path, f"not readable as YAML: {' '.join(str(error).split())[:200]}") from error
@@ -315,7 +339,7 @@ def _sentence(model: type[BaseModel], item: Any, found: Location) -> tuple[str, 
         return f'"{name}" needs its own keys and values, not "{value}"', False
     if kind in {"list_type", "tuple_type"}:
         return f'"{name}" needs a list, for instance [{value}]', False
-    return wrong_value(kind, value, item["msg"]), False
+    return _wrong_value(kind, value, item["msg"]), False
 
 
 def _annotations(model: type[BaseModel]) -> dict[str, Any]:
@@ -377,3 +401,17 @@ def schema_of(alone: Sequence[str], of_a_muscle: Sequence[str]) -> dict[str, Any
     """The same as a JSON schema."""
     both = "|".join(f"{name}(_[1-{MUSCLES}])?" if name in of_a_muscle else name for name in alone)
     return {"type": "string", "pattern": f"^({both})$"}
+
+
+def _yaml_mistake(problem: str) -> str:
+    """What is wrong with a text that is no YAML."""
+    return next((words for begin, words in MISTAKES.items() if problem.startswith(begin)), problem)
+
+
+def _wrong_value(kind: str, value: object, message: str) -> str:
+    """What is wrong with a value, from the library's kind of error and its sentence."""
+    first, _, rest = kind.partition("_")
+    if first in VALUES and (rest in {"type", "parsing"} or rest.startswith("from_")):
+        return f'"{value}" is not {VALUES[first]}'
+    message = message.replace("Input should be", f'"{value}" should be')
+    return message[0].lower() + message[1:] if message[:1].isupper() else message

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,12 +13,10 @@ from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import in_words
 from pmabench.bench.compile import Mounted, mount
 from pmabench.files.document import Document, Location, Strict, check_schema, document_text, read_document, validate
-from pmabench.files.quantity import parse_quantity
 from pmabench.files.shipped import find_file
 from pmabench.kinds import registry
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Plan
-from pmabench.protocol.sweep import long_ranges
 
 
 def kind_class(name: str) -> type[ProtocolHead]:
@@ -66,25 +63,11 @@ def _check_whole(plan: Plan, c: Compilation) -> None:
     """Checks that have no place in the file: a plan without end, and steps that could leave the active limits."""
     longest = plan.duration()[1]
     if longest > LONGEST:
-        where = max(_times(c.document.data), key=lambda found: found[0], default=(0.0, ("sweep",)))[1]
-        c.fault(
-            where,
-            f"the whole plan can take {in_words(longest)}; at most {in_words(LONGEST)} are allowed "
-            "(this is the longest time in it; shorten it, or take fewer trials)",
-        )
+        text = f"the whole plan can take {in_words(longest)}; at most {in_words(LONGEST)} are allowed"
+        c.fault(("sweep",), f"{text}: shorten its times, or take fewer trials")
     for output, (low, high) in plan.commands().items():
         c.within(output, low, ("trial",))
         c.within(output, high, ("trial",))
-
-
-def _times(data: Any, at: Location = ()) -> Iterator[tuple[float, Location]]:
-    """Every time value in the protocol [s], with its place."""
-    if isinstance(data, dict | list):
-        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            yield from _times(value, (*at, key))
-    elif isinstance(data, str):
-        with suppress(ValueError):
-            yield parse_quantity(data, "time"), at
 
 
 def slower(plan: Plan, document: Document, mounted: Mounted) -> tuple[str, ...]:
@@ -187,8 +170,7 @@ def _plan(
     sources["set"] = [list(pair) for pair in settings]
     deviations = tuple(f"{name} set to {value}" for name, value in settings)
     late = slower(plan, protocol_document, mounted[bench])
-    doubts = (*long_ranges(getattr(protocol, "sweep", None), protocol_document), *mounted[bench].doubts)
-    return PlannedRun(plan, mounted[bench], text, deviations, sources, late, doubts)
+    return PlannedRun(plan, mounted[bench], text, deviations, sources, late, mounted[bench].doubts)
 
 
 def _find(folder: Path, kind: str, name: str) -> Path:

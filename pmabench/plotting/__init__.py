@@ -4,6 +4,6 @@
   of a page
 - drawings: `plots`, `time_plots`; `chart`: as data, for static SVG and for a script
 - `web`: files for pages in a browser (uPlot, the font Inter), unchanged, with their licences
-- figures that several kinds of test share: `loops`, `motion`
+- figures that several kinds of test share: `motion`
 - words, display units, numbers and tables of text: `wording`
 """

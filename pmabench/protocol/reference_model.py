@@ -1,4 +1,4 @@
-"""The model that a run is compared with: from the specimen file, a preset, a plant file or an analysis folder.
+"""The model that a run is compared with: from the specimen file, a preset or an analysis folder.
 
 It is stored in the plan as plain numbers, so that a run does not depend on a file that may change later.
 """
@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field
 
 from pmabench.base.errors import InvalidFile, PmaError, did_you_mean
-from pmabench.bench.plant import read_plant
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Force, Pressure, Time
 from pmabench.model.curve import Curve
 from pmabench.model.muscle import Friction, Muscle
-from pmabench.model.presets import MUSCLES, Described, changed, preset, setup_of, tabulated_force
+from pmabench.model.presets import MUSCLES, Described, preset, tabulated_force
 from pmabench.model.regulator import Regulator
 from pmabench.protocol.common import Compilation
 
@@ -47,9 +46,8 @@ class FrictionFile(Strict):
 class ReferenceModel(Strict):
     """Which model is simulated next to the measurement.
 
-    `coefficients` is `specimen` (the expected values of its file), the name of a preset or a plant file with its kind
-    (`paper0 ideal`, `muscle.yaml bench`), or the folder of an analysis: one that gives F_ce, K and B_c over pressure,
-    or one of kind surface.
+    `coefficients` is `specimen` (the expected values of its file), the name of a preset with its kind (`paper0 ideal`),
+    or the folder of an analysis: one that gives F_ce, K and B_c over pressure, or one of kind surface.
     """
 
     coefficients: Annotated[str, Field(min_length=1, max_length=400)]
@@ -81,11 +79,11 @@ def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, 
 
 
 def _found(c: Compilation, name: str) -> Described:
-    """The model in the file, preset or folder of that name; raises ValueError or `InvalidFile` where there is none."""
+    """The specimen's model, or that in the preset or folder of that name; raises ValueError or `InvalidFile`."""
     if name == SPECIMEN:
         return _of_specimen(c)
-    if name.partition(" ")[0] in MUSCLES or _plant_file(name):
-        return _of_preset(c, name)
+    if name.partition(" ")[0] in MUSCLES:
+        return _of_preset(name)
     return _of_surface(c, name) or _of_analysis(c, name)
 
 
@@ -112,34 +110,13 @@ def _straight(
     return Described(muscle, regulator, source, (min(pressures), max(pressures)))
 
 
-def _of_preset(c: Compilation, text: str) -> Described:
+def _of_preset(text: str) -> Described:
     name, _, kind = text.partition(" ")
     kind = kind.strip() or "ideal"
-    if file := _plant_file(text):
-        name, kind = file
-        numbers = _read_plant(c, name)
-        setup = changed(setup_of(numbers), kind)
-        source, highest = f"plant file {name}, {kind}: {numbers['name']}", float(numbers["highest_pressure"])
-    else:
-        setup, source, highest = preset(name, kind), f"preset {name} {kind}", 1e7
+    setup = preset(name, kind)
     if not isinstance(setup.muscle, Muscle):
         raise ValueError(f'the plant "{name}" is no three-element muscle with a free end')
-    return Described(setup.muscle, setup.regulator, source, (0.0, highest), setup.air)
-
-
-def _plant_file(text: str) -> tuple[str, str] | None:
-    """Path and kind where `text` names a plant file (`muscle.yaml` or `muscle.yaml bench`), else None."""
-    path, _, kind = text.rpartition(" ") if text.endswith((" ideal", " bench")) else (text, "", "ideal")
-    return (path.strip(), kind) if path.strip().endswith(".yaml") else None
-
-
-def _read_plant(c: Compilation, name: str) -> dict[str, Any]:
-    """Numbers of a plant file, searched in the current folder, then next to the protocol."""
-    places = [Path(name), Path(str(c.document.path)).parent / name]
-    path = next((place for place in places if place.is_file()), None)
-    if path is None:
-        raise ValueError(f'there is no plant file "{name}" here or next to the protocol')
-    return read_plant(path).numbers
+    return Described(setup.muscle, setup.regulator, f"preset {name} {kind}", (0.0, 1e7), setup.air)
 
 
 def _of_specimen(c: Compilation) -> Described:

@@ -9,7 +9,7 @@ import random
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise, product
+from itertools import groupby, product
 from math import prod
 from textwrap import wrap
 from typing import Annotated, Any, Generic, Literal, TypeVar
@@ -22,11 +22,9 @@ from pmabench.bench.files.specimen import ExpectedFile
 from pmabench.files.document import Document, Location, Strict
 from pmabench.files.quantity import Angle, AngularSpeed, Frequency, Length, Pressure, Speed
 from pmabench.protocol.driven import believed
-from pmabench.protocol.plan import Plan, TrialRecord
+from pmabench.protocol.plan import Plan
 
 MOST_POINTS = 20_000
-USUAL_POINTS = 60
-"""Largest number of values of a range without a warning; with more, its step may be in the wrong unit."""
 
 Axes = TypeVar("Axes", bound=Strict)
 
@@ -97,22 +95,6 @@ class Point:
     values: dict[str, Any]
     places: dict[str, Location]
     repeat: int = 0
-
-
-def long_ranges(sweep: Any, document: Document, at: Location = ("sweep",)) -> Iterator[str]:
-    """A warning for each range with more than `USUAL_POINTS` values, with its place in the file."""
-    if not isinstance(sweep, Sweep):
-        return
-    for index, part in enumerate(sweep.concat or ()):
-        yield from long_ranges(part, document, (*at, "concat", index))
-    for form in ("matrix", "zip"):
-        for name, axis in getattr(sweep, form) or ():
-            if isinstance(axis, PressureRange) and (count := len(axis.values())) > USUAL_POINTS:
-                start, stop, step = (show(value, "pressure") for value in (axis.start, axis.stop, axis.step))
-                yield (
-                    f"{document.where((*at, form, name))}  {start} to {stop} by {step} makes {count} values; "
-                    "are the units of start, stop and step what you mean?"
-                )
 
 
 def expand(sweep: Sweep[Any], document: Document, at: Location = ("sweep",)) -> list[Point]:
@@ -216,8 +198,6 @@ class Idle:
     """Indices of trials whose force does not exceed load and static friction."""
     doubtful: tuple[int, ...]
     """Indices of trials whose margin of force may be lost to friction."""
-    first: str
-    """Sentence about the first idle trial; empty without one."""
 
     @property
     def all(self) -> frozenset[int]:
@@ -231,17 +211,16 @@ def idle_trials(plan: Plan, expected: ExpectedFile) -> Idle:
     F_ce beyond the expected points is extrapolated (`force_at`).
     """
     static = STATIC * expected.F_c
-    idle, doubtful, first = [], [], ""
+    idle, doubtful = [], []
     for trial in plan.trials:
         if not {"load", "pressure"} <= set(trial.point):
             continue
         margin = force_at(expected, trial.point["pressure"]) - trial.point["load"]
         if margin <= static:
             idle.append(trial.index)
-            first = first or _words(trial, expected, static)
         elif margin < DOUBTFUL * expected.F_c:
             doubtful.append(trial.index)
-    return Idle(tuple(idle), tuple(doubtful), first)
+    return Idle(tuple(idle), tuple(doubtful))
 
 
 def force_at(expected: ExpectedFile, pressure: float) -> float:
@@ -252,18 +231,6 @@ def force_at(expected: ExpectedFile, pressure: float) -> float:
         slope = (two.F_ce - one.F_ce) / (two.pressure - one.pressure)
         return float(max(0.0, one.F_ce + slope * (pressure - one.pressure)))
     return believed(expected, pressure).F_ce
-
-
-def _words(trial: TrialRecord, expected: ExpectedFile, static: float) -> str:
-    load, pressure = trial.point["load"], trial.point["pressure"]
-    known = sorted((point.pressure, point.F_ce) for point in expected.points)
-    enough = next(
-        (P0 + (load + static - F0) * (P1 - P0) / (F1 - F0)
-         for (P0, F0), (P1, F1) in pairwise(known) if F0 < load + static <= F1),
-        None,
-    )  # fmt: skip
-    needs = f"needs {show(enough, 'pressure', 3)}" if enough else "is more than is expected of it at any pressure"
-    return f"trial {trial.index + 1}: {show(load, 'force', 3)} {needs}, commanded are {show(pressure, 'pressure', 3)}"
 
 
 def without(document: Document, sweep: Any, text: str, left_out: Iterable[int]) -> str:

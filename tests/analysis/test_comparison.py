@@ -17,7 +17,7 @@ from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.contraction_relaxation.segments import gather
 from pmabench.report.figures.overlays import with_published
 from pmabench.report.pages.comparison_page import rows_of
-from pmabench.store.analyses.results import PUBLISHED, Analysis, Curve, Estimate, Parts, Source
+from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, Parts, Source
 from tests.analysis.coverage_study import CHANNELS, campaign
 from tests.analysis.simulate import contraction_run, rig
 
@@ -61,30 +61,21 @@ def test_the_same_calibration_drops_out_and_another_does_not():
     assert one(same[0], by_another_way).half == pytest.approx((25.0 + 288.0) ** 0.5)
 
 
-def test_without_a_session_the_zeros_of_one_calibration_do_not_drop_out():
-    """Zeros of two days, each right within U: 95 % within; they were beyond in 4 of 5 where only repeats were left."""
+def test_without_a_session_calibrations_do_not_drop_out():
+    """Zeros of two days, each right within U; they were beyond in 4 of 5 where only repeats were left."""
     zeros = np.random.default_rng(11).normal(0.0, 8.0 / 1.959964, (400, 2))
-    lines = tuple(
-        Source(f"calibration of force, {of}", "calibration", "B", h) for of, h in (("gain", 6.0), ("offset", 8.0))
-    )
     parts = Parts(1.0, calibration=10.0)
-    split = [
-        [replace(K(50.0 + z, None, 1e5 + i), parts=parts, budget=lines) for i, z in enumerate(zs)] for zs in zeros.T
-    ]
-    a, b = (side(*one_day, name=n, run=n, calibrations=FILES) for one_day, n in zip(split, "AB", strict=True))
+    days = [[replace(K(50.0 + z, None, 1e5 + i), parts=parts) for i, z in enumerate(zs)] for zs in zeros.T]
+    a, b = (side(*one_day, name=n, run=n, calibrations=FILES) for one_day, n in zip(days, "AB", strict=True))
     found = compare(a, b)
-    assert found.differences[0].half == pytest.approx((1 + 1 + 2 * 64) ** 0.5)  # the gain is the same on both days
-    assert 0.92 < np.mean([d.agrees for d in found.differences]) < 0.98
-    assert any("but for the zeros, which no session took" in f.text for f in found.findings)
-    whole = [
-        side(replace(one[0], budget=()), name=n, run=n, calibrations=FILES) for one, n in zip(split, "AB", strict=True)
-    ]
-    assert compare(*whole).differences[0].half == pytest.approx((1 + 1 + 2 * 100) ** 0.5)  # nobody says what is gain
+    assert found.differences[0].half == pytest.approx((1 + 1 + 2 * 100) ** 0.5)
+    assert np.mean([d.agrees for d in found.differences]) > 0.92
+    assert any("errors that both share count in both" in f.text for f in found.findings)
     taken = [replace(one, calibrations=SAME) for one in (a, b)]
     assert compare(*taken).differences[0].half == pytest.approx(2**0.5)
 
 
-def test_the_same_run_with_another_calibration_of_one_channel_shares_those_of_the_others_alone():
+def test_the_same_run_with_another_calibration_of_one_channel_shares_none():
     """A cell that reads 1 % more, known to 1 % instead of 0.2 %: E_n was 2.0 where both intervals hold the truth."""
 
     def of(value, gain):
@@ -99,11 +90,9 @@ def test_the_same_run_with_another_calibration_of_one_channel_shares_those_of_th
 
     a = side(of(275.0, 0.55), calibrations=SAME)
     found = compare(a, recalibrated("11", calibrations=SAME))
-    assert found.differences[0].half == pytest.approx((0.55**2 + 2.78**2 + 2 + 0.02) ** 0.5)
-    assert found.differences[0].agrees
-    assert found.findings[-1].text.endswith(
-        "share their scatter; recalibrated, and with its own uncertainty in each: force"
-    )
+    (d,) = found.differences
+    assert d.half == pytest.approx(np.hypot(d.a.parts.combined, d.b.parts.combined))
+    assert d.agrees
     bare = [
         replace(e, budget=(), note="no calibration part: the record gives no gain uncertainty")
         for e in (of(275, 0.55), of(277.8, 2.78))
@@ -143,28 +132,6 @@ def test_a_cell_that_reads_2_percent_more_is_not_another_muscle_where_nobody_dec
     assert one_bench.differences[0].lacks == ()  # the same scale on both sides
 
 
-def test_what_the_method_adds_to_both_drops_out_where_both_were_tested_alike():
-    def with_budget(value, form, few, P=3e5, **more):
-        parts = Parts(3.0, (form**2 + few**2) ** 0.5)
-        lines = (
-            Source("straight lines", "method", "B", form),
-            Source("few replays", "method", "A", few),
-            Source("noise", "repeats", "A", 3.0),
-        )
-        return replace(K(value, 3.0, P, **more), parts=parts, budget=lines)
-
-    a, b = with_budget(10.0, 7.0, 2.0), with_budget(6.0, 5.0, 1.0)
-    alike = side(a), side(b, name="B", run="r2")
-    assert one(*alike).half == pytest.approx((9 + 9 + 4 + 1 + (7 - 5) ** 2) ** 0.5)
-    whole = (9 + 9 + 49 + 4 + 25 + 1) ** 0.5
-    elsewhere = side(b, with_budget(7.0, 5.0, 1.0, 4e5), name="B", run="r2")
-    assert one(alike[0], elsewhere).half == pytest.approx(whole)  # other points, other straight lines
-    by_another_way = side(with_budget(6.0, 5.0, 1.0, method="n"), name="B", run="r2")
-    assert one(alike[0], by_another_way).half == pytest.approx(whole)
-    without = side(replace(b, budget=()), name="B", run="r2")
-    assert one(alike[0], without).half == pytest.approx(whole)
-
-
 @pytest.mark.study
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("wrong", [(), CHANNELS])
@@ -176,9 +143,9 @@ def test_two_campaigns_of_one_muscle_are_beyond_as_often_as_they_should(wrong):
     within = []
     for a, b in zip(reported[::2], reported[1::2], strict=True):
         sides = Side("A", (a,), calibrations=known), Side("B", (replace(b, runs=("r2",)),), calibrations=known)
-        within += [d.agrees for d in compare(*sides).differences if not d.term and d.a.symbol != "F_c"]
+        within += [d.agrees for d in compare(*sides).differences if d.a.symbol != "F_c"]
     print(f"\n{np.mean(within):.4f} of {len(within)}")
-    assert 0.93 <= np.mean(within) <= 0.975
+    assert np.mean(within) >= 0.93  # what the method adds to both counts in both
 
 
 def reduced(wrong, seed):
@@ -264,31 +231,6 @@ def test_tests_of_another_kind_are_compared_only_where_none_is_the_same():
     assert [d.value for d in compare(a, both).differences] == [-0.5]
 
 
-def test_terms_of_a_curve_are_next_to_and_are_not_counted():
-    slope = Estimate("K", 5.0, "N/m/Pa", "stiffness per pressure", "m", {}, Parts(0.1), coordinate="slope")
-    curve = Curve("K", "line", (replace(slope, coordinate="intercept"), slope), "pressure", (1e5, 5e5), 1.0, 0.0, "m")
-    a = side(K(6.0, 1.0))
-    a = replace(a, analyses=(replace(a.analyses[0], curves=(curve,)),))
-    steeper = replace(curve, terms=(curve.terms[0], replace(slope, value=9.0)))
-    b = replace(a, name="B", analyses=(replace(a.analyses[0], runs=("r2",), curves=(steeper,)),))
-    found = compare(a, b)
-    assert [(d.a.coordinate, d.term, d.agrees) for d in found.differences] == [
-        ("", False, True), ("as line, intercept", True, True), ("as line, slope", True, False),
-    ]  # fmt: skip
-    assert not_accepted(found.differences, "E_n", 1.0) == []
-    assert not any("slope" in f.text for f in found.findings)
-
-
-def test_a_term_that_is_a_coefficient_is_compared_once():
-    """The slope of a line through force over pressure is both."""
-    slope = Estimate("m", 5.0, "N/Pa", "force per pressure", "m", {"contraction": 0.0}, Parts(0.1), coordinate="slope")
-    curve = Curve("F", "line", (slope,), "pressure", (1e5, 5e5), 1.0, 0.0, "m")
-    a = side(replace(slope, coordinate=""))
-    a = replace(a, analyses=(replace(a.analyses[0], curves=(curve,)),))
-    b = replace(a, name="B", analyses=(replace(a.analyses[0], runs=("r2",)),))
-    assert [(d.a.symbol, d.term) for d in compare(a, b).differences] == [("m", False)]
-
-
 def test_what_is_beyond_the_limit_is_not_accepted():
     far = one(side(K(12.0, 3.0)), side(K(6.0, 4.0), name="B", run="r2"))
     assert not_accepted([far], "E_n", 1.0) == ["K at 300 kPa: E_n +1.20, accepted 1"]
@@ -330,9 +272,7 @@ def benches():
 
 
 def test_the_same_bench_agrees_with_itself(benches):
-    found = [
-        d for d in compare(benches["again"], benches["first"], ("measured-pressure",) * 2).differences if not d.term
-    ]
+    found = compare(benches["again"], benches["first"], ("measured-pressure",) * 2).differences
     assert len(found) >= 12
     assert sum(d.agrees is False for d in found) <= 2  # 5 % of 13; more than 2 in one of thirty
     assert max(abs(d.score) for d in found) < 2.5
@@ -340,7 +280,7 @@ def test_the_same_bench_agrees_with_itself(benches):
 
 def test_a_bench_that_truly_differs_is_found_with_the_true_size(benches):
     found = compare(benches["gained"], benches["first"], ("measured-pressure",) * 2).differences
-    forces = [d for d in found if d.a.symbol in ("F_ce", "K", "B_c") and not d.term]
+    forces = [d for d in found if d.a.symbol in ("F_ce", "K", "B_c")]
     assert len(forces) == 9
     missed = [named(d) for d in forces if abs(d.value - 0.03 * d.b.value) > 1.5 * d.half]
     assert missed == []

@@ -340,7 +340,7 @@ def test_a_muscle_of_another_form_is_doubted():
         return replace(trial, channels={**trial.channels, "displacement": x * (1 - 4 * x)})
 
     analysis = reduce([replace(run, trials=tuple(bent(trial) for trial in run.trials))], {"replays": 2})
-    assert any(f.level == "doubt" and "the model does not have the form" in f.text for f in analysis.findings)
+    assert any(f.level == "doubt" and "the data do not have the form of the model" in f.text for f in analysis.findings)
 
 
 def test_contraction_alone_cannot_show_friction():

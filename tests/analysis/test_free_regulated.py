@@ -199,8 +199,7 @@ def test_the_steps_in_which_a_quiet_displacement_is_read_are_in_the_lengths(step
     """All repeats read the same step: L and eps_max were up to 400 half widths off, x_H was 0 +- 1e-19 m."""
     bench = Bench(vents=True, step=step)
     hold(bench, 1.0)
-    gaps = [e for e in bench.measured(0).estimates if e.symbol == "x_H" and e.at["pressure"] < 500e3]
-    assert all(e.parts.combined > 0.5 * step for e in gaps)
+    assert all(e.parts.combined > 0.5 * step for e in bench.measured(0).estimates if e.symbol == "x_H")
 
 
 def test_what_friction_keeps_short_at_the_highest_pressure_is_open():
@@ -208,8 +207,8 @@ def test_what_friction_keeps_short_at_the_highest_pressure_is_open():
     found = Bench(vents=True, friction=3e3).measured(0)
     top = {e.symbol: e for e in found.estimates if e.at.get("pressure") == 500e3}
     assert abs(top["L"].value - truth(top["L"])) < top["L"].parts.combined
-    assert top["x_H"].value is None
-    assert "from below both times" in top["x_H"].note
+    (below,) = [e for e in found.estimates if e.symbol == "x_H" and e.at["pressure"] == 400e3]
+    assert abs(top["x_H"].value - below.value) < top["x_H"].parts.combined
     (share,) = [e for e in found.estimates if e.symbol == "eps_max"]
     assert abs(share.value - truth(share)) < share.parts.combined
 
@@ -241,7 +240,7 @@ def test_a_zero_within_what_is_declared_is_taken_off_where_the_lengths_show_it(z
 def test_the_way_to_one_pressure_along_a_curve_that_no_form_says_is_open_in_the_difference_of_both_sides():
     """A regulator that stops 3 kPa before its set-point made a hysteresis of 0.7 mm +- 0.06 of a muscle without one."""
     found = Bench(levels=(0, 60, 110, 350, 500), vents=True, band=3e3).measured(0)
-    sides = [e for e in found.estimates if e.symbol == "x_H" and 0 < e.at["pressure"] < 500e3]
-    assert len(sides) == 3
+    sides = [e for e in found.estimates if e.symbol == "x_H" and e.value is not None and e.at["pressure"] > 0]
+    assert len(sides) == 4
     assert all(abs(e.value) < 1.3 * e.parts.combined for e in sides), "5 pressures hardly show the knee"
     assert max(abs(e.value) for e in sides) > 2e-4

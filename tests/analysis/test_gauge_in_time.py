@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from pmabench.kinds.contraction_relaxation.bandwidth import Response
-from pmabench.kinds.contraction_relaxation.gauge import Late
+from pmabench.kinds.contraction_relaxation.bandwidth import Late, Response
 from pmabench.kinds.contraction_relaxation.reduction import reduce
 from pmabench.kinds.ultimate_gain.model_gain import by_model
 from tests.analysis.test_contraction_sensors import DEAD, RATE, TAU, TRUE, recorded

@@ -108,7 +108,7 @@ def test_what_creeps_in_the_time_of_a_ramp_is_no_true_hysteresis(speeds, stiff, 
 
     found = reduce([replace(speeds, trials=tuple(creeping(trial) for trial in speeds.trials))])
     still = [e for e in found.estimates if e.symbol in ("H", "B", "F_c") and e.at.get("speed", 0.0) == 0.0]
-    assert len(still) > 4
+    assert len(still) == 3
     assert all(e.withheld for e in still) == withheld
     if withheld:
         assert all("a gap that shrinks as the speed rises is no damping" in e.note for e in still)
@@ -118,12 +118,10 @@ def test_what_creeps_in_the_time_of_a_ramp_is_no_true_hysteresis(speeds, stiff, 
 
 
 @pytest.mark.parametrize(("stiff", "time", "falls", "known"), [
-    (0.0, 1.0, 0.0, True), (0.0, 1.0, 12.0, True), (1500.0, 10.0, 0.0, False), (1500.0, 30.0, 0.0, False),
+    (0.0, 1.0, 0.0, True), (0.0, 1.0, 12.0, False), (1500.0, 10.0, 0.0, False), (1500.0, 30.0, 0.0, False),
 ])  # fmt: skip
-def test_stiffness_is_withheld_with_friction_where_creep_makes_part_of_both_and_not_where_friction_falls(
-    speeds, stiff, time, falls, known
-):
-    """K of a muscle that creeps was up to 5 half widths above that of the braid; friction leaves it as it is."""
+def test_stiffness_is_withheld_with_friction_where_the_gap_shrinks(speeds, stiff, time, falls, known):
+    """K of a muscle that creeps was up to 5 half widths above that of the braid; a friction that falls looks like it."""
     for seed in range(3):
         chance = np.random.default_rng(seed)
 
@@ -231,7 +229,7 @@ def test_turns_that_one_loop_shows_open_no_other(speeds):
         return replace(trial, channels={**trial.channels, "pressure": np.full(len(x), P), "force": F})
 
     found = reduce([replace(speeds, trials=tuple(of_another_muscle(trial) for trial in speeds.trials))])
-    at_rest = [e for e in found.estimates if e.method in ("loop-gap", "loop-gap, open loop") and e.value is not None]
+    at_rest = [e for e in found.estimates if e.method == "loop-gap" and e.value is not None]
     at_rest = [e for e in at_rest if (e.symbol, e.at.get("speed")) in (("H", 0.0), ("B", None), ("F_c", None))]
     assert len(at_rest) >= 3
     for e in at_rest:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.shared.response import Cycle, cycle_of, respond
+from pmabench.analysis.shared.signals import Cycle, cycle_of, respond
 from pmabench.engine.laws.position_loop import PositionLoop
 from pmabench.kinds.positioning.reduction import reduce
 from pmabench.model.overrides import Overrides

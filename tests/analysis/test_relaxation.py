@@ -12,8 +12,7 @@ from scipy.signal import lfilter
 
 from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
-from pmabench.kinds.relaxation.figures import measure as at_a_glance
-from pmabench.kinds.relaxation.reduction import LINE, PRONY, Course, Relaxing, reduce
+from pmabench.kinds.relaxation.reduction import LINE, PRONY, Course, Relaxing, one_trial, reduce
 from pmabench.store.reader import open_run
 from pmabench.store.records import Command, TrialData
 from tests.analysis.driven_runs import planned, recorded
@@ -262,7 +261,7 @@ def test_check_refuses_what_cannot_be(setting, words):
 
 
 def test_one_trial_at_a_glance(run):
-    numbers, doubts = at_a_glance(run, run.trials[0], None, Quick())
+    numbers, doubts = one_trial(run, run.trials[0], None, Quick())
     assert [n.symbol for n in numbers] == ["s", "F_1"]
     assert numbers[0].value == pytest.approx(0.0205, abs=1e-3)
     assert doubts == []

@@ -305,20 +305,3 @@ def test_the_projects_own_driven_plant(kind: str, B_within: float, F_c: float, w
     for frequency in FREQUENCIES:
         lost = pi * damping * 2 * pi * frequency * A**2 + 4 * F_c * A
         assert number(found, "W", "loop-width", frequency=frequency) == pytest.approx(lost, rel=0.01)
-
-
-@pytest.mark.parametrize("frequency", [0.1, 1.0, 3.0])
-def test_work_along_a_sine_and_its_share_that_comes_back(frequency: float) -> None:
-    """W_c = 2 A (F_ce - K x_m) - B_c pi omega A^2/2, and B_r with the other sign for what is taken up."""
-    omega = 2 * pi * frequency
-    held = 2 * A * (F_CE - K * 0.01)
-    given, taken = held - 1680 * pi * omega * A**2 / 2, held + 2120 * pi * omega * A**2 / 2
-    assert number(ideal(), "W_c", "loop-work", frequency=frequency) == pytest.approx(given, rel=1e-3)
-    assert number(ideal(), "eta", "loop-work", frequency=frequency) == pytest.approx(given / taken, rel=1e-3)
-
-
-def test_work_given_and_taken_leave_the_loops_area() -> None:
-    """On a bench with noise and friction, W_c/eta - W_c = W, each told by itself."""
-    for frequency in FREQUENCIES:
-        W_c, eta = (number(bench(), symbol, "loop-work", frequency=frequency) for symbol in ("W_c", "eta"))
-        assert W_c / eta - W_c == pytest.approx(number(bench(), "W", "loop-width", frequency=frequency), rel=2e-3)

@@ -58,12 +58,12 @@ def test_all_hold_a_filter_of_the_cell_that_nobody_declared(plan, B, F_c, tau):
         omega = 2 * np.pi * e.at.get("frequency", 0.0)
         L = B * omega + 4 * F_c / np.pi / A
         truth = {"K": 6773.0, "F_c": F_c, "W": np.pi * L * A**2, "H": 2 * (B * omega * A + F_c)}
-        truth |= {"phi": np.arctan2(L, 6773.0), "W_c": 400.0 * A - np.pi / 2 * L * A**2, "B": B}
+        truth |= {"phi": np.arctan2(L, 6773.0), "B": B}
         if e.symbol in truth and e.value is not None:
             seen += 1
             room = 1.0 if tau < 0.005 else 1.2 if e.symbol == "B" else 1.03  # 5 ms are the very end of the interval
             assert abs(e.value - truth[e.symbol]) < room * e.parts.combined
-    assert seen > 18
+    assert seen >= 18
 
 
 def test_amplitudes_of_a_drive_that_lags_are_one():
@@ -78,18 +78,17 @@ def test_amplitudes_of_a_drive_that_lags_are_one():
     assert len({e.at["amplitude"] for e in found.estimates if "amplitude" in e.at}) == 1
 
 
-def test_a_drift_of_the_cell_is_in_the_force_and_in_the_work():
+def test_a_drift_of_the_cell_is_in_the_force():
     def drifting(trial: TrialData) -> TrialData:
         F = trial.channels["force"] + 4.0 * np.linspace(0.0, 1.0, len(trial.t))
         return replace(trial, channels={**trial.channels, "force": F})
 
     trials = Muscle51(noise=NOISE).trials(repeats=2)
     sound, drifted = driven(trials), driven([drifting(trial) for trial in trials])
-    for symbol, method in (("F", "sine-mean"), ("W_c", "loop-work")):
-        pairs = [[e for e in found.estimates if (e.symbol, e.method) == (symbol, method)] for found in (sound, drifted)]
-        for true, e in zip(*pairs, strict=True):
-            assert e.value is None or abs(e.value - true.value) < e.parts.combined
-            assert e.parts.drift > 0 or e.withheld
+    pairs = [[e for e in found.estimates if e.symbol == "F" and e.method == "sine-mean"] for found in (sound, drifted)]
+    for true, e in zip(*pairs, strict=True):
+        assert e.value is None or abs(e.value - true.value) < e.parts.combined
+        assert e.parts.drift > 0 or e.withheld
 
 
 def of_two_frictions(trial, contracting, expanding, turns):
@@ -136,10 +135,7 @@ def in_steps(trial, begin=0.0, **steps):
 @pytest.mark.parametrize("begin", [0.05, 0.4, 0.7])
 @pytest.mark.parametrize("steps", [{"displacement": 1e-4}, {"force": 5.0}, {"displacement": 1e-4, "force": 2.0}])
 def test_the_steps_of_the_channels_are_in_the_intervals(steps, begin):
-    """A displacement in steps of 0.1 mm along 1 mm: the work while contracting was 1.3 % off, with +- 0.1 %.
-
-    The work is the integral of 275 N - K x - B x' - F_c along the way from -A to A.
-    """
+    """A displacement in steps of 0.1 mm along 1 mm."""
     A, K, B, F_c = 1e-3, 6773.0, 1900.0, 6.0
     muscle = Muscle51(B_c=B, B_r=B, F_s=F_c, F_c=F_c, noise=NOISE)
     found = driven([in_steps(t, begin, **steps) for t in muscle.trials(repeats=2, mean=0.0, amplitude=A)])
@@ -149,11 +145,10 @@ def test_the_steps_of_the_channels_are_in_the_intervals(steps, begin):
     for e in found.estimates:
         omega = 2 * np.pi * e.at.get("frequency", 0.0)
         loss = B * omega + 4 * F_c / np.pi / A
-        given = 2 * A * (275.0 - F_c) - np.pi / 2 * B * omega * A**2
-        truth = {"W_c": given, "W": np.pi * loss * A**2, "H": 2 * (B * omega * A + F_c)}
+        truth = {"W": np.pi * loss * A**2, "H": 2 * (B * omega * A + F_c)}
         if e.symbol in truth and omega:
             assert abs(e.value - truth[e.symbol]) < 1.1 * e.parts.combined < 0.2 * truth[e.symbol]  # of 108 of 95 %
-    names = {source.name for e in found.estimates for source in e.budget if e.symbol in ("W_c", "H", "phi")}
+    names = {source.name for e in found.estimates for source in e.budget if e.symbol in ("H", "phi")}
     assert "steps of the channels" in names
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.shared.lines import left_by
-from pmabench.analysis.shared.turn_times import behind
+from pmabench.analysis.shared.ramp_loop import behind
 
 PERIOD = 5e-3
 TURNS = (2.0, 4.0, 6.0)

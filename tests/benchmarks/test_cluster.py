@@ -35,7 +35,6 @@ def test_two_workers_give_the_same_bytes(tmp_path, scheduler, monkeypatch):
     call("process", runs, "--out", tmp_path / "here", code=3)
     monkeypatch.chdir(tmp_path)
     reported = call("process", "runs", "--out", "there", "--cluster", scheduler, code=3).output
-    assert "2 of 2 workers run with MALLOC_TRIM_THRESHOLD_=65536" in reported
     assert f"recorded-step: {RUNS - 1} runs" in reported
     here, there = (
         {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file() and p.name[0] != "."}

@@ -9,10 +9,6 @@ EXAMPLE = "example"
 """`needs` of a fault that is put into the example driver's own bytes."""
 
 
-WIRED = {"nobody there", "silence", "late answers", "nothing left"}
-"""Checks that need a wire of the emulator: a simulation without one has no such faults."""
-
-
 @dataclass(frozen=True)
 class Mutant:
     """A row of the table: a class that is put in front of a driver's class."""
@@ -41,8 +37,6 @@ def fault(needs, found_by, says="", least=1):
 def applies(name, driver, record, example):
     """Whether a fault is one for this driver, as this device of a bench."""
     mutant = MUTANTS[name]
-    if mutant.found_by in WIRED and not getattr(driver, "emulator", ""):
-        return False
     if mutant.needs == EXAMPLE:
         return example
     if mutant.needs == "Watchdog" and not record.watchdog:

@@ -105,23 +105,7 @@ class WaitsForEver(_Wire):
     kind = _Forever
 
 
-@fault("example", "exchanges", "by the manual")
-class OtherBytes:
-    """It sends another format than the page says."""
-
-    def _put(self, connection, value):
-        self._numbers(f"S {value:.3f}", 1, connection)
-
-
-@fault("example", "exchanges", "returned")
-class ReturnsAnotherValue:
-    """What it reads is right on the wire, and wrong where it is returned."""
-
-    def read_back(self, output):
-        return super().read_back(output) + 0.005
-
-
-@fault("example", "values", "swapped")
+@fault("example", "values", "where the emulated plant has")
 class ReadsTheOtherInput:
     """The order of the page's answer is mixed up."""
 
@@ -130,7 +114,7 @@ class ReadsTheOtherInput:
         self._places = self._places[::-1]
 
 
-@fault("example", "life", "hardware")
+@fault("example", "life", "has no emulator")
 class IsHardware:
     """It has no emulator, and its device does not say that it is emulated."""
 

@@ -28,13 +28,13 @@ class _Channels:
 # -- values -----------------------------------------------------------------------------------------------------------
 
 
-@fault("Stream", "values", "unit")
+@fault("Stream", "values", "where the emulated plant has")
 class ValuesTimesHundred(_Channels):
     def collect(self):
         return changed(super().collect(), lambda n, v: [100 * x for x in v])
 
 
-@fault("Stream", "values", "unit")
+@fault("Stream", "values", "where the emulated plant has")
 class ValuesHundredth(_Channels):
     """Bar is taken for kilopascal."""
 
@@ -42,7 +42,7 @@ class ValuesHundredth(_Channels):
         return changed(super().collect(), lambda n, v: [self._in_counts(n, x / 100) for x in v])
 
 
-@fault("Stream", "values", "unit")
+@fault("Stream", "values", "where the emulated plant has")
 class ValuesAreSi(_Channels):
     """It scales by itself, and the bench once more."""
 
@@ -56,7 +56,7 @@ class ValuesNegated(_Channels):
         return changed(super().collect(), lambda n, v: [-x for x in v])
 
 
-@fault("Stream", "values", "offset")
+@fault("Stream", "values", "where the emulated plant has")
 class ValuesOffset(_Channels):
     """By one part in a hundred of the range."""
 
@@ -69,7 +69,7 @@ class ValuesOffset(_Channels):
         return changed(super().collect(), off)
 
 
-@fault("Stream", "values", "unit")
+@fault("Stream", "values", "where the emulated plant has")
 class ValuesFivePercentHigh(_Channels):
     def collect(self):
         def high(name, values):
@@ -79,7 +79,7 @@ class ValuesFivePercentHigh(_Channels):
         return changed(super().collect(), high)
 
 
-@fault("Stream", "values", "swapped", least=2)
+@fault("Stream", "values", "where the emulated plant has", least=2)
 class ValuesSwapped(_Channels):
     """Each column is its neighbour's."""
 
@@ -90,7 +90,7 @@ class ValuesSwapped(_Channels):
         return Block(block.time, {n: [self._in_counts(n, x) for x in v] for n, v in columns.items()}, block.host)
 
 
-@fault("Stream", "values", "old value")
+@fault("Stream", "values", "where the emulated plant has")
 class ValuesFrozen(_Channels):
     first = None
 
@@ -292,7 +292,7 @@ class RateNothing:
         super().start(rate)
 
 
-@fault("Stream", "samples", "missing where one block ends")
+@fault("Stream", "samples", "missing")
 class LosesTheLastOfABlock:
     def collect(self):
         block = super().collect()

@@ -9,7 +9,7 @@ from pmabench_drivers.shared.link import Unanswered
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment, Supervised, Watchdog
 from tests.drivers.alicat import rigs as alicat
-from tests.drivers.common import in_front, opened
+from tests.drivers.common import in_front
 from tests.drivers.labjack import rigs as labjack
 from tests.drivers.ni import rigs as ni
 from tests.drivers.rig import record as mock_record
@@ -209,23 +209,6 @@ def test_ni_answers_while_a_ramp_is_stepped():
         rig.device.follow("ao0", Segment("ramp", rig.device._clock.now(), 1.0, 5.0, rate=4.0))
         seen = [rig.device.read_back("ao0") for _ in range(300)]
         assert seen == sorted(seen)
-
-
-@pytest.mark.singly
-def test_a_register_that_cannot_be_read_gives_what_was_written_last():
-    output = {
-        "pressure": {"address": 10, "type": "float32", "read_back": False},
-        "dump": {"table": "coil", "address": 0},
-    }
-    with (
-        wires.emulated(wires.regulator(outputs=output), preset="ideal") as (emulator, [record]),
-        opened(record) as device,
-    ):
-        with pytest.raises(DeviceError, match="nothing was written"):
-            device.read_back("pressure")
-        device.write("pressure", 300.0)
-        emulator.act({"device": "regulator", "fault": "setpoint", "value": 100.0})
-        assert device.read_back("pressure") == 300.0
 
 
 @pytest.mark.singly

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pmabench_drivers.mock.options import problems
 
+from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Load, ValveRecord
 from tests.drivers.rig import Rig, record
 
@@ -86,10 +87,8 @@ def test_taken_back_in_time_it_gives_the_same_again():
 
 
 @pytest.mark.parametrize("option", [{"hysteresis": 3.0}, {"fce_eval": "x0"}])
-def test_an_option_that_it_has_no_use_for_is_reported(option):
-    own = {"plant": "paper0-air", **option}
-    ((place, reported),) = problems(record(**own), own)
-    assert place == ("options",)
-    assert "no use for it" in reported
+def test_an_option_that_it_has_no_use_for_is_refused_when_it_is_opened(option):
+    with pytest.raises(DeviceError, match=f"{next(iter(option))} is (not )?for the"):
+        Rig(record(plant="paper0-air", **option))
     given = {"plant": "paper0-air", "conductance_fill": 1e-7, "polytropic": 1.0, "natural_frequency": 3.0}
     assert not list(problems(record(**given), given))

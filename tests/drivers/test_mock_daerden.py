@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pmabench_drivers.mock.options import problems, read_options
+from pmabench_drivers.mock.options import read_options
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import ValveRecord
@@ -95,8 +95,12 @@ def test_it_needs_a_driven_end(free_end):
         ("real", {"hysteresis": 3.0}),
     ],
 )
-def test_an_option_that_a_plant_has_no_use_for_is_reported_at_its_place(plant, option):
-    own = {"plant": plant, "free_end": "actuator", **option}
-    ((place, reported),) = problems(record(actuator=True, **own), own)
-    assert place == ("options",)
-    assert reported.startswith(f"option {next(iter(option))}: the plant {plant}")
+def test_an_option_that_a_plant_has_no_use_for_is_refused_when_it_is_opened(plant, option):
+    with pytest.raises(DeviceError, match=f"{next(iter(option))} is (not )?for the"):
+        Rig(record(actuator=True, plant=plant, **option))
+
+
+@pytest.mark.parametrize("plant", ["joint", "platform"])
+def test_a_joint_and_a_platform_have_none_of_them(plant):
+    with pytest.raises(DeviceError, match=f"option noise: the plant {plant} has no use for it"):
+        read_options("plant", {"plant": plant, "noise": 0.0})

@@ -166,5 +166,4 @@ def settings() -> dict[str, object]:
     """What is known beforehand, as the plan of such a test says it."""
     return {
         "dead": HOSE, "dead_half": HOSE_HALF, "temperature": WARM + 0.5, "temperature_half": WARM_HALF,
-        "gain": 1.0, "gain_half": 0.0,
     }  # fmt: skip

@@ -14,8 +14,7 @@ from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
-from pmabench.kinds.joint_sweep.reduction import reduce
-from pmabench.kinds.joint_sweep.sweep import sweep_of
+from pmabench.kinds.joint_sweep.reduction import reduce, sweep_of
 from pmabench.store.reader import open_run
 from tests.analysis.test_honesty import refuse_unexplained_moves
 from tests.kinds import joint_plant

@@ -268,8 +268,8 @@ def test_an_accepted_interval_is_wider_than_nothing(interval):
         plan("contraction-relaxation", ("accept.K.relative_interval", interval))
 
 
-def test_a_plan_without_end_names_its_longest_time():
-    with pytest.raises(InvalidFile, match=r"contract.hold:1:8  the whole plan can take \d+ years .* at most 30 days"):
+def test_a_plan_without_end_is_refused():
+    with pytest.raises(InvalidFile, match=r"the whole plan can take \d+ years .* at most 30 days"):
         plan("contraction-relaxation", ("trial.contract.hold", "1e9 s"))
     with pytest.raises(InvalidFile, match="more than a million years"):
         plan("sinusoidal-displacement", ("trial.at_least", "1e308 s"), ("trial.settle", "1e308 s"))

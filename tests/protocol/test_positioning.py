@@ -13,7 +13,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.protocol.plan import Plan, Seek, Set
 from pmabench.store.analyses.folder import write_analysis
 from pmabench.store.analyses.results import Analysis, Estimate
-from tests.protocol.test_compile import ROOT, plan
+from tests.protocol.test_compile import plan
 
 GAINS = "controller.gains"
 
@@ -246,26 +246,6 @@ def test_a_model_that_lacks_a_coefficient_or_cannot_be_is_refused(tmp_path):
     assert "B_c of analysis of r7 is not above zero" in refused(
         ("model.coefficients", str(negative)), protocol="validation"
     )
-
-
-def test_a_plant_file_is_a_model_too_and_is_carried_as_numbers(tmp_path):
-    """K = 5.6 + 1e-3 P + 9.7e-6 P^2 N/mm with P in kPa, as fixtures/plants/paper0.yaml has it."""
-    path = tmp_path / "muscle.yaml"
-    path.write_text((ROOT / "fixtures" / "plants" / "paper0.yaml").read_text())
-    for kind, friction, lag in (("", 0.0, 0.0), (" ideal", 0.0, 0.0), (" bench", 10.0, 0.0955)):
-        reported = plan("validation", ("model.coefficients", f"{path}{kind}")).settings["model"]
-        assert reported["source"].startswith(f"plant file {path}, {kind.strip() or 'ideal'}: ")
-        assert (reported["friction"]["F_s"], reported["regulator"]["lag"]) == (friction, lag)
-        assert reported["domain"] == [0.0, 6e5]
-        from pmabench.model.presets import Described
-
-        assert Described.of(reported).muscle.K(3e5) == pytest.approx(1e3 * (5.6 + 0.3 + 0.873))
-    path.write_text(path.read_text().replace("K:", "K: -1 N/mm  #"))
-    assert f"{path}:" in refused(("model.coefficients", str(path)), protocol="validation")
-    absent = refused(("model.coefficients", "absent.yaml"), protocol="validation")
-    assert 'no plant file "absent.yaml" here or next to the protocol' in absent
-    driven = str(ROOT / "fixtures" / "plants" / "daerden.yaml")
-    assert "no three-element muscle with a free end" in refused(("model.coefficients", driven), protocol="validation")
 
 
 def test_validation_steps_every_50_kpa_from_rest_at_no_load():

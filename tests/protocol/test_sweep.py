@@ -101,11 +101,3 @@ def test_a_range_in_the_wrong_unit_is_a_line_for_each_limit_not_for_each_value()
     assert reported.exit_code == 3
     assert "788 values, 650 kPa to 40000 kPa, are above the limit for commanded pressure, 600 kPa" in reported.output
     assert len(reported.output.splitlines()) < 8, reported.output
-
-
-def test_a_long_range_inside_the_limits_is_asked_about():
-    reported = checked("sweep.matrix.pressure={start: 2 bar, stop: 4 bar, step: 2 kPa}", "sweep.matrix.load=[6 kg]")
-    assert reported.exit_code == 0, reported.output
-    assert "200 kPa to 400 kPa by 2 kPa makes 101 values; are the units" in reported.output
-    assert "--set sweep.matrix.pressure:1:" in reported.output
-    assert "makes" not in checked("sweep.matrix.pressure={start: 2 bar, stop: 4 bar, step: 50 kPa}").output

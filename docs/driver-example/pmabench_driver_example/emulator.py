@@ -26,13 +26,6 @@ LOOK = 0.01
 """How often it looks whether the watch time is over [s]."""
 VALVES = {"1": "dump_valve", "2": "supply_valve"}
 SERIAL = "4711"
-EXCHANGES = (
-    ("read_back", ("outlet",), b"02 S*D5\n", b"02 S 0.00*B3\n", 0.0),
-    ("write", ("outlet", 100.0), b"03 S 100.00*15\n", b"03 S 100.00*15\n", None),
-    ("is_on", ("supply",), b"04 V 2*2C\n", b"04 V 2 0*7C\n", False),
-    ("level", ("contact",), b"05 D*C9\n", b"05 D 1*1A\n", True),
-)
-"""Calls after `open`, in this order, with the bytes of the page for question and answer, and what the call returns."""
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Controller:

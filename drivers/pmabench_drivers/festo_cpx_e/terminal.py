@@ -157,7 +157,6 @@ def read_options(device: DeviceRecord, reader: Reader) -> CpxOptions:
     reader.watchdog(device, "a CPX-E", SHORTEST, LONGEST)
     map_ = RegisterMap(
         rate=reader.quantity(given, "rate", HERE, "frequency", 100.0, 0.1, 500.0),
-        functions=(3, 6, 16),
         inputs=terminal.inputs(),
         outputs=terminal.outputs(),
         watchdog=WatchdogRegisters(TIMEOUT, 1e-3),

@@ -245,7 +245,7 @@ def _map(device: DeviceRecord, model: Model, inputs: Mapping[str, Input], rate: 
     return RegisterMap(
         timeout=TIMEOUT,
         rate=rate,
-        functions=(3, 16),
+        write_single=False,
         identity={"maker": "LabJack"},
         inputs={register.name: register for register in reads},
         outputs={register.name: register for register in writes},

@@ -259,23 +259,6 @@ class MockClient:
     def _value(self, do: str, **fields: Any) -> Any:
         return self._ask(do, **fields)[0].get("value")
 
-    def control(self, do: str, **fields: Any) -> dict[str, Any]:
-        """Send a request over a connection of the role `control`, which faults of the link do not affect."""
-        return self._aside("control", do, **fields)
-
-    def _aside(self, role: str, do: str, **fields: Any) -> dict[str, Any]:
-        """The answer to one request over a separate connection."""
-        by = time.monotonic() + PATIENCE
-
-        def act() -> dict[str, Any]:
-            link, _ = self._connect(role, by)
-            try:
-                return link.ask(do, by, **fields)[0]
-            finally:
-                link.close()
-
-        return self._try(act)
-
     # -- stream ---------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:
@@ -361,4 +344,13 @@ class MockClient:
         """Command `value` [device units; 0 and 1 for the valve] over a separate connection; no retry."""
         if output not in self._valves:
             output_of(self._device, output, value)
-        self._aside("rescue", "rescue", output=output, value=value)
+        by = time.monotonic() + PATIENCE
+
+        def act() -> None:
+            link, _ = self._connect("rescue", by)
+            try:
+                link.ask("rescue", by, output=output, value=value)
+            finally:
+                link.close()
+
+        self._try(act)

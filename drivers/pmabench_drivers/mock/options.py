@@ -63,31 +63,19 @@ MUSCLES_OF = {JOINT: 2, PLATFORM: 3}
 E_STOP = "e_stop"
 """Digital input: high while the emergency stop is not pressed."""
 TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log", "hoses"}
-REAL = "real"
-"""Plant with curved force, hysteresis and creep."""
-AIRY = "paper0-air"
-"""Free end whose regulator has to move air."""
 CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
 CHOICES = {
     "free_end": ("weights", "actuator"),
     "preset": ("ideal", "bench"),
-    "plant": ("paper0", AIRY, "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM, REAL, JOINT, PLATFORM),
+    "plant": (
+        *("paper0", "paper0-air", "serres2009", "dmsp-40-305", "daerden"),
+        *(*CONTRACTORS, ARM, "real", JOINT, PLATFORM),
+    ),
     "fce_eval": ("x0", "xmax"),
     "reads": SENSORS,
     "end": ("low", "high"),
     "hoses": ("straight", "crossed"),
 }
-DEPARTURES = ("hysteresis_x", "hysteresis_p", "creep", "bend", "first_cycle")
-FLOWS = ("hysteresis", "relaxes", "hose", "conductance_fill", "conductance_vent", "polytropic")
-STRAIGHT = (*FLOWS, *DEPARTURES)
-NOT_FOR = (
-    {"daerden": ("F_s", "F_c", "b_relax", "fce_eval", *DEPARTURES), "dmsp-40-305": STRAIGHT}
-    | dict.fromkeys((*CONTRACTORS, "contractor"), (*STRAIGHT, "F_s", "F_c", "b_relax", "fce_eval"))
-    | {ARM: (*STRAIGHT, "b_relax", "fce_eval"), AIRY: ("hysteresis", "relaxes", "hose", "fce_eval", *DEPARTURES)}
-    | {REAL: (*FLOWS, "parallel", "F_s", "F_c", "fce_eval")}
-    | dict.fromkeys((JOINT, PLATFORM), tuple(item.name for item in fields(Overrides)))
-)
-"""Options without effect on a plant; for all others, the options that belong to one plant only."""
 
 
 @dataclass(frozen=True)
@@ -258,8 +246,6 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
 
 def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) -> None:
     law = options.plant if options.numbers is None else str(options.numbers["law"])
-    if law == "three-element" and options.numbers is not None and options.numbers.get("flow") is not None:
-        law = AIRY
     if law == "daerden" and options.free_end != "actuator":
         way = "is for a driven free end; write free_end: actuator, too"
         raise DeviceError(device, f"option plant: {options.plant} {way}")
@@ -269,8 +255,6 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
             known = f"{1e3 * FREE_LENGTHS[0]:g} to {1e3 * FREE_LENGTHS[1]:g} mm"
             why = f"a contractor with a free end is known for lengths of {known}, not for {1e3 * length:g} mm"
             raise DeviceError(device, f"option plant: {why}; write free_end: actuator, or another length")
-    if law == ARM and options.free_end != "weights":
-        raise DeviceError(device, f"option plant: the end of {ARM} carries loads; free_end can only be weights")
     count = MUSCLES_OF.get(law, options.faulty)
     if not 1 <= options.faulty <= count:
         raise DeviceError(device, f"option faulty: the plant {law} has the muscles 1 to {count}, not {options.faulty}")
@@ -279,9 +263,8 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
         raise DeviceError(device, f"option preset: {why}")
     if "parallel" in overrides and options.free_end != "actuator":
         raise DeviceError(device, "option parallel is for a driven free end; write free_end: actuator, too")
-    for name in NOT_FOR.get(law, (*STRAIGHT, "fce_eval")):
-        if name in overrides:
-            raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
+    if overrides and law in MUSCLES_OF:
+        raise DeviceError(device, f"option {next(iter(overrides))}: the plant {options.plant} has no use for it")
 
 
 def _names(kind: Any) -> list[str]:

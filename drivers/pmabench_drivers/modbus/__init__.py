@@ -84,7 +84,7 @@ class Watched(Polled):
         if registers.trigger is not None:
             self._put(registers.trigger, registers.off, monotonic() + CALL, checked=False)
         self._put(registers.timeout, counts, monotonic() + CALL, checked=False)
-        held = self._get(registers.timeout, monotonic() + CALL) if registers.timeout.read_back else counts
+        held = self._get(registers.timeout, monotonic() + CALL)
         if registers.trigger is not None:
             self._put(registers.trigger, registers.on, monotonic() + CALL)
         if held <= 0:
@@ -138,10 +138,8 @@ class ModbusDevice(Watched, Controlled):
         """Last serial number and uptime, and the number of the connection they were read on."""
         registers = self._watchdog
         own = [] if registers is None else [registers.trigger, registers.timeout]
-        self._reported = r.spans(item for item in (*own, self._map.uptime) if item is not None and item.read_back)
+        self._reported = r.spans(item for item in (*own, self._map.uptime) if item is not None)
         """Registers about the device itself, except for its serial number."""
-        self._written: dict[str, float] = {}
-        """Last values written to registers that cannot be read."""
 
     @classmethod
     def map_schema(cls) -> dict[str, Any]:
@@ -186,7 +184,6 @@ class ModbusDevice(Watched, Controlled):
         """Stop polling and close the connection."""
         self._following.clear()
         self._streaming = False
-        self._written.clear()
         self._armed = 0.0
         line, self._line = self._line, None
         if line is not None:
@@ -282,19 +279,19 @@ class ModbusDevice(Watched, Controlled):
         self._put(self._map.outputs[output], value, resolution=record.resolution)
 
     def read_back(self, output: str) -> float:
-        """The value in the device's register, or the last value written if it cannot be read."""
+        """The value in the device's register."""
         self._output(output)
         self._opened().let_samples()
-        return self._holds(self._map.outputs[output])
+        return self._get(self._map.outputs[output])
 
     def switch(self, output: str, *, on: bool) -> None:
         """Write 1 or 0 to a coil or a register."""
         self._put(self._switched(output), float(on))
 
     def is_on(self, output: str) -> bool:
-        """Value of the coil or register, or the last value written if it cannot be read."""
+        """Value of the coil or register."""
         self._opened().let_samples()
-        return self._holds(self._switched(output)) != 0
+        return self._get(self._switched(output)) != 0
 
     def level(self, name: str) -> bool:
         """Whether a digital input, or the bit of a register, is set."""
@@ -308,7 +305,6 @@ class ModbusDevice(Watched, Controlled):
         register = self._map.outputs[output]
         self._following.pop(output, None)
         words, function = self._words(register, value), self._function(register)
-        self._written[output] = r.decode(register, words)
         line, deadline = self._line, monotonic() + CALL
         if line is not None and line.is_serial:
             line.write(function, register.address, words, deadline, output)
@@ -344,7 +340,7 @@ class ModbusDevice(Watched, Controlled):
             on = registers.on
             if registers.trigger in values:
                 on = found["watchdog trigger"] = values[registers.trigger]
-            if registers.timeout in values:  # off: 0; a time that cannot be read is left out
+            if registers.timeout in values:  # off: 0
                 found["watchdog"] = values[registers.timeout] * registers.resolution if on == registers.on else 0.0
         if isinstance(serial := self._map.identity.get("serial"), r.Register):
             found["serial"] = self._identify(serial, deadline)
@@ -366,14 +362,6 @@ class ModbusDevice(Watched, Controlled):
         return self._identify(serial, deadline), 0.0 if uptime is None else self._get(uptime, deadline)
 
     # -- registers ------------------------------------------------------------------------------------------------
-
-    def _holds(self, register: r.Register) -> float:
-        if register.read_back:
-            return self._get(register)
-        if register.name not in self._written:
-            message = "cannot be read (read_back: false), and nothing was written since the device was opened"
-            raise self._error(message, register.name)
-        return self._written[register.name]
 
     def _opened(self) -> Line:
         return opened(self._line, self._device.name)
@@ -404,7 +392,7 @@ class ModbusDevice(Watched, Controlled):
         still: Still = always,
     ) -> None:
         """Write once and read back; nothing is sent if `still()` is false when the line is free."""
-        line, until, checked = self._opened(), deadline or monotonic() + CALL, checked and register.read_back
+        line, until = self._opened(), deadline or monotonic() + CALL
         words, wanted = self._to_send(register, value, until, checked=checked)
         lost: Unanswered | None = None
         try:
@@ -413,14 +401,14 @@ class ModbusDevice(Watched, Controlled):
             if not checked:
                 raise
             lost = error
-        if not register.read_back and still():
-            self._written[register.name] = wanted
         if checked:
             self._settle(register, wanted, until, resolution, lost)
 
     def _function(self, register: r.Register) -> int:
         """The function code that writes a register."""
-        return r.write_function(register, self._map.functions)
+        if register.is_bit:
+            return 5 if self._map.write_single else 15
+        return 6 if register.count == 1 and self._map.write_single else 16
 
     def _to_send(self, register: r.Register, value: float, _until: float, *, checked: bool) -> tuple[list[int], float]:
         """The words of a value, and the value that the device then holds."""

@@ -1,7 +1,7 @@
 """Register maps in their file and as records, and conversion between 16-bit words and numbers; uses no connection.
 
 The specification (Modbus Application Protocol 1.1b3) fixes the order of the two bytes of a register and leaves the
-order of the registers of a 32-bit value to the maker, hence `low_word_first` and `low_byte_first`.
+order of the registers of a 32-bit value to the maker, hence `low_word_first`.
 
 Standard library only.
 """
@@ -26,7 +26,6 @@ TYPES = {"int16": ("h", 1), "uint16": ("H", 1), "int32": ("i", 2), "uint32": ("I
 """Type -> its format for `struct`, and its number of registers."""
 READ = {"holding": 3, "input": 4, "coil": 1, "discrete": 2}
 """Table -> the function code that reads it."""
-FUNCTIONS = (1, 2, 3, 4, 5, 6, 15, 16)
 MOST_WORDS = 125
 """Largest number of registers read in one transaction."""
 MOST_BITS = 2000
@@ -42,13 +41,10 @@ class Register:
     """Address on the line, counted from 0."""
     type: str = "uint16"
     low_word_first: bool = False
-    low_byte_first: bool = False
     bit: int = -1
     """Bit of a register (0: the lowest); -1: the whole register."""
     length: int = 0
     """Number of registers of a text."""
-    read_back: bool = True
-    """Whether a written value can be read again."""
     expect: float | None = None
     """Required value when the device is opened."""
 
@@ -88,7 +84,8 @@ class RegisterMap:
     """Longest time after which the device may still answer an old request [s]; matters on serial lines."""
     rate: float = 100.0
     """Highest rate at which the device is polled [Hz]."""
-    functions: tuple[int, ...] = FUNCTIONS
+    write_single: bool = True
+    """Whether the device has the functions that write a single register or coil, 5 and 6."""
     identity: Mapping[str, Register | str] = field(default_factory=dict)
     inputs: Mapping[str, Register] = field(default_factory=dict)
     outputs: Mapping[str, Register] = field(default_factory=dict)
@@ -109,7 +106,7 @@ def decoder(register: Register) -> Callable[[Sequence[int]], float]:
     if register.is_bit:
         return lambda words: float(bool(words[0]))
     code, count = TYPES[register.type]
-    pack = struct.Struct(f"{'<' if register.low_byte_first else '>'}{count}H").pack
+    pack = struct.Struct(f">{count}H").pack
     unpack, turned, bit = struct.Struct(f">{code}").unpack, register.low_word_first, register.bit
 
     def number(words: Sequence[int]) -> float:
@@ -138,9 +135,7 @@ def encode(register: Register, value: float) -> list[int]:
         data = struct.pack(f">{code}", value if code == "f" else round(value))
     except (struct.error, OverflowError):
         raise ValueError(f"{value:g} does not fit {register.type}") from None
-    words = [
-        int.from_bytes(data[i : i + 2], "little" if register.low_byte_first else "big") for i in range(0, len(data), 2)
-    ]
+    words = [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
     return words[::-1] if register.low_word_first else words
 
 
@@ -183,9 +178,9 @@ def spans(registers: Iterable[Register]) -> list[Span]:
 
 
 IDENTITY = ("maker", "model", "serial", "firmware", "constant")
-REGISTER_KEYS = ("table", "address", "type", "words", "bytes", "bit", "length", "expect", "read_back")
+REGISTER_KEYS = ("table", "address", "type", "words", "bit", "length", "expect")
 MAP_KEYS = (
-    *("schema", "name", "source", "unit_id", "words", "bytes", "timeout", "slowest", "rate", "functions"),
+    *("schema", "name", "source", "unit_id", "words", "timeout", "slowest", "rate", "write_single"),
     *("identity", "inputs", "outputs", "watchdog", "uptime"),
 )
 UPTIMES = ("uint32", "int32")
@@ -228,21 +223,10 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
     for key in ("name", "source"):
         reader.text(given, key, place, longest=400)
     base = RegisterMap()
-    usual = {
-        "words": reader.choice(given, "words", place, (HIGH, LOW), HIGH),
-        "bytes": reader.choice(given, "bytes", place, (HIGH, LOW), HIGH),
-    }
-    functions = given.get("functions", list(FUNCTIONS))
-    if not isinstance(functions, list | tuple) or not functions or any(f not in FUNCTIONS for f in functions):
-        reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(FUNCTIONS)}")
-        functions = FUNCTIONS
-    allowed = tuple(functions)
+    words = reader.choice(given, "words", place, (HIGH, LOW), HIGH)
 
     def registers(key: str, items: Mapping[str, Any]) -> dict[str, Any]:
-        return {
-            name: _register(name, item, (*place, key, name), reader, usual, allowed, key)
-            for name, item in items.items()
-        }
+        return {name: _register(name, item, (*place, key, name), reader, words, key) for name, item in items.items()}
 
     def named(key: str) -> dict[str, Register]:
         return registers(key, reader.named(given.get(key, {}), (*place, key)))
@@ -255,21 +239,19 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
         timeout=reader.quantity(given, "timeout", place, "time", base.timeout, 0.002, 0.2),
         slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
         rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 1000.0),
-        functions=allowed,
+        write_single=reader.flag(given, "write_single", place, default=True),
         identity={**said, **asked},
         inputs=named("inputs"),
         outputs=named("outputs"),
-        watchdog=None if watchdog is None else _watchdog(watchdog, (*place, "watchdog"), reader, usual, allowed),
-        uptime=_register("uptime", given["uptime"], (*place, "uptime"), reader, usual, allowed, "uptime")
+        watchdog=None if watchdog is None else _watchdog(watchdog, (*place, "watchdog"), reader, words),
+        uptime=_register("uptime", given["uptime"], (*place, "uptime"), reader, words, "uptime")
         if "uptime" in given
         else None,
     )
 
 
-def _register(
-    name: str, data: Any, place: Place, reader: Reader, usual: Mapping[str, str], functions: tuple[int, ...], use: str
-) -> Register:
-    """One register; `use` is `inputs`, `outputs`, `identity` or `uptime`."""
+def _register(name: str, data: Any, place: Place, reader: Reader, usual: str, use: str) -> Register:
+    """One register; `usual`: its order of words; `use` is `inputs`, `outputs`, `identity` or `uptime`."""
     given = reader.keys(data, place, REGISTER_KEYS, ("address",))
     writes = use == "outputs"
     tables = ("holding", "coil") if writes else TABLES
@@ -277,8 +259,7 @@ def _register(
     single = table in BIT_TABLES
     types = ("bit",) if single else (*TYPES, "text") if use == "identity" else tuple(TYPES)
     kind = reader.choice(given, "type", place, types, "bit" if single else "uint16")
-    words = reader.choice(given, "words", place, (HIGH, LOW), usual["words"]) == LOW
-    low_bytes = reader.choice(given, "bytes", place, (HIGH, LOW), usual["bytes"]) == LOW
+    words = reader.choice(given, "words", place, (HIGH, LOW), usual) == LOW
     bit = reader.whole(given, "bit", place, 0, 31, 0) if "bit" in given else -1
     if bit >= 0 and (single or writes or kind not in {"uint16", "uint32"} or bit >= 16 * TYPES[kind][1]):
         reader.fault((*place, "bit"), "only an input register of type uint16 or uint32 has bits that are read")
@@ -292,14 +273,10 @@ def _register(
         reader.whole(given, "address", place, 0, 65535),
         kind,
         words,
-        low_bytes,
         bit,
         length,
-        reader.flag(given, "read_back", place, default=True),
         reader.number(given, "expect", place),
     )
-    if "read_back" in given and not writes:
-        reader.fault((*place, "read_back"), "only what is written can be read back")
     if use == "uptime" and register.type not in UPTIMES:
         reader.fault(
             (*place, "type"),
@@ -310,29 +287,14 @@ def _register(
         reader.fault((*place, "expect"), 'belongs to a register of "identity"')
     if register.address + register.count > 65536:
         reader.fault((*place, "address"), "the value would reach beyond address 65535")
-    if (not writes or register.read_back) and READ[table] not in functions:
-        reader.fault((*place, "table"), f"function {READ[table]}, which reads it, is not among the allowed ones")
-    if writes and write_function(register, functions) == 0:
-        reader.fault((*place, "table"), "none of the allowed functions can write it")
     return register
 
 
-def write_function(register: Register, functions: tuple[int, ...]) -> int:
-    """The first allowed function code that writes a register; 0 if there is none."""
-    if register.is_bit:
-        wanted: tuple[int, ...] = (5, 15)
-    else:
-        wanted = (6, 16) if register.count == 1 else (16,)
-    return next((function for function in wanted if function in functions), 0)
-
-
-def _watchdog(
-    data: Any, place: Place, reader: Reader, usual: Mapping[str, str], functions: tuple[int, ...]
-) -> WatchdogRegisters:
+def _watchdog(data: Any, place: Place, reader: Reader, usual: str) -> WatchdogRegisters:
     given = reader.keys(data, place, ("timeout", "resolution", "trigger", "on", "off", "heartbeat"), ("timeout",))
 
     def register(key: str) -> Register:
-        return _register(key, given.get(key, {}), (*place, key), reader, usual, functions, "outputs")
+        return _register(key, given.get(key, {}), (*place, key), reader, usual, "outputs")
 
     on, off = reader.number(given, "on", place), reader.number(given, "off", place)
     trigger = register("trigger") if "trigger" in given else None

@@ -3,10 +3,10 @@
 - `trials` (operating points, repeats, reference trials, sessions), `samples` of one trial (noise, motion, onset, rest)
 - `lines` (weighted lines and their intervals, least squares for many values of one parameter), `student` (quantiles,
   means with half widths)
-- `isometric_lines` (F over P at a contraction), `ramp_loop` (loops of a driven end, or of a joint), `sine_loop`,
-  `signals` (spikes, smoothing and lag of a sensor; peaks and oscillation), `response` (one step of a set-point),
-  `simulated` (a model simulated for a trial)
+- `isometric_lines` (F over P at a contraction), `ramp_loop` (loops of a driven end, or of a joint; delays at their
+  turns), `sine_loop`, `signals` (spikes, smoothing and lag of a sensor; peaks and oscillation; the response to a
+  set-point), `simulated` (a model simulated for a trial)
 - `joint` (what sweeps and locked torques of a joint share: turns, play, deviation from commands)
 - `form` (effect of a departure from the assumed form), `calibration` (effect of the channels' uncertainties), `skew`
-  (effect of separate clocks), `turn_times` (delay between motion and force at turns)
+  (effect of separate clocks)
 """

@@ -116,14 +116,14 @@ def change_over(cycles: Sequence[Array]) -> Change | None:
     return Change(size * count, most, size > float(student.ppf(SURE, freedom)) * error)
 
 
-def force_from_cycle_to_cycle(cycles: Sequence[Array], share: float = 1.0) -> list[Doubt]:
-    """Doubt about a change of force from the first cycle to the last [N] times `share`; empty where not significant."""
+def force_from_cycle_to_cycle(cycles: Sequence[Array]) -> list[Doubt]:
+    """Doubt about a change of force from the first cycle to the last [N]; empty where not significant."""
     change = change_over(cycles)
     if change is None or not change.seen:
         return []
     text = f"from cycle to cycle the force changes, by {show(change.size, 'force', 2)} in all: the cell drifts, or the"
     reason = f"{text} muscle is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
-    return [Doubt("change from cycle to cycle", "drift", change.most * share, seen=True, reason=reason)]
+    return [Doubt("change from cycle to cycle", "drift", change.most, seen=True, reason=reason)]
 
 
 CUT_OFF = "half a step of the channels, where a converter cuts off"

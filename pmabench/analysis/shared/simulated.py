@@ -34,8 +34,8 @@ class Coefficients(Protocol):
         """Coulomb friction [N]."""
         ...
 
-    def values(self, symbol: str, P: Array) -> Array:
-        """F_ce [N], K [N/m], B_c or B_r [N.s/m] at pressures P [Pa] of any shape."""
+    def coefficients(self, P: Array) -> Array:
+        """F_ce [N], K [N/m], B_c and B_r [N.s/m] at pressures P [Pa] of any shape; shape (4, *P.shape)."""
         ...
 
 
@@ -67,40 +67,39 @@ def run(
     more
         Force [N] in addition to F_ce - K x, from contraction [m] and pressure [Pa], shape (m,).
     """
-    F_ce, *others = (fit.values(symbol, P) for symbol in ("F_ce", "K", "B_c", "B_r"))
-    K, B_c, B_r = (np.maximum(values, LEAST) for values in others)
+    F_ce, K, B_c, B_r = found = fit.coefficients(P)
+    np.maximum(found[1:], LEAST, out=found[1:])
     F_c = max(0.0, fit.coulomb)
     h = dt / substeps
     v = np.zeros(P.shape[1])
     all_x, all_v = np.empty(P.shape), np.empty(P.shape)
-    middles = [
-        [values[:-1] + (part + 0.5) / substeps * np.diff(values, axis=0) for values in (F_ce, K, B_c, B_r, P)]
-        for part in range(substeps)
-    ]
-    for F, k, B_1, B_2, _ in middles:
-        F -= load
-        B_1 += 0.5 * h * k
-        B_2 += 0.5 * h * k
+
+    def at_middles(part: int) -> tuple[Array, ...]:
+        """Force, stiffness, pressure; for each direction what becomes of speed and force: speed and way in a step."""
+        middles = (values[:-1] + (part + 0.5) / substeps * np.diff(values, axis=0) for values in (F_ce, K, P, B_c, B_r))
+        F, k, at, *dampings = middles
+        found = [F - load, k, at]
+        for damping in (B + 0.5 * h * k for B in dampings):
+            rate = damping / mass
+            fade = np.expm1(-rate * h)
+            slower = fade / rate
+            found.append(np.stack((1 + fade, -slower, -fade / damping, (h + slower) / damping), axis=1))
+        return tuple(found)
+
+    middles = [at_middles(part) for part in range(substeps)]
     for i in range(len(P)):
         all_x[i], all_v[i] = x, v
         if i + 1 == len(P):
             break
-        for F, k, B_1, B_2, at in middles:
+        for F, k, at, up, down in middles:
             drive = F[i] - k[i] * x
             if more is not None:
-                drive = drive + more(x, at[i])
-            way = np.where(v != 0, np.sign(v), np.sign(drive))
-            damping = np.where(way > 0, B_1[i], B_2[i])
-            final = (way * drive - F_c) / damping
-            rate = damping / mass
-            fade = np.expm1(-rate * h)
-            speed = way * v
-            lost = (speed - final) * fade
-            gone = np.maximum(0.0, final * h - lost / rate)
-            v = way * np.maximum(0.0, speed + lost)
-            x = x + way * gone
-            landed = x <= 0
-            x, v = np.where(landed, 0.0, x), np.where(landed & (v < 0), 0.0, v)
+                drive += more(x, at[i])
+            way = np.sign(np.where(v, v, drive))
+            by = np.where(way > 0, up[i], down[i])
+            v, gone = way * np.maximum(0.0, np.abs(v) * by[:2] + (way * drive - F_c) * by[2:])
+            x = np.maximum(0.0, x + gone)
+            v = np.where(x, v, np.maximum(0.0, v))
     force = load + mass * np.gradient(all_v, dt, axis=0)
     return Replayed(all_x, np.where(all_x > 0, force, np.minimum(F_ce, load)))
 

@@ -268,9 +268,9 @@ class Waves:
         """Value `by` [s] after `t`, shape (n,)."""
         return np.asarray(self._mean + self._sum(self._amplitude * np.exp(1j * self._k * by)))
 
-    def slope(self, by: float = 0.0) -> Array:
-        """Derivative `by` [s] after `t` [1/s times the unit of y], shape (n,)."""
-        return self._sum(1j * self._k * self._amplitude * np.exp(1j * self._k * by))
+    def slope(self) -> Array:
+        """Derivative [1/s times the unit of y], shape (n,)."""
+        return self._sum(1j * self._k * self._amplitude)
 
     def _sum(self, amplitude: NDArray[np.complex128]) -> Array:
         return np.asarray(self._waves @ np.concatenate([amplitude.real, -amplitude.imag]))

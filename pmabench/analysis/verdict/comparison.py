@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
-from pmabench.analysis.shared.calibration import NOT_DECLARED, listed
+from pmabench.analysis.shared.calibration import NOT_DECLARED
 from pmabench.analysis.shared.trials import Point, grouped, six_digits
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES, show
@@ -111,14 +111,10 @@ def _take(left: list[Estimate], estimate: Estimate, *, exact: bool = True) -> Es
 
 MOST_PLACES = 4
 """Most points that are named in a finding on what could not be compared."""
-TERM = "as "
-"""Prefix of the coordinates of a curve's terms."""
 CHANCE = 0.05
 """Share of correct values that lie outside their intervals."""
 SESSION = "session"
 """Name of the session among the calibrations of a side; zeros are taken in a session."""
-SCALE_OF, GAIN, OFFSET = "calibration of ", ", gain", ", offset"
-"""Prefix of the budget lines of a channel's calibration, and suffixes of those of its gain and of its zero."""
 NO_SCALE = ("time", "frequency")
 """Quantities that do not depend on the calibration of a channel."""
 
@@ -164,8 +160,6 @@ class Difference:
     """Sides that were interpolated between two of their points: `a`, `b`, `ab` or none."""
     lacks: tuple[str, ...] = ()
     """Names of the sides whose interval does not contain the uncertainty of their calibrations."""
-    term: bool = False
-    """Whether it is a term of a curve, which is reported but not counted, because the values of the curve are."""
 
     @property
     def value(self) -> float:
@@ -226,7 +220,7 @@ def not_accepted(differences: Iterable[Difference], measure: str, limit: float) 
     by_E_n = measure == "E_n"
     asked = f"accepted {limit:g}" if by_E_n else f"accepted {100 * limit:g} %"
     lack = "no E_n: it needs an interval of both" if by_E_n else "no relative difference: the reference is 0"
-    for d in (d for d in differences if not d.term):
+    for d in differences:
         size = d.score if by_E_n else d.relative
         if size is None:
             failed.append(f"{named(d)}: {lack}, {asked}")
@@ -267,7 +261,7 @@ def _held(series: Iterable[Series]) -> str:
 
 
 def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate]]:
-    """Series -> values by operating point, of one method, with terms of curves; raises UsageError if ambiguous."""
+    """Series -> values by operating point, of one method; raises UsageError if ambiguous."""
     found: dict[Series, dict[Point, Estimate]] = {}
     kinds = [analysis.kind for analysis in side.analyses]
     twice = next((kind for kind in kinds if kinds.count(kind) > 1), None)
@@ -278,25 +272,12 @@ def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate
         raise UsageError(f'{side.name} has no method "{method}"; it has {", ".join(known) or "none"}')
     for analysis in side.analyses:
         chosen: dict[tuple[str, str], str] = {}
-        for e in (*analysis.estimates, *_terms(analysis)):
+        for e in analysis.estimates:
             if chosen.setdefault((e.symbol, e.coordinate), method or e.method) == e.method:
                 place = six_digits(e.at, "mass")
                 series = (analysis.kind, e.symbol, e.coordinate, tuple(name for name, _ in place))
                 found.setdefault(series, {}).setdefault(place, e)
     return found
-
-
-def _terms(analysis: Analysis) -> Iterator[Estimate]:
-    """Terms of curves that are not normalised, which are comparable between analyses with the same form.
-
-    Terms that are coefficients of the analysis, as the slope of a line is, are left out: they are compared as these.
-    """
-    known = {(e.symbol, e.value, frozenset(e.at.items())) for e in analysis.estimates}
-    for curve in analysis.curves:
-        for term in curve.terms if not curve.normalised else ():
-            if (term.symbol, term.value, frozenset(term.at.items())) in known:
-                continue
-            yield replace(term, coordinate=f"{TERM}{curve.form}, {term.coordinate}")
 
 
 def _pairs(left: Mapping[Series, object], right: Mapping[Series, object]) -> Iterator[tuple[Series, Series]]:
@@ -328,8 +309,7 @@ def _compared(
         places = dict.fromkeys(theirs)
     elif common:
         places = dict.fromkeys(common)
-    shared, alike, other_scales = _shared(a, b), set(ours) == set(theirs), _recalibrated(a, b, series[0])
-    one_scale = (bool(shared) or bool(a.runs & b.runs)) and not other_scales
+    shared = _shared(a, b)
     found, lacks = [], dict[str, list[str]]()
     for place in sorted(places):
         one, other = ours.get(place), theirs.get(place)
@@ -344,39 +324,20 @@ def _compared(
         elif one.unit != other.unit:
             lacks.setdefault(f"is given in {one.unit} and in {other.unit}", []).append("")
         else:
-            term = series[2].startswith(TERM)
-            sides = () if one_scale else ((a, one), (b, other))
+            sides = () if shared else ((a, one), (b, other))
             lacking = tuple(side.name for side, e in sides if _without_scale(e) and not side.published)
-            half = _half(one, other, shared, alike, other_scales)
-            found.append(Difference(series[0], one, other, half, between, lacking, term))
+            found.append(Difference(series[0], one, other, _half(one, other, shared=shared), between, lacking))
     return found, [_at_places(lack, where) for lack, where in lacks.items()]
 
 
-def _shared(a: Side, b: Side) -> str:
-    """Shared part of the calibrations: `all`, `gain` where no session took zeros, or an empty text for none."""
-    if not a.calibrations or a.calibrations != b.calibrations:
-        return ""
-    return "all" if a.runs == b.runs or any(name == SESSION for name, _ in a.calibrations) else "gain"
+def _shared(a: Side, b: Side) -> bool:
+    """Whether both sides have one scale and zero of each channel: those of the same runs, or of one session.
 
-
-def _recalibrated(a: Side, b: Side, kind: str | None = None) -> list[str]:
-    """Channels with different calibrations by `recalibrate` on the two sides, in tests of one kind or of all.
-
-    `Side.calibrations` does not show this: runs keep the calibrations with which they were recorded.
+    A recalibration is compared, too: runs keep the calibrations with which they were recorded.
     """
-
-    def scales(side: Side) -> dict[tuple[str, str], str]:
-        """Kind and channel -> text of the calibration in the analysis."""
-        found = {}
-        for analysis in side.analyses:
-            listed = analysis.facts.get("recalibrated")
-            for channel in listed if isinstance(listed, list) else ():
-                if isinstance(channel, Mapping) and "calibration" in channel:
-                    found[analysis.kind, str(channel.get("channel"))] = repr(channel["calibration"])
-        return found
-
-    differ = scales(a).items() ^ scales(b).items()
-    return sorted({channel for (test, channel), _ in differ if kind in (None, test)})
+    files = a.calibrations == b.calibrations and any(name == SESSION for name, _ in a.calibrations or ())
+    anew = [[analysis.facts.get("recalibrated") for analysis in side.analyses] for side in (a, b)]
+    return (files or a.runs == b.runs) and anew[0] == anew[1]
 
 
 def _without_scale(e: Estimate) -> bool:
@@ -422,55 +383,22 @@ def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
     return replace(one, value=value, parts=Parts(**mean), at=at, trials=trials, n=max(one.n, other.n), budget=())
 
 
-def _half(one: Estimate, other: Estimate, shared: str, alike: bool, other_scales: Sequence[str] = ()) -> float | None:
-    """Half width of the difference: root of the sum of squares, with common errors counted by their difference.
+def _half(one: Estimate, other: Estimate, *, shared: bool) -> float | None:
+    """Half width of the difference: root of the sum of squares; None where one side has no interval.
 
-    With one method these are the shared part of a calibration (`shared`), and systematic method parts where both were
-    tested at the same points (`alike`). Zeros that no session took are independent, as are the channels of
-    `other_scales`; where no budget separates these from the others, the whole part counts on both sides. None where
-    one side has no interval.
+    With one method, `shared` calibrations count by their difference.
     """
-    widths = [half for half in (one.parts.combined, other.parts.combined) if half is not None]
-    if len(widths) < 2:
+    if one.parts.combined is None or other.parts.combined is None:
         return None
-    if one.method != other.method:
-        return hypot(*widths)
-    alone, common = [one.parts, other.parts], list[float]()
     scales = [e.parts.calibration for e in (one, other)]
-    if shared == "all" and not other_scales and None not in scales:
-        common.append((scales[0] or 0.0) - (scales[1] or 0.0))
-        alone = [replace(parts, calibration=None) for parts in alone]
-    elif shared:
-        ends = (GAIN,) if shared == "gain" else (GAIN, OFFSET)
-        mine, others = ({s.name: s.half or 0.0 for s in e.budget if s.name.endswith(ends)} for e in (one, other))
-        for channel in other_scales:
-            mine, others = (
-                {name: half for name, half in lines.items() if not name.startswith(f"{SCALE_OF}{channel},")}
-                for lines in (mine, others)
-            )
-        if mine.keys() == others.keys():
-            common += [mine[name] - others[name] for name in mine]
-            rest = [
-                (scale or 0.0) ** 2 - sum(half * half for half in lines.values())
-                for scale, lines in zip(scales, (mine, others), strict=True)
-            ]
-            alone = [replace(parts, calibration=max(0.0, r) ** 0.5) for parts, r in zip(alone, rest, strict=True)]
-    ours, theirs = _systematic(one), _systematic(other)
-    if alike and ours and ours.keys() == theirs.keys():
-        common += [ours[name] - theirs[name] for name in ours]
-        chance = [[s.half or 0.0 for s in e.budget if s.part == "method" and s.kind == "A"] for e in (one, other)]
-        alone = [replace(parts, method=hypot(*halves)) for parts, halves in zip(alone, chance, strict=True)]
-    return hypot(*(parts.combined or 0.0 for parts in alone), *common)
-
-
-def _systematic(e: Estimate) -> dict[str, float]:
-    """Name -> half width of systematic method parts of the budget; empty without a budget."""
-    return {s.name: s.half for s in e.budget if s.part == "method" and s.kind == "B" and s.half is not None}
+    if not shared or one.method != other.method or None in scales:
+        return hypot(one.parts.combined, other.parts.combined)
+    alone = [replace(e.parts, calibration=None).combined or 0.0 for e in (one, other)]
+    return hypot(*alone, (scales[0] or 0.0) - (scales[1] or 0.0))
 
 
 def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequence[str]) -> Iterator[Finding]:
-    counted = [d for d in differences if not d.term]
-    judged = [d for d in counted if d.agrees is not None]
+    judged = [d for d in differences if d.agrees is not None]
     if len(judged) > 1:
         chance = CHANCE * len(judged)
         by_chance = f"about {chance:.0f}" if chance >= 1 else "less than one"
@@ -480,7 +408,7 @@ def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequ
         yield Finding(
             "note", f"{text}; of two that are the same {by_chance} would be, where the values are independent"
         )
-    groups = grouped(counted, lambda d: (d.kind, d.a.symbol, d.a.coordinate, tuple(d.a.at)))
+    groups = grouped(differences, lambda d: (d.kind, d.a.symbol, d.a.coordinate, tuple(d.a.at)))
     names = Counter(key[:3] for key in groups)
     for (kind, symbol, coordinate, at), group in groups.items():
         yield _sentence(group, whole=not at and names[kind, symbol, coordinate] > 1)
@@ -490,7 +418,7 @@ def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequ
 
 def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[Finding]:
     """Findings on effects that E_n does not take into account."""
-    bare = [d for d in differences if d.half is None and not d.term]
+    bare = [d for d in differences if d.half is None]
     if bare and b.published:
         known = [d for d in bare if d.a.parts.combined is not None]
         inside = sum(abs(d.value) <= (d.a.parts.combined or 0.0) for d in known)
@@ -500,7 +428,7 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
     elif bare:
         more = f" (and {len(bare) - 1} more)" if len(bare) > 1 else ""
         yield Finding("doubt", f"{named(bare[0])}{more} has no interval on one side: no E_n, which needs both")
-    apart = [d for d in differences if d.agrees is False and d.lacks and not d.term]
+    apart = [d for d in differences if d.agrees is False and d.lacks]
     if apart:
         names = " and ".join(dict.fromkeys(name for d in apart for name in d.lacks))
         yield Finding(
@@ -511,20 +439,11 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
         )
     if any(d.between for d in differences):
         yield Finding("note", "values marked ~ are read on straight lines between neighbouring points")
-    shared = ""
     if a.runs & b.runs:
-        shared = "both come from the same runs and share their scatter and calibration: E_n shows less than there is"
-        if other_scales := _recalibrated(a, b):
-            shared = f"{shared.partition(' and cali')[0]}; recalibrated, and with its own uncertainty in each: "
-            shared += listed(other_scales)
-    elif used := _shared(a, b):
-        shared = "both used the same calibrations: their uncertainty drops out of a difference of one method"
-        if used == "gain":
-            shared += ", but for the zeros, which no session took: each may be off by what the calibration allows"
-    elif not b.published and (a.calibrations is None or b.calibrations is None):
-        shared = "the runs are not at hand: calibrations that both may have used count in both, and E_n shows less"
-    if shared:
-        yield Finding("note", shared)
+        yield Finding("note", "both come from the same runs and share their scatter: E_n shows less than there is")
+    elif not b.published:
+        drops = "; the calibrations, which both used, drop out" if _shared(a, b) else ""
+        yield Finding("note", f"errors that both share count in both: E_n shows less than there is{drops}")
     if a.simulated != b.simulated and not b.published:
         yield Finding("note", f"{(a if a.simulated else b).name} is SIMULATED, the other is not")
 

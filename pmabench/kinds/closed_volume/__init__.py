@@ -1,7 +1,7 @@
 """Volume of a muscle over contraction: filled, shut off and contracted slowly.
 
-- `reduction`, made of `stroke`
-- protocol files: `protocol`; figures and one trial on the display: `figures`
+- `reduction`, made of `stroke`, with figure and one trial on the display
+- protocol files: `protocol`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -31,10 +31,8 @@ KIND = Kind(
     reduction="pmabench.kinds.closed_volume.reduction:reduce",
     papers=("paper 3, closed muscle",),
     protocol="pmabench.kinds.closed_volume.protocol:ClosedVolume",
-    live="pmabench.kinds.closed_volume.figures:measure",
+    live="pmabench.kinds.closed_volume.reduction:one_trial",
     moves="displacement",
     methods=METHODS,
-    figures={
-        "volume": "pmabench.kinds.closed_volume.figures:volumes",
-    },
+    figures={"volume": "pmabench.kinds.closed_volume.reduction:volumes"},
 )

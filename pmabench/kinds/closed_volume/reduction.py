@@ -1,31 +1,35 @@
 """Reduction of closed volumes: V over contraction at each start pressure, whether they agree, and V(eps) fitted to all.
 
-One trial, the curve, and the effects of departures are in `stroke`.
+One trial, the curve, and what the strokes leave open are in `stroke`. Also the figure, and with `one_trial` the values
+of one trial for the display.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import hypot, isfinite
+from math import degrees, hypot, isfinite
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import weighed
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
-from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, form_of, measure, volume_at
+from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, measure, moved_by, spreads_of, volume_at
+from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.pictures import Picture, column, has, how_many, numbers, of_charts, spread, unit_of
+from pmabench.plotting.plots import PALETTE
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "closed-volume"
 TIGHT, PRINTED, CURVE = "closed, leak taken out", "closed, as printed", "closed, V(eps)"
-ADIABATIC = 1.4
 LEAKS = 0.02
 """Share of the air lost over a trial from which on it is a doubt."""
 LOST = "look for the leak, and whether the air or the room cools, or the gauge drifts"
@@ -53,19 +57,28 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     cells = grouped(members, lambda stroke: round(stroke.trial.point["pressure"], 6))
     estimates: list[Estimate] = []
     findings: list[Finding] = []
-    form = form_of(cells, gas)
+    spreads = spreads_of(cells, gas)
     for pressure, group in sorted(cells.items()):
         for leak, method in ((True, TIGHT), (False, PRINTED)):
             estimates += _volumes(pressure, group, settings, scales, method, leak=leak)
-        findings += _findings(pressure, group, gas)
+        findings.append(_leaks(pressure, group, gas))
     findings += _agree(estimates)
-    estimates = [weighed(e, form.of_volume(e, leak=e.method == TIGHT)) for e in estimates]
-    curve = [weighed(e, form.of_curve(index, length)) for index, e in enumerate(_curve(members, settings, scales))]
+    estimates = [
+        weighed(e, spreads[round(e.at["pressure"], 6)].doubts(e, n % len(members[0].x), leak=e.method == TIGHT))
+        for n, e in enumerate(estimates)
+    ]
+    V = np.mean(
+        [np.mean([m.volumes(gas, leak=True).mean(axis=0) for m in group], axis=0) for group in cells.values()], 0
+    )
+    apart = moved_by(members[0].x / length, V, length, spreads.values())
+    curve = [
+        weighed(e, [Doubt("volumes that differ", "method", half, seen=False)])
+        for e, half in zip(_curve(members, settings, scales), apart, strict=True)
+    ]
     if lacking := next((e.note for e in estimates if e.withheld and e.method == TIGHT), ""):
         curve = [withhold(e, f"a volume that it goes through is withheld: {lacking}") for e in curve]
     if lack := scales.lack(("pressure",), ("pressure",)):
         findings.append(Finding("note", lack))
-    findings.append(_made_of(float(members[0].x[0]), settings))
     share = max((m.lost / (m.before + gas.atmosphere) for m in members), key=abs)
     return Analysis.of(
         KIND,
@@ -151,28 +164,19 @@ def _curve(members: Sequence[Stroke], settings: Mapping[str, Any], scales: Scale
             yield Estimate(symbol, None, unit, quantity, CURVE, n=n, note=why)
 
 
-def _findings(pressure: float, group: Sequence[Stroke], gas: Gas) -> list[Finding]:
-    """How much air leaked, and how another exponent would change the volume."""
+def _leaks(pressure: float, group: Sequence[Stroke], gas: Gas) -> Finding:
+    """How much air leaked."""
     where = f"from {show(pressure, 'pressure')}"
     share = max((m.lost / (m.before + gas.atmosphere) for m in group), key=abs)
     lost = max((m.lost for m in group), key=abs)
     if share < 0 and -lost > 6 * group[0].noise:
         higher = f"{where} the pressure comes back {show(-lost, 'pressure', 3)} higher"
-        text = f"{higher}: air comes in through the valve, the air or the room warms, or the gauge drifts"
-        found = [Finding("doubt", text)]
-    elif share > LEAKS:
-        found = [Finding("doubt", f"{where} {share:.1%} of the air is lost over a trial: {LOST}")]
-    else:
-        found = [Finding("note", f"{where} {max(share, 0.0):.2%} of the air is lost over a trial")]
-    if gas.exponent < ADIABATIC:
-        heat = replace(gas, exponent=ADIABATIC)
-        apart = np.mean([m.volumes(heat, leak=True)[:, -1] - m.volumes(gas, leak=True)[:, -1] for m in group])
-        text = (
-            f"{where} the volume at the end of the stroke would be {show(float(apart), 'volume', 3)} off if the air "
-            f"took no heat from the wall (k = {ADIABATIC}); with k = {gas.exponent:g} it is taken to have time for it"
+        return Finding(
+            "doubt", f"{higher}: air comes in through the valve, the air or the room warms, or the gauge drifts"
         )
-        found.append(Finding("note", text))
-    return found
+    if share > LEAKS:
+        return Finding("doubt", f"{where} {share:.1%} of the air is lost over a trial: {LOST}")
+    return Finding("note", f"{where} {max(share, 0.0):.2%} of the air is lost over a trial")
 
 
 def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
@@ -203,19 +207,6 @@ def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
     return [Finding("doubt", f"{text}: more than their intervals; {causes}")]
 
 
-def _made_of(start: float, settings: Mapping[str, Any]) -> Finding:
-    """The given quantities behind the volumes; `start` is where the strokes begin [m]."""
-    gas = Gas.of(settings)
-    reference, dead = (show(float(settings[f"{name}_half"]), "volume", 2) for name in ("reference", "dead"))
-    room = show(float(settings["atmosphere_half"]), "pressure", 2)
-    text = (
-        f"volume at {show(start, 'length')} {show(gas.reference, 'volume', 5)} +- {reference} by {settings['by']}, "
-        f"dead volume {show(gas.dead, 'volume')} +- {dead}, room {show(gas.atmosphere, 'pressure', 6)} +- {room} "
-        "absolute, added to gauge pressures; they are in the method part of the intervals"
-    )
-    return Finding("note", text)
-
-
 def _traces(estimates: Sequence[Estimate], curve: Sequence[Estimate], length: float) -> Iterator[Trace]:
     """Volumes of each start pressure over contraction, with the curve through all."""
     values = {e.symbol: e.value for e in curve if e.value is not None}
@@ -233,3 +224,61 @@ def _traces(estimates: Sequence[Estimate], curve: Sequence[Estimate], length: fl
         marks = {"pressure": pressure} | (values if len(values) == 3 else {})
         title = f"{show(pressure, 'pressure')}: volume over contraction"
         yield Trace(f"volume-{pressure:g}", "volume", title, columns, quantities, marks)
+
+
+COLUMNS = ("contraction", "volume", "half")
+PRESSURES = 4
+
+
+def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """One figure with the volumes of all start pressures."""
+    able = [t for t in traces if has(t, "contraction", "volume")]
+    chosen = spread(able, PRESSURES)
+    if not chosen:
+        return []
+    series = [one for i, trace in enumerate(chosen) for one in _series(trace, i)]
+    points = [one for one in series if one.dots]
+    labels = (unit_of(chosen[0], "contraction").label("contraction ε"), unit_of(chosen[0], "volume").label("V"))
+    marks = chosen[0].marks
+    curve = ""
+    if {"D_0", "theta_0", "alpha"} <= set(marks):
+        curve = (
+            "; line: V(ε) of paper 3 through all of them, "
+            f"D0 {show(marks['D_0'], 'length', 4)}, θ0 {degrees(marks['theta_0']):.4g}°, α {marks['alpha']:.4g}"
+        )
+    caption = (
+        "Marks: volumes from the absolute pressure of the air shut in, what leaked taken out, with 95 % intervals, "
+        f"from each pressure at which the valve shut{curve}. The pressures share volume at the start, dead volume and "
+        f"room, so the marks differ by less than the intervals.{how_many(chosen, able)}"
+    )
+    every = np.concatenate([p.y for p in points])
+    least, most = float(np.nanmin(every)), float(np.nanmax(every))
+    alt = f"{labels[1]} over {labels[0]} from {len(points)} start pressures, {least:.4g} to {most:.4g}."
+    chart = of_points(series, *labels, alt, simulated=analysis.simulated)
+    table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)], COLUMNS)
+    title, simulated = "Volume over contraction", analysis.simulated
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
+
+
+def _series(trace: Trace, i: int) -> list[Series]:
+    """The values from one start pressure, all but the first open and a little aside; with the first the curve."""
+    x, y = column(trace, "contraction"), column(trace, "volume")
+    half = column(trace, "half") if "half" in trace.columns else None
+    curve = [Series("", x, column(trace, "curve"), PALETTE[0])] if i == 0 and "curve" in trace.columns else []
+    name = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
+    aside = x + 0.012 * i * np.ptp(x)
+    return [*curve, Series(f"from {name}", aside, y, PALETTE[i % len(PALETTE)], True, half, hollow=i > 0)]
+
+
+def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """The volume at the end of the stroke, and the pressure that leaks away over the trial."""
+    settings = settings_of(run)
+    try:
+        stroke = measure(run, trial, settings)
+    except NotUsable as reason:
+        return [Measured("V", "volume", None)], [str(reason)]
+    gas = Gas.of(settings)
+    V = stroke.volumes(gas, leak=True)[:, -1]
+    share = stroke.lost / (stroke.before + gas.atmosphere)
+    found = [Measured("V", "volume", float(V.mean())), Measured("leak", "pressure", stroke.lost, noise=stroke.noise)]
+    return found, [f"{share:.1%} of the air is lost over the trial"] if share > LEAKS else []

@@ -9,15 +9,15 @@ V(eps) is that of the modified Daerden model, V = (pi/4) D0^2 l0 [1/sin^2 theta0
 eps) (paper 3). For a given alpha it is linear in D0^2/sin^2 theta0 and D0^2/tan^2 theta0, so only alpha is searched,
 without start values.
 
-Departures from P V = const of the enclosed air: a lag (heat, a slow sensor) makes the volume differ between both
-directions; a leak that is not proportional to the pressure makes it differ at the start between two cycles; a wrong
-room pressure makes it differ between start pressures.
+Where P V = const does not hold for the enclosed air, volumes differ: between both directions by a lag (heat, a slow
+sensor), at the start between two cycles by a leak that is not proportional to the pressure, between start pressures by
+a wrong room pressure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from math import atan, hypot, pi, sqrt
 from typing import Any
 
@@ -190,111 +190,89 @@ def volume_at(eps: Array, length: float, D_0: float, theta_0: float, alpha: floa
     return np.asarray(pi / 4 * D_0**2 * length * (1 / np.sin(theta_0) ** 2 - s**alpha / np.tan(theta_0) ** 2) * s)
 
 
+def moved_by(eps: Array, V: Array, length: float, spreads: Iterable[Spread]) -> tuple[float, float, float]:
+    """Changes of D0 [m], theta0 [rad] and alpha [1] of `fit_volume` by what the strokes leave open."""
+    apart, aside = (np.mean(each, axis=0) for each in zip(*((one.apart, one.aside) for one in spreads), strict=True))
+    # the differences may change sign over the contractions: tried as cosines with 0 to 4 half waves
+    shapes = [apart * np.cos(order * np.pi * np.linspace(0.0, 1.0, len(V))) for order in range(5)]
+    base, *fits = (fit_volume(eps, V * (1 + shape), length) for shape in (np.zeros(len(V)), *shapes, 2 * aside))
+    D_0, theta_0, alpha = (hypot(*(fit[i] - base[i] for fit in fits if fit)) if base else 0.0 for i in range(3))
+    return D_0, theta_0, alpha
+
+
 SURE = 5.0
 """Standard deviations from which on a difference is significant."""
 UNSEEN = 1e-4
 """Difference between gauge and drive that is tolerated [m]."""
-BOTH_WAYS, BETWEEN, STILL, ROOM = "both ways", "returns to the start", "motion in the rest", "pressure of the room"
-PLACE = "place of the drive"
-PARTS = {BOTH_WAYS: "method", BETWEEN: "drift", STILL: "method", ROOM: "method", PLACE: "method"}
-ADVICE = {
-    BOTH_WAYS: "on the way there the volume is up to {} of it different from that on the way back: the air has no time "
-    "to take the temperature of the wall, or the pressure comes late. Move more slowly",
-    BETWEEN: "back at the start between the cycles the volume comes out up to {} off: the leak changes, or the air is "
-    "not at the temperature of the room. Wait longer after filling, and look for the leak",
-    STILL: "in the rest at the far end the pressure may still change by {} of it: the air is not at the temperature of "
-    "the wall. Rest longer",
-    ROOM: "start pressures give volumes that would be the same if they were up to {} other: the pressure of the room, "
-    "or the zero of the pressure, is wrong. Read a barometer, and check the zero",
-    PLACE: "at rest the displacement is not where the drive was sent, which is worth up to {} of the volume: the zero "
-    "or the scale of the gauge or of the drive is wrong. Check them",
-}
-
-
-Effect = tuple[Array, bool]
-"""Effect of a departure: share of the volume at each contraction, shape (n,), and whether it is significant."""
+APART = (
+    "strokes there and back, returns to the start, rests at the far end and start pressures leave up to {} of the "
+    "volume open: heat, a leak that changes, a pressure that comes late, a wrong pressure of the room, or a zero. "
+    "Move more slowly, rest longer, read a barometer, and check the zero"
+)
+PLACE = (
+    "at rest the displacement is not where the drive was sent, which is worth up to {} of the volume: the zero or the "
+    "scale of the gauge or of the drive is wrong. Check them"
+)
 
 
 @dataclass(frozen=True, eq=False)
-class Form:
-    """Effects of the departures on the volumes."""
+class Spread:
+    """What the strokes from one start pressure leave open: shares of the volume at each contraction, shape (n,)."""
 
-    x: Array
-    volumes: Array
-    """Mean over all start pressures [m3]; shape (n,)."""
-    shares: Mapping[float, Mapping[str, Effect]]
-    """Start pressure -> departure -> effect."""
-    leaked: Mapping[float, Array]
-    """Start pressure -> relative excess of the volume at `x` without correction for the leak."""
+    apart: Array
+    """Differences of ways and returns, motion at the far end, and the pressure of the room."""
+    seen: bool
+    aside: Array
+    """A displacement that differs from the commanded position."""
+    off: bool
+    leaked: Array
+    """Excess of the volume without correction for the leak."""
 
-    def of_volume(self, e: Estimate, *, leak: bool) -> list[Doubt]:
-        """Effects on the volume at one start pressure and contraction."""
-        P, place = round(e.at["pressure"], 6), int(np.argmin(np.abs(self.x - e.at["contraction"])))
+    def doubts(self, e: Estimate, place: int, *, leak: bool) -> list[Doubt]:
+        """Effects on the volume at the contraction with the index `place`."""
         size = abs(e.value or 0.0)
-        found = []
-        for name, (share, seen) in self.shares[P].items():
-            reason = ADVICE[name].format(f"{float(np.abs(share).max()):.2%}")
-            found.append(Doubt(name, PARTS[name], size * abs(float(share[place])), seen, reason))
+        found = [
+            Doubt(name, "method", size * float(share[place]), seen, reason.format(f"{float(share.max()):.2%}"))
+            for name, share, seen, reason in (
+                ("volumes that differ", self.apart, self.seen, APART),
+                ("place of the drive", self.aside, self.off, PLACE),
+            )
+        ]
         if not leak:
-            lost = abs(float(self.leaked[P][place]))
+            lost = abs(float(self.leaked[place]))
             reason = f"no leak is taken out, and what leaked makes the volume {lost:.2%} larger. Look for the leak"
             found.append(Doubt("leak", "method", size * lost, seen=True, reason=reason))
         return found
 
-    def of_curve(self, index: int, length: float) -> list[Doubt]:
-        """Effects on the `index`-th coefficient of V(eps); they only widen it, since each volume is withheld on its
-        own.
-        """
-        base = fit_volume(self.x / length, self.volumes, length)
-        found = []
-        for name in ADVICE:
-            share = np.mean([effects[name][0] for effects in self.shares.values()], axis=0)
-            # the effect may change sign over the contractions: tried as cosines with 0 to 4 half waves
-            along = np.pi * np.linspace(0.0, 1.0, len(share))
-            shapes = [np.ones(len(share))] if name in (ROOM, PLACE) else [np.cos(order * along) for order in range(5)]
-            moved = [fit_volume(self.x / length, self.volumes * (1 + shape * share), length) for shape in shapes]
-            if base is None or None in moved:
-                continue
-            half = hypot(*(one[index] - base[index] for one in moved if one is not None))
-            found.append(Doubt(name, PARTS[name], half, any(effects[name][1] for effects in self.shares.values())))
-        return found
 
-
-def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
-    """The effects from the strokes by start pressure [Pa]."""
-    shares: dict[float, dict[str, Effect]] = {}
-    leaked, means = {}, {}
-    room, beyond = _room(cells, gas)
+def spreads_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> dict[float, Spread]:
+    """The spread by start pressure [Pa]."""
+    each = {P: np.array([one.by(one.P, one.paid, gas) for one in strokes]) for P, strokes in cells.items()}
+    means = {P: V.mean(axis=(0, 1)) for P, V in each.items()}
+    noises = {P: _noise(strokes, gas) for P, strokes in cells.items()}
+    low, high = min(cells), max(cells)
+    room = means[high] - means[low]
+    between = float(np.abs(room / means[low]).max()) > SURE * max(noises.values())
+    # a wrong room pressure acts as the inverse of the absolute start pressure
+    ends = (low + gas.atmosphere) * (high + gas.atmosphere) / max(high - low, 1.0)
+    found = {}
     for P, strokes in cells.items():
-        means[P], whole = (
-            np.mean([one.volumes(gas, leak=leak).mean(axis=0) for one in strokes], axis=0) for leak in (True, False)
-        )
-        leaked[P] = whole / means[P] - 1
-        shares[P] = _of_one(strokes, gas) | {ROOM: (room[P] / means[P], beyond), PLACE: _aside(strokes, means[P])}
-    x = next(iter(cells.values()))[0].x
-    return Form(x, np.mean(list(means.values()), axis=0), shares, leaked)
+        V, noise, by_room = means[P], noises[P], room * ends / (P + gas.atmosphere)
+        gaps = (each[P][:, 0::2] - each[P][:, 1::2]).reshape(-1, len(V)) / V
+        gap = np.abs(gaps.mean(axis=0))
+        returns = np.array([one.by(one.returns[:, 0], one.returns[:, 1], gas) for one in strokes]) / gas.reference - 1
+        most = float(np.abs(returns.mean(axis=0)).max(initial=0.0))
+        further = left([held for one in strokes for held in one.far])
+        still = further.most / (float(np.mean([one.P[:, -1].mean() for one in strokes])) + gas.atmosphere)
+        seen = float(gap.max()) > SURE * noise * sqrt(2 / len(gaps)) or most > SURE * noise * sqrt(1.5 / len(strokes))
+        apart = np.sqrt((0.5 * gap) ** 2 + most**2 + still**2 + (by_room / V) ** 2)
+        plain = np.mean([one.volumes(gas, leak=False).mean(axis=0) for one in strokes], axis=0)
+        found[P] = Spread(apart, seen or further.seen or between, *_aside(strokes, V), plain / V - 1)
+    return found
 
 
-def _of_one(strokes: Sequence[Stroke], gas: Gas) -> dict[str, Effect]:
-    """The effects that the strokes from one start pressure show."""
-    noise = _noise(strokes, gas)
-    by_way = np.array([one.by(one.P, one.paid, gas) for one in strokes])
-    V = by_way.mean(axis=(0, 1))
-    gaps = (by_way[:, 0::2] - by_way[:, 1::2]).reshape(-1, len(V)) / V
-    gap = np.abs(gaps.mean(axis=0))
-    returns = np.array([one.by(one.returns[:, 0], one.returns[:, 1], gas) for one in strokes]) / gas.reference - 1
-    most = float(np.abs(returns.mean(axis=0)).max(initial=0.0))
-    further = left([held for one in strokes for held in one.far])
-    lowest = float(np.mean([one.P[:, -1].mean() for one in strokes])) + gas.atmosphere
-    return {
-        BOTH_WAYS: (0.5 * gap, float(gap.max()) > SURE * noise * sqrt(2 / len(gaps))),
-        BETWEEN: (np.full(len(V), most), most > SURE * noise * sqrt(1.5 / len(strokes))),
-        STILL: (np.full(len(V), further.most / lowest), further.seen),
-    }
-
-
-def _aside(strokes: Sequence[Stroke], V: Array) -> Effect:
-    """Effect of a displacement that differs from the commanded position: gauge or drive is wrong.
+def _aside(strokes: Sequence[Stroke], V: Array) -> tuple[Array, bool]:
+    """Effect of a displacement that differs from the commanded position, as a share, and whether it is significant.
 
     A gauge error moves each volume to another contraction, a drive error changes the reference volume at the start.
     """
@@ -308,27 +286,3 @@ def _aside(strokes: Sequence[Stroke], V: Array) -> Effect:
 def _noise(strokes: Sequence[Stroke], gas: Gas) -> float:
     """Noise of a volume from the mean of a rest, as a share of the volume."""
     return max(one.noise / (one.before + gas.atmosphere) / sqrt(one.resting) for one in strokes)
-
-
-def _room(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> tuple[dict[float, Array], bool]:
-    """Change of the volumes [m3] by the room pressure at which the start pressures agree best, and whether it is
-    significant.
-    """
-    n = len(next(iter(cells.values()))[0].x)
-    if len(cells) < 2:
-        return {P: np.zeros(n) for P in cells}, False
-
-    def mean_of(other: Gas) -> Array:
-        each = [[one.volumes(other, leak=True).mean(axis=0) for one in strokes] for strokes in cells.values()]
-        return np.array([np.mean(one, axis=0) for one in each])
-
-    step = 100.0
-    V = mean_of(gas)
-    slope = (mean_of(replace(gas, atmosphere=gas.atmosphere + step)) - V) / step
-    off, apart = slope - slope.mean(axis=0), V - V.mean(axis=0)
-    power = float(np.sum(off**2))
-    shift = -float(np.sum(off * apart)) / power if power else 0.0
-    noise = max(_noise(strokes, gas) / sqrt(len(strokes)) for strokes in cells.values())
-    error = noise * float(V.mean()) * sqrt(n) / sqrt(power) if power else 0.0
-    size = abs(shift) + 2 * error
-    return {P: one * size for P, one in zip(cells, slope, strict=True)}, abs(shift) > SURE * error

@@ -4,7 +4,7 @@
   pressure)
 - whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
   its words and overlays: `checks`
-- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`, by the pressure of `gauge`
+- the way of the papers, dead times: `exponentials`; the regulator, and how late its gauge is: `bandwidth`
 - by paper 1: `paper1`, made of `paper1_steps`
 - further trials: `predicted`, what they would add; `known`, what is known so far; `next_trial`, the choice
 - protocol files: `protocol`; one trial on the display: `live`

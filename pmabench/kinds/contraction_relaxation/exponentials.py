@@ -20,9 +20,8 @@ from pmabench.analysis.shared.student import half_width, mean_over
 from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import bandwidth
-from pmabench.kinds.contraction_relaxation.bandwidth import responses
+from pmabench.kinds.contraction_relaxation.bandwidth import Late, responses
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
-from pmabench.kinds.contraction_relaxation.gauge import Late
 from pmabench.kinds.contraction_relaxation.intervals import AT_REST, CORRECTED, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
@@ -186,7 +185,7 @@ def compare(
     campaign: Campaign, gathered: tuple[Campaign, Mapping[str, Late]], pooled: Pooled, found: Sequence[Estimate],
     options: Mapping[str, Any],
 ) -> Further:  # fmt: skip
-    """The papers' estimates and the dead times; `found` are the primary method's, `gathered` is as of `gauge`."""
+    """The papers' estimates and the dead times; `found` are the primary method's, `gathered` as of `bandwidth`."""
     primary, moved = pooled.fit, set(pooled.segments.trial.tolist())
     seen = {cause.name for cause in pooled.trust.causes if cause.seen} & {GAIN, ZERO, AT_REST.format("displacement")}
     seen |= {CORRECTED for one in pooled.diagnosis.of_cell if one.key == "gain"}

@@ -96,6 +96,12 @@ class Fit:
         left, share = place(P, self.knots)
         return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
 
+    def coefficients(self, P: Array) -> Array:
+        """All of `SYMBOLS` [SI] at pressures P [Pa] of any shape; shape (4, *P.shape)."""
+        values = self.theta[:-1].reshape(len(SYMBOLS), -1)
+        left, share = place(P, self.knots)
+        return np.asarray(values[:, left] * (1 - share) + values[:, left + 1] * share)
+
     def damping(self, segments: Segments) -> Array:
         """B for the direction of each segment [N.s/m], shape (n,)."""
         P = segments.pressure

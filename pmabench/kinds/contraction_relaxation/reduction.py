@@ -18,12 +18,11 @@ from pmabench.analysis.shared.samples import NotUsable, Samples
 from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials
-from pmabench.kinds.contraction_relaxation.bandwidth import regulator
+from pmabench.kinds.contraction_relaxation.bandwidth import gathered, regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_sensors
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
-from pmabench.kinds.contraction_relaxation.gauge import gathered
 from pmabench.kinds.contraction_relaxation.intervals import (
     Cause,
     Pooled,

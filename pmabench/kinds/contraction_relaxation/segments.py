@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import sqrt
 from typing import Any
 
@@ -192,51 +193,57 @@ def velocity(t: Array, x: Array, reach: int) -> Array:
     return v
 
 
+TOGETHER = 8_000
+"""Samples that are cut at once: short stretches are cut faster together, long ones are copied slower."""
+
+
 def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
     """All segments of the stretches, in their order, contracting before relaxing in each."""
     n, m = gate.samples(rate)
     weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
-    parts = [_taken(samples, n, m, weights, gate) for samples in stretches]
+    group = np.cumsum([len(samples.t) for samples in stretches]) // TOGETHER
+    edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(stretches)]
+    parts = [_taken(stretches[first:last], n, m, weights, gate) for first, last in pairwise(edges)]
     columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-    trial, t, way, P, x, P_mid, v, F_mid, force, mass = columns
-    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, 1 / rate)
+    return Segments(*columns, weights, 1 / rate)
 
 
-def _taken(samples: Samples, n: int, m: int, weights: Array, gate: Gate) -> tuple[NDArray[Any], ...]:
-    """Columns of `Segments` for one stretch, in the order of their declaration; segments have `n` samples, the velocity
+def _taken(stretches: Sequence[Samples], n: int, m: int, weights: Array, gate: Gate) -> tuple[NDArray[Any], ...]:
+    """Columns of `Segments` for stretches, in the order of their declaration; segments have `n` samples, the velocity
     is taken over `m` samples to both sides.
     """
-    v = velocity(samples.t, samples.x, m)
-    start, way = _places(samples, v, n, m, gate)
+    t, P, x, ok = (np.concatenate([getattr(samples, name) for samples in stretches]) for name in ("t", "P", "x", "ok"))
+    sizes = [len(samples.t) for samples in stretches]
+    forces = [np.full(len(s.t), s.load) if s.force is None else s.force for s in stretches]
+    ends = np.cumsum(sizes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        v = velocity(t, x, m)
+    v[(ends[:-1, None] + np.arange(-m, m)).clip(0, len(v) - 1)] = 0.0  # no velocity across two stretches
+    start, way = _places(ok & (x > gate.lift), v, n, m, gate)
+    stretch = np.searchsorted(ends, start, side="right")
+    order = np.lexsort((start, -way, stretch))
+    start, way, stretch = start[order], way[order], stretch[order]
     middle = start[:, None] + np.arange(n)
     around = start[:, None] + np.arange(-m, n + m)
-    mass = np.zeros(len(start))
-    if samples.force is not None:
-        pulls = samples.force[around]
-        force, F_mid = pulls @ weights, pulls[:, m : m + n]
-    else:
-        F_mid = np.full(middle.shape, samples.load)
-        mass += samples.mass
-        gained = v[start + n] - v[start - 1]
-        force = samples.load + samples.mass * gained / (samples.t[start + n] - samples.t[start - 1])
-    number = np.full(len(start), samples.trial)
-    P, x = samples.P[around], samples.x[around]
-    return number, samples.t[start], way, P, x, P[:, m : m + n], v[middle], F_mid, force, mass
+    mass = np.array([0.0 if s.force is not None else s.mass for s in stretches])[stretch]
+    pulls, P, x = np.concatenate(forces)[around], P[around], x[around]
+    force = pulls @ weights + mass * (v[start + n] - v[start - 1]) / (t[start + n] - t[start - 1])
+    number = np.array([samples.trial for samples in stretches], np.intp)[stretch]
+    return number, t[start], way, P, x, P[:, m : m + n], v[middle], pulls[:, m : m + n], force, mass
 
 
-def _places(samples: Samples, v: Array, n: int, m: int, gate: Gate) -> tuple[NDArray[np.intp], Array]:
+def _places(usable: NDArray[np.bool_], v: Array, n: int, m: int, gate: Gate) -> tuple[NDArray[np.intp], Array]:
     """Start and direction of the segments, shape (segments,) each, from the velocity `v` of all samples."""
-    usable = samples.ok & (samples.x > gate.lift)
-    starts, ways = [np.empty(0, np.intp)], [np.empty(0)]
+    starts, ways = [], []
     inside = np.zeros(len(v) + 2, bool)
     for way, moving in ((1.0, v > gate.speed), (-1.0, v < -gate.speed)):
         np.logical_and(usable, moving, out=inside[1:-1])
-        for first, last in (inside[1:] != inside[:-1]).nonzero()[0].reshape(-1, 2).tolist():
-            begin = first + 2 * m + 1
-            count = (last - m - begin) // n
-            if count > 0:
-                starts.append(begin + n * np.arange(count))
-                ways.append(np.full(count, way))
+        first, last = (inside[1:] != inside[:-1]).nonzero()[0].reshape(-1, 2).T
+        begin = first + 2 * m + 1
+        count = np.maximum(0, (last - m - begin) // n)
+        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        starts.append(np.repeat(begin, count) + n * within)
+        ways.append(np.full(len(within), way))
     return np.concatenate(starts), np.concatenate(ways)
 
 

@@ -56,7 +56,6 @@ RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is no
 MOTION, ZERO, NOISE = "motion after the hold", "contraction left without pressure", "noise of pressures near 0"
 PRESSURE = "zero of the pressure"
 ONE_WAY = "friction where both sides came from one"
-NO_GAP = "reached from below both times: nothing is above it. Use that of another pressure"
 PART = {ZERO: "drift", PRESSURE: "calibration"}
 FLOOR = 5e-4
 """Smallest error of a length, as a share of the largest contraction."""
@@ -241,9 +240,8 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
             Doubt(MOTION, "method", share * still.most, still.seen, rests),
             Doubt(ZERO, "drift", share * off, off > max(CLEAR * noise, friction), zero),
         ]
-        short = float(back[points.index(point)])
-        e = withhold(e, NO_GAP) if e.symbol == "x_H" and point is points[-1] else e
-        doubts.append(Doubt(ONE_WAY, "method", abs(short) * share, seen=True))
+        short = abs(float(back[points.index(point)])) * (2 if e.symbol == "x_H" else 1)
+        doubts.append(Doubt(ONE_WAY, "method", short * share, seen=True))
         found.append(weighed(e, doubts, None if e.symbol == "P_half" else largest * share))
     return found
 

@@ -41,11 +41,6 @@ METHODS = {
         "hysteresis. W is the area of the loop, W_c the work given while contracting, eta its share of what is taken up"
         " while expanding; air is not measured, so eta is no efficiency of the drive."
     ),
-    "loop-gap, mean over the stroke": "As loop-gap, the mean of the gap over the stroke.",
-    "loop-gap, open loop": (
-        "As loop-gap, the gap that the loop would open to on a long stroke, from the fit of how the branches turn into "
-        "each other."
-    ),
     "rubber term": (
         "F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8) by least squares through the mean curve at 0 kPa, ε by the "
         "nominal length."

@@ -24,7 +24,7 @@ from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 CURVE, RAW, LOCAL = OF_MEAN = "mean-curve", "mean-curve, turns left in", "mean-curve, local"
-GAP, MEAN_GAP, OPEN = "loop-gap", "loop-gap, mean over the stroke", "loop-gap, open loop"
+GAP = "loop-gap"
 WINDOW = 0.06
 """Half width of the range of a local cubic through the mean curve, as a share of the stroke."""
 OPENED = 0.7

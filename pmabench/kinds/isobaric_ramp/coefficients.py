@@ -23,10 +23,8 @@ from pmabench.kinds.isobaric_ramp.cell import (
     CURVE,
     GAP,
     LOCAL,
-    MEAN_GAP,
     OF_MEAN,
     ONE_SPEED,
-    OPEN,
     RAW,
     Cell,
     each_local,
@@ -102,7 +100,8 @@ GUESSED = 1.5
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 SHRINKS = (
     "a gap that shrinks as the speed rises is no damping: what creeps in about the time of a ramp, or a friction that "
-    "falls with the speed, makes part of it. Ramp more slowly, and more quickly, until the gap changes no more"
+    "falls with the speed, makes part of it, and creep also of the slope of the mean curve. Ramp more slowly, and more "
+    "quickly, until the gap changes no more"
 )
 TWO_SPEEDS = "two speeds only: nothing shows whether the friction falls with the speed, which is not all damping then"
 _Row = tuple[str, tuple[str, str], Callable[[Loop], Array], tuple[str, ...], float, float]
@@ -161,37 +160,29 @@ def _gap_lines(cell: Cell, scales: Scales, K: float, uneven: float, rising: floa
     """
     newton, damping = ("N", "force"), ("N.s/m", "damping")
     still = {**cell.at, "speed": 0.0}
-    found, few = [], TWO_SPEEDS if len({member.speed for member in cell.members}) == 2 else ""
-    ways: dict[str, Callable[[Loop], Array]]
-    ways = {GAP: lambda loop: loop.middle_gap, MEAN_GAP: lambda loop: loop.mean_gap}
-    if cell.turns_of_each:  # one asymptotic gap for all cycles of a loop
-        ways[OPEN] = lambda loop: np.full(1, 2 * loop.turns.h if loop.turns is not None else np.nan)
-    for method, of in ways.items():
-        line = cell.over_speed(of)
-        if cell.one_speed:
-            found.append(cell.estimate("H", None, newton, method, still, Parts(), ONE_SPEED))
-            found.append(cell.estimate("B", None, damping, method, cell.at, Parts(), ONE_SPEED))
-            continue
-        start, slope = line.start, line.slope
-        start_P, slope_P = (
-            cell.over_pressure(near, lambda cell, of=of, name=name: float(getattr(cell.over_speed(of), name)))  # type: ignore[misc]
-            for name in ("start", "slope")
-        )
-        force = cell.part(scales, {"force": start}, {}, start_P)
-        note = "gap at speed 0: true hysteresis"
-        H = cell.estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note)
-        gains = {"force": slope / 2, "displacement": -slope / 2}
-        both = cell.part(scales, gains, {}, None if slope_P is None else slope_P / 2)
-        low, high = cell.speeds
-        least = PROPORTIONAL * abs(start) / (high - low) / 2
-        parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * cell.skew)
-        B = cell.estimate("B", slope / 2, damping, method, cell.at, parts, sentences("(B_c + B_r)/2", few))
-        friction, said = Parts(_halved(line.half_start), uneven / 2, _halved(force)), "half the gap at speed 0"
-        F_c = cell.estimate("F_c", start / 2, newton, method, cell.at, friction, sentences(said, few))
-        found += [H, B, F_c]
-    least = min((e.value + (e.parts.combined or inf) for e in found if e.symbol == "B" and e.value), default=0.0)
-    why = f"B would be below {show(least, 'damping', 2)}; {SHRINKS}"
-    return found if least >= 0 else [withhold(e, why) for e in found]
+    if cell.one_speed:
+        return [
+            cell.estimate("H", None, newton, GAP, still, Parts(), ONE_SPEED),
+            cell.estimate("B", None, damping, GAP, cell.at, Parts(), ONE_SPEED),
+        ]
+    line, few = cell.gap, TWO_SPEEDS if len({member.speed for member in cell.members}) == 2 else ""
+    start, slope = line.start, line.slope
+    start_P = cell.over_pressure(near, lambda cell: cell.gap.start)
+    slope_P = cell.over_pressure(near, lambda cell: cell.gap.slope)
+    force = cell.part(scales, {"force": start}, {}, start_P)
+    note = "gap at speed 0: true hysteresis"
+    H = cell.estimate("H", start, newton, GAP, still, Parts(line.half_start, uneven, force), note)
+    gains = {"force": slope / 2, "displacement": -slope / 2}
+    both = cell.part(scales, gains, {}, None if slope_P is None else slope_P / 2)
+    low, high = cell.speeds
+    least = PROPORTIONAL * abs(start) / (high - low) / 2
+    parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * cell.skew)
+    B = cell.estimate("B", slope / 2, damping, GAP, cell.at, parts, sentences("(B_c + B_r)/2", few))
+    friction, said = Parts(_halved(line.half_start), uneven / 2, _halved(force)), "half the gap at speed 0"
+    F_c = cell.estimate("F_c", start / 2, newton, GAP, cell.at, friction, sentences(said, few))
+    most = inf if B.value is None else B.value + (B.parts.combined or inf)
+    why = f"B would be below {show(most, 'damping', 2)}; {SHRINKS}"
+    return [H, B, F_c] if most >= 0 else [withhold(e, why) for e in (H, B, F_c)]
 
 
 def _halved(half: float | None) -> float | None:
@@ -218,20 +209,8 @@ UPSIDE_DOWN = (
     "the force is larger while contracting than while expanding, and no muscle gives work back like that: look for a "
     "wrong sign, or force and displacement that are apart in time"
 )
-CREEPS = (
-    "as the speed rises the gap shrinks at mid stroke more than near its ends: what creeps in about the time of a ramp "
-    "makes part of it, and of the slope of the mean curve. Ramp more slowly, and more quickly, until neither changes"
-)
-UNIFORM = 0.5
-"""Limit for attributing a shrinking gap to creep: how much less it shrinks near the ends, as a share of mid stroke.
-Creep gives three quarters to all, friction none.
-"""
-FALLS = 0.05
-"""Share of the friction at rest that may decrease with speed unnoticed, since two speeds only give a line."""
-FADING = 8
-"""Number of speed constants that are tried for an exponential decrease, from half the lowest speed to half the highest:
-with a larger one it is a line, and part of B.
-"""
+FALLS = 0.04
+"""Share of the friction that its decrease with speed may add to it unnoticed at two speeds; more of them show it."""
 
 
 def judged(cell: Cell, found: list[Estimate], creep: Creep | None) -> list[Estimate]:
@@ -241,7 +220,9 @@ def judged(cell: Cell, found: list[Estimate], creep: Creep | None) -> list[Estim
     late, falls = _late(cell), _falls(cell)
     half = half_steps([(member.run, member.trial) for member in cell.members], ("force", "displacement"))
     level = cut_off(half, {"force": 1.0, "displacement": cell.straight})
-    return [weighed(e, _doubts(cell, e, late, creep, falls, level)) for e in _without_creep(cell, found)]
+    if shrinks := next((e.note for e in found if e.symbol == "F_c" and SHRINKS in e.note), ""):
+        found = [withhold(e, shrinks) if e.method in OF_MEAN and e.value is not None else e for e in found]
+    return [weighed(e, _doubts(cell, e, late, creep, falls, level)) for e in found]
 
 
 def _doubts(
@@ -306,46 +287,18 @@ def _late(cell: Cell) -> Doubt:
     return replace(late, half=max(late.half, 2 * longer), seen=True, reason=reason)
 
 
-def _without_creep(cell: Cell, found: list[Estimate]) -> list[Estimate]:
-    """The estimates with those of the mean curve withheld where creep makes part of the gap and of its slope."""
-    shrinks = any(e.symbol == "F_c" and SHRINKS in e.note for e in found)
-    if not (shrinks and _shrinks_by_creep(cell)):
-        return found
-    return [withhold(e, CREEPS) if e.method in OF_MEAN and e.value is not None else e for e in found]
-
-
-def _shrinks_by_creep(cell: Cell) -> bool:
-    """Whether a gap that shrinks with speed does so more at mid stroke than near the ends.
-
-    Creep gives a gap that is 0 at both turns, and too steep a mean curve. Friction that decreases with speed reduces
-    the gap equally everywhere. Friction is the same in both directions, whatever it depends on, and a displacement with
-    lag or backlash shifts the whole mean curve: neither changes K.
-    """
-    place, inner = cell.opened
-    dome = cell.over_speed(lambda loop: np.polyfit(place[inner], loop.gap[:, inner].T, 2)[0])
-    return dome.slope > max(dome.half_slope or 0.0, -UNIFORM * cell.gap.slope)
-
-
 def _falls(cell: Cell) -> tuple[float, float, bool]:
-    """Errors of F_c [N] and B [N.s/m] because of friction that decreases with speed, as far as the gaps allow it;
-    whether it is significant.
+    """Errors of F_c [N] and B [N.s/m] because of friction that decreases with speed; whether the gap over the speed is
+    bent by it.
 
-    F_c is for motion. Its error is the start of a line fitted to the largest possible c exp(-v/u).
+    F_c is for motion. A bent gap is less steep at high speed than at low, by up to the error of B.
     """
     gaps = [member.loop.middle_gap / 2 for member in cell.members]
     speeds = np.repeat([member.speed for member in cell.members], [len(one) for one in gaps])
-    design, friction, damping, seen = np.column_stack([np.ones(len(speeds)), speeds]), 0.0, 0.0, False
-    units = [np.exp(-speeds / u) for u in np.geomspace(0.5 * speeds.min(), 0.5 * speeds.max(), FADING)]
-    unseen = FALLS * abs(cell.gap.start) / 2
-    found = [] if cell.one_speed else [(unit, unseen) for unit in units]
-    if len(set(speeds.tolist())) > 2:
-        bounds = [bound_of([*design.T], unit, np.concatenate(gaps)) for unit in units]
-        known = [(unit, bound) for unit, bound in zip(units, bounds, strict=True) if bound is not None]
-        least = min((bound.left for _, bound in known), default=0.0)
-        seen = any(bound.seen for _, bound in known)
-        likely = [(unit, bound.most) for unit, bound in known if bound.left <= bound.likely * least]
-        found = [(unit, most if seen else min(most, unseen)) for unit, most in likely]
-    for unit, most in found:
-        start, slope = most * np.linalg.lstsq(design, unit, rcond=None)[0]
-        friction, damping = max(friction, start), max(damping, abs(slope))
-    return friction, damping, seen
+    each, more = np.concatenate(gaps), len(set(speeds.tolist())) - 1
+    bent = bound_of([np.ones(len(speeds)), speeds], speeds**2, each) if more > 1 else None
+    if bent is not None and bent.seen:
+        damping = abs(float(np.polyfit(speeds, each, 2)[1]) - cell.gap.slope / 2)
+        return damping * cell.speeds[1], damping, True
+    friction = FALLS / max(more, 1) * abs(cell.gap.start) / 2
+    return friction, friction / cell.speeds[1], False

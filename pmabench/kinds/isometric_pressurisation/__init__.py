@@ -46,9 +46,7 @@ METHODS = {
         "Least squares of S = (π/4) D0² [3 (1 − ε)^α / tan² θ0 − 1 / sin² θ0] through the slopes (paper 3). The "
         "intervals hold if S has this form; a parameter whose interval is wider than ±25 % is withheld."
     ),
-    "daerden-section, alpha = 2": "The same with α = 2, the force of Tondu and Lopez.",
     "daerden-section, D_0 of the specimen": "The same with D0 given by the specimen's inner_diameter.",
-    "daerden-section, theta_0 of the specimen": "The same with θ0 given by the specimen's braid_angle.",
     "mass flow, filling": (
         "V = r T ∫q dt/ΔP − V_dead over the ramp up and the rest at its top, r 287 J/(kg K); the zero of the meter, "
         "its mean before and after both ramps, is taken off."
@@ -73,11 +71,11 @@ KIND = Kind(
     offers="pmabench.kinds.isometric_pressurisation.reduction:offers",
     methods=METHODS,
     figures={
-        "isometric": "pmabench.plotting.loops:isometric",
+        "isometric": "pmabench.plotting.motion:isometric",
         "flow-volume": "pmabench.kinds.isometric_pressurisation.figures:volumes",
         "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
     },
-    front={"isometric": "pmabench.plotting.loops:isometric"},
+    front={"isometric": "pmabench.plotting.motion:isometric"},
     published={"isometric": ("pressure", "force", "displacement")},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(

@@ -67,6 +67,11 @@ class Section:
     """Weighted sum of squares."""
 
     @property
+    def given(self) -> float | None:
+        """D0 [m], where it was not fitted."""
+        return None if "D_0" in self.free else self.D_0
+
+    @property
     def values(self) -> Array:
         """D0, theta0, alpha."""
         return np.array([self.D_0, self.theta_0, self.alpha])
@@ -79,11 +84,6 @@ class Section:
     def freedom(self) -> int:
         """Number of slopes minus free parameters."""
         return len(self.slopes.S) - len(self.free)
-
-    @property
-    def rms(self) -> float:
-        """Residual [N/Pa]."""
-        return float(np.sqrt(np.mean((self.slopes.S - self.at(self.slopes.eps)) ** 2)))
 
     @property
     def other_form(self) -> bool:
@@ -99,13 +99,6 @@ class Section:
             up, down = (section_factor(eps, *(self.values + way * step)) for way in (1, -1))
             columns.append((up - down) / (2 * float(step.sum())))
         return np.column_stack(columns)
-
-    @cached_property
-    def condition(self) -> float:
-        """Condition number of the weighted Jacobian with columns of unit length."""
-        scaled = self._jacobian(self.slopes.eps) * self.slopes.weight[:, None]
-        scaled = scaled / np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
-        return float(np.linalg.cond(scaled))
 
     @property
     def _variance(self) -> float:
@@ -140,15 +133,14 @@ class Section:
     @cached_property
     def as_good(self) -> list[Array]:
         """Parameters at both ends of the range of alpha with an equally good fit (profile, 95 %)."""
-        if "alpha" not in self.free or self.freedom < 1:
+        if self.freedom < 1:
             return []
         most = self.power + float(student.ppf(0.975, self.freedom)) ** 2 * self._variance
-        given = {name: float(getattr(self, name)) for name in NAMES[:2] if name not in self.free}
         ends = []
         for bound in ALPHAS:
             good = self
             for alpha in np.linspace(self.alpha, bound, 200)[1:]:
-                one = _at_alpha(self.slopes, float(alpha), given, self.free)
+                one = _at_alpha(self.slopes, float(alpha), self.given)
                 if one is None or one.power > most:
                     break
                 good = one
@@ -163,19 +155,14 @@ class Section:
         return tuple(n for n, half in halves.items() if half is None or half > OPEN * abs(getattr(self, n)))
 
 
-def fit(
-    slopes: Slopes, *, D_0: float | None = None, theta_0: float | None = None, alpha: float | None = None
-) -> Section | None:
-    """The curve through slopes, with all parameters free that are not given; None if there is none."""
-    given = {name: value for name, value in zip(NAMES, (D_0, theta_0, alpha), strict=True) if value is not None}
-    free = tuple(name for name in NAMES if name not in given)
-    if len(slopes.S) < max(1, len(free)) or len(np.unique(np.round(slopes.eps, 6))) < len(free):
+def fit(slopes: Slopes, D_0: float | None = None) -> Section | None:
+    """The curve through slopes, with all parameters free or D0 [m] given; None if there is none."""
+    free = 3 if D_0 is None else 2
+    if len(slopes.S) < free or len(np.unique(np.round(slopes.eps, 6))) < free:
         return None
-    if alpha is not None:
-        return _at_alpha(slopes, alpha, given, free)
 
     def power(value: float) -> float:
-        one = _at_alpha(slopes, value, given, free)
+        one = _at_alpha(slopes, value, D_0)
         return NONE if one is None else one.power
 
     grid = np.linspace(*ALPHAS, 81)
@@ -185,38 +172,31 @@ def fit(
     best = int(np.argmin(powers))
     bounds = float(grid[max(0, best - 1)]), float(grid[min(len(grid) - 1, best + 1)])
     found = float(minimize_scalar(power, bounds=bounds, method="bounded", options={"xatol": 1e-9}).x)
-    return _at_alpha(slopes, found if power(found) <= powers[best] else float(grid[best]), given, free)
+    return _at_alpha(slopes, found if power(found) <= powers[best] else float(grid[best]), D_0)
 
 
-def _at_alpha(slopes: Slopes, alpha: float, given: dict[str, float], free: tuple[str, ...]) -> Section | None:
-    """Least squares of D0 and theta0 at a given alpha; None where the result is no braid."""
+def _at_alpha(slopes: Slopes, alpha: float, given: float | None) -> Section | None:
+    """Least squares of D0 and theta0, or of theta0 for a given D0 [m], at this alpha; None where that is no braid."""
     w, g = slopes.weight, (1 - slopes.eps) ** alpha
-    D_0, theta_0 = given.get("D_0", 0.0), given.get("theta_0", 0.0)
-    if "D_0" in free and "theta_0" in free:  # S = C1 g - C2, C1 = 3 C2 cos^2 theta0
+    if given is None:  # S = C1 g - C2, C1 = 3 C2 cos^2 theta0
         C1, C2 = np.linalg.lstsq(np.column_stack([g, -np.ones_like(g)]) * w[:, None], slopes.S * w, rcond=None)[0]
         if not 0 < C1 < 3 * C2:
             return None
         sine = 1 - C1 / (3 * C2)
         D_0, theta_0 = sqrt(4 * C2 * sine / pi), asin(sqrt(sine))
-    elif "D_0" in free:
-        shape = section_factor(slopes.eps, *np.array([1.0, theta_0, alpha]))
-        square = float(np.sum(w**2 * shape * slopes.S) / np.sum(w**2 * shape**2))
-        if square <= 0:
-            return None
-        D_0 = sqrt(square)
-    elif "theta_0" in free:  # S / A0 + 1 = (3 g - 1) / tan^2 theta0
-        area = pi / 4 * D_0**2
-        row, left = (3 * g - 1) * w, (slopes.S / area + 1) * w
+    else:  # S / A0 + 1 = (3 g - 1) / tan^2 theta0
+        row, left = (3 * g - 1) * w, (slopes.S / (pi / 4 * given**2) + 1) * w
         cotangent = float(np.sum(row * left) / np.sum(row * row))
         if cotangent <= 0:
             return None
-        theta_0 = atan(1 / sqrt(cotangent))
+        D_0, theta_0 = given, atan(1 / sqrt(cotangent))
     off = (slopes.S - section_factor(slopes.eps, *np.array([D_0, theta_0, alpha]))) * w
+    free = NAMES if given is None else NAMES[1:]
     return Section(slopes, D_0, theta_0, alpha, free, float(np.sum(off * off)))
 
 
 def sections_of(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, Section]:
-    """S(eps) by method: all parameters free, or some from the specimen; empty without a nominal length."""
+    """S(eps) by method: all parameters free, or D0 from the specimen; empty without a nominal length."""
     usable = [(cell, cell.pooled) for cell in cells if cell.pooled is not None]
     if "nominal_length" not in given or not usable:
         return {}
@@ -226,12 +206,9 @@ def sections_of(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, Se
         np.array([pooled.line.m for _, pooled in usable]),
         np.array(halves) / 1.96,
     )
-    ways = {SECTION: {}, f"{SECTION}, alpha = 2": {"alpha": 2.0}}
+    fits = {SECTION: fit(slopes)}
     if "inner_diameter" in given:
-        ways[f"{SECTION}, D_0 of the specimen"] = {"D_0": given["inner_diameter"]}
-    if "braid_angle" in given:
-        ways[f"{SECTION}, theta_0 of the specimen"] = {"theta_0": given["braid_angle"]}
-    fits = {name: fit(slopes, **known) for name, known in ways.items()}
+        fits[f"{SECTION}, D_0 of the specimen"] = fit(slopes, given["inner_diameter"])
     return {name: one for name, one in fits.items() if one is not None}
 
 
@@ -261,12 +238,11 @@ def section_estimates(sections: Mapping[str, Section], scales: Scales, given: Ma
 def _sections_again(one: Section, scales: Scales, length: float) -> list[Section]:
     """Fits to the same slopes with each scale off by its uncertainty; empty where the record gives none."""
     slopes = one.slopes
-    known = {name: getattr(one, name) for name in NAMES if name not in one.free}
     gain = hypot(scales.gains.get("force", 0.0), scales.gains.get("pressure", 0.0))
     ways = [replace(slopes, S=slopes.S * (1 + gain))] if gain else []
     if zero := scales.offsets.get("displacement", 0.0):
         ways.append(replace(slopes, eps=slopes.eps + zero / length))
     if share := scales.gains.get("displacement", 0.0):
         ways.append(replace(slopes, eps=slopes.eps * (1 + share)))
-    fits = [fit(way, **known) for way in ways]
+    fits = [fit(way, one.given) for way in ways]
     return [other for other in fits if other is not None]

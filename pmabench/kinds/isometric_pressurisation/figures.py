@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.isometric_lines import branches
 from pmabench.analysis.shared.trials import thinned
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.braid import ALPHAS, NAMES, Section
-from pmabench.kinds.isometric_pressurisation.curve import PHASES, REST, WITHIN, Cell, pulling
+from pmabench.kinds.isometric_pressurisation.curve import REST, Cell, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across
 from pmabench.plotting.chart import Series, of_points
 from pmabench.plotting.pictures import Picture, column, has, numbers, of_charts, unit_of
@@ -93,7 +92,7 @@ def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> li
         text = f"{method}: slopes within {off:.2%} of the curve"
         if one.freedom > 0:
             text += f", the curve known to +-{float(one.band(one.slopes.eps).max()) / largest:.2%} of its largest value"
-        found.append(Finding("note", f"{text}; condition number {one.condition:.0f}"))
+        found.append(Finding("note", text))
         if one.open and not one.other_form:
             found.append(Finding("doubt", f"{method}: {_open(one)}"))
         if one.other_form:
@@ -116,7 +115,7 @@ def _open(one: Section) -> str:
         text += f": {' and '.join(sets)} fit alike"
     if min(abs(one.alpha - end) for end in ALPHAS) < 1e-3:
         text += f"; alpha runs to the end of its range, {one.alpha:.3g}"
-    return f"{text}. Give inner_diameter or braid_angle in the specimen file, or measure a wider range"
+    return f"{text}. Give inner_diameter in the specimen file, or measure a wider range"
 
 
 def of_across(found: Sequence[Across]) -> list[Finding]:
@@ -133,36 +132,6 @@ def of_across(found: Sequence[Across]) -> list[Finding]:
     between = f"{show(low, 'stiffness', 3)} to {show(high, 'stiffness', 3)}"
     text += f": -dF/dx between neighbours is {between}; F_ce and K are those of a straight line through that"
     return [Finding("doubt", text)]
-
-
-def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """For each contraction: the straight part, and the slope of each branch."""
-    rows = []
-    for cell in cells:
-        low, pooled = cell.low, cell.pooled
-        slopes = {} if low is None else branches(cell.tests, lambda test, low=low: test.P >= low, PHASES)  # type: ignore[misc]
-        rows.append(
-            {
-                "contraction": cell.contraction,
-                "measured": float(cell.place.mean()),
-                "tests": len(cell.tests),
-                "straight_from": low,
-                "straight_to": None if pooled is None else pooled.line.high,
-                "within": WITHIN,
-                "off": cell.off,
-                "residual_rms": None if pooled is None else pooled.rms,
-                "samples": 0 if pooled is None else pooled.line.n,
-                "slopes_of_phases": slopes,
-            }
-        )
-    return rows
-
-
-def section_facts(one: Section) -> dict[str, Any]:
-    """All parameters as fitted, determined or not [SI], the residual [N/Pa] and the condition number."""
-    values = {name: getattr(one, name) for name in NAMES}
-    found = {"free": list(one.free), "residual_rms": one.rms, "condition": one.condition, "open": list(one.open)}
-    return {**values, **found}
 
 
 def traces(cells: Sequence[Cell], sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Trace]:
@@ -201,7 +170,7 @@ def _section_trace(one: Section, cells: Sequence[Cell], length: float) -> Trace:
     }  # fmt: skip
     columns = {name: np.concatenate(pair) for name, pair in both.items()}
     quantities = dict.fromkeys(columns, "force per pressure") | {"contraction": "ratio"}
-    marks = {name: getattr(one, name) for name in (*NAMES, "condition")} | {"length": length}
+    marks = {name: getattr(one, name) for name in NAMES} | {"length": length}
     title = "S over contraction: slopes of force over pressure, and the curve of the modified Daerden model"
     return Trace("section", "section", title, columns, quantities, marks)
 

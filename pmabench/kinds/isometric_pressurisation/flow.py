@@ -22,7 +22,7 @@ from pmabench.analysis.shared.isometric_lines import SAME, spread
 from pmabench.analysis.shared.samples import STEPS, UNUSABLE_SHARE, NotUsable, ends, noise_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 FLOW = "flow"
@@ -40,15 +40,12 @@ SEEN = 5.0
 """Standard errors from which on a difference is significant."""
 SAME_FLOW = 1e-9
 """Flows closer than this share of the range count as equal."""
-PILED = 0.25
-"""Share of samples at exactly one end of all values from which on the meter counts as saturated there."""
-ONE_WAY = (
-    "at rest the meter shows the least value that it can show: its zero is not seen, and it is in the volume over the "
-    "whole ramp. Give the uncertainty of its zero in the calibration of the channel, or use a meter for both directions"
-)
-CUT = (
-    "the flow stays at one value: it is cut off at the end of the meter's range, or the meter is quiet and has coarse "
-    "steps. Fill more slowly, or declare the range of the channel"
+PILED, UNSEEN = 0.25, 0.005
+"""Share of samples at exactly one value from which on the meter stays there; of a ramp at the value of a rest."""
+STILL = (
+    "the meter stays at one value: it is cut off at the end of the meter's range or below its least flow, its steps "
+    "are too coarse, or at rest it shows no flow back, so that its zero is not seen. Fill faster or more slowly, or "
+    "use a meter for both directions without a cut-off"
 )
 ONE = "one ramp: the repeats part is the noise of the meter, and repeated tests may scatter more"
 
@@ -74,10 +71,6 @@ class Filling:
     """Standard error of `volume` from the noise of the meter, its zero included [m3]."""
     drift: float
     """Largest error of `volume` due to the change of the zero from before to after [m3]."""
-    unseen: float
-    """Derivative of `volume` by the zero error [m3 s/kg] where the meter shows nothing below zero, else 0."""
-    dark: float
-    """Share of the ramp in which the meter reads the same as at rest [1]."""
     coarse: float
     """Error of `volume` because the flow is read in steps [m3]."""
 
@@ -87,11 +80,8 @@ class Filling:
         return self.emptied > 0.5 * self.volume
 
 
-def measured(trial: TrialData, rT: float, most: float = inf) -> Filling:
-    """One trial with r T [J/kg]; `NotUsable` where flow, a whole ramp or a rest is missing.
-
-    `most` is the end of the range [kg/s], by which a saturated meter differs from a quiet one with coarse steps.
-    """
+def measured(trial: TrialData, rT: float) -> Filling:
+    """One trial with r T [J/kg]; `NotUsable` where flow, a whole ramp or a rest is missing."""
     samples.refuse_incomplete(trial, FLOW, "pressure")
     commands = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
     ramps = {c.phase: c for c in commands if c.phase in ("fill", "empty")}
@@ -117,20 +107,17 @@ def measured(trial: TrialData, rT: float, most: float = inf) -> Filling:
     up = (t >= fill.t) & (t <= ends(fill))
     apart = np.diff(np.unique(q))
     step = float(apart.min(where=apart > SAME_FLOW * np.ptp(q), initial=inf))
-    within = float(q.max()) + step < most < inf and step > noise_of(q[up])
-    if _piled(-q[up], -float(q.max())) and not within:
-        raise NotUsable(CUT)
-    one_way = _piled(q[before], float(q.min())) or _piled(q[after], float(q.min()))
     middle = float(t[before].mean()), float(t[after].mean())
     shown, q = q, q - np.interp(t, middle, zeros)
     levels = [float(P[rows].mean()) for rows in (before, top, after)]
     if levels[1] - max(levels[0], levels[2]) <= 20 * noise_of(P[top]):
         raise NotUsable("the pressure does not rise along the ramp")
+    if _stays(shown[up][_middle(P[up])], (shown[before], shown[after]), float(shown.min())):
+        raise NotUsable(STILL)
     mass = np.concatenate(([0.0], np.cumsum(0.5 * (q[1:] + q[:-1]) * np.diff(t))))
     at = [float(mass[rows].mean()) for rows in (before, top, after)]
     per = rT / (levels[1] - levels[0])
     low, high = _halves(P[up], mass[up], levels[0], levels[1])
-    dark = _dark(shown[up][_middle(P[up])], shown[before | after])
     duration, n = float(t[top].mean() - t[before].mean()), float(min(before.sum(), after.sum()))
     scatter = noise_of(q[up])
     noise = per * scatter * hypot(duration / sqrt(2 * n), sqrt(duration * float(np.median(np.diff(t)))))
@@ -138,25 +125,24 @@ def measured(trial: TrialData, rT: float, most: float = inf) -> Filling:
     coarse = per * duration * hypot(samples.unresolved(shown[up], step), samples.unresolved(shown[before], step))
     return Filling(
         trial, P[up], q[up], per * (at[1] - at[0]), rT * (at[1] - at[2]) / (levels[1] - levels[2]), rT * low, rT * high,
-        zeros, noise, drift, per * duration if one_way else 0.0, dark, coarse,
+        zeros, noise, drift, coarse,
     )  # fmt: skip
 
 
-def _piled(q: Array, end: float) -> bool:
-    """Whether many samples are exactly at `end`."""
-    return float(np.mean(q == end)) > PILED
+def _share_at(q: Array, value: float) -> float:
+    """Share of samples that are exactly `value`."""
+    return float(np.mean(q == value))
 
 
-def _dark(q: Array, rest: Array) -> float:
-    """Share of the flows `q` along the ramp that equal the reading at rest; raises `NotUsable` if it is too large."""
+def _stays(ramp: Array, rests: Sequence[Array], least: float) -> bool:
+    """Whether the meter stays at one value along the ramp, at its least value at rest, or along the ramp as at rest."""
+    rest = np.concatenate(rests)
     still = float(np.median(rest))
-    share = float(np.mean(q == still)) if float(np.mean(rest == still)) > PILED else 0.0
-    if share > UNUSABLE_SHARE:
-        raise NotUsable(
-            f"in {share:.0%} of the samples along the ramp the meter shows no flow, exactly as at rest, and air that "
-            "flowed meanwhile is not counted. Fill faster, or switch off its low-flow cut-off"
-        )
-    return share
+    return (
+        np.unique(ramp, return_counts=True)[1].max() > PILED * len(ramp)
+        or any(_share_at(one, least) > PILED for one in rests)
+        or (_share_at(rest, still) > PILED and _share_at(ramp, still) > UNSEEN)
+    )
 
 
 def _halves(P: Array, mass: Array, bottom: float, top: float) -> list[float]:
@@ -181,8 +167,7 @@ def by_flow(
             continue
         given = settings
         rT = R_AIR * float(settings["temperature"])
-        most = run.channels[FLOW].high if FLOW in run.channels else inf
-        some, lacking = measured_trials([run], lambda _, trial, at=(rT, most): measured(trial, *at))  # type: ignore[misc]
+        some, lacking = measured_trials([run], lambda _, trial, rT=rT: measured(trial, rT))  # type: ignore[misc]
         found += some
         dropped += [replace(one, reason=f"no volume by mass flow: {one.reason}") for one in lacking]
     cells = grouped(found, lambda filling: round(filling.trial.point["contraction"], SAME))
@@ -193,36 +178,29 @@ def by_flow(
         findings.append(_words(x, group))
     if estimates:
         dead, half = (show(given[name], "volume", 4) for name in ("dead", "dead_half"))
-        vessel = f", scaled by a known vessel ({given['gain']:.4f})" if given["gain"] != 1 else ""
         text = f"volumes by mass flow: {dead} +- {half} between meter and muscle taken off, air at "
-        findings.append(Finding("note", f"{text}{given['temperature']:g} +- {given['temperature_half']:g} K{vessel}"))
+        findings.append(Finding("note", f"{text}{given['temperature']:g} +- {given['temperature_half']:g} K"))
         if lack := scales.lack((FLOW, "pressure")):
-            findings.append(Finding("note", f"{lack}: a known vessel in place of the muscle shows it"))
+            findings.append(Finding("note", lack))
     return estimates, findings, _traces(estimates, cells), dropped
 
 
 def _estimates(x: float, group: Sequence[Filling], given: Mapping[str, Any], scales: Scales) -> list[Estimate]:
     """V and mean flow of one contraction."""
-    gain = float(given["gain"])
-    whole = gain * float(np.mean([one.volume for one in group]))
+    whole = float(np.mean([one.volume for one in group]))
     noise = sqrt(float(np.mean([one.noise**2 for one in group])) / len(group)) * 2.0
     scatter = spread([one.volume for one in group]) or 0.0
     air = whole * float(given["temperature_half"]) / float(given["temperature"])
-    method = hypot(float(given["dead_half"]), air, whole * float(given["gain_half"]))
-    # a known vessel already covers the gains of meter and pressure
-    calibration = 0.0 if given["gain_half"] else scales.part({FLOW: whole, "pressure": -whole})
+    method, calibration = hypot(float(given["dead_half"]), air), scales.part({FLOW: whole, "pressure": -whole})
     how: dict[str, Any] = {"at": {"contraction": x}, "n": len(group), "trials": tuple(one.trial.name for one in group)}
     how["note"] = ONE if len(group) == 1 else ""
     parts = Parts(max(noise, scatter), method, calibration)
     V = Estimate("V", whole - float(given["dead"]), "m3", "volume", METHOD, parts=parts, **how)
-    flows = [float(one.q[_middle(one.P)].mean()) * gain for one in group]
+    flows = [float(one.q[_middle(one.P)].mean()) for one in group]
     flow, flow_noise = float(np.mean(flows)), 2.0 * abs(flows[0]) * noise / whole if whole > 0 else 0.0
     parts = Parts(max(flow_noise, spread(flows) or 0.0), calibration=scales.part({FLOW: flow}))
     q = Estimate("q", flow, "kg/s", "mass flow", MEAN, parts=parts, **how)
-    doubts, unseen = _doubts(group), max(one.unseen for one in group)
-    if unseen and FLOW not in scales.offsets:
-        return [withhold(one, ONE_WAY) for one in (V, q)]
-    doubts.append(Doubt("zero of the meter, not seen", "calibration", unseen * scales.offsets.get(FLOW, 0.0), False))
+    doubts = _doubts(group)
     # missing or false flow has the same relative effect on the mean flow
     of_flow = [replace(one, half=abs((q.value or 0.0) / whole) * one.half) for one in doubts]
     return [weighed(V, doubts), weighed(q, of_flow)]
@@ -246,30 +224,26 @@ def _doubts(group: Sequence[Filling]) -> list[Doubt]:
     found = [
         Doubt("dependence on pressure", "method", abs(apart) / 2, abs(apart) > 3 * SEEN * noise, more),
         Doubt("zero of the meter", "drift", max(one.drift for one in group), seen=False),
-        Doubt("flow that the meter does not show", "method", max(one.dark * one.volume for one in group), seen=True),
         Doubt(STEPS, "method", max(one.coarse for one in group), seen=False),
     ]
     if all(one.both_ways for one in group):
         back = float(np.mean([one.volume - one.emptied for one in group]))
         less = (
             f"emptying gives {show(back, 'volume', 3)} less than filling: air leaks between meter and muscle, it has "
-            "not the room's temperature, or the meter is not alike in both directions. Look for the leak, fill more "
-            "slowly, and try a known vessel"
+            "not the room's temperature, or the meter is not alike in both directions. Look for the leak, and "
+            "fill more slowly"
         )
         found.append(Doubt("filling and emptying", "method", abs(back) / 2, abs(back) > 2 * SEEN * noise, less))
     return found
 
 
 def _words(x: float, group: Sequence[Filling]) -> Finding:
-    """Flow in litres per minute, the zero, and the three volumes at one contraction."""
+    """Flow in litres per minute and the zero at one contraction."""
     flow = float(np.mean([one.q[_middle(one.P)].mean() for one in group])) / ANR
     before, after = (float(np.mean([one.zero[i] for one in group])) / ANR for i in (0, 1))
-    low, high, back = (float(np.mean([getattr(one, name) for one in group])) for name in ("low", "high", "emptied"))
-    other = f", while emptying {show(back, 'volume', 4)}" if all(one.both_ways for one in group) else ""
     text = (
         f"{show(x, 'length')}: {flow:.4g} l/min (ANR) while filling; zero of the meter {before:.4g} before and "
-        f"{after:.4g} after, taken off; with what is dead {show(low, 'volume', 4)} by the lower half of the ramp, "
-        f"{show(high, 'volume', 4)} by the upper{other}"
+        f"{after:.4g} after, taken off"
     )
     return Finding("note", text)
 

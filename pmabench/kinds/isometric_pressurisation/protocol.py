@@ -104,16 +104,6 @@ class Pressurise(Strict):
     """For a surface model with hysteresis; the reduction of this kind of test leaves it out."""
 
 
-class Vessel(Strict):
-    """A vessel of known volume that was tested in place of the muscle."""
-
-    volume: Volume
-    uncertainty: Volume
-    """Of `volume` (95 %), including that of `found`."""
-    found: Volume
-    """The volume that the test gave."""
-
-
 class Flow(Strict):
     """A mass flow meter in front of the muscle, for its volume."""
 
@@ -123,7 +113,6 @@ class Flow(Strict):
     temperature: Temperature = 293.15
     """Temperature of the air in the muscle, equal to that of the room."""
     temperature_uncertainty: Temperature = 3.0
-    vessel: Vessel | None = None
 
 
 class IsometricTrial(Strict):
@@ -182,16 +171,9 @@ class IsometricPressurisation(ProtocolHead):
             c.fault((*where, "dead"), "a volume is not below zero")
         if not ROOM[0] <= flow.temperature <= ROOM[1] or not 0 <= flow.temperature_uncertainty < 50:
             c.fault((*where, "temperature"), f"a temperature from {ROOM[0]:g} to {ROOM[1]:g} K is expected")
-        gain, half = 1.0, 0.0
-        if (vessel := flow.vessel) is not None:
-            if min(vessel.volume, vessel.found, vessel.uncertainty) <= 0:
-                c.fault((*where, "vessel"), "volumes and an uncertainty above zero are expected")
-                return {}
-            gain = (vessel.volume + flow.dead.volume) / (vessel.found + flow.dead.volume)
-            half = vessel.uncertainty / (vessel.volume + flow.dead.volume)
         dead = {"dead": flow.dead.volume, "dead_half": flow.dead.uncertainty}
         air = {"temperature": flow.temperature, "temperature_half": flow.temperature_uncertainty}
-        return {"flow": {**dead, **air, "gain": gain, "gain_half": half}}
+        return {"flow": {**dead, **air}}
 
     def _checked(self, c: Compilation) -> None:
         """Checks that apply to every trial."""

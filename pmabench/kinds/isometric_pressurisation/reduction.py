@@ -54,7 +54,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     multiple of 50 kPa, F_ce and K of the three-element model from the forces over contractions (paper 0), and the
     blocked force F_b from the tests at zero contraction.
 
-    `options`: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; else those of the specimen.
+    `options`: `nominal_length`, `inner_diameter` [m]; else those of the specimen.
     """
     options, runs = options or {}, [on_time_run(run, *CHANNELS) for run in runs]
     groups, dropped = isometric_lines.tests_of(runs, PHASES, lack)
@@ -91,8 +91,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "options": dict(options),
             "specimen": given,
             "tests": sum(len(cell.tests) for cell in cells),
-            "cells": figures.facts(cells),
-            "sections": {name: figures.section_facts(one) for name, one in found.through.items()},
         },
     )
 

@@ -133,13 +133,12 @@ def _wider(line: Line, x: Array, F: Array, sessions: Sequence[str]) -> Line:
 
 
 def given_of(specimen: object) -> Mapping[str, float]:
-    """`nominal_length`, `inner_diameter` [m] and `braid_angle` [rad] of a manifest's specimen, those that are numbers >
-    0.
+    """`nominal_length` and `inner_diameter` [m] of a manifest's specimen, those that are numbers > 0.
 
     For muscles side by side, the diameter of a single muscle with the force of all.
     """
     entries = specimen if isinstance(specimen, Mapping) else {}
-    values = {name: entries.get(name) for name in ("nominal_length", "inner_diameter", "braid_angle")}
+    values = {name: entries.get(name) for name in ("nominal_length", "inner_diameter")}
     given = {name: float(value) for name, value in values.items() if isinstance(value, int | float) and value > 0}
     if "inner_diameter" in given:
         given["inner_diameter"] *= sqrt(side_by_side(specimen))

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared.calibration import Scales, changes, of_one_channel
 from pmabench.analysis.shared.joint import MUSCLES
 from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.response import Response, respond
 from pmabench.analysis.shared.samples import (
     NotUsable,
     fresh,
@@ -26,6 +25,7 @@ from pmabench.analysis.shared.samples import (
     step_of,
     three_parameter,
 )
+from pmabench.analysis.shared.signals import Response, respond
 from pmabench.analysis.shared.skew import late, off
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of
 from pmabench.base.quantities import show

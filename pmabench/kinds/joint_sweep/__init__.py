@@ -1,7 +1,7 @@
 """Slow sweeps of a joint's angle with constant pressures of its two muscles: torque, stiffness, gap and loop area.
 
-- `reduction`, made of `sweep` (one trial)
-- protocol files: `protocol`; figures and one trial on the display: `figures`
+- `reduction`: one trial, then all, with figure and one trial on the display
+- protocol files: `protocol`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -35,10 +35,10 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_sweep.reduction:reduce",
     protocol="pmabench.kinds.joint_sweep.protocol:JointSweep",
-    live="pmabench.kinds.joint_sweep.figures:measure",
+    live="pmabench.kinds.joint_sweep.reduction:one_trial",
     moves="angle",
     repeated="pmabench.kinds.joint_sweep.reduction:stiffness_of",
     repeated_is="stiffness",
     methods=METHODS,
-    figures={"joint-loop": "pmabench.kinds.joint_sweep.figures:loops"},
+    figures={"joint-loop": "pmabench.kinds.joint_sweep.reduction:loops"},
 )

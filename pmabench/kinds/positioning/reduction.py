@@ -15,9 +15,8 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import HYSTERESIS, Scales, changes, of_one_channel, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.response import SMALLEST, Response, respond
 from pmabench.analysis.shared.samples import NotUsable, count_of, lag_of, sticks
-from pmabench.analysis.shared.signals import smooth, without_spikes
+from pmabench.analysis.shared.signals import SMALLEST, Response, respond, smooth, without_spikes
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.analysis.shared.skew import late
 from pmabench.analysis.shared.trials import grouped, mean_of_trials, measured_trials, point_of

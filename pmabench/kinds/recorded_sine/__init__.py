@@ -31,8 +31,8 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.recorded_sine.reduction:reduce",
     methods=METHODS,
-    figures={"pressure-loop": "pmabench.plotting.loops:loops"},
-    front={"pressure-loop": "pmabench.plotting.loops:loops"},
+    figures={"pressure-loop": "pmabench.plotting.motion:loops"},
+    front={"pressure-loop": "pmabench.plotting.motion:loops"},
     parts={"slow rows": "pmabench.analysis.surface.trials:hanging"},
     imported=Imported(recording=True, follows="displacement", point=("frequency",), shown="sine"),
 )

@@ -36,9 +36,6 @@ FLAT = 0.02
 """Smallest share of samples at one extreme value for which a channel counts as cut off."""
 RARER = 5.0
 """Least ratio of samples at a cut extreme to those at the next value; in an uncut sine of few counts it is 2."""
-BEYOND = 2.0
-"""Factor on the effect of a cut, since noise also cuts samples near it."""
-HARMONICS = 7
 MORE = 1.2
 """Factor for an assumed form that need not be exact: hysteresis blurred by noise, a plant of higher order."""
 
@@ -54,34 +51,27 @@ def changing(by_cycle: Sequence[Array], what: str) -> list[Doubt]:
 
 
 def cut_off(sines: Sequence[Sine], names: Sequence[str]) -> list[Doubt]:
-    """Channels whose extremes are cut off; the effect is the share of the amplitude that this takes."""
+    """Channels whose extremes are cut off, which withholds what needs them."""
     found = []
     for name in names:
-        each = [_missing(sine, name) for sine in sines if name in sine.amplitudes]
-        share, flat = max(each, default=(0.0, 0.0))
+        flat = max((_flat(sine.raw[name]) for sine in sines if name in sine.amplitudes), default=0.0)
         if flat:
             reason = (
-                f"{name} is cut off: {flat:.0%} of its samples read one extreme value, which takes about {share:.1%} "
-                "of its amplitude. Swing less, or use a sensor or converter with more range"
+                f"{name} is cut off: {flat:.0%} of its samples read one extreme value. Swing less, or use a sensor or "
+                "converter with more range"
             )
-            found.append(Doubt(f"cut off {name}", "method", BEYOND * share, seen=True, reason=reason))
+            found.append(Doubt(f"cut off {name}", "method", 1.0, seen=True, reason=reason))
     return found
 
 
-def _missing(sine: Sine, name: str) -> tuple[float, float]:
-    """Share of the amplitude that a cut takes, and of the samples that are cut; 0 without one."""
-    values, frequency = sine.raw[name], sine.omega / (2 * np.pi)
-    kept, flat = np.ones(len(values), dtype=bool), 0.0
+def _flat(values: Array) -> float:
+    """Share of samples at an extreme value where it is cut off; 0 where it is not."""
+    flat = 0.0
     for turned in (values, -values):
         levels, counts = np.unique(turned, return_counts=True)
         if len(levels) > 1 and counts[-1] > max(FLAT * len(values), RARER * counts[-2]):
-            kept &= turned < levels[-1]
             flat += float(counts[-1]) / len(values)
-    if not flat:
-        return 0.0, 0.0
-    parts = ((sine.t[rows], values[rows, None]) for rows in (kept, slice(None)))
-    uncut, whole = (abs(three_parameter(t, y, frequency)[1][0]) for t, y in parts)
-    return float(abs(uncut / whole - 1)), flat
+    return flat
 
 
 def slower(sine: Sine, name: str) -> complex:
@@ -118,53 +108,43 @@ def sensors(sine: Sine, names: Sequence[str], *, phase: bool = False) -> list[Do
     return found
 
 
-def _off_ellipse(sines: Sequence[Sine]) -> tuple[float, float] | None:
-    """Difference of the loop's width at mean pressure to that of the ellipse of the first harmonics, and its standard
-    deviation by noise [m]; None where the loop does not cross that pressure twice.
+def _third(sines: Sequence[Sine]) -> tuple[complex, complex, float]:
+    """Third harmonics of contraction and pressure, each over its first and from the phase of the pressure, and their
+    deviation by noise [1].
     """
-    apart, errors = [], []
+    found, noises = [], []
     for sine in sines:
-        angle = sine.omega * sine.t[:, None] * np.arange(1, HARMONICS + 1)
-        design = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
-        fitted = np.linalg.lstsq(design, np.column_stack([sine.P, sine.x]), rcond=None)[0]
-        fine = 2 * np.pi * np.arange(2001)[:, None] / 2000 * np.arange(1, HARMONICS + 1)
-        P, x = (np.column_stack([np.ones(len(fine)), np.cos(fine), np.sin(fine)]) @ fitted).T
-        off = P - fitted[0, 0]
-        rows = np.flatnonzero(off[:-1] * off[1:] < 0)
-        if len(rows) != 2:
-            continue
-        one, other = x[rows] + off[rows] / (off[rows] - off[rows + 1]) * (x[rows + 1] - x[rows])
-        X, ratio = sine.amplitudes["displacement"], sine.amplitudes["displacement"] / sine.amplitudes["pressure"]
-        apart.append(abs(float(one - other)) - 2 * abs(X) * abs(np.sin(np.angle(ratio))))
-        slope = abs(X) / abs(sine.amplitudes["pressure"])
-        noise = np.hypot(noise_of(sine.x), slope * noise_of(sine.P))
-        errors.append(noise * np.sqrt(4 * HARMONICS / len(sine.t)))
-    return (abs(float(np.mean(apart))), float(np.mean(errors)) / sqrt(len(errors))) if apart else None
+        first = np.array([sine.amplitudes[name] for name in ("displacement", "pressure")])
+        sizes, both = np.abs(first), np.column_stack([sine.x, sine.P])
+        third = three_parameter(sine.t, both, 3 * sine.omega / (2 * pi))[1]
+        found.append(third / sizes * (sizes[1] / first[1]) ** 3)
+        noises.append(hypot(*([noise_of(one) for one in both.T] / sizes)) * sqrt(2 / len(sine.t)))
+    x, P = np.mean(found, axis=0).tolist()
+    return x, P, float(np.mean(noises)) / sqrt(len(noises))
 
 
 def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
-    """Effect of `_off_ellipse` on the width of the loop [m]."""
-    if (found := _off_ellipse(sines)) is None:
-        return []
-    half, error = found
-    text = f"the loop is no ellipse: at mean pressure its width differs by {show(half, 'length', 2)} from that of one"
-    reason = f"{text}: friction, or a bent curve. Read it off the figure of the loop"
-    return [Doubt("shape of the loop", "method", half + 2 * error, half > 5 * error, reason)]
+    """Effect of third harmonics on the width of the loop, which is read where the pressure is at its mean [m]."""
+    x, P, noise = _third(sines)
+    X, driven = (sines[0].amplitudes[name] for name in ("displacement", "pressure"))
+    share = abs(x.imag - P.imag * np.cos(np.angle(X / driven)))
+    half = 2 * abs(X) * (share + 2 * noise)
+    reason = (
+        f"the loop is no ellipse: by its third harmonics its width at mean pressure may be {show(half, 'length', 2)} "
+        "off: friction, or a bent curve. Read it off the figure of the loop"
+    )
+    return [Doubt("shape of the loop", "method", half, share > 5 * noise, reason)]
 
 
 def hysteresis(sines: Sequence[Sine], offsets: Mapping[str, float], names: Sequence[str]) -> list[Doubt]:
     """Largest error of a phase by hysteresis of the sensors, within the uncertainties of their offsets [rad].
 
-    Hysteresis of +- u on a sine of amplitude A shifts the phase of its first harmonic by 4 u / (pi A). Since the
-    reading does not change over 2 u at both ends, the loop is then not an ellipse: at mean pressure it differs by 1 -
-    pi / 4 of that. So the observed difference bounds the shift.
+    Hysteresis of +- u on a sine of amplitude A turns its first harmonic by 4 u / (pi A), and makes a third harmonic
+    that is a third of it.
     """
-    first, found = sines[0], _off_ellipse(sines)
+    first, (x, P, noise) = sines[0], _third(sines)
     sizes = [offsets.get(name, 0.0) / abs(first.amplitudes[name]) for name in names if first.amplitudes[name]]
-    half = 4 / pi * hypot(*sizes)
-    if found is not None:
-        shown = (found[0] + 2 * found[1]) / (2 * abs(first.amplitudes["displacement"]))
-        half = min(half, MORE * shown / (1 - pi / 4))
+    half = min(4 / pi * hypot(*sizes), 3 * MORE * (hypot(abs(x), abs(P)) + 2 * noise))
     return [Doubt("hysteresis of the sensors", "method", half, seen=False)] if half else []
 
 

@@ -393,28 +393,19 @@ def _phases(sines: Sequence[Sine], upper: str, lower: str) -> Values:
 
 
 def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
-    """Impure sines, phase extrapolated to 0 Hz (hysteresis), and the possible delay of the pressure."""
+    """Impure sines, and the possible delay of the pressure."""
     lines = []
     for name in ("pressure", "displacement"):
         left = [sine.left[name] for sine in sines]
         if left and max(left) > NO_SINE:
             text = f"{name} is no pure sine: {min(left):.0%} to {max(left):.0%} is left by the first harmonic"
             lines.append(Finding("note", f"{text}, and only the harmonic is reported"))
-    if len(sines) < 3:
-        return lines
-    omega = np.array([s.omega for s in sines])
-    raw = np.array([float(np.angle(s.amplitudes["displacement"] / s.amplitudes["pressure"])) for s in sines])
-    slope, start = (float(value) for value in np.polyfit(omega, raw, 1))
-    text = (
-        f"phase of contraction against pressure as recorded: {start:+.3f} rad at 0 Hz, which is hysteresis and no "
-        f"damping, and {show(-slope, 'time', 2)} of delay from its slope"
-    )
-    lines.append(Finding("note", text))
-    most = max(s.late["pressure"][1] for s in sines)
-    if most > 0:
+    most = max((sine.late["pressure"][1] for sine in sines), default=0.0)
+    if len(sines) > 2 and most > 0:
+        fastest = max(sine.omega for sine in sines)
         text = (
             f"the pressure may be up to {show(most, 'time', 2)} older than its stamps, worth "
-            f"{omega.max() * most:.2f} rad at the highest frequency: no damping is derived from these phases"
+            f"{fastest * most:.2f} rad at the highest frequency: no damping is derived from these phases"
         )
         lines.append(Finding("doubt", text))
     return lines

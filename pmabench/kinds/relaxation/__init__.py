@@ -1,7 +1,8 @@
 """A step to a pressure at a set contraction, held for minutes: relaxation of the rubber.
 
-- `reduction`: one trial, with a straight line over log t, exponentials and their noise; then all trials of a point
-- protocol files: `protocol`; figure and one trial on the display: `figures`
+- `reduction`: one trial, with a straight line over log t, exponentials and their noise; then all trials of a point;
+  figure and one trial on the display
+- protocol files: `protocol`
 """
 
 from pmabench.base.kind import Commanded, Imported, Kind, Result
@@ -32,12 +33,12 @@ KIND = Kind(
     reduction="pmabench.kinds.relaxation.reduction:reduce",
     papers=("paper 4, relaxation of the rubber",),
     protocol="pmabench.kinds.relaxation.protocol:Relaxation",
-    live="pmabench.kinds.relaxation.figures:measure",
+    live="pmabench.kinds.relaxation.reduction:one_trial",
     moves="force",
     repeated="pmabench.kinds.relaxation.reduction:per_decade",
     repeated_is="relaxation per decade",
     word="relaxation",
     methods=METHODS,
-    figures={"relaxation": "pmabench.kinds.relaxation.figures:courses"},
+    figures={"relaxation": "pmabench.kinds.relaxation.reduction:courses"},
     imported=Imported(Commanded("pressure", phases=PHASES, point=POINT), follows="force"),
 )

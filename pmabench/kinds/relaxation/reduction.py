@@ -1,13 +1,14 @@
 """Reduction of relaxation: s per decade, force at 1 s, exponentials, at each contraction and pressure.
 
 One trial is the force after the step divided by the measured pressure. A straight line over log t and exponentials are
-fitted to means over equal parts of log t, so that each decade has the same weight.
+fitted to means over equal parts of log t, so that each decade has the same weight. Also the figure, and with
+`one_trial` the values of one trial for the display.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import log10, sqrt
 from typing import Any
@@ -22,8 +23,12 @@ from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import NotUsable, autocorrelation, noise_of, refuse_unusable, settings_of
 from pmabench.analysis.shared.student import half_of_trials
 from pmabench.analysis.shared.trials import grouped, measured_trials
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
+from pmabench.plotting.chart import Series, of_points
+from pmabench.plotting.pictures import Picture, column, has, head, how_many, numbers, of_charts, spread, unit_of
+from pmabench.plotting.plots import PALETTE
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -139,12 +144,10 @@ UNLIKE = 1.5
 ZERO_SEEN = 6.0
 """Change of the force without pressure, in its noise, from which on it is attributed to the cell."""
 UNPROPORTIONAL = 3.0
-"""Bound for the force growing faster than in proportion to the pressure where only one pressure was held: reached by a
-muscle at a quarter of its force without contraction.
+"""Bound for the force growing faster than in proportion to the pressure: reached by a muscle at a quarter of its force
+without contraction.
 """
-LEAST_SHARE, OF_SHARE = 0.5, 1.5
-"""With several pressures the observed value times OF_SHARE is used instead, at least LEAST_SHARE."""
-BEND, BEFORE, ZERO, PRESSURE = "bend over log t", "holds before", "zero of the force", "pressure"
+BEND, BEFORE, ZERO = "bend over log t", "holds before", "zero of the force"
 
 
 @dataclass(frozen=True)
@@ -256,7 +259,7 @@ class Course:
             Doubt(BEND, "method", abs(bend.size / 2), bend.seen, bent),
             Doubt(ZERO, "drift", abs(ends), abs(self.zero) > ZERO_SEEN * self.noise, zero),
             Doubt(BEFORE, "drift", abs(s * left), bool(self.before), before),
-            Doubt(PRESSURE, "method", abs(other), False, f"{pressure}. Look at the regulator"),
+            Doubt("pressure", "method", UNPROPORTIONAL * abs(other), False, f"{pressure}. Look at the regulator"),
             Doubt("moment of the step", "method", abs(s * moment), False),
         ]
 
@@ -361,9 +364,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings: list[Finding] = []
     for (x, P), group in sorted(cells.items()):
         at = {"pressure": P, "contraction": x}
-        more = _unproportional(P, {p: one for (place, p), one in cells.items() if place == x})
-        estimates += [*_line(at, group, scales, more), *_prony(at, group, scales)]
-        findings.append(_words(at, group))
+        estimates += [*_line(at, group, scales), *_prony(at, group, scales)]
     if estimates and (lack := scales.lack(("force",))):
         findings.append(Finding("note", lack))
     return Analysis.of(
@@ -384,25 +385,8 @@ def _place(one: Course) -> tuple[float, float]:
     return round(point.get("contraction", 0.0), 6), round(point.get("pressure", 0.0), 3)
 
 
-def _unproportional(P: float, cells: Mapping[float, Sequence[Course]]) -> float:
-    """Relative excess over proportional growth that the force may have with the pressure at P [Pa].
-
-    The force is divided by the pressure as if F = m P. With F = m P - F_0 a relative change of P changes F by m P / F.
-    `cells`: pressure -> trials at one contraction.
-    """
-    known = sorted(cells)
-    if len(known) < 2:
-        return UNPROPORTIONAL
-    F = [float(np.mean([one.start for one in cells[at]])) for at in known]
-    steep = float(np.gradient(F, known)[known.index(P)])
-    return max(LEAST_SHARE, OF_SHARE * abs(steep * P / F[known.index(P)] - 1))
-
-
-def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales, more: float) -> list[Estimate]:
-    """Relaxation s and F_1 of one cell, with the largest doubts of its trials.
-
-    `more` is the result of `_unproportional`.
-    """
+def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> list[Estimate]:
+    """Relaxation s and F_1 of one cell, with the largest doubts of its trials."""
     names = tuple(one.trial.name for one in group)
     note = ONE if len(group) == 1 else ""
     s, F = [one.per_decade for one in group], [one.start for one in group]
@@ -420,13 +404,10 @@ def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales, more
     start = Estimate("F_1", level, "N", "force", LINE, dict(at), parts, n, note=note, trials=names)
     left = Doubt(BEFORE, "drift", max(one.left_behind for one in group), seen=False)
     # the scaling to the pressure of the step assumes a proportional force
-    share = Doubt("mean pressure", "method", more * max(one.off * abs(one.start) for one in group), seen=False)
-    doubts, of_start = (
-        [replace(d, half=more * d.half) if d.name == PRESSURE else d for d in _largest(of)]
-        for of in ([one.doubts() for one in group], [one.doubts_of_start() for one in group])
-    )
-    of_start += [left, share]
-    return [weighed(slope, doubts, max(LEAST, abs(slope.value or 0.0))), weighed(start, of_start)]
+    most = UNPROPORTIONAL * max(one.off * abs(one.start) for one in group)
+    share = Doubt("mean pressure", "method", most, seen=False)
+    doubts, of_start = _largest([one.doubts() for one in group]), _largest([one.doubts_of_start() for one in group])
+    return [weighed(slope, doubts, max(LEAST, abs(slope.value or 0.0))), weighed(start, [*of_start, left, share])]
 
 
 def _largest(of_trials: Sequence[Sequence[Doubt]]) -> list[Doubt]:
@@ -455,19 +436,6 @@ def _prony(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> 
     return found
 
 
-def _words(at: Mapping[str, float], group: Sequence[Course]) -> Finding:
-    """Residuals of the line and of the exponentials."""
-    one = group[0].relaxing
-    start, slope = one.line
-    off = float(np.sqrt(np.mean((one.means(one.y) - start - slope * one.decades) ** 2)))
-    text = (
-        f"{show(at['contraction'], 'length')}, {show(at['pressure'], 'pressure')}: over {np.ptp(one.decades):.1f} "
-        f"decades the line over log t leaves {show(off, 'force', 2)}, the exponentials "
-        f"{show(one.prony[2], 'force', 2)}; parts of them differ by {group[0].bend.size:.2%} per decade"
-    )
-    return Finding("note", text)
-
-
 def _trace(x: float, P: float, course: Course) -> Trace:
     """Means over equal parts of log t, with line and exponentials."""
     one = course.relaxing
@@ -483,3 +451,42 @@ def _trace(x: float, P: float, course: Course) -> Trace:
 def per_decade(run: RunData, trial: TrialData) -> float:
     """Relaxation s of one trial [1]; raises `NotUsable`."""
     return measure(run, trial, {}).per_decade
+
+
+COURSES = 4
+
+
+def courses(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """One figure with the force over log t of all points."""
+    able = [t for t in traces if has(t, "t", "force", "line")]
+    chosen = spread(able, COURSES)
+    if not chosen:
+        return []
+    labels = "decades of time after the step, log10(t / 1 s)", unit_of(chosen[0], "force").label("force")
+    values = "".join(f"; {head(t)}: s = {t.marks['s']:.2%} per decade" for t in chosen)
+    caption = (
+        "Marks: means of the force over equal parts of log t, the pressure divided out; lines: F = F_1 (1 − s log10 t)"
+        f"{values}.{how_many(chosen, able)}"
+    )
+    alt = f"{labels[1]} over {labels[0]} at {len(chosen)} points; {'; '.join(map(head, chosen))}."
+    table = numbers([(head(t), t) for t in chosen])
+    title, simulated = "Force over time after the step", analysis.simulated
+    series = [one for i, trace in enumerate(chosen) for one in _series(trace, PALETTE[i % len(PALETTE)])]
+    chart = of_points(series, *labels, alt, simulated=simulated)
+    return [of_charts([[chart]], title, caption, alt, table, simulated=simulated, still=True)]
+
+
+def _series(trace: Trace, color: str) -> list[Series]:
+    x = np.log10(column(trace, "t"))
+    return [Series("", x, column(trace, "line"), color), Series(head(trace), x, column(trace, "force"), color, True)]
+
+
+def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Relaxation per decade and force at 1 s, with doubts about other causes."""
+    try:
+        course = measure(run, trial, {})
+    except NotUsable as reason:
+        return [Measured("s", "ratio", None)], [str(reason)]
+    doubts = [one.reason for one in course.doubts() if one.seen and one.half > course.half]
+    s = Measured("s", "ratio", course.per_decade, noise=course.half)
+    return [s, Measured("F_1", "force", course.start)], doubts

@@ -16,8 +16,6 @@ RESULTS = (
     Result("F", "force", "force"),
     Result("H", "loop width", "force"),
     Result("W", "loop area, energy lost per cycle", "work", positive=True),
-    Result("W_c", "work given while contracting", "work"),
-    Result("eta", "work given back, of the work taken up", "ratio", positive=True),
     Result("P_err", "largest error of the pressure", "pressure"),
     Result("F_rms", "rms error of the modelled force", "force"),
     Result("phi", "phase of force before displacement", "angle"),
@@ -37,11 +35,6 @@ METHODS = {
         "between both branches, so that half of what friction differs by direction is in it. Where B_c and B_r differ "
         "the line rises by (B_r − B_c)/π. How far it is from the middle of the branches at mid stroke is in the method "
         "part. F_ce only where the stroke holds x = 0."
-    ),
-    "loop-work": (
-        "Work along the measured loop: W_c is the integral of F dx while contracting, eta its share of what is taken up"
-        " while expanding, W_c + W. At held pressure the air takes part in both; what it carries in and out is not "
-        "measured, so eta is no efficiency of the drive."
     ),
     "pressure error": (
         "Largest difference of measured and set pressure while moving in a direction, the mean over cycles."
@@ -69,11 +62,11 @@ KIND = Kind(
     offers="pmabench.kinds.sinusoidal_displacement.reduction:offers",
     methods=METHODS,
     figures={
-        "loop": "pmabench.plotting.loops:loops",
-        "bode": "pmabench.plotting.loops:bode",
+        "loop": "pmabench.plotting.motion:loops",
+        "bode": "pmabench.plotting.motion:bode",
         "sine-pressure": "pmabench.kinds.sinusoidal_displacement.pressure:sine_pressure",
     },
-    front={"loop": "pmabench.plotting.loops:loops"},
+    front={"loop": "pmabench.plotting.motion:loops"},
     published={"loop": ("displacement", "force", "pressure")},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(

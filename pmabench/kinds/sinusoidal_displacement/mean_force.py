@@ -1,37 +1,28 @@
-"""F_ce from the mean force of driven sines, and the work along them.
+"""F_ce from the mean force of driven sines.
 
 Over a whole cycle, friction and damping that are equal in both directions cancel, so the mean force is F_ce - K x at
 the mean contraction x; half of a difference between directions remains, as in the middle of both branches. If B_c and
 B_r differ, it increases by (B_r - B_c)/pi per unit of the speed amplitude omega A; extrapolation to speed 0 gives F_ce.
-
-    W_c = integral of F dx while x rises,  W_c + W = -integral of F dx while x falls,  eta = W_c / (W_c + W)
-
-with W the area of the loop. At constant pressure the air exchanges work, too, which is not measured, so eta is not an
-efficiency of the drive.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from math import hypot, isfinite, nan, pi
 
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import Doubt, cut_off, force_from_cycle_to_cycle, half_steps, weighed
+from pmabench.analysis.shared.form import cut_off, force_from_cycle_to_cycle, half_steps, weighed
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
-from pmabench.analysis.shared.sine_loop import RECOVERED, Sine
-from pmabench.analysis.shared.skew import settled
+from pmabench.analysis.shared.sine_loop import Sine
 from pmabench.analysis.shared.trials import Point
 from pmabench.kinds.sinusoidal_displacement.fit import (
-    BETWEEN,
     CYCLES,
     CYCLES_OF_EACH,
     NO_REPEATS,
     Fitted,
-    Member,
-    of_cycles,
     of_like_motion,
 )
 from pmabench.kinds.sinusoidal_displacement.form import REMAINS, Form, rows_of_cycles
@@ -99,7 +90,9 @@ def mean_force_estimates(
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
     half_step = half_steps([(member.run, member.trial) for member in members], ("force", "displacement"))
-    drifts = [*drift_of(members), cut_off(half_step, {"force": 1.0, "displacement": fitted.lines.K.start})]
+    by_cycle = [_by_cycle(member.sine, member.sine.F) for member in members]
+    cut = cut_off(half_step, {"force": 1.0, "displacement": fitted.lines.K.start})
+    drifts = [*force_from_cycle_to_cycle(by_cycle), cut]
     F_ce, mean_force = weighed(F_ce, [*drifts, form.friction_at_0(fitted.muscle.F_c)]), weighed(mean_force, drifts)
     if reason := form.why_no_tangent():
         mean_force = withhold(mean_force, reason)
@@ -112,11 +105,6 @@ def mean_force_estimates(
     elif why:
         F_ce = replace(F_ce, value=None, parts=Parts(), note=why)
     return F_ce, mean_force
-
-
-def drift_of(members: Sequence[Member], share: float = 1.0) -> list[Doubt]:
-    """A doubt if the mean force changes from cycle to cycle, with the change [N] times `share`; else empty."""
-    return force_from_cycle_to_cycle([_by_cycle(member.sine, member.sine.F) for member in members], share)
 
 
 def _by_cycle(sine: Sine, values: Array) -> Array:
@@ -148,55 +136,3 @@ def _half_by_cycles(fitted: Fitted) -> float | None:
     of_each = [(one.frequency, one.speed, abs(one.force)) for one in (member.sine for member in fitted.group)]
     frequency, speed, size = np.repeat(of_each, [len(each) for each in cycles], axis=0).T
     return weighted_line(frequency, speed, np.concatenate(cycles), size).half_start
-
-
-LOOP_WORK = "loop-work"
-BETWEEN_SAMPLES = 3
-"""Interpolated points per sample interval at which the power is computed."""
-
-
-def work(sine: Sine) -> tuple[Array, Array]:
-    """Work given while contracting and taken up while expanding [J] in each cycle, shapes (cycles,).
-
-    The velocity is that of the displacement's first five harmonics, so that noise does not count as motion. It is also
-    computed between the samples, since the motion rarely turns at a sample.
-    """
-    step = float(np.median(np.diff(sine.t))) / BETWEEN_SAMPLES
-    shifts = step * np.arange(BETWEEN_SAMPLES)
-    v = np.array([sine.motion.slope(by) for by in shifts])
-    power = np.array([np.interp(sine.t + by, sine.t, sine.F) for by in shifts]) * v
-    given, taken = (np.where(way * v > 0, way * power, 0.0) / sine.frequency for way in (1.0, -1.0))
-    rows = rows_of_cycles(sine)
-    return np.array([given[:, one].mean() for one in rows]), np.array([taken[:, one].mean() for one in rows])
-
-
-def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: Scales, skew: float) -> list[Estimate]:
-    """W_c [J] and eta [1] at each frequency.
-
-    Calibration to first order: W_c ~ F x; both gains cancel in eta. An offset of the force enters W_c times the stroke.
-    Method part: difference of the net work to the loop's area.
-    """
-    found = []
-    for frequency in sorted({member.sine.frequency for member in members}):
-        mine = [member for member in members if member.sine.frequency == frequency]
-        pairs = [work(member.sine) for member in mine]
-        given = [pair[0] for pair in pairs]
-        share = [pair[0] / pair[1] for pair in pairs]
-        area = float(np.mean([member.sine.area for member in mine]))
-        W_c, taken = (float(np.mean([pair[i].mean() for pair in pairs])) for i in (0, 1))
-        off = abs(taken - W_c - area)
-        stroke = 2 * float(np.mean([member.sine.amplitude for member in mine]))
-        sine = mine[0].sine
-        late = pi * sine.amplitude**2 * abs(sine.stiffness) * sine.omega * skew
-        eta = W_c / taken
-        where, names = {**at, "frequency": frequency}, [member.name for member in mine]
-        for symbol, unit, quantity, values, scale, gains, by_force, note in (
-            ("W_c", "J", "work", given, 1.0, {"force": W_c, "displacement": W_c}, stroke, ""),
-            ("eta", "1", "ratio", share, taken, {}, stroke * (1 - eta) / taken, RECOVERED),
-        ):
-            means = np.array([float(one.mean()) for one in values])
-            clocks = late / (2 if symbol == "W_c" else taken)
-            parts = Parts(None, off / scale, scales.part(gains, {"force": by_force}), clocks)
-            one = of_cycles(symbol, (unit, quantity), LOOP_WORK, where, names, means, values, parts, note)
-            found.append(settled(weighed(one, drift_of(mine, by_force)), BETWEEN, skew))
-    return found

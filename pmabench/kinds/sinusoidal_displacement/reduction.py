@@ -105,8 +105,7 @@ class Cell:
     def estimates(self, fitted: Fitted, form: Form) -> list[Estimate]:
         """All estimates from these lines, corrected and withheld by the harmonics of `form`."""
         found = judged(fitted.estimates(self.at, self.scales, self.slopes), form)
-        found += mean_force.mean_force_estimates(self.at, fitted, form, self.scales, self.rising)
-        return [*found, *mean_force.work_estimates(self.at, fitted.group, self.scales, fitted.skew)]
+        return [*found, *mean_force.mean_force_estimates(self.at, fitted, form, self.scales, self.rising)]
 
     def of_others(self, group: Sequence[Member]) -> Named:
         """Estimates from changed samples; where their own form withholds one, it is evaluated with the form of the

@@ -1,4 +1,4 @@
-"""Sentences, table of loads and figures of static load; fits nothing.
+"""Sentences and figures of static load; fits nothing.
 
 `measure`: values of one trial, for the display.
 """
@@ -66,19 +66,6 @@ def of_hysteresis(mean: Mean) -> Finding:
     least, most = (show(float(one), "force", 2) for one in (force.min(), force.max()))
     text = "a load that is raised comes down at less pressure than it went up, most in the middle: "
     return Finding("note", f"{text}{least} to {most} of hysteresis are in lift and set-down alike, and taken off F_ce")
-
-
-def table(points: Points) -> list[dict[str, float | int | None]]:
-    """Per load: number of trials, mean and standard deviation of the pressures."""
-    rows: list[dict[str, float | int | None]] = []
-    for load in np.unique(points.load):
-        row: dict[str, float | int | None] = {"load": float(load), "n": int((points.load == load).sum())}
-        for name, values in (("lift", points.lift), ("set_down", points.set_down)):
-            known = values[(points.load == load) & np.isfinite(values)]
-            row[name] = float(known.mean()) if len(known) else None
-            row[f"{name}_sd"] = float(known.std(ddof=1)) if len(known) > 1 else None
-        rows.append(row)
-    return rows
 
 
 def traces(runs: Sequence[RunData], points: Points) -> tuple[Trace, ...]:

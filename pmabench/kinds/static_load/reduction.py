@@ -77,7 +77,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         "loads": len(np.unique(plain.load)),
         "residual_rms": lines[MEAN].rms if MEAN in lines else None,
         "hysteresis": mean.kept is not None if mean is not None and mean.raised else None,
-        "table": figures.table(plain),
     }
     traces = figures.traces(runs, plain)
     return Analysis.of(

@@ -1,7 +1,7 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
-- `reduction` of all steps of a cell: `step` (one, there or back)
-- protocol files: `protocol`; figures and one trial on the display: `figures`
+- `reduction` of all steps of a cell, with figure and one trial on the display: `step` (one, there or back)
+- protocol files: `protocol`
 """
 
 from pmabench.base.kind import Commanded, Imported, Kind, Result
@@ -40,14 +40,14 @@ KIND = Kind(
     reduction="pmabench.kinds.step_displacement.reduction:reduce",
     papers=("paper 3, steps",),
     protocol="pmabench.kinds.step_displacement.protocol:StepDisplacement",
-    live="pmabench.kinds.step_displacement.figures:measure",
+    live="pmabench.kinds.step_displacement.reduction:one_trial",
     moves="displacement",
     repeated="pmabench.kinds.step_displacement.reduction:stiffness_of",
     repeated_is="stiffness",
     word="step of displacement",
     offers="pmabench.kinds.step_displacement.reduction:offers",
     methods=METHODS,
-    figures={"displacement-step": "pmabench.kinds.step_displacement.figures:steps"},
+    figures={"displacement-step": "pmabench.kinds.step_displacement.reduction:steps"},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(Commanded("displacement", phases=(("away", "step"), ("any", "back")), point=POINT, ramps=True)),
 )

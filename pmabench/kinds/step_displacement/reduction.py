@@ -1,6 +1,7 @@
 """Reduction of steps of displacement at constant pressure: static and instantaneous stiffness, recovery to rest.
 
-For all steps of a cell: K and F at rest at its pressure, at the peak, and time constants, with their intervals.
+For all steps of a cell: K and F at rest at its pressure, at the peak, and time constants, with their intervals. Also
+the figure, and with `one_trial` the values of one trial for the display.
 """
 
 from __future__ import annotations
@@ -17,12 +18,17 @@ import numpy as np
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, force_from_cycle_to_cycle, weighed
 from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.samples import OF_TWO, STEPS, Held, left
+from pmabench.analysis.shared.samples import OF_TWO, STEPS, Held, NotUsable, left
 from pmabench.analysis.shared.trials import grouped, measured_trials, point_by, thinned
+from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.step import Recovery, Relaxation, Steps, measure
+from pmabench.plotting import time_plots
+from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, label, numbers, picture, spread
+from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting.wording import shown
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import RunData, TrialData
 
@@ -361,3 +367,60 @@ def _without_friction(e: Estimate) -> Estimate:
     rubbed = sum((line.half or 0.0) ** 2 for line in e.budget if line.name == RUBBED)
     method = max(0.0, (e.parts.method or 0.0) ** 2 - rubbed) ** 0.5
     return replace(e, parts=replace(e.parts, method=method)) if rubbed else e
+
+
+PANELS = 4
+"""Most panels."""
+
+
+def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Displacement, force and pressure over time around steps of displacement."""
+    able = [t for t in traces if has(t, "t", "force", "displacement")]
+    chosen = spread(able, PANELS)
+    if not chosen:
+        return []
+    panels, names, scale = [], {"t": "t", "x": "displacement", "y": "force"}, shown("force").scale
+    for trace in chosen:
+        columns = _around(trace, names | ({"P": "pressure"} if has(trace, "pressure") else {}))
+        marks = {name: value / scale for name, value in trace.marks.items() if name in ("before", "peak", "relaxed")}
+        panels.append(Panel(head(trace), columns, marks))
+    labels = {new: label(chosen[0], old) for new, old in names.items()} | {"P": shown("pressure").label("pressure")}
+    caption = (
+        "Around the last step of a trial. Dashed: force before the step, at its peak and relaxed; the rest after the "
+        f"step is longer than what is drawn.{how_many(chosen, able)}"
+    )
+    alt = (
+        f"Contraction, force and pressure over time around steps of displacement: {'; '.join(p.title for p in panels)}."
+    )
+    draw = bound(time_plots.steps, panels, labels)
+    table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
+    title = "Steps of displacement"
+    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+
+
+def _around(trace: Trace, names: dict[str, str]) -> dict[str, Array]:
+    """The columns from shortly before the step to well after its motion, six times its duration."""
+    x = column(trace, "displacement")
+    moving = np.flatnonzero(np.abs(x - x[-1]) > 0.05 * np.ptp(x))
+    t = column(trace, "t")
+    end = float(t[moving[-1]]) if len(moving) else float(t[-1])
+    rows = (t >= -end) & (t <= max(6 * end, end + 0.1))
+    return {new: column(trace, old)[rows] for new, old in names.items()}
+
+
+def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """K from relaxed forces, and the peak of the force beyond them, of the steps away from the start."""
+    P = trial.point.get("pressure")
+    try:
+        steps = measure(run, trial, {}).there
+    except NotUsable as reason:
+        return [Measured("K", "stiffness", None)], [str(reason)]
+    K = float(np.mean([step.static for step in steps]))
+    beyond = float(np.mean([abs(step.peak - step.relaxed) for step in steps]))
+    further = left([step.later for step in steps])
+    moves = further.seen and abs(further.size) > DRIFT * beyond > 0
+    doubts = [f"the force would still change by {show(further.size, 'force', 2)}"] if moves else []
+    return [
+        Measured("K", "stiffness", K, expected.at("K", P) if expected is not None and P is not None else None),
+        Measured("overshoot", "force", beyond, noise=3 * steps[0].noise),
+    ], doubts

@@ -41,6 +41,6 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.surface.reduction:reduce",
     methods=METHODS,
-    figures={"loop": "pmabench.plotting.loops:loops"},
+    figures={"loop": "pmabench.plotting.motion:loops"},
     parts={"form of all tests": "pmabench.kinds.surface.reduction:reduce"},
 )

@@ -52,7 +52,7 @@ KIND = Kind(
         "tune by steps": "pmabench.kinds.ultimate_gain.reduction:of_open_loops",
         "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
     },
-    figures={"oscillation": "pmabench.plotting.loops:oscillations", "growth": "pmabench.plotting.loops:oscillations"},
-    front={"growth": "pmabench.plotting.loops:oscillation"},
+    figures={"oscillation": "pmabench.plotting.motion:oscillations", "growth": "pmabench.plotting.motion:oscillations"},
+    front={"growth": "pmabench.plotting.motion:oscillation"},
     loop=True,
 )

@@ -132,20 +132,21 @@ def turns(values: Array, smallest: float) -> list[int]:
     found: list[int] = []
     low = high = 0
     rising: bool | None = None
-    for k, value in enumerate(values.tolist()):
-        if value > values[high]:
+    every = values.tolist()  # many times faster than an array, item by item
+    for k, value in enumerate(every):
+        if value > every[high]:
             high = k
-        if value < values[low]:
+        if value < every[low]:
             low = k
-        if rising is not True and value - values[low] >= smallest:
+        if rising is not True and value - every[low] >= smallest:
             found.append(low)
             rising, high = True, k
-        elif rising is not False and values[high] - value >= smallest:
+        elif rising is not False and every[high] - value >= smallest:
             found.append(high)
             rising, low = False, k
-        if rising is True and value >= values[high]:
+        if rising is True and value >= every[high]:
             high = k
-        if rising is False and value <= values[low]:
+        if rising is False and value <= every[low]:
             low = k
     if rising is not None:
         found.append(high if rising else low)

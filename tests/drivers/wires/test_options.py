@@ -40,10 +40,10 @@ WRONG_MAPS = {
         ("options", "map", "outputs", "pressure", "table"),
         "is not known here",
     ),
-    "a function that is not allowed": (
-        {"functions": [1, 2, 3, 4, 6]},
-        ("options", "map", "outputs", "pressure", "table"),
-        "none of the allowed functions can write it",
+    "an output that cannot be read": (
+        {"outputs": {"pressure": {"address": 1, "read_back": False}}},
+        ("options", "map", "outputs", "pressure", "read_back"),
+        "unknown key",
     ),
     "a bit of a float": (
         {"inputs": {"pressure": {**INPUT, "type": "float32", "bit": 1}}},
@@ -100,10 +100,21 @@ def test_a_good_map_has_no_problem_and_all_problems_come_at_once():
     assert len(found) == 3
 
 
+def test_a_device_without_the_functions_for_single_writes_is_written_by_the_others():
+    written = {}
+    for single in (True, False):
+        device = ModbusDevice(regulator(write_single=single), RealClock())
+        words = {"timeout": device._map.watchdog.timeout, **device._map.outputs}
+        written[single] = {name: device._function(register) for name, register in words.items()}
+    assert written == {
+        True: {"timeout": 6, "pressure": 16, "dump": 5},
+        False: {"timeout": 16, "pressure": 16, "dump": 15},
+    }
+
+
 SCHEMA = jsonschema.Draft202012Validator(ModbusDevice.map_schema())
 BEYOND_A_SCHEMA = {
     "a value beyond the last address",
-    "a function that is not allowed",
     "a bit of a float",
     "a time-out longer than a call",
     "a channel without register",
@@ -135,7 +146,6 @@ REGISTERS = st.fixed_dictionaries(
         "bit": st.integers(-1, 32),
         "length": st.integers(0, 61),
         "expect": st.sampled_from([1, 2.5, "0x1F", "1F"]),
-        "read_back": st.sampled_from([True, False, "yes"]),
     },
 )
 

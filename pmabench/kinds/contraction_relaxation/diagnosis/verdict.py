@@ -38,9 +38,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     explained,
 )
 from pmabench.kinds.contraction_relaxation.intervals import Trust
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Cut, Segments
-from pmabench.kinds.contraction_relaxation.values import QUANTITY
 from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array
 
@@ -70,8 +68,6 @@ class Diagnosis:
     """Faults of the cell that the weights show; corrected."""
     of_fit: tuple[Named, ...]
     """Explanations of the fit's misfit; corrected."""
-    change: Array
-    """Change of the coefficients by all corrections, as `Fit.theta`."""
     spread: Spread | None = None
     """Effect of the correction on intervals; None without one."""
     hidden: Hidden = field(default_factory=lambda: Hidden((), (), ""))
@@ -162,32 +158,19 @@ class Diagnosis:
         """Why nothing of the fit may be reported, with numbers; empty where something may."""
         if self.state != "withheld":
             return ""
-        fits = "no explanation that is looked for fits it: the cause is unknown"
-        if len(self.of_fit) == 1 and self.suspect:
-            rest = f", which leaves {self.ratio:.3g} times the noise" if self.rounds.after.test.doubted else ""
-            fits = f"{self.of_fit[0].text}: these data do not tell the two apart{rest}"
-        elif self.suspect:
-            titles = ", ".join(TITLES[one.key] for one in self.of_fit)
-            fits = f"several causes at once would fit it, of which none is sure: undecided between {titles}"
-        elif self.of_fit:
-            best = "; and that ".join(one.text for one in self.of_fit)
-            fits = (
-                f"it fits best that {best}, which still leaves {self.ratio:.3g} times the noise: the cause is unknown"
-            )
-        return f"the data do not have the form of the model: {self.misses}; {fits}. {REMEDY}; {SURFACE}"
+        best = "; and that ".join(one.text for one in self.of_fit)
+        nearest = f"nearest to it is that {best}, which leaves {self.ratio:.3g} times the noise: " if best else ""
+        text = f"the data do not have the form of the model: {self.misses}; {nearest}the cause is unknown"
+        return f"{text}. {REMEDY}; {SURFACE}"
 
     @property
     def refusal(self) -> str:
         """Why values are reported, but not accepted; empty where they may be."""
         if self.state == "undecided":
             return f"the misfit is explained, but {self.between}: intervals reach over both"
-        if self.state == "doubtful" and not self.rounds.after.test.doubted:
-            return f"the straight form does not hold; it is corrected for {self.titles}, which are not sure all at once"
         if self.state == "doubtful":
-            return (
-                f"corrected for {self.titles}, {self.missed} still {self.ratio:.3g} times what the noise allows: "
-                "intervals are wider by that"
-            )
+            left = f"{self.missed} {self.ratio:.3g} times what the noise allows"
+            return f"the form does not hold; corrected for {self.titles}, {left}: intervals are wider by that"
         if self.state == "corrected" and self.bent:
             return "K changes over the contractions tested: it is the slope at one of them, and not one number"
         return ""
@@ -249,16 +232,6 @@ class Diagnosis:
         found = [(TITLES[one.key], _title(rival.others[0])) for one, rival in pairs if not rival.alone]
         return "; ".join(f"undecided between {one} and {other}" for one, other in found)
 
-    def effect(self, fit: Fit, P: float) -> str:
-        """Each coefficient at a pressure [Pa] before and after all corrections, in words."""
-        parts = []
-        for symbol in SYMBOLS:
-            row = fit.row(symbol, P)
-            after = float(row @ fit.theta)
-            before, now = (show(value, QUANTITY[symbol][1], 4) for value in (after - float(row @ self.change), after))
-            parts.append(f"{symbol} {before} -> {now}")
-        return f"at {show(P, 'pressure', 4)} {', '.join(parts)}"
-
     def hides(self, estimates: Sequence[Estimate]) -> dict[int, str]:
         """Index of each value that must be withheld although the form holds as a whole -> reason.
 
@@ -274,16 +247,16 @@ class Diagnosis:
         most = {id(one): max(share for other, share in found.values() if other is one) for one, _ in found.values()}
         return {place: _why_hidden(one, most[id(one)]) for place, (one, _) in found.items()}
 
-    def findings(self, fit: Fit, trust: Trust) -> Iterator[Finding]:
+    def findings(self, trust: Trust) -> Iterator[Finding]:
         """Results of the tests of the form and of the weights, what was corrected, and advice."""
         if self.reason:
             yield Finding("doubt", f"form: {self.reason}")
         else:
-            yield from self._of_the_form(fit)
+            yield from self._of_the_form()
         yield from self._of_the_weights({one.name for one in trust.causes if one.seen})
 
-    def _of_the_form(self, fit: Fit) -> Iterator[Finding]:
-        rounds, tested = self.rounds, self.reported.test.campaign.tested
+    def _of_the_form(self) -> Iterator[Finding]:
+        rounds = self.rounds
         for one in self.named:
             of = "property of the muscle" if one.of_muscle else "fault of the bench"
             yield Finding("doubt", f"diagnosis, {of}: {one.text}; corrected. Advice: {one.advice}")
@@ -294,7 +267,6 @@ class Diagnosis:
                 for best in rival.others[:1]:
                     ratio = f"{best.test.ratio:.3g}"
                     parts.append(f"next best to {TITLES[one.key]} is {_title(best)}, {ratio}")
-            parts.append(f"corrected, {self.effect(fit, tested[len(tested) // 2])}")
             which = f"; {self.between}" if self.between else ""
             yield Finding("note", f"diagnosis: {'; '.join(parts)}{which}")
         text = (
@@ -412,8 +384,7 @@ def examined(recorded: Campaign, knots: Array, segments_of: Cut, segments: Segme
         named(one, off, after.test.fit, highest, recorded.name(int(one.which)) if one.kind == "slip" else "")
         for one, off in zip(after.explanations, spread.sizes(), strict=True)
     )
-    change = after.test.fit.theta - after.test.fit.again(segments, after.test.expected).theta
-    found = Diagnosis(search, known, rounds, of_cell, of_fit, change)
+    found = Diagnosis(search, known, rounds, of_cell, of_fit)
     if not of_cell and not found.reported.explanations:
         return found
     return replace(found, spread=replace(spread, state=found.reported, factor=found.factor))

@@ -15,8 +15,7 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.found import slope
-from pmabench.store.importers.guess.columns import value_of, words
-from pmabench.store.importers.guess.proposal import Guess, Proposal
+from pmabench.store.importers.guess.columns import Guess, Proposal, value_of, words
 from pmabench.store.importers.guess.signs import lone
 from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.importers.map_rules import NUMBER, number_in

@@ -19,9 +19,8 @@ from pmabench.files.shipped import shipped_folder
 from pmabench.store.formats.mat import alike, is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import SECONDS, choose, proposal, usual_step
+from pmabench.store.importers.guess.columns import SECONDS, Guess, Proposal, choose, proposal, usual_step
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
-from pmabench.store.importers.guess.proposal import Guess, Proposal
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_file import PLACE, spelled
 from pmabench.store.importers.map_rules import NUMBER, number_in, read_map

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pmabench.store.importers import motion
 from pmabench.store.importers.found import correlation
-from pmabench.store.importers.guess.proposal import METRES, STILL, Guess, Proposal
+from pmabench.store.importers.guess.columns import METRES, STILL, Guess, Proposal
 from pmabench.store.records import Array
 
 LONG_PAUSE = 2.0

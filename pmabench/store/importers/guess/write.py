@@ -14,8 +14,7 @@ from pmabench.base.text import printable
 from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked, quantity_of
-from pmabench.store.importers.guess.columns import UNLIKE_TIME
-from pmabench.store.importers.guess.proposal import Guess, Proposal
+from pmabench.store.importers.guess.columns import UNLIKE_TIME, Guess, Proposal
 from pmabench.store.importers.map_file import NUMBERS, OPEN, QUANTITY
 from pmabench.store.importers.map_rules import number_in
 
