@@ -10,7 +10,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.cli.report import read_overlays
 from pmabench.report.document.content import content_of
-from pmabench.report.figures.overlays import Published, comparison_table, with_published
+from pmabench.report.overlays import Published, comparison_table, with_published
 from pmabench.store.analyses.folder import write_analysis
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
 from tests.report.samples import all_analyses, contraction, render, static_load, truth
