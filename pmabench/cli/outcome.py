@@ -1,4 +1,4 @@
-"""What a person sees of a run from the command line, and how they answer: progress, prompts, how it ended, what next."""
+"""What a person sees of a run from the command line, and answers: progress, prompts, how it ended, what next."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def test_values_that_stand_in_another_figure_are_not_compared():
     local = [
         Estimate("K", 1e4 * n, "N/m", "stiffness", "local", {"pressure": 3e5, "contraction": 0.01 * n}) for n in (1, 2)
     ]
-    with pytest.raises(InvalidFile, match="these runs have none"):
+    with pytest.raises(InvalidFile, match="matches no figure"):
         with_published([Analysis("isobaric-ramp", (), simulated=False, estimates=tuple(local))], [BOOK], None)
 
 
