@@ -260,8 +260,9 @@ class AtLines:
         if sys.stderr.isatty():
             rewrite()
         self._typed = b""
-        while select.select([sys.stdin.fileno()], [], [], 0.0)[0]:
-            _typed_at(sys.stdin.fileno())
+        descriptor = _descriptor()
+        while select.select([descriptor], [], [], 0.0)[0]:
+            _typed_at(descriptor)
         say(text)
         typed = before = ""
         while typed.lower() != "clear":
@@ -277,7 +278,7 @@ class AtLines:
         """The next line that is typed; raises Interrupted at the end of the input."""
         sys.stderr.write(prompt)
         sys.stderr.flush()
-        descriptor = sys.stdin.fileno()
+        descriptor = _descriptor()
         while b"\n" not in self._typed:
             if select.select([descriptor], [], [], 0.0 if self._realtime else None)[0]:
                 self._typed += _typed_at(descriptor)
@@ -285,6 +286,14 @@ class AtLines:
                 wait()
         line, _, self._typed = self._typed.partition(b"\n")
         return line.decode("utf-8", "replace").strip()
+
+
+def _descriptor() -> int:
+    """Where a person types; Interrupted where the input is closed, or none that can be waited for."""
+    try:
+        return sys.stdin.fileno()
+    except (AttributeError, OSError, ValueError):
+        raise Interrupted("end of input at the prompt", 130) from None
 
 
 def _typed_at(descriptor: int) -> bytes:
